@@ -1,0 +1,54 @@
+"""The run in one process, without ROS: the same parts in the same order as the node graph."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import NamedTuple
+
+from greenroof_ros.controllers import Controller
+from greenroof_ros.metrics import Metrics
+from greenroof_ros.plant import Flows, Plant
+from greenroof_ros.run import Run
+
+
+class Tick(NamedTuple):
+    """What one tick of a run saw and did."""
+
+    index: int
+    """k of 0..N"""
+    x1: float
+    """volume in the cistern (m3)"""
+    x2: float
+    """volume on the roof (m3)"""
+    cistern_level: float
+    """m"""
+    roof_level: float
+    """m"""
+    precipitation: float
+    """m/s"""
+    evapotranspiration: float
+    """m3/s, before the limit to what the roof holds"""
+    command: float
+    """share of the maximum flow"""
+    flows: Flows
+    """m3/s; those of the last tick are not applied, since the run ends in its state"""
+
+
+def closed_loop(run: Run, controller: Controller, metrics: Metrics) -> Iterator[Tick]:
+    """Run the ticks 0..N, adding to ``metrics``; a tick is yielded before its step is taken."""
+    site = run.site
+    plant = Plant(site, run.x1, run.x2)
+    for index in range(run.steps + 1):
+        cistern_level, roof_level = plant.levels()
+        rain = run.series.precipitation(index)
+        evapotranspiration = run.series.evapotranspiration(index)
+        command = controller.command(cistern_level, roof_level, rain, evapotranspiration)
+        flows = plant.flows(rain[0], evapotranspiration[0], plant.pump_flow(command))
+        metrics.observe(site, plant.x1, plant.x2)
+        yield Tick(
+            index, plant.x1, plant.x2, cistern_level, roof_level,
+            rain[0], evapotranspiration[0], command, flows,
+        )
+        if index < run.steps:
+            metrics.step(site, command, rain[0], flows)
+            plant.step(rain[0], flows)

@@ -1,0 +1,30 @@
+"""The controllers, one file each, and what they have in common."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Protocol
+
+
+class Controller(Protocol):
+    """Anything that decides once a tick how much to pump."""
+
+    def command(
+        self,
+        cistern_level: float,
+        roof_level: float,
+        precipitation: Sequence[float],
+        evapotranspiration: Sequence[float],
+    ) -> float:
+        """Decide the command for the present tick.
+
+        Args:
+            cistern_level: water depth in the cistern (m).
+            roof_level: water depth on the roof (m).
+            precipitation: forecast of rain (m/s), shape (M,), first entry = now.
+            evapotranspiration: forecast of evapotranspiration (m3/s), shape (M,), first = now.
+
+        Returns:
+            Share of the pumps' maximum flow (1), finite and not negative.
+        """
+        ...

@@ -1,0 +1,180 @@
+"""The paper's model predictive controller: seven steps, a quadratic program, OSQP."""
+
+from __future__ import annotations
+
+import logging
+import math
+import time
+from collections.abc import Sequence
+
+import numpy as np
+import osqp
+import scipy.sparse
+
+from greenroof_ros.site import Site
+from greenroof_ros.smooth_plant import linearise
+
+_log = logging.getLogger(__name__)
+
+# Commands are right to 1e-8 (held against an exact solution in the tests). The adaptation of rho
+# is counted in iterations, since by the clock two equal runs would differ.
+_SOLVER_SETTINGS = {
+    "eps_abs": 1e-10,
+    "eps_rel": 1e-10,
+    "rho": 1.0,
+    "adaptive_rho": 1,
+    "adaptive_rho_interval": 25,
+    "check_termination": 5,
+    "polishing": False,
+    "warm_starting": True,
+    "verbose": False,
+}
+
+
+class Mpc:
+    """Minimises Eq. (11) over the look-ahead, subject to the linear model of Eq. (10).
+
+    The states are eliminated: with U the M commands, the predicted roof depths less the target
+    are r + G U, and the cost divided by 2 lambda is the program
+
+        minimise  1/2 U' P U + q' U   subject to  0 <= U <= max_command,
+        P = I + G'G / lambda,  q = G'r / lambda,
+
+    whose entries are around 1. (The cost as printed is around 1e-6, far below the solver's
+    tolerances.) A solution that the solver does not report as solved is not used: the command is
+    then 0, the pumps stand still for a tick, and ``fallbacks`` counts it.
+
+    Attributes:
+        weight: lambda, the price of pumping (1); may be changed between two ticks.
+        cost: J of Eq. (11) at the last tick's solution (m2); NaN after a fallback.
+        status: OSQP's status value of the last tick, 1 = solved.
+        fallbacks: how many ticks had no solution.
+        solve_seconds: wall time of each :meth:`command` (s).
+    """
+
+    def __init__(
+        self,
+        site: Site,
+        weight: float,
+        max_command: float = math.inf,
+        max_iterations: int = 4000,
+    ) -> None:
+        """Set up the solver once; every tick only updates it.
+
+        Args:
+            site: the parameters of Table I; ``site.M`` is the look-ahead.
+            weight: lambda of Eq. (11), greater than 0.
+            max_command: upper bound of the commands, ``inf`` for none as in the paper.
+            max_iterations: OSQP's limit, beyond which a tick falls back.
+        """
+        self._site = site
+        self.weight = weight
+        self.cost = math.nan
+        self.status = 0
+        self.fallbacks = 0
+        self.solve_seconds: list[float] = []
+        self._command = 0.0
+        self._rain_sum = 0.0
+        self._evapotranspiration_sum = 0.0
+        self._ticks = 0
+
+        size = site.M
+        lag = np.arange(size)[:, None] - np.arange(size)[None, :]
+        self._lag = np.where(lag >= 0, lag, size)
+        self._identity = np.eye(size)
+        # The upper triangle of P, column by column, which is how OSQP stores it.
+        self._columns, self._rows = np.tril_indices(size)
+        pattern = scipy.sparse.csc_matrix(np.triu(np.ones((size, size))))
+        self._solver = osqp.OSQP()
+        self._solver.setup(
+            P=pattern,
+            q=np.zeros(size),
+            A=scipy.sparse.identity(size, format="csc"),
+            l=np.zeros(size),
+            u=np.full(size, max_command),
+            max_iter=max_iterations,
+            **_SOLVER_SETTINGS,
+        )
+
+    def command(
+        self,
+        cistern_level: float,
+        roof_level: float,
+        precipitation: Sequence[float],
+        evapotranspiration: Sequence[float],
+    ) -> float:
+        """Take steps 1-3 and 6 of the algorithm; see :class:`greenroof_ros.controllers.Controller`.
+
+        Steps 4 and 5, applying the command and moving on, are the plant's.
+        """
+        started = time.perf_counter()
+        site = self._site
+        # Step 6: the operating point. The first disturbance average is the paper's zero; f is
+        # affine in w, so the average cancels from the prediction and sets only where b is taken.
+        x1 = site.cistern_volume(cistern_level)
+        x2 = site.roof_volume(roof_level)
+        rain_mean = self._rain_sum / self._ticks if self._ticks else 0.0
+        evapotranspiration_mean = self._evapotranspiration_sum / self._ticks if self._ticks else 0.0
+        # Steps 1 and 2.
+        model = linearise(site, x1, x2, self._command, rain_mean, evapotranspiration_mean)
+        (a11, a12), (a21, a22) = model.A
+        b1, b2 = model.B
+        (c11, c12), (c21, c22) = model.C
+        k1 = model.b[0] - b1 * self._command
+        k2 = model.b[1] - b2 * self._command
+        response = []  # of the roof's depth, one tick after a unit of command, two ticks, ...
+        free = []  # the roof's depth less the target, without any command
+        g1, g2 = b1, b2
+        d1 = d2 = 0.0
+        deviation = x2 / site.a2 - site.z_veg
+        for rain, evaporated in zip(precipitation, evapotranspiration, strict=True):
+            response.append(g2 / site.a2)
+            g1, g2 = a11 * g1 + a12 * g2, a21 * g1 + a22 * g2
+            rain -= rain_mean
+            evaporated -= evapotranspiration_mean
+            d1, d2 = (
+                a11 * d1 + a12 * d2 + c11 * rain + c12 * evaporated + k1,
+                a21 * d1 + a22 * d2 + c21 * rain + c22 * evaporated + k2,
+            )
+            free.append(deviation + d2 / site.a2)
+        response.append(0.0)
+        # Step 3.
+        G = np.array(response)[self._lag]
+        r = np.array(free)
+        P = self._identity + G.T @ G / self.weight
+        q = r @ G / self.weight
+        chosen = self._solve(P, q)
+        if chosen is None:
+            self.fallbacks += 1
+            self.cost = math.nan
+            command = 0.0
+        else:
+            command = max(0.0, chosen)
+            self.cost = 2 * self.weight * self._objective + float(r @ r) + deviation**2
+        self._command = command
+        self._rain_sum += precipitation[0]
+        self._evapotranspiration_sum += evapotranspiration[0]
+        self._ticks += 1
+        self.solve_seconds.append(time.perf_counter() - started)
+        return command
+
+    def _solve(self, P: np.ndarray, q: np.ndarray) -> float | None:
+        """Return the first command of the program's solution, or None where there is none."""
+        hessian = P[self._rows, self._columns]
+        if not (np.isfinite(hessian).all() and np.isfinite(q).all()):
+            # OSQP does not refuse these; it returns numbers.
+            self.status = int(osqp.SolverStatus.OSQP_UNSOLVED)
+            _log.warning("the prediction is not finite; falling back to no pumping for one tick")
+            return None
+        self._solver.update(Px=hessian, q=q)
+        result = self._solver.solve(raise_error=False)
+        self.status = int(result.info.status_val)
+        if self.status != osqp.SolverStatus.OSQP_SOLVED or not math.isfinite(result.x[0]):
+            _log.warning(
+                "OSQP reports '%s'; falling back to no pumping for one tick", result.info.status
+            )
+            zeros = np.zeros_like(q)
+            self._solver.warm_start(x=zeros, y=zeros)
+            return None
+        self._objective = result.info.obj_val
+        return float(result.x[0])

@@ -1,0 +1,31 @@
+"""The paper's on/off controller, Eq. (12)."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from greenroof_ros.site import Site
+
+
+class OnOff:
+    """Pumps at a fixed command while the roof is too dry and the cistern holds enough.
+
+    Attributes:
+        fraction: v, the command when pumping (share of the maximum flow).
+    """
+
+    def __init__(self, site: Site, fraction: float) -> None:
+        self._site = site
+        self.fraction = fraction
+
+    def command(
+        self,
+        cistern_level: float,
+        roof_level: float,
+        precipitation: Sequence[float],
+        evapotranspiration: Sequence[float],
+    ) -> float:
+        """Decide from the levels (m) alone; see :class:`greenroof_ros.controllers.Controller`."""
+        dry = roof_level < self._site.z_veg
+        enough = cistern_level >= self._site.suction_level
+        return self.fraction if dry and enough else 0.0

@@ -1,0 +1,29 @@
+"""The one error that a user can mend by editing a file or an option."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+
+class ConfigurationError(Exception):
+    """A file or an option is wrong; the message says where, what is there, and what would be right.
+
+    Commands end with exit code 2 on it, without a traceback.
+    """
+
+    def __init__(
+        self,
+        expected: str,
+        *,
+        file: Path | None = None,
+        line: int | None = None,
+        key: str | None = None,
+        value: object = None,
+    ) -> None:
+        where = str(file) if file is not None else ""
+        if line is not None:
+            where += f", line {line}"
+        what = key or ""
+        if value is not None:
+            what += f" = {value!r}" if key else repr(value)
+        super().__init__(": ".join(part for part in (where, what, expected) if part))

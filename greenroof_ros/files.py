@@ -1,0 +1,125 @@
+"""Where the package's own config/ and msg_defs/ are, and how its YAML files are read."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from greenroof_ros.errors import ConfigurationError
+
+
+def shared_directory() -> Path:
+    """Return the directory that holds ``config/`` and ``msg_defs/``.
+
+    In a checkout, or an editable install of one, that is the checkout itself; otherwise it is
+    ``share/greenroof_ros`` under whichever prefix the package was installed to (a virtual
+    environment, ``~/.local``, or a colcon ``install/greenroof_ros``).
+    """
+    package = Path(__file__).resolve().parent
+    for parent in package.parents:
+        for candidate in (parent / "share" / "greenroof_ros", parent):
+            if (candidate / "msg_defs" / "topics.yaml").is_file() and (
+                candidate / "config" / "site.yaml"
+            ).is_file():
+                return candidate
+    raise ConfigurationError(
+        "greenroof_ros was installed without its share/greenroof_ros (config, msg_defs); "
+        "install it again with pip or colcon",
+        file=package,
+    )
+
+
+def read_text(path: Path) -> str:
+    """Read a UTF-8 text file.
+
+    Raises:
+        ConfigurationError: it cannot be read, is empty, is not UTF-8 text, or starts with a byte
+            order mark.
+    """
+    try:
+        raw = path.read_bytes()
+    except OSError as error:
+        raise ConfigurationError(f"cannot be read: {error.strerror}", file=path) from error
+    if raw.startswith(b"\xef\xbb\xbf"):
+        raise ConfigurationError(
+            "starts with a byte order mark; save it as plain UTF-8", file=path, line=1
+        )
+    try:
+        text = raw.decode("utf-8")
+    except UnicodeDecodeError as error:
+        line = raw.count(b"\n", 0, error.start) + 1
+        raise ConfigurationError("is not UTF-8 text", file=path, line=line) from error
+    if "\x00" in text:
+        line = text.count("\n", 0, text.index("\x00")) + 1
+        raise ConfigurationError("is not a text file (it holds a NUL byte)", file=path, line=line)
+    if not text.strip():
+        raise ConfigurationError("is empty", file=path)
+    return text
+
+
+class YamlMapping(dict[str, Any]):
+    """A mapping of a YAML file that remembers the line of each of its keys."""
+
+    lines: dict[str, int]
+
+
+class _Loader(yaml.SafeLoader):
+    """Safe YAML that refuses a key given twice, which PyYAML would silently overwrite."""
+
+
+def _mapping(loader: _Loader, node: yaml.MappingNode) -> YamlMapping:
+    mapping = YamlMapping()
+    mapping.lines = {}
+    for key_node, value_node in node.value:
+        key = str(loader.construct_object(key_node, deep=True))
+        line = key_node.start_mark.line + 1
+        if key in mapping:
+            raise yaml.constructor.ConstructorError(
+                None, None, f"{key} is given twice, here and in line {mapping.lines[key]}",
+                key_node.start_mark,
+            )
+        mapping[key] = loader.construct_object(value_node, deep=True)
+        mapping.lines[key] = line
+    return mapping
+
+
+_Loader.add_constructor(yaml.resolver.BaseResolver.DEFAULT_MAPPING_TAG, _mapping)
+
+
+def read_yaml(path: Path) -> YamlMapping:
+    """Read a YAML file whose top level is a mapping.
+
+    Raises:
+        ConfigurationError: it cannot be read, is not YAML, gives a key twice, or holds no mapping.
+    """
+    try:
+        content = yaml.load(read_text(path), Loader=_Loader)  # noqa: S506 - a SafeLoader
+    except yaml.MarkedYAMLError as error:
+        line = error.problem_mark.line + 1 if error.problem_mark else None
+        raise ConfigurationError(
+            f"is not valid YAML: {error.problem}", file=path, line=line
+        ) from error
+    except yaml.YAMLError as error:
+        raise ConfigurationError(f"is not valid YAML: {error}", file=path) from error
+    if not isinstance(content, YamlMapping):
+        raise ConfigurationError("must hold 'key: value' lines", file=path)
+    return content
+
+
+def number(path: Path, mapping: YamlMapping, key: str) -> float:
+    """Return the number under a key; ``5.78e5``, which YAML 1.1 takes for a text, is one too.
+
+    Raises:
+        ConfigurationError: it is not a number. ``nan`` and ``inf`` are left to the caller.
+    """
+    value = mapping[key]
+    try:
+        if isinstance(value, bool):
+            raise ValueError
+        return float(value)
+    except (TypeError, ValueError):
+        raise ConfigurationError(
+            "must be a number", file=path, line=mapping.lines[key], key=key, value=value
+        ) from None

@@ -1,0 +1,54 @@
+"""A pump from its data sheet: the coefficients of the paper's pump curve."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+
+class PumpCurve(NamedTuple):
+    """phi(y) = a_hat y^2 + c_hat, the head (m) at a flow y (m3/s), Eq. (3b)."""
+
+    a_hat: float
+    """s2/m5, negative"""
+    c_hat: float
+    """m"""
+
+
+def fit_pump_curve(flow: ArrayLike, head: ArrayLike) -> PumpCurve:
+    """Fit Eq. (3b) to points read off a data sheet, by least squares.
+
+    Args:
+        flow: flow rates (m3/s), shape (n,), at least two different ones. The paper doubles the
+            flow of one pump, because the site has two; so should the caller.
+        head: heads (m) at those flows, shape (n,).
+
+    Returns:
+        The coefficients ``a_hat`` and ``c_hat`` for a site file.
+
+    Raises:
+        ValueError: the shapes differ, a value is not finite or negative, fewer than two flows
+            differ, or the head rises with the flow.
+    """
+    flows = np.asarray(flow, dtype=float)
+    heads = np.asarray(head, dtype=float)
+    if flows.ndim != 1 or flows.shape != heads.shape:
+        raise ValueError(
+            f"flow and head must be two lists of one length, not {flows.shape} and {heads.shape}"
+        )
+    if not (np.isfinite(flows).all() and np.isfinite(heads).all()):
+        raise ValueError("flow and head must be finite")
+    if (flows < 0).any() or (heads < 0).any():
+        raise ValueError("flow (m3/s) and head (m) must not be negative")
+    if np.unique(flows).size < 2:
+        raise ValueError("at least two different flows are needed")
+    # Flows are around 0.01 m3/s, their squares around 1e-4: scaled to 1, the fit loses no digits.
+    scale = flows.max() ** 2
+    design = np.column_stack([flows**2 / scale, np.ones_like(flows)])
+    (slope, c_hat), *_ = np.linalg.lstsq(design, heads, rcond=None)
+    a_hat = slope / scale
+    if a_hat >= 0:
+        raise ValueError("the head must fall as the flow rises; are flow and head swapped?")
+    return PumpCurve(float(a_hat), float(c_hat))
