@@ -124,14 +124,15 @@ def epoch_ns(time: datetime) -> int:
     return (time - epoch) // timedelta(microseconds=1) * 1000
 
 
-def _positive(text: str) -> float:
+def positive(text: str) -> float:
+    """Parse an option that must be a finite number greater than 0."""
     value = float(text)
     if not (value > 0 and math.isfinite(value)):
         raise ValueError
     return value
 
 
-_positive.__name__ = "number greater than 0"  # argparse puts it into its message
+positive.__name__ = "number greater than 0"  # argparse puts it into its message
 
 
 def _volume(text: str) -> float:
@@ -163,7 +164,7 @@ def add_run_arguments(parser: argparse.ArgumentParser) -> None:
         "--roof", type=_volume, metavar="V", help="instead of --initial: volume on the roof (m3)"
     )
     group.add_argument(
-        "--hours", type=_positive, metavar="H",
+        "--hours", type=positive, metavar="H",
         help="length of the run in simulated hours (default: N of the site file, 12 h)",
     )
     group.add_argument(
@@ -180,14 +181,40 @@ def add_run_arguments(parser: argparse.ArgumentParser) -> None:
         f"the weather file's own (default: {DEFAULT_START}, the paper's window)",
     )
     group.add_argument(
-        "--weight", type=_positive, metavar="LAMBDA",
+        "--weight", type=positive, metavar="LAMBDA",
         help="mpc: price of pumping, lambda in the paper, 1e-5 to 0.1 there "
         "(default: config/mpc.yaml)",
     )
     group.add_argument(
-        "--fraction", type=_positive, metavar="V",
+        "--fraction", type=positive, metavar="V",
         help="onoff: command when pumping, v in the paper, 0.2 to 2 there "
         "(default: config/onoff.yaml)",
+    )
+
+
+def _speed(text: str) -> float:
+    return 0.0 if text == "max" else positive(text)
+
+
+_speed.__name__ = "speed: max, or a factor greater than 0"
+
+
+def add_output_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the options that decide where a run goes and how fast, not its numbers."""
+    group = parser.add_argument_group("output and pace")
+    group.add_argument(
+        "--output", type=Path, metavar="DIR",
+        help="directory of the run, new or empty (default: a dated one under runs/)",
+    )
+    group.add_argument(
+        "--no-record", action="store_true", help="no bag (simulate never writes one)"
+    )
+    group.add_argument(
+        "--speed", type=_speed, default=0.0, metavar="{max|FACTOR}",
+        help="simulated time per wall time; 1 is real time (default: max)",
+    )
+    group.add_argument(
+        "--json", action="store_true", help="print the summary as JSON instead of a table"
     )
 
 

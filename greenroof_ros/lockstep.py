@@ -1,0 +1,417 @@
+"""Lockstep over topics: a node acts once every input has arrived since it last acted.
+
+What each node takes and publishes comes from ``msg_defs/topics.yaml``. There are no timers and no
+sleeps on the way of a tick; the only clocks here are wall clocks that end a run which hangs.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import importlib
+import json
+import math
+import os
+import signal
+import sys
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from typing import Any
+
+import rclpy
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+from rclpy.duration import Duration
+from rclpy.event_handler import QoSLivelinessChangedInfo, SubscriptionEventCallbacks
+from rclpy.exceptions import (
+    InvalidParameterTypeException,
+    InvalidParameterValueException,
+    ParameterUninitializedException,
+)
+from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
+from rclpy.node import Node
+from rclpy.parameter import Parameter
+from rclpy.qos import (
+    DurabilityPolicy,
+    LivelinessPolicy,
+    QoSProfile,
+    ReliabilityPolicy,
+)
+from rclpy.signals import SignalHandlerOptions
+from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor
+
+from greenroof_ros.command_line import EXIT_DONE, EXIT_FAILED, EXIT_USAGE
+from greenroof_ros.errors import ConfigurationError
+from greenroof_ros.topics import Qos, Topic, read_topics
+
+# A node that joins takes the last of what its peers said before; first it lets them finish.
+_SILENCE_S = 0.5
+# How long a node listens before it looks at its clocks and signals again.
+_SPIN_S = 0.05
+
+DIAGNOSTICS = "/diagnostics"
+LEVELS = {"ok": DiagnosticStatus.OK, "error": DiagnosticStatus.ERROR}
+
+
+class LockstepError(Exception):
+    """The graph cannot go on; the message names the topic and the node."""
+
+
+def message_class(topic: Topic) -> Any:
+    """Return the Python class of a topic's messages."""
+    package, _, name = topic.type.split("/")
+    return getattr(importlib.import_module(f"{package}.msg"), name)
+
+
+def qos_profile(qos: Qos) -> QoSProfile:
+    """Return a profile of the contract as rclpy takes it."""
+    profile = QoSProfile(
+        depth=qos.depth,
+        reliability=ReliabilityPolicy[qos.reliability.upper()],
+        durability=DurabilityPolicy[qos.durability.upper()],
+        liveliness=LivelinessPolicy.AUTOMATIC,
+    )
+    if math.isfinite(qos.lease_s):
+        profile.liveliness_lease_duration = Duration(seconds=qos.lease_s)
+    return profile
+
+
+@dataclass
+class Input:
+    """One topic that a node takes."""
+
+    topic: Topic
+    bit: int
+    value: Any = 0.0
+    alive: int = 0
+    received: int = 0
+    refused: int = 0
+
+
+class Link:
+    """A node's place in the graph: its inputs, its outputs, and when it acts.
+
+    Attributes:
+        inputs: by topic name.
+        sent: how many messages went out, by topic name.
+        refused: how many values were refused since the node last acted.
+        final_values: what the node adds to its report at the end of the run.
+        final_reports: the values of the reports of nodes that have finished, by node.
+    """
+
+    def __init__(self, node: Node, role: str, act: Callable[[], None] = lambda: None) -> None:
+        """Join the graph.
+
+        Args:
+            node: the rclpy node.
+            role: its name in the contract.
+            act: called when every input is fresh.
+        """
+        self.inputs: dict[str, Input] = {}
+        self.sent: dict[str, int] = {}
+        self.refused = 0
+        self.final_values: Callable[[], dict[str, Any]] = dict
+        self.final_reports: dict[str, dict[str, Any]] = {}
+        self._node = node
+        self._role = role
+        self._act = act
+        self._contract = read_topics()
+        self._fresh = 0
+        self._all = 0
+        self._joining = True
+        self._last_arrival = time.monotonic()
+        self._publishers: dict[str, Any] = {}
+        self._ready = False
+        diagnostics = self._contract[DIAGNOSTICS]
+        profile = qos_profile(diagnostics.qos)
+        self._reporter = node.create_publisher(
+            DiagnosticArray, diagnostics.relative_name, profile
+        )
+        node.create_subscription(
+            DiagnosticArray, diagnostics.relative_name, self._on_report, profile
+        )
+
+    # --- setting up -------------------------------------------------------------------------
+
+    def publish_topic(self, name: str) -> Callable[[Any], None]:
+        """Open an output and return what publishes a message on it."""
+        topic = self._contract[name]
+        publisher = self._node.create_publisher(
+            message_class(topic), topic.relative_name, qos_profile(topic.qos)
+        )
+        self._publishers[name] = publisher
+        self.sent[name] = 0
+        send = publisher.publish
+        sent = self.sent
+
+        def publish(message: Any) -> None:
+            sent[name] += 1
+            send(message)
+
+        return publish
+
+    def take_topic(
+        self, name: str, callback: Callable[[Any], None] | None = None, *, raw: bool = False
+    ) -> Input:
+        """Open an input.
+
+        Args:
+            name: of the topic.
+            callback: takes each message; without it the input is one of those that must be fresh
+                before the node acts, and its value is checked against the contract's range.
+            raw: whether the callback takes the serialised message.
+        """
+        topic = self._contract[name]
+        entry = Input(topic, bit=0 if callback else 1 << len(self.inputs))
+        self.inputs[name] = entry
+        self._all |= entry.bit
+        self._node.create_subscription(
+            message_class(topic),
+            topic.relative_name,
+            callback or self._fresh_input(entry),
+            qos_profile(topic.qos),
+            raw=raw,
+            event_callbacks=SubscriptionEventCallbacks(
+                liveliness=lambda event: self._on_liveliness(entry, event)
+            ),
+        )
+        return entry
+
+    def _fresh_input(self, entry: Input) -> Callable[[Any], None]:
+        topic, bit = entry.topic, entry.bit
+        low, high = topic.low, topic.high
+        many = topic.type.endswith("MultiArray")
+        clock = topic.type.endswith("Clock")
+
+        def callback(message: Any) -> None:
+            if clock:
+                stamp = message.clock
+                entry.value = stamp.sec * 1_000_000_000 + stamp.nanosec
+            elif many:
+                entry.value = message.data
+                # Not min and max: they do not see a NaN.
+                if not all(low <= value <= high for value in entry.value):
+                    self._refuse(entry, [0.0] * len(entry.value))
+            else:
+                entry.value = message.data
+                if not low <= entry.value <= high:
+                    self._refuse(entry, 0.0)
+            entry.received += 1
+            if self._joining:
+                self._fresh |= bit
+                self._last_arrival = time.monotonic()
+                return
+            if self._fresh & bit:
+                raise LockstepError(
+                    f"{topic.name} came twice in one tick; another publisher, or nodes of an "
+                    "earlier run, are in this graph"
+                )
+            self._fresh |= bit
+            if self._fresh == self._all:
+                self._fresh = 0
+                self._act()
+                self.refused = 0
+
+        return callback
+
+    def _refuse(self, entry: Input, instead: Any) -> None:
+        topic = entry.topic
+        if not entry.refused:
+            self._node.get_logger().error(
+                f"refused {entry.value!r} on {topic.name}: it must be from {topic.low:g} to "
+                f"{topic.high:g} {topic.unit}; it acts as 0, and further ones are only counted"
+            )
+        entry.refused += 1
+        entry.value = instead
+        self.refused += 1
+
+    def _on_liveliness(self, entry: Input, event: QoSLivelinessChangedInfo) -> None:
+        entry.alive = event.alive_count
+        if entry.alive > 1:
+            names = sorted(
+                {
+                    info.node_name
+                    for info in self._node.get_publishers_info_by_topic(entry.topic.relative_name)
+                }
+            )
+            raise LockstepError(
+                f"{entry.topic.name} has {entry.alive} publishers ({', '.join(names)}); "
+                "a graph must have exactly one"
+            )
+
+    # --- running ----------------------------------------------------------------------------
+
+    def start_fresh(self) -> None:
+        """Act on the first fresh inputs: for the plant, whom the others wait for."""
+        self._joining = False
+
+    @property
+    def ready(self) -> bool:
+        """Whether every input has exactly one live publisher."""
+        return all(entry.alive == 1 for entry in self.inputs.values())
+
+    def missing(self) -> str:
+        """Name the topics that the node waits for, and who should publish them."""
+        return "; ".join(
+            f"{entry.topic.name} from {' or '.join(entry.topic.publishers)}"
+            for entry in self.inputs.values()
+            if entry.bit and not self._fresh & entry.bit
+        )
+
+    def check(self) -> None:
+        """Look at the wall clock: report readiness, and act first once a joining node may."""
+        if not self._ready and self.ready:
+            self._ready = True
+            self.report("ready")
+        if (
+            self._joining
+            and self._all
+            and self._fresh == self._all
+            and time.monotonic() - self._last_arrival > _SILENCE_S
+        ):
+            self._joining = False
+            self._fresh = 0
+            self._act()
+            self.refused = 0
+
+    def report(self, message: str, *, level: str = "ok", **values: Any) -> None:
+        """Publish a state on /diagnostics; the values are written as JSON."""
+        status = DiagnosticStatus(
+            level=LEVELS[level],
+            name=self._role,
+            message=message,
+            values=[KeyValue(key=key, value=json.dumps(value)) for key, value in values.items()],
+        )
+        array = DiagnosticArray(status=[status])
+        array.header.stamp = self._node.get_clock().now().to_msg()
+        self._reporter.publish(array)
+
+    def refusals(self) -> dict[str, int]:
+        """Return how many values were refused, by topic, where any was."""
+        return {name: entry.refused for name, entry in self.inputs.items() if entry.refused}
+
+    def _on_report(self, array: DiagnosticArray) -> None:
+        for node, message, values in read_report(array):
+            if message != "finished":
+                continue
+            self.final_reports[node] = values
+            if node == "plant" and self._role not in ("plant", "recorder"):
+                self.report(
+                    "finished", sent=self.sent, refused=self.refusals(), **self.final_values()
+                )
+
+    def flush(self) -> None:
+        """Wait until the readers have what was published."""
+        for publisher in [*self._publishers.values(), self._reporter]:
+            publisher.wait_for_all_acked(Duration(seconds=1))
+
+
+def read_report(array: DiagnosticArray) -> Iterator[tuple[str, str, dict[str, Any]]]:
+    """Yield node, message and values of each state that :meth:`Link.report` published."""
+    for status in array.status:
+        with contextlib.suppress(json.JSONDecodeError):
+            yield status.name, status.message, {
+                entry.key: json.loads(entry.value) for entry in status.values
+            }
+
+
+def declare(
+    node: Node,
+    name: str,
+    default: str | float | int | bool,
+    description: str,
+    *,
+    low: float | None = None,
+    high: float | None = None,
+    read_only: bool = True,
+) -> Any:
+    """Declare a parameter with its description and range, and return its value.
+
+    Raises:
+        ConfigurationError: the value given on the command line or in a file is of the wrong type
+            or out of range.
+    """
+    descriptor = ParameterDescriptor(description=description, read_only=read_only)
+    if low is not None and high is not None:
+        if isinstance(default, float):
+            descriptor.floating_point_range = [FloatingPointRange(from_value=low, to_value=high)]
+        else:
+            descriptor.integer_range = [IntegerRange(from_value=int(low), to_value=int(high))]
+    try:
+        return node.declare_parameter(name, default, descriptor).value
+    except (
+        InvalidParameterTypeException,
+        InvalidParameterValueException,
+        ParameterUninitializedException,
+    ) as error:
+        given = node._parameter_overrides.get(name, Parameter(name))
+        expected = f"must be a {type(default).__name__}"
+        if low is not None and high is not None:
+            expected += f" from {low:g} to {high:g}"
+        raise ConfigurationError(
+            expected, key=f"parameter {name} of {node.get_name()}", value=given.value
+        ) from error
+
+
+def make_executor() -> Any:
+    """Return the fastest executor that this rclpy has."""
+    try:
+        from rclpy.experimental import EventsExecutor
+    except ImportError:
+        return SingleThreadedExecutor()
+    return EventsExecutor()
+
+
+def run_node(
+    name: str, build: Callable[[Node], Any], args: list[str] | None = None
+) -> int:
+    """Run one node as a process until it is told to stop or fails.
+
+    Args:
+        name: of the node.
+        build: makes the node's parts and returns an object with ``link`` (its :class:`Link`),
+            ``check()`` (called between messages, at least every 50 ms) and ``stop()`` (called
+            once at the end, whatever the reason).
+        args: ROS arguments; ``sys.argv`` if None.
+
+    Returns:
+        An exit code: 0 told to stop or done, 1 failed, 2 wrong parameters.
+    """
+    os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
+    stopping = False
+
+    def on_signal(signum: int, frame: Any) -> None:
+        nonlocal stopping
+        stopping = True
+
+    # Not rclpy's own handlers: after them nothing can be published, and a node that stops has a
+    # last word.
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, on_signal)
+    rclpy.init(args=args, signal_handler_options=SignalHandlerOptions.NO)
+    code = EXIT_DONE
+    part: Any = None
+    node = Node(name)
+    try:
+        part = build(node)
+        executor = make_executor()
+        executor.add_node(node)
+        link: Link = part.link
+        while not stopping:
+            executor.spin_once(timeout_sec=_SPIN_S)
+            link.check()
+            part.check()
+    except ConfigurationError as error:
+        print(f"error: {error}", file=sys.stderr)
+        code = EXIT_USAGE
+    except (LockstepError, OSError) as error:
+        node.get_logger().fatal(str(error))
+        code = EXIT_FAILED
+    except ExternalShutdownException:
+        pass
+    finally:
+        if part is not None:
+            part.stop()
+            part.link.flush()
+        node.destroy_node()
+        rclpy.try_shutdown()
+    return code

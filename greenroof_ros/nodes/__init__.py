@@ -1,0 +1,1 @@
+"""The nodes, one file and one process each."""

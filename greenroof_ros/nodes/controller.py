@@ -1,0 +1,92 @@
+"""What the controller nodes share: levels and forecasts in, one command out."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+from rcl_interfaces.msg import SetParametersResult
+from rclpy.node import Node
+from rclpy.parameter import Parameter
+from std_msgs.msg import Float64
+
+from greenroof_ros.controllers import Controller
+from greenroof_ros.lockstep import Link
+from greenroof_ros.run import refused_parameter
+
+
+class ControllerNode:
+    """Runs one controller in the graph.
+
+    A tick in which any input was refused commands 0: what the controller would make of a level
+    that nobody measured must not reach the pump.
+    """
+
+    def __init__(
+        self,
+        node: Node,
+        role: str,
+        controller: Controller,
+        tunable: str,
+        statistics: Callable[[], dict[str, Any]],
+    ) -> None:
+        """Open the topics.
+
+        Args:
+            node: the rclpy node.
+            role: the node's name in the contract.
+            controller: decides the command.
+            tunable: the parameter, and attribute of the controller, that may change in a run.
+            statistics: what the controller adds to the run's summary.
+        """
+        self._node = node
+        self._controller = controller
+        self._tunable = tunable
+        self._tick = 0
+        self._incidents: list[dict[str, Any]] = []
+        self.link = link = Link(node, role, self._on_inputs)
+        self._cistern = link.take_topic("/cistern/level")
+        self._roof = link.take_topic("/roof/level")
+        self._rain = link.take_topic("/forecast/precipitation")
+        self._evapotranspiration = link.take_topic("/forecast/evapotranspiration")
+        self._publish_command = link.publish_topic("/pump/command")
+        self._message = Float64()
+        self.after_command: Callable[[], None] = lambda: None
+        link.final_values = lambda: {**statistics(), "incidents": self._incidents}
+        node.add_on_set_parameters_callback(self._on_parameters)
+
+    def _on_inputs(self) -> None:
+        command = 0.0
+        if not self.link.refused:
+            command = self._controller.command(
+                self._cistern.value,
+                self._roof.value,
+                self._rain.value,
+                self._evapotranspiration.value,
+            )
+        self._message.data = command
+        self._publish_command(self._message)
+        self._tick += 1
+        self.after_command()
+
+    def _on_parameters(self, parameters: list[Parameter]) -> SetParametersResult:
+        for parameter in parameters:
+            if parameter.name != self._tunable:
+                continue
+            reason = refused_parameter(parameter.name, parameter.value)
+            if reason:
+                return SetParametersResult(successful=False, reason=f"{parameter.name} {reason}")
+            setattr(self._controller, self._tunable, parameter.value)
+            self._incidents.append(
+                {"tick": self._tick, "parameter": parameter.name, "value": parameter.value}
+            )
+            self._node.get_logger().info(
+                f"{parameter.name} is {parameter.value:g} from tick {self._tick} on"
+            )
+        return SetParametersResult(successful=True)
+
+    def check(self) -> None:
+        """Nothing: a controller acts on its inputs alone."""
+
+    def stop(self) -> None:
+        """Nothing: its publisher ends with it, on which a pump driver stops pumping."""

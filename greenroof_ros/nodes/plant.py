@@ -1,0 +1,200 @@
+"""The plant node: simulates cistern and roof, and is the heartbeat of the graph.
+
+Tick k: it publishes ``/clock`` and the levels, waits for the weather and the command (or, with an
+external pump, the flow), publishes what moved, and steps the exact model to k + 1.
+"""
+
+from __future__ import annotations
+
+import sys
+import time
+from dataclasses import asdict
+from pathlib import Path
+
+from rclpy.node import Node
+from rosgraph_msgs.msg import Clock
+from std_msgs.msg import Float64
+
+from greenroof_ros.files import shared_directory
+from greenroof_ros.lockstep import Link, LockstepError, declare, run_node
+from greenroof_ros.metrics import Metrics
+from greenroof_ros.plant import Flows, Plant
+from greenroof_ros.run import DEFAULT_START, epoch_ns, initial_state
+from greenroof_ros.site import read_site
+from greenroof_ros.weather import parse_time
+
+# How far the plant may run ahead of what the recorder has safely written (ticks).
+_AHEAD = 32
+# How often the plant says where it is (s of wall time).
+_REPORT_S = 0.2
+
+
+class PlantNode:
+    """Holds the plant and drives the ticks."""
+
+    def __init__(self, node: Node) -> None:
+        """Declare the parameters and open the topics."""
+        site_file = declare(
+            node, "site_file", str(shared_directory() / "config" / "site.yaml"), "Table I"
+        )
+        site = read_site(Path(site_file))
+        cistern, roof = initial_state(site, "low-low")
+        x1 = declare(node, "cistern", cistern, "initial volume in the cistern (m3)", low=0, high=1e9)
+        x2 = declare(node, "roof", roof, "initial volume on the roof (m3)", low=0, high=1e9)
+        start = declare(node, "start", DEFAULT_START, "time of tick 0, ISO 8601 with its offset")
+        self._steps = declare(node, "steps", site.N, "N, ticks to run", low=1, high=2**40)
+        self._speed = declare(
+            node, "speed", 0.0, "simulated per wall time, 0 = as fast as it goes", low=0, high=1e9
+        )
+        self._external = (
+            declare(node, "pump", "internal", "internal, or external: /pump/flow is a driver's")
+            == "external"
+        )
+        self._record = declare(node, "record", False, "wait for a recorder")
+        self._limit = declare(
+            node, "peer_limit", 5.0, "longest wait for another node (s of wall time)", low=0.1, high=1e6
+        )
+        self._site = site
+        self._plant = Plant(site, x1, x2)
+        self._metrics = Metrics()
+        self._start_ns = epoch_ns(parse_time(start))
+        self._tick_ns = round(site.tau * 1e9)
+        self._tick = 0
+        self._written = 0
+        self._command = 0.0
+        self._running = False
+        self._held = False  # the tick is due, but not yet allowed: pace or recorder
+        self._done = False
+        self._began = self._waiting_since = self._reported = time.monotonic()
+        self._wall = 0.0
+
+        self.link = link = Link(node, "plant", self._on_inputs)
+        self._publish_clock = link.publish_topic("/clock")
+        self._publish_cistern = link.publish_topic("/cistern/level")
+        self._publish_roof = link.publish_topic("/roof/level")
+        self._publish_outflow = link.publish_topic("/cistern/outflow")
+        self._publish_drainage = link.publish_topic("/roof/drainage")
+        self._rain = link.take_topic("/weather/precipitation")
+        self._evapotranspiration = link.take_topic("/weather/evapotranspiration")
+        self._command_input = link.take_topic("/pump/command")
+        if self._external:
+            self._flow = link.take_topic("/pump/flow")
+        else:
+            self._publish_flow = link.publish_topic("/pump/flow")
+        if self._record:
+            link.take_topic("/recorder/written", self._on_written)
+        self._clock = Clock()
+        self._level = Float64()
+        self._value = Float64()
+        link.start_fresh()
+
+    def _on_written(self, message: Float64) -> None:
+        self._written = int(message.data)
+
+    def _may_tick(self) -> bool:
+        if self._record and self._tick >= self._written + _AHEAD:
+            return False
+        if self._speed:
+            due = self._began + self._tick * self._site.tau / self._speed
+            return time.monotonic() >= due
+        return True
+
+    def _publish_tick(self) -> None:
+        """Publish the time and the levels of the present tick."""
+        now = self._start_ns + self._tick * self._tick_ns
+        self._clock.clock.sec, self._clock.clock.nanosec = divmod(now, 1_000_000_000)
+        self._publish_clock(self._clock)
+        cistern, roof = self._plant.levels()
+        self._level.data = cistern
+        self._publish_cistern(self._level)
+        self._level.data = roof
+        self._publish_roof(self._level)
+        self._held = False
+        self._waiting_since = time.monotonic()
+
+    def _on_inputs(self) -> None:
+        """Step the plant: weather and command, or flow, of this tick are here."""
+        rain = self._rain.value
+        self._command = command = self._command_input.value
+        pump = self._flow.value if self._external else self._plant.pump_flow(command)
+        flows = self._plant.flows(rain, self._evapotranspiration.value, pump)
+        self._metrics.observe(self._site, self._plant.x1, self._plant.x2)
+        if self._tick == self._steps:
+            self._publish_flows(flows)
+            self._wall = time.monotonic() - self._began
+            self._done = True
+            self._report("finished")
+            return
+        self._metrics.step(self._site, command, rain, flows)
+        self._plant.step(rain, flows)
+        self._tick += 1
+        # The next tick first where it may go: the others start on it while this node still
+        # publishes what moved in the last one. Each topic keeps its own order.
+        if self._may_tick():
+            self._publish_tick()
+        else:
+            self._held = True
+            self._waiting_since = time.monotonic()
+        self._publish_flows(flows)
+
+    def _publish_flows(self, flows: Flows) -> None:
+        self._value.data = flows.outflow
+        self._publish_outflow(self._value)
+        self._value.data = flows.drainage
+        self._publish_drainage(self._value)
+        if not self._external:
+            self._value.data = flows.pump
+            self._publish_flow(self._value)
+
+    def check(self) -> None:
+        """Start when the graph is whole, let a held tick go, and watch the clock."""
+        now = time.monotonic()
+        if not self._running:
+            if self.link.ready:
+                self._running = True
+                self._began = now
+                self._publish_tick()
+            return
+        if self._held and not self._done and self._may_tick():
+            self._publish_tick()
+        if now - self._reported > _REPORT_S and not self._done:
+            self._report("running")
+        if self._done or now - self._waiting_since < self._limit:
+            return
+        if not self._held:
+            missing = self.link.missing()
+        elif self._record and self._tick >= self._written + _AHEAD:
+            missing = "/recorder/written from recorder"
+        else:
+            return  # paced: the wait is the plant's own
+        raise LockstepError(
+            f"tick {self._tick}: nothing came within {self._limit:g} s on {missing}"
+        )
+
+    def _report(self, message: str) -> None:
+        self._reported = time.monotonic()
+        values = {}
+        if self._done:
+            values = {
+                "metrics": asdict(self._metrics),
+                "wall_s": self._wall,
+                "sent": self.link.sent,
+                "refused": self.link.refusals(),
+            }
+        cistern, roof = self._plant.levels()
+        self.link.report(
+            message, tick=self._tick, cistern_level=cistern, roof_level=roof,
+            command=self._command, **values,
+        )
+
+    def stop(self) -> None:
+        """Nothing: a plant that stops leaves nothing running."""
+
+
+def main(args: list[str] | None = None) -> None:
+    """Run the node."""
+    sys.exit(run_node("plant", PlantNode, args))
+
+
+if __name__ == "__main__":
+    main()

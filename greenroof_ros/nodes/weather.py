@@ -1,0 +1,79 @@
+"""The weather node: on each ``/clock`` the weather now, and the forecast of the look-ahead."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+from rclpy.node import Node
+from std_msgs.msg import Float64, Float64MultiArray
+
+from greenroof_ros.files import shared_directory
+from greenroof_ros.lockstep import Link, LockstepError, declare, run_node
+from greenroof_ros.run import DEFAULT_START, epoch_ns, read_start
+from greenroof_ros.site import read_site
+from greenroof_ros.weather import WeatherSeries, read_weather
+
+
+class WeatherNode:
+    """Holds the weather of a run."""
+
+    def __init__(self, node: Node) -> None:
+        """Declare the parameters and open the topics."""
+        config = shared_directory() / "config"
+        site = read_site(Path(declare(node, "site_file", str(config / "site.yaml"), "Table I")))
+        file = declare(
+            node, "weather_file", str(config / "weather" / "toronto_2021-07.csv"), "hourly records"
+        )
+        start_text = declare(node, "start", DEFAULT_START, "time of tick 0, ISO 8601")
+        self._steps = declare(node, "steps", site.N, "N, ticks to run", low=1, high=2**40)
+        weather = read_weather(Path(file))
+        start = read_start(start_text, weather)
+        self._series = WeatherSeries(weather, site, start, self._steps)
+        self._start_ns = epoch_ns(start)
+        self._tick_ns = round(site.tau * 1e9)
+
+        self.link = link = Link(node, "weather", self._on_clock)
+        self._clock = link.take_topic("/clock")
+        self._publish_rain_forecast = link.publish_topic("/forecast/precipitation")
+        self._publish_evapotranspiration_forecast = link.publish_topic(
+            "/forecast/evapotranspiration"
+        )
+        self._publish_rain = link.publish_topic("/weather/precipitation")
+        self._publish_evapotranspiration = link.publish_topic("/weather/evapotranspiration")
+        self._window = Float64MultiArray()
+        self._value = Float64()
+
+    def _on_clock(self) -> None:
+        tick, rest = divmod(self._clock.value - self._start_ns, self._tick_ns)
+        if rest or not 0 <= tick <= self._steps:
+            raise LockstepError(
+                f"/clock is at tick {tick} of a run of {self._steps}; plant and weather were "
+                "started for different runs"
+            )
+        rain = self._series.precipitation(tick)
+        evapotranspiration = self._series.evapotranspiration(tick)
+        # The forecasts first: the controller needs longest.
+        self._window.data = rain
+        self._publish_rain_forecast(self._window)
+        self._window.data = evapotranspiration
+        self._publish_evapotranspiration_forecast(self._window)
+        self._value.data = rain[0]
+        self._publish_rain(self._value)
+        self._value.data = evapotranspiration[0]
+        self._publish_evapotranspiration(self._value)
+
+    def check(self) -> None:
+        """Nothing: the weather waits for the clock alone."""
+
+    def stop(self) -> None:
+        """Nothing to do."""
+
+
+def main(args: list[str] | None = None) -> None:
+    """Run the node."""
+    sys.exit(run_node("weather", WeatherNode, args))
+
+
+if __name__ == "__main__":
+    main()

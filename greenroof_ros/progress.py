@@ -1,0 +1,81 @@
+"""The progress bar of a run, on standard error."""
+
+from __future__ import annotations
+
+import time
+from types import TracebackType
+
+from rich.console import Console
+from rich.progress import BarColumn, Progress, TextColumn
+
+# Often enough for an eye, seldom enough to cost nothing.
+INTERVAL_S = 0.2
+
+
+class RunProgress:
+    """Shows simulated time, both levels, the command and the speed of a run."""
+
+    def __init__(self, steps: int, tau: float) -> None:
+        """Make the bar.
+
+        Args:
+            steps: N, the last tick.
+            tau: duration of a tick (s).
+        """
+        self._steps = steps
+        self._tau = tau
+        self._began: tuple[float, int] | None = None
+        self._progress = Progress(
+            TextColumn("{task.fields[clock]}"),
+            BarColumn(bar_width=None),
+            TextColumn("{task.percentage:>3.0f} %"),
+            TextColumn("{task.fields[state]}"),
+            console=Console(stderr=True),
+            # Redrawn when there is news, not by a thread that would take its share of two cores.
+            auto_refresh=False,
+        )
+        self._task = self._progress.add_task("", total=steps, clock="0:00:00", state="starting")
+
+    def __enter__(self) -> RunProgress:
+        """Show the bar."""
+        self._progress.start()
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        traceback: TracebackType | None,
+    ) -> None:
+        """Leave the bar as it stands."""
+        self._progress.refresh()
+        self._progress.stop()
+
+    def waiting(self, for_what: str) -> None:
+        """Say what the run waits for before its first tick."""
+        self._progress.update(self._task, state=for_what, refresh=True)
+
+    def update(self, tick: int, cistern: float, roof: float, command: float) -> None:
+        """Show a tick.
+
+        Args:
+            tick: its index.
+            cistern: level (m).
+            roof: level (m).
+            command: share of the maximum flow (1).
+        """
+        now = time.monotonic()
+        if self._began is None:
+            self._began = (now, tick)
+        elapsed = now - self._began[0]
+        factor = (tick - self._began[1]) * self._tau / elapsed if elapsed > 0 else 0.0
+        minutes, seconds = divmod(int(tick * self._tau), 60)
+        hours, minutes = divmod(minutes, 60)
+        self._progress.update(
+            self._task,
+            completed=tick,
+            clock=f"{hours}:{minutes:02}:{seconds:02}",
+            state=f"cistern {cistern:.3f} m  roof {roof:.4f} m  command {command:.4f}"
+            f"  {factor:.0f}x real time",
+            refresh=True,
+        )

@@ -1,0 +1,78 @@
+"""Mend the bag of a run whose recorder was killed: ``python -m greenroof_ros.recover DIR``."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+from greenroof_ros.command_line import command
+from greenroof_ros.errors import ConfigurationError
+from greenroof_ros.recording import BagWriter, read_ticks
+from greenroof_ros.topics import read_topics
+
+# As often as the recorder does, so that a run that ended well is recovered to equal bytes.
+_TICKS_PER_CHUNK = 16
+
+
+def recover(directory: Path, output: Path | None = None) -> tuple[Path, int]:
+    """Write every whole tick of a damaged bag into a new bag.
+
+    Args:
+        directory: a run directory, or the bag in it.
+        output: the new bag, which must not exist; by default beside the old one.
+
+    Returns:
+        The new bag and the number of its ticks.
+
+    Raises:
+        ConfigurationError: there is no bag, it holds no whole tick, or the output exists.
+    """
+    bag = directory / "bag" if (directory / "bag").is_dir() else directory
+    files = sorted(bag.glob("*.mcap"))
+    if len(files) != 1:
+        raise ConfigurationError(
+            f"must be a run directory or the bag in it, with one .mcap file, not {len(files)}",
+            file=directory,
+        )
+    target = output or bag.with_name(f"{bag.name}-recovered")
+    if target.exists():
+        raise ConfigurationError("exists already; nothing was written", file=target)
+    contract = read_topics()
+    writer: BagWriter | None = None
+    for channels, time_ns, messages in read_ticks(files[0]):
+        if writer is None:
+            foreign = [channel.topic for channel in channels if channel.topic not in contract]
+            if foreign:
+                raise ConfigurationError(
+                    f"holds {', '.join(foreign)}, which is no topic of this graph", file=files[0]
+                )
+            writer = BagWriter(target, [contract[channel.topic] for channel in channels])
+        writer.write_tick(time_ns, messages)
+        if writer.ticks % _TICKS_PER_CHUNK == 0:
+            writer.flush()
+    if writer is None:
+        raise ConfigurationError("holds not one whole tick", file=files[0])
+    writer.close()
+    return target, writer.ticks
+
+
+@command
+def main() -> int:
+    """Recover the bag that the command line names."""
+    parser = argparse.ArgumentParser(
+        prog="python -m greenroof_ros.recover",
+        description="Mend the bag of a run whose recorder was killed or ran out of disk: every "
+        "whole tick goes into a new bag beside the old one, which is left as it is.",
+    )
+    parser.add_argument("directory", type=Path, metavar="DIR", help="a run directory, or its bag")
+    parser.add_argument(
+        "--output", type=Path, metavar="BAG", help="the new bag (default: beside the old one)"
+    )
+    arguments = parser.parse_args()
+    bag, ticks = recover(arguments.directory, arguments.output)
+    print(f"{ticks} ticks recovered to {bag}")
+    return 0
+
+
+if __name__ == "__main__":
+    main()

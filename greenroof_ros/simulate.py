@@ -1,0 +1,101 @@
+"""A run in one process, without ROS: ``python -m greenroof_ros.simulate``."""
+
+from __future__ import annotations
+
+import argparse
+import csv
+import time
+from contextlib import ExitStack
+from pathlib import Path
+from typing import Any
+
+from greenroof_ros import summary
+from greenroof_ros.closed_loop import Tick, closed_loop
+from greenroof_ros.command_line import EXIT_DONE, command
+from greenroof_ros.errors import ConfigurationError
+from greenroof_ros.metrics import Metrics
+from greenroof_ros.progress import INTERVAL_S, RunProgress
+from greenroof_ros.run import (
+    add_output_arguments,
+    add_run_arguments,
+    make_controller,
+    run_from_arguments,
+)
+from greenroof_ros.run_directory import make_run_directory, write_configuration
+
+TRAJECTORY_COLUMNS = (
+    "time_s", "cistern_m3", "roof_m3", "cistern_level_m", "roof_level_m",
+    "precipitation_m_per_s", "evapotranspiration_m3_per_s", "command",
+    "pump_flow_m3_per_s", "outflow_m3_per_s", "drainage_m3_per_s",
+)
+
+
+def trajectory_row(tick: Tick, tau: float) -> tuple[float, ...]:
+    """Return a tick as a row of :data:`TRAJECTORY_COLUMNS`."""
+    return (
+        tick.index * tau, tick.x1, tick.x2, tick.cistern_level, tick.roof_level,
+        tick.precipitation, tick.evapotranspiration, tick.command,
+        tick.flows.pump, tick.flows.outflow, tick.flows.drainage,
+    )
+
+
+@command
+def main() -> int:
+    """Simulate the run that the command line asks for."""
+    parser = argparse.ArgumentParser(
+        prog="python -m greenroof_ros.simulate",
+        description="Run cistern, roof, pumps and controller over real weather in one process, "
+        "without ROS. The numbers are those of the node graph (bringup), bit for bit.",
+    )
+    add_run_arguments(parser)
+    add_output_arguments(parser)
+    parser.add_argument(
+        "--trajectory", type=Path, metavar="FILE.csv",
+        help="write every tick 0..N to a new CSV file; the digits are exact",
+    )
+    arguments = parser.parse_args()
+    run = run_from_arguments(arguments)
+    tau = run.site.tau
+    with ExitStack() as stack:
+        rows: Any = None
+        if arguments.trajectory is not None:
+            try:
+                stream = stack.enter_context(arguments.trajectory.open("x", newline=""))
+            except OSError as error:
+                raise ConfigurationError(
+                    f"cannot be written: {error.strerror}",
+                    key="--trajectory", value=str(arguments.trajectory),
+                ) from error
+            rows = csv.writer(stream)
+            rows.writerow(TRAJECTORY_COLUMNS)
+        directory = make_run_directory(arguments.output, run.controller)
+        write_configuration(directory, run, {})
+        controller = make_controller(run.controller, run.site, run.parameters)
+        metrics = Metrics()
+        progress = stack.enter_context(RunProgress(run.steps, tau))
+        began = shown = time.monotonic()
+        for tick in closed_loop(run, controller, metrics):
+            if rows is not None:
+                rows.writerow(trajectory_row(tick, tau))
+            now = time.monotonic()
+            if arguments.speed:
+                due = began + tick.index * tau / arguments.speed
+                time.sleep(max(0.0, due - now))
+            if now - shown > INTERVAL_S or tick.index == run.steps:
+                shown = now
+                progress.update(tick.index, tick.cistern_level, tick.roof_level, tick.command)
+        wall = time.monotonic() - began
+    seconds = getattr(controller, "solve_seconds", None)
+    result = summary.build(
+        run,
+        metrics,
+        wall_s=wall,
+        solver=summary.solver_statistics(seconds, controller.fallbacks) if seconds else None,
+    )
+    summary.write(result, directory / "summary.json")
+    summary.show(result, as_json=arguments.json, path=directory)
+    return EXIT_DONE
+
+
+if __name__ == "__main__":
+    main()
