@@ -7,7 +7,6 @@ import os
 import signal
 import sys
 import time
-from contextlib import ExitStack
 from typing import Any
 
 from greenroof_ros import summary
@@ -18,6 +17,7 @@ from greenroof_ros.command_line import (
     command,
 )
 from greenroof_ros.errors import ConfigurationError
+from greenroof_ros.node_report import FINISHED, STARTING
 from greenroof_ros.progress import RunProgress
 from greenroof_ros.run import (
     CONTROLLERS,
@@ -72,55 +72,33 @@ def _parser() -> argparse.ArgumentParser:
     return parser
 
 
-class _Graph:
-    """This process's ear in the graph: who is there, and what the nodes report."""
+def _refuse_company() -> None:
+    """Listen whether nodes of the same names are in the graph already.
 
-    def __init__(self) -> None:
+    The node that listens leaves the graph again: nothing of this process takes part in the run.
+
+    Raises:
+        ConfigurationError: they are, or ROS 2 is not installed.
+    """
+    os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
+    try:
+        import rclpy
         from rclpy.node import Node
-
-        from greenroof_ros.lockstep import DIAGNOSTICS, make_executor, message_class, qos_profile
-        from greenroof_ros.topics import read_topics
-
-        self._node = Node("bringup", start_parameter_services=False)
-        diagnostics = read_topics()[DIAGNOSTICS]
-        self._node.create_subscription(
-            message_class(diagnostics), diagnostics.relative_name, self._on_report,
-            qos_profile(diagnostics.qos),
-        )
-        self._executor = make_executor()
-        self._executor.add_node(self._node)
-        self.ready: set[str] = set()
-        self.progress: dict[str, Any] = {}
-        self.heard = time.monotonic()
-        self.final: dict[str, dict[str, Any]] = {}
-
-    def _on_report(self, array: Any) -> None:
-        from greenroof_ros.lockstep import read_report
-
-        for node, message, values in read_report(array):
-            if message == "ready":
-                self.ready.add(node)
-            if message == "finished":
-                self.final[node] = values
-            if node == "plant":
-                self.progress = values
-                self.heard = time.monotonic()
-
-    def spin(self) -> None:
-        """Take what there is to take, for at most 50 ms."""
-        self._executor.spin_once(timeout_sec=0.05)
-
-    def refuse_company(self) -> None:
-        """Listen whether nodes of the same names are in the graph already.
-
-        Raises:
-            ConfigurationError: they are.
-        """
-        ours = {"plant", "weather", *CONTROLLERS, "recorder"}
+        from rclpy.signals import SignalHandlerOptions
+    except ImportError as error:
+        raise ConfigurationError(
+            "ROS 2 is not here: source an installed ROS 2, or pip install 'greenroof_ros[ros]'; "
+            f"python -m greenroof_ros.simulate needs none ({error})"
+        ) from error
+    ours = {"plant", "weather", *CONTROLLERS, "recorder"}
+    context = rclpy.Context()
+    rclpy.init(args=[], context=context, signal_handler_options=SignalHandlerOptions.NO)
+    node = Node("bringup", context=context, start_parameter_services=False, enable_rosout=False)
+    try:
         until = time.monotonic() + _LISTEN_S
         while time.monotonic() < until:
-            self.spin()
-            found = sorted(ours.intersection(self._node.get_node_names()))
+            time.sleep(0.05)
+            found = sorted(ours.intersection(node.get_node_names()))
             if found:
                 domain = int(os.environ.get("ROS_DOMAIN_ID") or 0)
                 raise ConfigurationError(
@@ -128,44 +106,45 @@ class _Graph:
                     f"end it, or take another domain: ROS_DOMAIN_ID={(domain + 1) % 100} "
                     "python -m greenroof_ros.bringup ..."
                 )
+    finally:
+        node.destroy_node()
+        context.try_shutdown()
 
-    def close(self) -> None:
-        """Leave the graph."""
-        self._node.destroy_node()
 
-
-def _watch(
-    run: Run, nodes: list[str], limit: float, graph: _Graph, supervisor: Supervisor
-) -> None:
+def _watch(run: Run, limit: float, supervisor: Supervisor) -> dict[str, dict[str, Any]]:
     """Watch the nodes until all have reported the end of the run.
+
+    Args:
+        run: what was asked for.
+        limit: longest silence of a node (s).
+        supervisor: has started the nodes.
+
+    Returns:
+        The final report of each node.
 
     Raises:
         NodeFailed: one ended, hangs, or is not ready in time.
     """
-    began = looked = time.monotonic()
-    shown: object = None
+    waiting = set(supervisor.nodes)
+    final: dict[str, dict[str, Any]] = {}
     with RunProgress(run.steps, run.site.tau) as progress:
-        while not graph.final.keys() >= set(nodes):
-            graph.spin()
-            supervisor.check()
-            now = time.monotonic()
-            if now - looked > limit:
-                graph.heard = now  # this process itself was stopped, and has not listened
-            looked = now
-            if not graph.ready >= set(nodes):
-                supervisor.note_segments()
-                missing = [node for node in nodes if node not in graph.ready]
-                progress.waiting(f"waiting for {', '.join(missing)}")
-                if now - began > _START_LIMIT_S:
-                    raise supervisor.hangs(missing[0], _START_LIMIT_S)
-                graph.heard = now
-            elif now - graph.heard > limit and "plant" not in graph.final:
-                raise supervisor.hangs("plant", limit)
-            if graph.progress and graph.progress is not shown:
-                shown = graph.progress
-                progress.update(
-                    shown["tick"], shown["cistern_level"], shown["roof_level"], shown["command"]
-                )
+        while len(final) < len(supervisor.nodes):
+            for node, report in supervisor.reports():
+                if report["state"] != STARTING:
+                    waiting.discard(node)
+                if report["state"] == FINISHED:
+                    final[node] = report
+                if node == "plant" and not waiting:
+                    progress.update(
+                        report["tick"], report["cistern_level"], report["roof_level"],
+                        report["command"],
+                    )
+            if waiting:
+                progress.waiting(f"waiting for {', '.join(sorted(waiting))}")
+                supervisor.check(_START_LIMIT_S)
+            else:
+                supervisor.check(limit)
+    return final
 
 
 @command
@@ -173,52 +152,36 @@ def main() -> int:
     """Bring the graph up, watch it, and end it."""
     arguments = _parser().parse_args()
     run = run_from_arguments(arguments)
-    os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
-    try:
-        import rclpy
-        from rclpy.signals import SignalHandlerOptions
-    except ImportError as error:
-        raise ConfigurationError(
-            "ROS 2 is not here: source an installed ROS 2, or pip install 'greenroof_ros[ros]'; "
-            f"python -m greenroof_ros.simulate needs none ({error})"
-        ) from error
-
-    nodes = ["plant", "weather", run.controller, *(() if arguments.no_record else ["recorder"])]
     for number in _SIGNALS:
         signal.signal(number, _on_signal)
     try:
-        with ExitStack() as stack:
-            rclpy.init(args=[], signal_handler_options=SignalHandlerOptions.NO)
-            graph = _Graph()
-            graph.refuse_company()
-            directory = make_run_directory(arguments.output, run.controller)
-            parameters = write_configuration(
-                directory, run,
-                {
-                    "speed": arguments.speed,
-                    "pump": arguments.pump,
-                    "record": not arguments.no_record,
-                    "peer_limit": arguments.peer_limit,
-                },
-            )
-            supervisor = Supervisor(directory / "log")
-            stack.callback(supervisor.clear_shared_memory)
-            stack.callback(rclpy.try_shutdown)
-            stack.callback(graph.close)
-            stack.enter_context(supervisor)
-            for node in nodes:
-                supervisor.start(node, ["--ros-args", "--params-file", str(parameters)])
-            _watch(run, nodes, arguments.peer_limit, graph, supervisor)
+        _refuse_company()
+        directory = make_run_directory(arguments.output, run.controller)
+        parameters = write_configuration(
+            directory, run,
+            {
+                "speed": arguments.speed,
+                "pump": arguments.pump,
+                "record": not arguments.no_record,
+                "peer_limit": arguments.peer_limit,
+            },
+        )
+        with Supervisor(directory / "log") as supervisor:
+            for node in ("plant", "weather", run.controller):
+                supervisor.start(node, parameters)
+            if not arguments.no_record:
+                supervisor.start("recorder", parameters)
+            final = _watch(run, arguments.peer_limit, supervisor)
     except _Interrupted:
         print("interrupted; the bag is closed", file=sys.stderr)
         return EXIT_INTERRUPTED
     except NodeFailed as error:
         print(f"error: {error}", file=sys.stderr)
         return EXIT_FAILED
-    controller = graph.final[run.controller]
-    plant = graph.final["plant"]
+    controller = final[run.controller]
+    plant = final["plant"]
     refused: dict[str, int] = {}
-    for report in graph.final.values():
+    for report in final.values():
         for topic, count in report.get("refused", {}).items():
             refused[topic] = refused.get(topic, 0) + count
     result = summary.build(
@@ -226,7 +189,7 @@ def main() -> int:
         plant["metrics"],
         wall_s=plant["wall_s"],
         solver=controller["solver"],
-        messages=graph.final["recorder"]["messages"] if "recorder" in graph.final else None,
+        messages=final["recorder"]["messages"] if "recorder" in final else None,
         refused=refused,
         incidents=controller["incidents"],
     )

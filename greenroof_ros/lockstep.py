@@ -14,7 +14,7 @@ import os
 import signal
 import sys
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from typing import Any
 
@@ -41,15 +41,17 @@ from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescri
 
 from greenroof_ros.command_line import EXIT_DONE, EXIT_FAILED, EXIT_USAGE
 from greenroof_ros.errors import ConfigurationError
+from greenroof_ros.node_report import FINISHED, READY, REPORT_PIPE, STARTING
 from greenroof_ros.topics import Qos, Topic, read_topics
 
 # A node that joins takes the last of what its peers said before; first it lets them finish.
 _SILENCE_S = 0.5
+# How often a node says how it is (s of wall time).
+_REPORT_S = 0.25
 # How long a node listens before it looks at its clocks and signals again.
 _SPIN_S = 0.05
 
 DIAGNOSTICS = "/diagnostics"
-LEVELS = {"ok": DiagnosticStatus.OK, "error": DiagnosticStatus.ERROR}
 
 
 class LockstepError(Exception):
@@ -94,7 +96,8 @@ class Link:
         inputs: by topic name.
         sent: how many messages went out, by topic name.
         refused: how many values were refused since the node last acted.
-        final_values: what the node adds to its report at the end of the run.
+        progress: what the node adds to each of its reports.
+        summary: what the node adds to its report at the end of the run.
         final_reports: the values of the reports of nodes that have finished, by node.
     """
 
@@ -109,7 +112,8 @@ class Link:
         self.inputs: dict[str, Input] = {}
         self.sent: dict[str, int] = {}
         self.refused = 0
-        self.final_values: Callable[[], dict[str, Any]] = dict
+        self.progress: Callable[[], dict[str, Any]] = dict
+        self.summary: Callable[[], dict[str, Any]] = dict
         self.final_reports: dict[str, dict[str, Any]] = {}
         self._node = node
         self._role = role
@@ -120,7 +124,13 @@ class Link:
         self._joining = True
         self._last_arrival = time.monotonic()
         self._publishers: dict[str, Any] = {}
-        self._ready = False
+        self._state = STARTING
+        self._final_values: dict[str, Any] = {}
+        self._reported = 0.0
+        self._pipe: int | None = None
+        if REPORT_PIPE in os.environ:
+            self._pipe = int(os.environ[REPORT_PIPE])
+            os.set_blocking(self._pipe, False)
         diagnostics = self._contract[DIAGNOSTICS]
         profile = qos_profile(diagnostics.qos)
         self._reporter = node.create_publisher(
@@ -249,55 +259,84 @@ class Link:
         """Whether every input has exactly one live publisher."""
         return all(entry.alive == 1 for entry in self.inputs.values())
 
+    def absent(self) -> str:
+        """Name the topics that nobody publishes, and who should."""
+        return self._names(entry for entry in self.inputs.values() if entry.alive == 0)
+
     def missing(self) -> str:
         """Name the topics that the node waits for, and who should publish them."""
-        return "; ".join(
-            f"{entry.topic.name} from {' or '.join(entry.topic.publishers)}"
+        return self._names(
+            entry
             for entry in self.inputs.values()
             if entry.bit and not self._fresh & entry.bit
         )
 
+    def _names(self, entries: Iterable[Input]) -> str:
+        return "; ".join(
+            "{} from {}".format(
+                entry.topic.name,
+                " or ".join(name for name in entry.topic.publishers if name != self._role),
+            )
+            for entry in entries
+        )
+
     def check(self) -> None:
-        """Look at the wall clock: report readiness, and act first once a joining node may."""
-        if not self._ready and self.ready:
-            self._ready = True
-            self.report("ready")
+        """Look at the wall clock: say how the node is, and act first once a joining node may."""
+        now = time.monotonic()
+        if self._state == STARTING and self.ready:
+            self._state = READY
+            self._report(now)
+        elif now - self._reported > _REPORT_S:
+            # Again and again, for a reader that joins late may miss what was said once.
+            self._report(now)
         if (
             self._joining
             and self._all
             and self._fresh == self._all
-            and time.monotonic() - self._last_arrival > _SILENCE_S
+            and now - self._last_arrival > _SILENCE_S
         ):
             self._joining = False
             self._fresh = 0
             self._act()
             self.refused = 0
 
-    def report(self, message: str, *, level: str = "ok", **values: Any) -> None:
-        """Publish a state on /diagnostics; the values are written as JSON."""
-        status = DiagnosticStatus(
-            level=LEVELS[level],
-            name=self._role,
-            message=message,
-            values=[KeyValue(key=key, value=json.dumps(value)) for key, value in values.items()],
-        )
-        array = DiagnosticArray(status=[status])
-        array.header.stamp = self._node.get_clock().now().to_msg()
-        self._reporter.publish(array)
+    def finish(self, **values: Any) -> None:
+        """Say from now on that the run is over for this node, with what its summary needs."""
+        self._state = FINISHED
+        self._final_values = {"sent": dict(self.sent), "refused": self.refusals(), **values}
+        self._report(time.monotonic())
 
     def refusals(self) -> dict[str, int]:
         """Return how many values were refused, by topic, where any was."""
         return {name: entry.refused for name, entry in self.inputs.items() if entry.refused}
 
+    def _report(self, now: float) -> None:
+        """Publish the node's state on /diagnostics; values are written as JSON."""
+        self._reported = now
+        values = {**self.progress(), **self._final_values}
+        status = DiagnosticStatus(
+            level=DiagnosticStatus.OK,
+            name=self._role,
+            message=self._state,
+            values=[KeyValue(key=key, value=json.dumps(value)) for key, value in values.items()],
+        )
+        array = DiagnosticArray(status=[status])
+        array.header.stamp = self._node.get_clock().now().to_msg()
+        self._reporter.publish(array)
+        if self._pipe is not None:
+            # A reader that is stopped must not stop the node: what does not fit is dropped, and
+            # said again a moment later.
+            with contextlib.suppress(BlockingIOError, BrokenPipeError):
+                line = json.dumps({"state": self._state, **values})
+                os.write(self._pipe, f"{line}\n".encode())
+
     def _on_report(self, array: DiagnosticArray) -> None:
-        for node, message, values in read_report(array):
-            if message != "finished":
+        for node, state, values in read_reports(array):
+            if state != FINISHED:
                 continue
             self.final_reports[node] = values
-            if node == "plant" and self._role not in ("plant", "recorder"):
-                self.report(
-                    "finished", sent=self.sent, refused=self.refusals(), **self.final_values()
-                )
+            if node == "plant" and self._role in ("weather", "mpc", "onoff"):
+                self.finish(**self.summary())
 
     def flush(self) -> None:
         """Wait until the readers have what was published."""
@@ -305,13 +344,13 @@ class Link:
             publisher.wait_for_all_acked(Duration(seconds=1))
 
 
-def read_report(array: DiagnosticArray) -> Iterator[tuple[str, str, dict[str, Any]]]:
-    """Yield node, message and values of each state that :meth:`Link.report` published."""
+def read_reports(array: DiagnosticArray) -> Iterator[tuple[str, str, dict[str, Any]]]:
+    """Yield node, state and values of each of this package's states in a message."""
     for status in array.status:
-        with contextlib.suppress(json.JSONDecodeError):
-            yield status.name, status.message, {
-                entry.key: json.loads(entry.value) for entry in status.values
-            }
+        if status.message in (STARTING, READY, FINISHED):
+            with contextlib.suppress(json.JSONDecodeError):
+                values = {entry.key: json.loads(entry.value) for entry in status.values}
+                yield status.name, status.message, values
 
 
 def declare(

@@ -2,15 +2,21 @@
 
 from __future__ import annotations
 
+import contextlib
 import ctypes
 import fcntl
+import json
 import os
+import selectors
 import signal
 import subprocess
 import sys
 import time
 from pathlib import Path
 from types import TracebackType
+from typing import Any
+
+from greenroof_ros.node_report import REPORT_PIPE
 
 # Patience with a process that was told to end, before the next, harder signal (s).
 _PATIENCE_S = {signal.SIGINT: 4.0, signal.SIGTERM: 1.0, signal.SIGKILL: 5.0}
@@ -28,14 +34,35 @@ def _end_with_parent() -> None:
     ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGINT)
 
 
+def _held_segments(pid: int) -> set[str]:
+    """Return the Fast DDS shared memory that a process owns: it has the lock files open."""
+    held = set()
+    with contextlib.suppress(OSError):  # it ends just now
+        for entry in Path(f"/proc/{pid}/fd").iterdir():
+            target = Path(os.readlink(entry))
+            if target.parent == _SHARED_MEMORY and target.name.endswith("_el"):
+                held.add(target.name.removesuffix("_el"))
+    return held
+
+
 class Supervisor:
-    """The node processes of one run. Leaving its ``with`` block ends them all."""
+    """The node processes of one run. Leaving its ``with`` block ends them all.
+
+    Each node has a pipe to this process, on which it says every quarter of a second how it is:
+    discovery in the graph can take seconds, and a supervisor must not miss a word.
+
+    Attributes:
+        nodes: the processes, by node.
+    """
 
     def __init__(self, logs: Path) -> None:
         """Make the directory for what the nodes print, one file each."""
+        self.nodes: dict[str, subprocess.Popen[bytes]] = {}
         self._logs = logs
-        self._processes: dict[str, subprocess.Popen[bytes]] = {}
-        self._segments: set[str] = set()
+        self._pipes = selectors.DefaultSelector()
+        self._heard: dict[str, float] = {}
+        self._looked = time.monotonic()
+        self._segments: dict[str, set[str]] = {}
         logs.mkdir()
 
     def __enter__(self) -> Supervisor:
@@ -49,76 +76,101 @@ class Supervisor:
         traceback: TracebackType | None,
     ) -> None:
         """End all processes and clear away the shared memory that they left."""
-        self.stop()
+        # The recorder last, so that its bag holds all that the others said.
+        for group in (self.nodes.keys() - {"recorder"}, self.nodes.keys() & {"recorder"}):
+            self._end([self.nodes[node] for node in group])
+        self._clear_shared_memory()
 
-    def start(self, node: str, arguments: list[str]) -> None:
-        """Start one node; it does not see the terminal's Ctrl-C, which is this process's."""
+    def start(self, node: str, parameters: Path) -> None:
+        """Start one node; it does not see the terminal's Ctrl-C, which is this process's.
+
+        Args:
+            node: its name, and that of its module.
+            parameters: ROS 2 parameter file.
+        """
+        reading, writing = os.pipe()
         with (self._logs / f"{node}.log").open("wb") as log:
-            self._processes[node] = subprocess.Popen(
-                [sys.executable, "-m", f"greenroof_ros.nodes.{node}", *arguments],
+            self.nodes[node] = subprocess.Popen(
+                [
+                    sys.executable, "-m", f"greenroof_ros.nodes.{node}",
+                    "--ros-args", "--params-file", str(parameters),
+                ],
                 stdin=subprocess.DEVNULL,
                 stdout=log,
                 stderr=subprocess.STDOUT,
+                env={**os.environ, REPORT_PIPE: str(writing)},
+                pass_fds=(writing,),
                 start_new_session=True,
                 preexec_fn=_end_with_parent,
             )
+        os.close(writing)
+        self._pipes.register(reading, selectors.EVENT_READ, (node, os.fdopen(reading, "rb", 0)))
+        self._heard[node] = time.monotonic()
 
-    def check(self) -> None:
-        """Raise :class:`NodeFailed` if a node has ended."""
-        for node, process in self._processes.items():
+    def reports(self) -> list[tuple[str, dict[str, Any]]]:
+        """Return what the nodes said since the last call, after at most a tenth of a second."""
+        found = []
+        now = time.monotonic()
+        if now - self._looked > 1:
+            # This process itself was stopped; what it did not hear is not the nodes' silence.
+            self._heard = dict.fromkeys(self._heard, now)
+        self._looked = now
+        for key, _ in self._pipes.select(timeout=0.1):
+            node, stream = key.data
+            lines = stream.read(1 << 16).splitlines()
+            if not lines:
+                self._pipes.unregister(stream)  # the node has ended, which check() tells
+            if node not in self._segments:
+                self._segments[node] = _held_segments(self.nodes[node].pid)
+            for line in lines:
+                self._heard[node] = time.monotonic()
+                found.append((node, json.loads(line)))
+        return found
+
+    def check(self, limit: float) -> None:
+        """Look whether all nodes live and speak.
+
+        Args:
+            limit: longest silence (s).
+
+        Raises:
+            NodeFailed: one has ended, or was silent for longer.
+        """
+        for node, process in self.nodes.items():
             code = process.poll()
-            if code is None:
-                continue
-            how = f"exit code {code}" if code >= 0 else signal.Signals(-code).name
-            raise NodeFailed(self._with_last_lines(node, f"node {node} ended ({how})"))
-
-    def hangs(self, node: str, limit: float) -> NodeFailed:
-        """Return the error for a node that has not answered within the limit (s)."""
-        return NodeFailed(
-            self._with_last_lines(node, f"node {node} has not answered for {limit:g} s")
-        )
+            if code is not None:
+                how = f"exit code {code}" if code >= 0 else signal.Signals(-code).name
+                raise NodeFailed(self._with_last_lines(node, f"node {node} ended ({how})"))
+        for node, heard in self._heard.items():
+            if time.monotonic() - heard > limit:
+                raise NodeFailed(
+                    self._with_last_lines(node, f"node {node} has not answered for {limit:g} s")
+                )
 
     def _with_last_lines(self, node: str, message: str) -> str:
         log = self._logs / f"{node}.log"
         lines = log.read_text(errors="replace").splitlines()[-_LAST_LINES:]
-        return "\n".join([f"{message}; its last lines ({log}):", *(f"  {line}" for line in lines)])
+        quoted = [f"  {line}" for line in lines] or ["  (none)"]
+        return "\n".join([f"{message}; its last lines ({log}):", *quoted])
 
-    def note_segments(self) -> None:
-        """Note which shared-memory files the nodes hold, for none may stay behind them."""
-        for process in self._processes.values():
-            try:
-                for entry in Path(f"/proc/{process.pid}/fd").iterdir():
-                    target = Path(os.readlink(entry))
-                    if target.parent == _SHARED_MEMORY and target.name.endswith("_el"):
-                        self._segments.add(target.name.removesuffix("_el"))
-            except OSError:
-                continue  # it ends just now, or this is no Linux
+    def _end(self, processes: list[subprocess.Popen[bytes]]) -> None:
+        for number, patience in _PATIENCE_S.items():
+            running = [process for process in processes if process.poll() is None]
+            for process in running:
+                process.send_signal(number)
+                process.send_signal(signal.SIGCONT)  # a stopped process hears nothing else
+            until = time.monotonic() + patience
+            for process in running:
+                with contextlib.suppress(subprocess.TimeoutExpired):
+                    process.wait(max(0.0, until - time.monotonic()))
 
-    def stop(self) -> None:
-        """End all processes, the recorder last, so that its bag holds all that was said."""
-        self.note_segments()
-        recorder = [self._processes[node] for node in self._processes if node == "recorder"]
-        others = [self._processes[node] for node in self._processes if node != "recorder"]
-        for group in (others, recorder):
-            for number, patience in _PATIENCE_S.items():
-                running = [process for process in group if process.poll() is None]
-                for process in running:
-                    process.send_signal(number)
-                    process.send_signal(signal.SIGCONT)  # a stopped process hears nothing else
-                until = time.monotonic() + patience
-                for process in running:
-                    try:
-                        process.wait(max(0.0, until - time.monotonic()))
-                    except subprocess.TimeoutExpired:
-                        continue
+    def _clear_shared_memory(self) -> None:
+        """Remove the nodes' shared-memory files that no living process owns.
 
-    def clear_shared_memory(self) -> None:
-        """Remove shared-memory files of this run that no living process holds.
-
-        A process that ends well removes its own; one killed by ``kill -9`` cannot. Fast DDS locks
-        the file ``NAME_el`` as long as the owner of ``NAME`` lives.
+        A process that ends well removes its own; one killed by ``kill -9`` cannot. Fast DDS holds
+        a lock on ``NAME_el`` as long as the owner of ``NAME`` lives.
         """
-        for name in self._segments:
+        for name in set().union(*self._segments.values()):
             lock = _SHARED_MEMORY / f"{name}_el"
             try:
                 with lock.open("rb") as stream:

@@ -52,7 +52,7 @@ class ControllerNode:
         self._publish_command = link.publish_topic("/pump/command")
         self._message = Float64()
         self.after_command: Callable[[], None] = lambda: None
-        link.final_values = lambda: {**statistics(), "incidents": self._incidents}
+        link.summary = lambda: {**statistics(), "incidents": self._incidents}
         node.add_on_set_parameters_callback(self._on_parameters)
 
     def _on_inputs(self) -> None:

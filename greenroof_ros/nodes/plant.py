@@ -25,8 +25,6 @@ from greenroof_ros.weather import parse_time
 
 # How far the plant may run ahead of what the recorder has safely written (ticks).
 _AHEAD = 32
-# How often the plant says where it is (s of wall time).
-_REPORT_S = 0.2
 
 
 class PlantNode:
@@ -54,6 +52,10 @@ class PlantNode:
         self._limit = declare(
             node, "peer_limit", 5.0, "longest wait for another node (s of wall time)", low=0.1, high=1e6
         )
+        self._start_limit = declare(
+            node, "start_limit", 30.0, "longest wait for the other nodes to come (s of wall time)",
+            low=0.1, high=1e6,
+        )
         self._site = site
         self._plant = Plant(site, x1, x2)
         self._metrics = Metrics()
@@ -65,10 +67,10 @@ class PlantNode:
         self._running = False
         self._held = False  # the tick is due, but not yet allowed: pace or recorder
         self._done = False
-        self._began = self._waiting_since = self._reported = time.monotonic()
-        self._wall = 0.0
+        self._began = self._waiting_since = time.monotonic()
 
         self.link = link = Link(node, "plant", self._on_inputs)
+        link.progress = self._progress
         self._publish_clock = link.publish_topic("/clock")
         self._publish_cistern = link.publish_topic("/cistern/level")
         self._publish_roof = link.publish_topic("/roof/level")
@@ -121,9 +123,9 @@ class PlantNode:
         self._metrics.observe(self._site, self._plant.x1, self._plant.x2)
         if self._tick == self._steps:
             self._publish_flows(flows)
-            self._wall = time.monotonic() - self._began
             self._done = True
-            self._report("finished")
+            wall = time.monotonic() - self._began
+            self.link.finish(metrics=asdict(self._metrics), wall_s=wall)
             return
         self._metrics.step(self._site, command, rain, flows)
         self._plant.step(rain, flows)
@@ -154,11 +156,13 @@ class PlantNode:
                 self._running = True
                 self._began = now
                 self._publish_tick()
+            elif now - self._began > self._start_limit:
+                raise LockstepError(
+                    f"no start within {self._start_limit:g} s: {self.link.absent()}"
+                )
             return
         if self._held and not self._done and self._may_tick():
             self._publish_tick()
-        if now - self._reported > _REPORT_S and not self._done:
-            self._report("running")
         if self._done or now - self._waiting_since < self._limit:
             return
         if not self._held:
@@ -171,21 +175,14 @@ class PlantNode:
             f"tick {self._tick}: nothing came within {self._limit:g} s on {missing}"
         )
 
-    def _report(self, message: str) -> None:
-        self._reported = time.monotonic()
-        values = {}
-        if self._done:
-            values = {
-                "metrics": asdict(self._metrics),
-                "wall_s": self._wall,
-                "sent": self.link.sent,
-                "refused": self.link.refusals(),
-            }
+    def _progress(self) -> dict[str, float]:
         cistern, roof = self._plant.levels()
-        self.link.report(
-            message, tick=self._tick, cistern_level=cistern, roof_level=roof,
-            command=self._command, **values,
-        )
+        return {
+            "tick": self._tick,
+            "cistern_level": cistern,
+            "roof_level": roof,
+            "command": self._command,
+        }
 
     def stop(self) -> None:
         """Nothing: a plant that stops leaves nothing running."""

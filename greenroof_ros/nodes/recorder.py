@@ -114,9 +114,7 @@ class RecorderNode:
         ]
         if wrong:
             raise LockstepError("messages were lost or doubled; " + "; ".join(wrong))
-        self.link.report(
-            "finished", messages={topic.name: self._bag.ticks for topic in self._topics}
-        )
+        self.link.finish(messages={topic.name: self._bag.ticks for topic in self._topics})
 
     def _close(self) -> None:
         self._closed = True

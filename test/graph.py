@@ -1,0 +1,144 @@
+"""Real graphs for the tests: own ROS domain, real processes, and a look at what they leave."""
+
+from __future__ import annotations
+
+import fcntl
+import json
+import os
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+_SHARED_MEMORY = Path("/dev/shm")
+
+
+@contextmanager
+def own_domain() -> Iterator[int]:
+    """Hold a ROS domain that no other test session on this machine holds."""
+    for domain in range(1, 100):
+        lock = Path(tempfile.gettempdir()) / f"greenroof_ros-test-domain-{domain}.lock"
+        with lock.open("w") as stream:
+            try:
+                fcntl.flock(stream, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            except OSError:
+                continue
+            yield domain
+            return
+    raise RuntimeError("every ROS domain from 1 to 99 is taken")
+
+
+def environment(domain: int) -> dict[str, str]:
+    """Return an environment for a graph of its own, on loopback."""
+    checkout = str(Path(__file__).resolve().parent.parent)
+    return {
+        **os.environ,
+        "ROS_DOMAIN_ID": str(domain),
+        "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST",
+        "PYTHONPATH": os.pathsep.join(filter(None, [checkout, os.environ.get("PYTHONPATH", "")])),
+    }
+
+
+def orphans() -> set[str]:
+    """Return Fast DDS's shared-memory files that no living process maps or has open."""
+    held = set()
+    for process in Path("/proc").glob("[0-9]*"):
+        try:
+            held.update(Path(line.split()[-1]).name for line in (process / "maps").open())
+            held.update(Path(os.readlink(entry)).name for entry in (process / "fd").iterdir())
+        except OSError:
+            continue
+    stems = {name.removesuffix("_el") for name in held}
+    return {
+        entry.name
+        for entry in _SHARED_MEMORY.iterdir()
+        if "fastrtps" in entry.name
+        and entry.name.removeprefix("sem.").removesuffix("_mutex").removesuffix("_el") not in stems
+    }
+
+
+def wait_for(condition: Callable[[], Any], seconds: float, what: str) -> Any:
+    """Wait until a condition holds and return its value."""
+    until = time.monotonic() + seconds
+    while time.monotonic() < until:
+        value = condition()
+        if value:
+            return value
+        time.sleep(0.02)
+    raise AssertionError(f"{what} did not happen within {seconds:g} s")
+
+
+class Process:
+    """A command of this package as a user would start it, in a session of its own."""
+
+    def __init__(self, domain: int, module: str, *arguments: str, cwd: Path) -> None:
+        self.cwd = cwd
+        number = len(list(cwd.glob("*.err")))
+        self._out = (cwd / f"{number}-{module}.out").open("w+")
+        self._err = (cwd / f"{number}-{module}.err").open("w+")
+        self.process = subprocess.Popen(
+            [sys.executable, "-m", f"greenroof_ros.{module}", *arguments],
+            cwd=cwd, env=environment(domain), stdin=subprocess.DEVNULL,
+            stdout=self._out, stderr=self._err, start_new_session=True,
+        )
+
+    def nodes(self) -> dict[str, int]:
+        """Return the process id of each node that this bringup started."""
+        found = {}
+        children = Path(f"/proc/{self.process.pid}/task/{self.process.pid}/children")
+        for pid in children.read_text().split():
+            try:
+                words = Path(f"/proc/{pid}/cmdline").read_bytes().decode().split("\0")
+            except OSError:
+                continue
+            for word in words:
+                if word.startswith("greenroof_ros.nodes."):
+                    found[word.removeprefix("greenroof_ros.nodes.")] = int(pid)
+        return found
+
+    def wait(self, seconds: float) -> int:
+        """Wait for the end and return the exit code."""
+        try:
+            return self.process.wait(seconds)
+        except subprocess.TimeoutExpired:
+            self.process.kill()
+            raise AssertionError(f"still running after {seconds:g} s; {self.stderr()}") from None
+
+    def stdout(self) -> str:
+        return Path(self._out.name).read_text()
+
+    def stderr(self) -> str:
+        return Path(self._err.name).read_text()
+
+
+def bag_file(run: Path) -> Path:
+    """Return the mcap file of a run."""
+    return run / "bag" / "bag_0.mcap"
+
+
+def wait_for_ticks(run: Path, size: int = 30_000, seconds: float = 60) -> None:
+    """Wait until a run's bag has grown to some size, so that the run is well under way."""
+    file = bag_file(run)
+    wait_for(lambda: file.exists() and file.stat().st_size > size, seconds, "a growing bag")
+
+
+def bring_up(
+    domain: int, cwd: Path, *arguments: str, output: str = "run", seconds: float = 120
+) -> dict[str, Any]:
+    """Run bringup to its good end and return the summary."""
+    process = Process(domain, "bringup", "--output", output, *arguments, cwd=cwd)
+    code = process.wait(seconds)
+    assert code == 0, process.stderr()
+    return json.loads((cwd / output / "summary.json").read_text())
+
+
+def alive(pid: int) -> bool:
+    """Whether a process still runs (a zombie does not)."""
+    try:
+        return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] != "Z"
+    except OSError:
+        return False

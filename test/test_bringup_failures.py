@@ -1,0 +1,147 @@
+"""What a run does when its nodes die, hang or are missing, and when a person stops it."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+from graph import (
+    Process,
+    alive,
+    bag_file,
+    bring_up,
+    environment,
+    orphans,
+    wait_for,
+    wait_for_ticks,
+)
+from mcap.reader import make_reader
+
+pytest.importorskip("rclpy", reason="the graph needs ROS 2")
+
+NODES = ["plant", "weather", "mpc", "recorder"]
+
+
+def started(domain: int, cwd: Path, *arguments: str) -> tuple[Process, dict[str, int]]:
+    """Start a long run and wait until it is well under way."""
+    process = Process(domain, "bringup", "--output", "run", *arguments, cwd=cwd)
+    wait_for_ticks(cwd / "run")
+    nodes = process.nodes()
+    assert sorted(nodes) == sorted(NODES)
+    return process, nodes
+
+
+def assert_gone(nodes: dict[str, int], before: set[str]) -> None:
+    """No process and no shared memory of the run stays behind."""
+    assert not [name for name, pid in nodes.items() if alive(pid)]
+    assert orphans() <= before
+
+
+def readable_ticks(run: Path) -> int:
+    """Number of ticks in a closed bag, by its index and with its checksums."""
+    with bag_file(run).open("rb") as stream:
+        reader = make_reader(stream, validate_crcs=True)
+        return sum(channel.topic == "/clock" for _, channel, _ in reader.iter_messages())
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM], ids=["ctrl-c", "sigterm"])
+def test_interrupted(domain: int, tmp_path: Path, number: signal.Signals) -> None:
+    """It ends within seconds with exit code 130, no traceback, and a bag that is closed."""
+    before = orphans()
+    process, nodes = started(domain, tmp_path)
+    process.process.send_signal(number)
+    assert process.wait(8) == 130
+    assert "Traceback" not in process.stderr()
+    assert_gone(nodes, before)
+    assert readable_ticks(tmp_path / "run") > 0
+    assert (tmp_path / "run" / "bag" / "metadata.yaml").exists()
+
+
+@pytest.mark.parametrize("victim", NODES)
+def test_killed_node(domain: int, tmp_path: Path, victim: str) -> None:
+    """kill -9 of any node ends the run at once, with its name, and leaves nothing behind."""
+    before = orphans()
+    process, nodes = started(domain, tmp_path)
+    os.kill(nodes[victim], signal.SIGKILL)
+    assert process.wait(8) == 1
+    assert f"node {victim} ended (SIGKILL)" in process.stderr()
+    assert "Traceback" not in process.stderr()
+    assert_gone(nodes, before)
+
+
+@pytest.mark.parametrize("victim", NODES)
+def test_hanging_node(domain: int, tmp_path: Path, victim: str) -> None:
+    """A node stopped for longer than the limit ends the run soon after it, with its name."""
+    before = orphans()
+    process, nodes = started(domain, tmp_path, "--peer-limit", "2")
+    os.kill(nodes[victim], signal.SIGSTOP)
+    stopped = time.monotonic()
+    assert process.wait(12) == 1
+    assert time.monotonic() - stopped > 1.5
+    assert victim in process.stderr()
+    assert "Traceback" not in process.stderr()
+    assert_gone(nodes, before)
+
+
+def test_pause_shorter_than_the_limit_changes_nothing(domain: int, tmp_path: Path) -> None:
+    """Each node stopped for a while, the recorder for 3 s: the bag is equal to an undisturbed one."""
+    bring_up(domain, tmp_path, "--hours", "2", output="undisturbed")
+    process = Process(domain, "bringup", "--output", "run", "--hours", "2", cwd=tmp_path)
+    wait_for_ticks(tmp_path / "run")
+    nodes = process.nodes()
+    for node, seconds in (("recorder", 3.0), ("mpc", 1.0), ("weather", 1.0), ("plant", 1.0)):
+        os.kill(nodes[node], signal.SIGSTOP)
+        time.sleep(seconds)
+        assert process.process.poll() is None, process.stderr()
+        os.kill(nodes[node], signal.SIGCONT)
+        time.sleep(0.2)
+    assert process.wait(60) == 0, process.stderr()
+    assert bag_file(tmp_path / "run").read_bytes() == bag_file(tmp_path / "undisturbed").read_bytes()
+
+
+def test_bringup_itself_killed(domain: int, tmp_path: Path) -> None:
+    """kill -9 of bringup: the nodes end by themselves and the bag is closed."""
+    process, nodes = started(domain, tmp_path)
+    process.process.kill()
+    process.process.wait()
+    wait_for(lambda: not any(map(alive, nodes.values())), 8, "the end of all nodes")
+    assert readable_ticks(tmp_path / "run") > 0
+
+
+def test_graph_that_is_there_already(domain: int, tmp_path: Path) -> None:
+    """A second bringup in the domain is exit code 2 with advice, and the first goes on."""
+    process, _ = started(domain, tmp_path)
+    second = Process(domain, "bringup", "--output", "second", cwd=tmp_path)
+    assert second.wait(20) == 2
+    assert "ROS_DOMAIN_ID=" in second.stderr()
+    assert not (tmp_path / "second").exists()
+    assert process.process.poll() is None
+    process.process.send_signal(signal.SIGINT)
+    assert process.wait(8) == 130
+
+
+def test_node_that_was_never_started(domain: int, tmp_path: Path) -> None:
+    """Plant and weather by hand, no controller: the plant names it and ends within its limit."""
+    environ = environment(domain)
+    weather = subprocess.Popen(
+        [sys.executable, "-m", "greenroof_ros.nodes.weather"], cwd=tmp_path, env=environ
+    )
+    try:
+        plant = subprocess.run(
+            [
+                sys.executable, "-m", "greenroof_ros.nodes.plant",
+                "--ros-args", "-p", "start_limit:=4.0",
+            ],
+            cwd=tmp_path, env=environ, capture_output=True, text=True, timeout=30, check=False,
+        )
+    finally:
+        weather.send_signal(signal.SIGINT)
+        assert weather.wait(8) == 0
+    assert plant.returncode == 1
+    assert "/pump/command from mpc or onoff" in plant.stderr
+    assert "weather" not in plant.stderr
