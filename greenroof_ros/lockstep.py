@@ -85,7 +85,6 @@ class Input:
     bit: int
     value: Any = 0.0
     alive: int = 0
-    received: int = 0
     refused: int = 0
 
 
@@ -99,6 +98,7 @@ class Link:
         progress: what the node adds to each of its reports.
         summary: what the node adds to its report at the end of the run.
         final_reports: the values of the reports of nodes that have finished, by node.
+        error: why the node cannot go on.
     """
 
     def __init__(self, node: Node, role: str, act: Callable[[], None] = lambda: None) -> None:
@@ -112,6 +112,7 @@ class Link:
         self.inputs: dict[str, Input] = {}
         self.sent: dict[str, int] = {}
         self.refused = 0
+        self.error: Exception | None = None
         self.progress: Callable[[], dict[str, Any]] = dict
         self.summary: Callable[[], dict[str, Any]] = dict
         self.final_reports: dict[str, dict[str, Any]] = {}
@@ -177,45 +178,31 @@ class Link:
         self._node.create_subscription(
             message_class(topic),
             topic.relative_name,
-            callback or self._fresh_input(entry),
+            self._guard(callback or self._fresh_input(entry)),
             qos_profile(topic.qos),
             raw=raw,
             event_callbacks=SubscriptionEventCallbacks(
-                liveliness=lambda event: self._on_liveliness(entry, event)
+                liveliness=self._guard(lambda event: self._on_liveliness(entry, event))
             ),
         )
         return entry
 
     def _fresh_input(self, entry: Input) -> Callable[[Any], None]:
-        topic, bit = entry.topic, entry.bit
-        low, high = topic.low, topic.high
-        many = topic.type.endswith("MultiArray")
-        clock = topic.type.endswith("Clock")
+        """Return what takes a message of an input, and acts when it was the last one missing."""
+        read = self._reader(entry)
 
         def callback(message: Any) -> None:
-            if clock:
-                stamp = message.clock
-                entry.value = stamp.sec * 1_000_000_000 + stamp.nanosec
-            elif many:
-                entry.value = message.data
-                # Not min and max: they do not see a NaN.
-                if not all(low <= value <= high for value in entry.value):
-                    self._refuse(entry, [0.0] * len(entry.value))
-            else:
-                entry.value = message.data
-                if not low <= entry.value <= high:
-                    self._refuse(entry, 0.0)
-            entry.received += 1
+            entry.value = read(message)
             if self._joining:
-                self._fresh |= bit
+                self._fresh |= entry.bit
                 self._last_arrival = time.monotonic()
                 return
-            if self._fresh & bit:
+            if self._fresh & entry.bit:
                 raise LockstepError(
-                    f"{topic.name} came twice in one tick; another publisher, or nodes of an "
-                    "earlier run, are in this graph"
+                    f"{entry.topic.name} came twice in one tick; another publisher, or nodes of "
+                    "an earlier run, are in this graph"
                 )
-            self._fresh |= bit
+            self._fresh |= entry.bit
             if self._fresh == self._all:
                 self._fresh = 0
                 self._act()
@@ -223,16 +210,50 @@ class Link:
 
         return callback
 
-    def _refuse(self, entry: Input, instead: Any) -> None:
+    def _reader(self, entry: Input) -> Callable[[Any], Any]:
+        """Return what takes the value out of a message, and refuses it if it is out of range."""
+        low, high = entry.topic.low, entry.topic.high
+
+        def clock(message: Any) -> int:
+            stamp = message.clock
+            return int(stamp.sec) * 1_000_000_000 + int(stamp.nanosec)
+
+        def many(message: Any) -> Any:
+            values = message.data
+            for value in values:
+                if not low <= value <= high:  # neither is a NaN
+                    return self._refuse(entry, value, [0.0] * len(values))
+            return values
+
+        def one(message: Any) -> float:
+            value: float = message.data
+            return value if low <= value <= high else self._refuse(entry, value, 0.0)
+
+        if entry.topic.type.endswith("Clock"):
+            return clock
+        return many if entry.topic.type.endswith("MultiArray") else one
+
+    def _refuse(self, entry: Input, value: float, instead: Any) -> Any:
         topic = entry.topic
         if not entry.refused:
             self._node.get_logger().error(
-                f"refused {entry.value!r} on {topic.name}: it must be from {topic.low:g} to "
+                f"refused {value!r} on {topic.name}: it must be from {topic.low:g} to "
                 f"{topic.high:g} {topic.unit}; it acts as 0, and further ones are only counted"
             )
         entry.refused += 1
-        entry.value = instead
         self.refused += 1
+        return instead
+
+    def _guard(self, callback: Callable[[Any], None]) -> Callable[[Any], None]:
+        """Keep an error for the node's loop: the executor would print it, and more, by itself."""
+
+        def guarded(argument: Any) -> None:
+            try:
+                callback(argument)
+            except (LockstepError, OSError) as error:
+                self.error = self.error or error
+
+        return guarded
 
     def _on_liveliness(self, entry: Input, event: QoSLivelinessChangedInfo) -> None:
         entry.alive = event.alive_count
@@ -437,6 +458,8 @@ def run_node(
         link: Link = part.link
         while not stopping:
             executor.spin_once(timeout_sec=_SPIN_S)
+            if link.error is not None:
+                raise link.error
             link.check()
             part.check()
     except ConfigurationError as error:

@@ -12,6 +12,7 @@ import signal
 import subprocess
 import sys
 import time
+from collections import deque
 from pathlib import Path
 from types import TracebackType
 from typing import Any
@@ -60,6 +61,8 @@ class Supervisor:
         self.nodes: dict[str, subprocess.Popen[bytes]] = {}
         self._logs = logs
         self._pipes = selectors.DefaultSelector()
+        self._reports: list[tuple[str, dict[str, Any]]] = []
+        self._last_lines: dict[str, deque[str]] = {}
         self._heard: dict[str, float] = {}
         self._looked = time.monotonic()
         self._segments: dict[str, set[str]] = {}
@@ -89,43 +92,62 @@ class Supervisor:
             parameters: ROS 2 parameter file.
         """
         reading, writing = os.pipe()
-        with (self._logs / f"{node}.log").open("wb") as log:
-            self.nodes[node] = subprocess.Popen(
-                [
-                    sys.executable, "-m", f"greenroof_ros.nodes.{node}",
-                    "--ros-args", "--params-file", str(parameters),
-                ],
-                stdin=subprocess.DEVNULL,
-                stdout=log,
-                stderr=subprocess.STDOUT,
-                env={**os.environ, REPORT_PIPE: str(writing)},
-                pass_fds=(writing,),
-                start_new_session=True,
-                preexec_fn=_end_with_parent,
-            )
+        self.nodes[node] = process = subprocess.Popen(
+            [
+                sys.executable, "-m", f"greenroof_ros.nodes.{node}",
+                "--ros-args", "--params-file", str(parameters),
+            ],
+            stdin=subprocess.DEVNULL,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.STDOUT,
+            env={**os.environ, REPORT_PIPE: str(writing)},
+            pass_fds=(writing,),
+            start_new_session=True,
+            preexec_fn=_end_with_parent,
+        )
         os.close(writing)
-        self._pipes.register(reading, selectors.EVENT_READ, (node, os.fdopen(reading, "rb", 0)))
+        assert process.stdout is not None
+        for pipe, use in ((reading, self._take_reports), (process.stdout.fileno(), self._log)):
+            os.set_blocking(pipe, False)
+            self._pipes.register(pipe, selectors.EVENT_READ, (node, use))
         self._heard[node] = time.monotonic()
+        self._last_lines[node] = deque(maxlen=_LAST_LINES)
 
     def reports(self) -> list[tuple[str, dict[str, Any]]]:
         """Return what the nodes said since the last call, after at most a tenth of a second."""
-        found = []
         now = time.monotonic()
         if now - self._looked > 1:
             # This process itself was stopped; what it did not hear is not the nodes' silence.
             self._heard = dict.fromkeys(self._heard, now)
         self._looked = now
         for key, _ in self._pipes.select(timeout=0.1):
-            node, stream = key.data
-            lines = stream.read(1 << 16).splitlines()
-            if not lines:
-                self._pipes.unregister(stream)  # the node has ended, which check() tells
-            if node not in self._segments:
-                self._segments[node] = _held_segments(self.nodes[node].pid)
-            for line in lines:
-                self._heard[node] = time.monotonic()
-                found.append((node, json.loads(line)))
+            self._read(key)
+        found, self._reports = self._reports, []
         return found
+
+    def _read(self, key: selectors.SelectorKey) -> None:
+        """Read what a pipe holds; at its end let it go."""
+        data = b""
+        with contextlib.suppress(BlockingIOError):
+            data = os.read(key.fd, 1 << 20)
+            if not data:
+                self._pipes.unregister(key.fd)
+        node, use = key.data
+        if data:
+            use(node, data)
+
+    def _take_reports(self, node: str, data: bytes) -> None:
+        if node not in self._segments:
+            self._segments[node] = _held_segments(self.nodes[node].pid)
+        self._heard[node] = time.monotonic()
+        # A line is far shorter than what a pipe takes whole, so no line comes in parts.
+        self._reports += [(node, json.loads(line)) for line in data.splitlines()]
+
+    def _log(self, node: str, data: bytes) -> None:
+        """Keep what a node prints: in its log, and in memory should the disk be full."""
+        self._last_lines[node].extend(data.decode(errors="replace").splitlines())
+        with contextlib.suppress(OSError), (self._logs / f"{node}.log").open("ab") as log:
+            log.write(data)
 
     def check(self, limit: float) -> None:
         """Look whether all nodes live and speak.
@@ -148,10 +170,11 @@ class Supervisor:
                 )
 
     def _with_last_lines(self, node: str, message: str) -> str:
-        log = self._logs / f"{node}.log"
-        lines = log.read_text(errors="replace").splitlines()[-_LAST_LINES:]
-        quoted = [f"  {line}" for line in lines] or ["  (none)"]
-        return "\n".join([f"{message}; its last lines ({log}):", *quoted])
+        for key in list(self._pipes.get_map().values()):
+            if key.data[0] == node:
+                self._read(key)
+        quoted = [f"  {line}" for line in self._last_lines[node]] or ["  (none)"]
+        return "\n".join([f"{message}; its last lines:", *quoted])
 
     def _end(self, processes: list[subprocess.Popen[bytes]]) -> None:
         for number, patience in _PATIENCE_S.items():

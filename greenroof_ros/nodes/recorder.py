@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import errno
 import struct
 import sys
 import time
@@ -80,7 +79,15 @@ class RecorderNode:
         self._waiting = sum(not queue for queue in queues)
 
     def _flush(self) -> None:
-        self._bag.flush()
+        try:
+            self._bag.flush()
+        except OSError as error:
+            self._closed = True  # closing would only fail again
+            raise LockstepError(
+                f"{self._bag.directory}: {error.strerror}; the run ends here, and 'python -m "
+                f"greenroof_ros.recover {self._bag.directory}' restores its first "
+                f"{self._flushed} ticks"
+            ) from error
         self._flushed = self._bag.ticks
         self._written.data = float(self._flushed)
         self._publish_written(self._written)

@@ -1,0 +1,130 @@
+"""The graph gives the in-process run's numbers bit for bit, and loses nothing."""
+
+from __future__ import annotations
+
+import csv
+import hashlib
+import json
+import multiprocessing
+import struct
+import subprocess
+import sys
+from collections import Counter
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import pytest
+from graph import bag_file, bring_up, environment, orphans
+from mcap.reader import make_reader
+
+pytest.importorskip("rclpy", reason="the graph needs ROS 2")
+
+# Of the authors' published code, under GNU Octave: see test/data.
+PUBLISHED_M3 = {"mpc": 7151.7686, "onoff": 9611.9628}
+COLUMNS = {
+    "/cistern/level": "cistern_level_m",
+    "/roof/level": "roof_level_m",
+    "/weather/precipitation": "precipitation_m_per_s",
+    "/weather/evapotranspiration": "evapotranspiration_m3_per_s",
+    "/pump/command": "command",
+    "/pump/flow": "pump_flow_m3_per_s",
+    "/cistern/outflow": "outflow_m3_per_s",
+    "/roof/drainage": "drainage_m3_per_s",
+}
+
+
+def bag_values(run: Path) -> dict[str, list[bytes]]:
+    """Return the eight bytes of each value of each Float64 topic in a bag."""
+    values: dict[str, list[bytes]] = {}
+    with bag_file(run).open("rb") as stream:
+        for schema, channel, message in make_reader(stream, validate_crcs=True).iter_messages():
+            if schema is not None and schema.name == "std_msgs/msg/Float64":
+                values.setdefault(channel.topic, []).append(message.data[4:12])
+    return values
+
+
+@pytest.mark.parametrize("controller", ["mpc", "onoff"])
+def test_same_bits_as_simulate(domain: int, tmp_path: Path, controller: str) -> None:
+    """Twelve hours of graph and of simulate: equal in every bit of every value and of the bag."""
+    summary = bring_up(domain, tmp_path, "--controller", controller, output="first")
+    assert summary["total_deviation_m3"] == pytest.approx(PUBLISHED_M3[controller], rel=2e-4)
+    assert set(summary["messages"].values()) == {43_201}
+    subprocess.run(
+        [
+            sys.executable, "-m", "greenroof_ros.simulate", "--controller", controller,
+            "--trajectory", "run.csv", "--output", "inprocess",
+        ],
+        cwd=tmp_path, env=environment(domain), check=True, capture_output=True,
+    )
+    with (tmp_path / "run.csv").open(newline="") as stream:
+        rows = list(csv.DictReader(stream))
+    assert len(rows) == 43_201
+    values = bag_values(tmp_path / "first")
+    for topic, column in COLUMNS.items():
+        assert values[topic] == [struct.pack("<d", float(row[column])) for row in rows], topic
+    inprocess = json.loads((tmp_path / "inprocess" / "summary.json").read_text())
+    differing = {
+        key
+        for key in summary
+        if summary[key] != inprocess[key]
+        and key not in ("wall_s", "times_real_time", "solver", "messages", "versions")
+    }
+    assert not differing
+    assert summary.keys() == inprocess.keys()
+    bring_up(domain, tmp_path, "--controller", controller, output="second")
+    digests = {
+        hashlib.sha256(bag_file(tmp_path / run).read_bytes()).hexdigest()
+        for run in ("first", "second")
+    }
+    assert len(digests) == 1
+
+
+def _spin() -> None:
+    while True:
+        pass
+
+
+@contextmanager
+def busy_core() -> Iterator[None]:
+    """Keep one core busy."""
+    process = multiprocessing.get_context("spawn").Process(target=_spin, daemon=True)
+    process.start()
+    try:
+        yield
+    finally:
+        process.kill()
+        process.join()
+
+
+def assert_complete(run: Path, summary: dict[str, Any], ticks: int) -> None:
+    """Every topic has each tick once, by the bag's own count."""
+    counts: Counter[str] = Counter()
+    sequences: dict[str, list[int]] = {}
+    with bag_file(run).open("rb") as stream:
+        for _, channel, message in make_reader(stream, validate_crcs=True).iter_messages():
+            counts[channel.topic] += 1
+            sequences.setdefault(channel.topic, []).append(message.sequence)
+    assert counts == summary["messages"]
+    assert len(counts) == 13
+    assert all(sequence == list(range(ticks)) for sequence in sequences.values())
+
+
+def test_thirty_starts_in_a_row_lose_nothing(domain: int, tmp_path: Path) -> None:
+    """Thirty cold starts, twenty of them of 2,000 ticks beside a busy core: equal, complete."""
+    before = orphans()
+    digests = set()
+    with busy_core():
+        for number in range(20):
+            output = f"run-{number}"
+            hours = str(2000 / 3600)
+            summary = bring_up(domain, tmp_path, "--hours", hours, output=output)
+            assert_complete(tmp_path / output, summary, 2001)
+            digests.add(hashlib.sha256(bag_file(tmp_path / output).read_bytes()).hexdigest())
+    assert len(digests) == 1
+    for number in range(20, 30):
+        output = f"run-{number}"
+        summary = bring_up(domain, tmp_path, "--hours", "0.02", output=output)
+        assert_complete(tmp_path / output, summary, 73)
+    assert orphans() <= before
