@@ -1,0 +1,155 @@
+"""Wrong options and files: exit code 2, one clear message, no traceback, nothing started."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from graph import environment
+
+CHECKOUT = Path(__file__).resolve().parent.parent
+SITE = (CHECKOUT / "config" / "site.yaml").read_text()
+WEATHER = (CHECKOUT / "config" / "weather" / "toronto_2021-07.csv").read_text()
+HEADER = "time,precipitation [mm/h],published evapotranspiration [mm/day]"
+HOUR = "2021-07-07T0{}:00-05:00,{},2.0"
+
+
+def replaced(text: str, old: str, new: str) -> str:
+    """Replace what must be there once."""
+    assert text.count(old) == 1, old
+    return text.replace(old, new)
+
+
+def weather(*lines: str, header: str = HEADER) -> bytes:
+    """Return a weather file."""
+    return "\n".join([header, *lines, ""]).encode()
+
+
+HOURS = [HOUR.format(number, 0.0) for number in range(8)]
+
+# name: options (FILE is the file), the file's bytes (None: there is none), words of the message
+OPTIONS: dict[str, tuple[str, tuple[str, ...]]] = {
+    "unknown-controller": ("--controller pid", ("--controller", "pid")),
+    "unknown-initial": ("--initial low", ("--initial", "low-low")),
+    "unknown-option": ("--horizon 30", ("--horizon",)),
+    "weight-zero": ("--weight 0", ("--weight", "greater than 0")),
+    "weight-negative": ("--weight=-0.1", ("--weight",)),
+    "weight-nan": ("--weight nan", ("--weight",)),
+    "weight-inf": ("--weight inf", ("--weight",)),
+    "weight-text": ("--weight heavy", ("--weight", "heavy")),
+    "weight-for-onoff": ("--controller onoff --weight 0.1", ("--weight", "mpc", "onoff")),
+    "fraction-for-mpc": ("--fraction 0.5", ("--fraction", "onoff")),
+    "fraction-negative": ("--controller onoff --fraction=-1", ("--fraction",)),
+    "hours-zero": ("--hours 0", ("--hours",)),
+    "hours-negative": ("--hours=-2", ("--hours",)),
+    "hours-nan": ("--hours nan", ("--hours",)),
+    "hours-broken-tick": ("--hours 0.0001", ("--hours", "whole number of ticks")),
+    "hours-beyond-the-file": ("--hours 1000", ("toronto_2021-07.csv", "2021-07-10T00:00-05:00")),
+    "start-before-the-file": ("--start 2021-07-06T23:00-05:00", ("2021-07-07T00:00-05:00",)),
+    "start-no-time": ("--start yesterday", ("--start", "yesterday")),
+    "start-impossible": ("--start 2021-07-32T02:00", ("--start", "2021-07-32")),
+    "cistern-without-roof": ("--cistern 60", ("--cistern and --roof",)),
+    "cistern-negative": ("--cistern=-1 --roof 2", ("--cistern",)),
+    "roof-nan": ("--cistern 60 --roof nan", ("--roof",)),
+    "initial-twice": ("--initial low-low --cistern 60 --roof 2", ("--initial",)),
+    "speed-zero": ("--speed 0", ("--speed",)),
+    "speed-text": ("--speed fast", ("--speed", "fast")),
+    "no-such-site": ("--site nowhere.yaml", ("nowhere.yaml", "No such file")),
+    "no-such-weather": ("--weather nowhere.csv", ("nowhere.csv", "No such file")),
+    "output-not-empty": ("--output full", ("--output", "full", "never written over")),
+    "output-unwritable": ("--output /proc/greenroof", ("--output", "/proc/greenroof")),
+    "output-is-a-file": ("--output file.txt", ("--output", "file.txt")),
+}
+SITES: dict[str, tuple[bytes, tuple[str, ...]]] = {
+    "missing-key": (replaced(SITE, "\na1: 25.0", "\n# a1: 25.0").encode(), ("a1", "missing")),
+    "unknown-key": ((SITE + "\na3: 1.0\n").encode(), ("a3", "not a parameter")),
+    "twice": ((SITE + "\na1: 26.0\n").encode(), ("a1", "twice")),
+    "nan": (replaced(SITE, "\nz_o: 3.0", "\nz_o: .nan").encode(), ("z_o", "finite")),
+    "infinite": (replaced(SITE, "\nz_o: 3.0", "\nz_o: .inf").encode(), ("z_o", "finite")),
+    "negative": (replaced(SITE, "\na2: 68.8", "\na2: -68.8").encode(), ("a2", "-68.8")),
+    "text": (replaced(SITE, "\na2: 68.8", "\na2: large").encode(), ("a2", "large", "number")),
+    "truth": (replaced(SITE, "\na2: 68.8", "\na2: yes").encode(), ("a2", "number")),
+    "rising-pump-curve": (
+        replaced(SITE, "\na_hat: -5.78e+5", "\na_hat: 5.78e+5").encode(), ("a_hat", "negative")
+    ),
+    "z_cap": (replaced(SITE, "\nz_cap: 34.4", "\nz_cap: 3.44").encode(), ("z_cap", "34.4 m3")),
+    "x2_star": (replaced(SITE, "\nx2_star: 3.14416", "\nx2_star: 3").encode(), ("x2_star",)),
+    "weak-pump": (replaced(SITE, "\nc_hat: 55.2", "\nc_hat: 5.52").encode(), ("c_hat", "15.25")),
+    "half-a-tick": (replaced(SITE, "\nM: 10", "\nM: 10.5").encode(), ("M", "10.5", "whole")),
+    "empty": (b"", ("empty",)),
+    "binary": (bytes(range(256)), ("UTF-8",)),
+    "nul": (b"a1: 25\0\n", ("NUL",)),
+    "byte-order-mark": (b"\xef\xbb\xbf" + SITE.encode(), ("byte order mark",)),
+    "a-list": (b"- a1\n- a2\n", ("key: value",)),
+    "broken-yaml": (b"a1: [25.0\na2: 68.8\n", ("YAML", "line")),
+}
+WEATHERS: dict[str, tuple[bytes, tuple[str, ...]]] = {
+    "empty": (b"", ("empty",)),
+    "comments-only": (b"# nothing\n", ("comments only",)),
+    "header-only": (weather(), ("no records",)),
+    "binary": (bytes(range(128, 256)), ("UTF-8",)),
+    "byte-order-mark": (b"\xef\xbb\xbf" + WEATHER.encode(), ("byte order mark",)),
+    "wrong-unit": (
+        weather(*HOURS, header=HEADER.replace("mm/h", "mm/day")), ("precipitation", "[mm/h]")
+    ),
+    "no-unit": (weather(*HOURS, header=HEADER.replace(" [mm/h]", "")), ("precipitation [mm/h]",)),
+    "unknown-column": (
+        weather(*(hour + ",1" for hour in HOURS), header=HEADER + ",snow [cm]"), ("snow",)
+    ),
+    "no-rain-column": (
+        weather(header="time,published evapotranspiration [mm/day]"), ("precipitation",)
+    ),
+    "no-evapotranspiration": (weather(header="time,precipitation [mm/h]"), ("evapotranspiration",)),
+    "column-twice": (
+        weather(header=HEADER + ",other evapotranspiration [mm/day]"), ("before this one",)
+    ),
+    "nan": (weather(HOURS[0], HOUR.format(1, "nan")), ("line 3", "nan")),
+    "blank": (weather(HOURS[0], HOUR.format(1, "")), ("line 3", "precipitation")),
+    "missing-flag": (weather(HOURS[0], HOUR.format(1, "M")), ("line 3", "'M'")),
+    "negative-rain": (weather(HOURS[0], HOUR.format(1, -0.2)), ("line 3", "-0.2")),
+    "absurd-rain": (weather(HOURS[0], HOUR.format(1, 5000)), ("line 3", "5000", "500 mm/h")),
+    "gap": (weather(HOURS[0], HOURS[2]), ("line 3", "2021-07-07T01:00-05:00")),
+    "hour-twice": (weather(HOURS[0], HOURS[1], HOURS[1]), ("line 4", "2021-07-07T02:00-05:00")),
+    "unordered": (weather(HOURS[1], HOURS[0]), ("line 3",)),
+    "no-offset": (weather(HOURS[0].replace("-05:00", "")), ("line 2", "offset")),
+    "no-time": (weather("noon,0.0,2.0"), ("line 2", "noon")),
+    "cell-missing": (weather(HOURS[0], "2021-07-07T01:00-05:00,0.0"), ("line 3", "3 cells")),
+    "shorter-than-the-run": (weather(*HOURS), ("2021-07-07T08:00-05:00", "14:00")),
+}
+CASES = [
+    *((f"option-{name}", case[0], None, case[1]) for name, case in OPTIONS.items()),
+    *((f"site-{name}", "--site FILE", *case) for name, case in SITES.items()),
+    *((f"weather-{name}", "--weather FILE", *case) for name, case in WEATHERS.items()),
+]
+
+
+@pytest.mark.parametrize("command", ["simulate", "bringup"])
+@pytest.mark.parametrize(
+    ("options", "content", "words"), [case[1:] for case in CASES], ids=[case[0] for case in CASES]
+)
+def test_refused(
+    tmp_path: Path, command: str, options: str, content: bytes | None, words: tuple[str, ...]
+) -> None:
+    """The command says what is wrong, where, and what would be right."""
+    (tmp_path / "full").mkdir()
+    (tmp_path / "full" / "something").touch()
+    (tmp_path / "file.txt").touch()
+    if content is not None:
+        (tmp_path / "FILE").write_bytes(content)
+    before = sorted(tmp_path.rglob("*"))
+    done = subprocess.run(
+        [sys.executable, "-m", f"greenroof_ros.{command}", *options.split()],
+        cwd=tmp_path, env=environment(99), capture_output=True, text=True, timeout=60, check=False,
+    )
+    assert done.returncode == 2, done.stderr
+    assert done.stdout == ""
+    assert done.stderr.count("error:") == 1, done.stderr
+    assert "Traceback" not in done.stderr
+    message = done.stderr.partition("error:")[2]
+    for word in words:
+        assert word in message
+    if content is not None:
+        assert "FILE" in message
+    assert sorted(tmp_path.rglob("*")) == before
