@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import math
+import re
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 import yaml
 
@@ -59,6 +61,9 @@ def read_text(path: Path) -> str:
     return text
 
 
+_NUMBERS = (":int", ":float", ":timestamp")
+
+
 class YamlMapping(dict[str, Any]):
     """A mapping of a YAML file that remembers the line of each of its keys."""
 
@@ -66,7 +71,36 @@ class YamlMapping(dict[str, Any]):
 
 
 class _Loader(yaml.SafeLoader):
-    """Safe YAML that refuses a key given twice, which PyYAML would silently overwrite."""
+    """Safe YAML with the numbers of YAML 1.2, and no key twice.
+
+    YAML 1.1, which PyYAML reads, takes 5.78e5 for a text, 016 for 14 and 3:0 for 180, and lets a
+    second value of a key win silently.
+    """
+
+    yaml_implicit_resolvers: ClassVar = {
+        first: [(tag, pattern) for tag, pattern in resolvers if not tag.endswith(_NUMBERS)]
+        for first, resolvers in yaml.SafeLoader.yaml_implicit_resolvers.items()
+    }
+
+
+def _float(loader: _Loader, node: yaml.ScalarNode) -> float:
+    return float(re.sub(r"\.(?=inf|nan)", "", str(node.value).lower()))
+
+
+def _int(loader: _Loader, node: yaml.ScalarNode) -> int:
+    return int(str(node.value), 10)
+
+
+_Loader.add_implicit_resolver(
+    "tag:yaml.org,2002:int", re.compile(r"[-+]?\d+$"), list("-+0123456789")
+)
+_Loader.add_implicit_resolver(
+    "tag:yaml.org,2002:float",
+    re.compile(r"[-+]?(\.\d+|\d+(\.\d*)?)([eE][-+]?\d+)?$|[-+]?\.(inf|Inf|INF)$|\.(nan|NaN|NAN)$"),
+    list("-+.0123456789"),
+)
+_Loader.add_constructor("tag:yaml.org,2002:float", _float)
+_Loader.add_constructor("tag:yaml.org,2002:int", _int)
 
 
 def _mapping(loader: _Loader, node: yaml.MappingNode) -> YamlMapping:
@@ -101,7 +135,7 @@ def read_yaml(path: Path) -> YamlMapping:
         raise ConfigurationError(
             f"is not valid YAML: {error.problem}", file=path, line=line
         ) from error
-    except yaml.YAMLError as error:
+    except (yaml.YAMLError, ValueError) as error:
         raise ConfigurationError(f"is not valid YAML: {error}", file=path) from error
     if not isinstance(content, YamlMapping):
         raise ConfigurationError("must hold 'key: value' lines", file=path)
@@ -109,17 +143,17 @@ def read_yaml(path: Path) -> YamlMapping:
 
 
 def number(path: Path, mapping: YamlMapping, key: str) -> float:
-    """Return the number under a key; ``5.78e5``, which YAML 1.1 takes for a text, is one too.
+    """Return the number under a key.
 
     Raises:
         ConfigurationError: it is not a number. ``nan`` and ``inf`` are left to the caller.
     """
     value = mapping[key]
-    try:
-        if isinstance(value, bool):
-            raise ValueError
-        return float(value)
-    except (TypeError, ValueError):
+    if isinstance(value, bool) or not isinstance(value, (int, float)):
         raise ConfigurationError(
             "must be a number", file=path, line=mapping.lines[key], key=key, value=value
-        ) from None
+        )
+    try:
+        return float(value)
+    except OverflowError:
+        return math.inf

@@ -250,7 +250,7 @@ class Link:
         def guarded(argument: Any) -> None:
             try:
                 callback(argument)
-            except (LockstepError, OSError) as error:
+            except (LockstepError, ConfigurationError, OSError) as error:
                 self.error = self.error or error
 
         return guarded

@@ -15,7 +15,7 @@ def outlet_flow(site: Site, x1: float) -> float:
 
 
 def maximum_pump_flow(site: Site, x1: float) -> float:
-    """The pumps' flow (m3/s) at command 1 from a cistern holding x1 (m3), Eq. (3d).
+    """The pumps' flow (m3/s) at command 1 from a cistern holding x1 (m3), Eq. (3e).
 
     It is 0 below the head that lifts no water, a level at which the pumps must not run anyway.
     """

@@ -42,13 +42,13 @@ def fit_pump_curve(flow: ArrayLike, head: ArrayLike) -> PumpCurve:
         raise ValueError("flow and head must be finite")
     if (flows < 0).any() or (heads < 0).any():
         raise ValueError("flow (m3/s) and head (m) must not be negative")
-    if np.unique(flows).size < 2:
+    if flows.size < 2 or np.ptp(flows) <= 1e-6 * flows.max():
         raise ValueError("at least two different flows are needed")
     # Flows are around 0.01 m3/s, their squares around 1e-4: scaled to 1, the fit loses no digits.
     scale = flows.max() ** 2
     design = np.column_stack([flows**2 / scale, np.ones_like(flows)])
     (slope, c_hat), *_ = np.linalg.lstsq(design, heads, rcond=None)
     a_hat = slope / scale
-    if a_hat >= 0:
+    if slope >= -1e-9 * heads.max():
         raise ValueError("the head must fall as the flow rises; are flow and head swapped?")
     return PumpCurve(float(a_hat), float(c_hat))

@@ -253,7 +253,8 @@ def run_from_arguments(arguments: argparse.Namespace) -> Run:
 
     steps = site.N
     if arguments.hours is not None:
-        steps = round(arguments.hours * 3600 / site.tau)
+        ticks = arguments.hours * 3600 / site.tau
+        steps = round(ticks) if math.isfinite(ticks) else 0
         if steps < 1 or not math.isclose(steps * site.tau, arguments.hours * 3600, rel_tol=1e-9):
             raise ConfigurationError(
                 f"must be a whole number of ticks of {site.tau:g} s, at least one",
@@ -288,6 +289,7 @@ def read_start(text: str, weather: Weather) -> datetime:
         start = parse_time(text)
     except ValueError:
         raise ConfigurationError(
-            "must be a time such as 2021-07-07T02:00-05:00", key="--start", value=text
+            "must be a time such as 2021-07-07T02:00-05:00, from 1971 to 2037",
+            key="--start", value=text,
         ) from None
     return start if start.utcoffset() is not None else start.replace(tzinfo=weather.first.tzinfo)

@@ -12,6 +12,7 @@ from greenroof_ros.files import number, read_yaml
 
 _MAY_BE_ZERO = {"k_L", "z_pump", "z_H"}
 _WHOLE = {"M", "N"}
+_MOST_TICKS = 10**9
 # A product that a person rounds when writing it down, such as x2_star, is still consistent.
 _ROUNDING = 1e-6
 
@@ -83,7 +84,7 @@ class Site:
 
     @cached_property
     def b(self) -> float:
-        """Coefficient of the maximum flow (m^2.5/s), Eq. (3d)."""
+        """Coefficient of the maximum flow (m^2.5/s), Eq. (3e)."""
         return 1 / math.sqrt(self.pipe_resistance - self.a_hat)
 
     @cached_property
@@ -150,8 +151,8 @@ def read_site(path: Path) -> Site:
         elif value <= 0:
             raise refuse("must be greater than 0")
         if name in _WHOLE:
-            if value != int(value):
-                raise refuse("must be a whole number of ticks")
+            if value != int(value) or value > _MOST_TICKS:
+                raise refuse(f"must be a whole number of ticks, at most {_MOST_TICKS}")
             value = int(value)
         values[name] = value
     site = Site(**values)  # type: ignore[arg-type]  # M and N were made whole above
@@ -172,12 +173,12 @@ def read_site(path: Path) -> Site:
     if site.c_hat - site.d + site.suction_level <= 0:
         raise ConfigurationError(
             f"must exceed d - z_pump - z_H = {site.d - site.suction_level:g} m, "
-            "or the pumps never lift water to the roof (Eq. 3d)",
+            "or the pumps never lift water to the roof (Eq. 3e)",
             file=path, line=mapping.lines["c_hat"], key="c_hat", value=mapping["c_hat"],
         )
-    if site.tau * 1e9 != round(site.tau * 1e9):
+    if site.tau > 3600 or site.tau * 1e9 != round(site.tau * 1e9):
         raise ConfigurationError(
-            "must be a whole number of nanoseconds",
+            "must be a whole number of nanoseconds, and at most an hour, as weather is hourly",
             file=path, line=mapping.lines["tau"], key="tau", value=mapping["tau"],
         )
     return site

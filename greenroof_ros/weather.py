@@ -17,6 +17,7 @@ from greenroof_ros.files import read_text
 from greenroof_ros.site import Site
 
 _HOUR = timedelta(hours=1)
+_FIRST_YEAR, _LAST_YEAR = 1971, 2037
 _HOUR_NS = 3_600_000_000_000
 _EVAPOTRANSPIRATION = "evapotranspiration"
 
@@ -60,9 +61,12 @@ def parse_time(text: str) -> datetime:
     """Read an ISO 8601 time; a final ``Z`` stands for UTC.
 
     Raises:
-        ValueError: it is not one.
+        ValueError: it is not one, or outside the years that ROS 2 and bag time stamps hold.
     """
-    return datetime.fromisoformat(re.sub(r"[zZ]$", "+00:00", text.strip()))
+    time = datetime.fromisoformat(re.sub(r"[zZ]$", "+00:00", text.strip()))
+    if not _FIRST_YEAR <= time.year <= _LAST_YEAR:
+        raise ValueError
+    return time
 
 
 def _read_header(path: Path, line: int, header: list[str]) -> tuple[dict[str, int], str]:
@@ -97,6 +101,14 @@ def _read_header(path: Path, line: int, header: list[str]) -> tuple[dict[str, in
     return columns, variant
 
 
+def _cells(path: Path, line: int, text: str) -> list[str]:
+    """Split a line of CSV; a quoted cell ends in its line."""
+    try:
+        return next(csv.reader([text], strict=True))
+    except csv.Error as error:
+        raise ConfigurationError(f"is not valid CSV: {error}", file=path, line=line) from error
+
+
 def read_weather(path: Path) -> Weather:
     """Read a weather file of this project's form.
 
@@ -115,7 +127,7 @@ def read_weather(path: Path) -> Weather:
         for number, line in enumerate(lines, start=1)
         if line.strip() and not line.lstrip().startswith("#")
     ]
-    rows = list(csv.reader(line for _, line in numbered))
+    rows = [_cells(path, line, text) for line, text in numbered]
     if not rows:
         raise ConfigurationError("holds comments only; a header and records must follow", file=path)
     columns, variant = _read_header(path, numbered[0][0], rows[0])
@@ -131,7 +143,7 @@ def read_weather(path: Path) -> Weather:
             time = parse_time(row[0])
         except ValueError:
             raise ConfigurationError(
-                "must be a time such as 2021-07-07T02:00-05:00",
+                f"must be a time such as 2021-07-07T02:00-05:00, from {_FIRST_YEAR} to {_LAST_YEAR}",
                 file=path, line=line, key="time", value=row[0],
             ) from None
         if time.utcoffset() is None:
@@ -193,12 +205,12 @@ class WeatherSeries:
             ConfigurationError: the records do not cover the run.
         """
         tick_ns = round(site.tau * 1e9)
-        end = start + timedelta(seconds=steps * site.tau)
-        if start < weather.first or end > weather.end:
+        before = (weather.end - start).total_seconds()
+        if start < weather.first or steps * site.tau > before:
             raise ConfigurationError(
                 f"holds {weather.first.isoformat(timespec='minutes')} to "
                 f"{weather.end.isoformat(timespec='minutes')}, but the run is from "
-                f"{start.isoformat()} to {end.isoformat()}",
+                f"{start.isoformat(timespec='minutes')} on for {steps * site.tau / 3600:g} hours",
                 file=weather.file,
             )
         self._window = site.M

@@ -10,7 +10,9 @@ from collections.abc import Sequence
 import numpy as np
 import osqp
 import scipy.sparse
+from numpy.typing import NDArray
 
+from greenroof_ros.errors import ConfigurationError
 from greenroof_ros.site import Site
 from greenroof_ros.smooth_plant import linearise
 
@@ -29,6 +31,10 @@ _SOLVER_SETTINGS = {
     "warm_starting": True,
     "verbose": False,
 }
+# Below this a command is 0: ten times the solver's tolerance, a tenth of what the tests allow.
+_AT_BOUND = 1e-9
+
+Array = NDArray[np.float64]
 
 
 class Mpc:
@@ -74,6 +80,7 @@ class Mpc:
         self.fallbacks = 0
         self.solve_seconds: list[float] = []
         self._command = 0.0
+        self._max_command = max_command
         self._rain_sum = 0.0
         self._evapotranspiration_sum = 0.0
         self._ticks = 0
@@ -109,6 +116,12 @@ class Mpc:
         """
         started = time.perf_counter()
         site = self._site
+        if not len(precipitation) == len(evapotranspiration) == site.M:
+            raise ConfigurationError(
+                f"the forecasts have {len(precipitation)} and {len(evapotranspiration)} entries, "
+                f"but the controller looks M = {site.M} ticks ahead; give weather and controller "
+                "the same site file"
+            )
         # Step 6: the operating point. The first disturbance average is the paper's zero; f is
         # affine in w, so the average cancels from the prediction and sets only where b is taken.
         x1 = site.cistern_volume(cistern_level)
@@ -141,25 +154,30 @@ class Mpc:
         # Step 3.
         G = np.array(response)[self._lag]
         r = np.array(free)
-        P = self._identity + G.T @ G / self.weight
-        q = r @ G / self.weight
-        chosen = self._solve(P, q)
-        if chosen is None:
+        with np.errstate(all="ignore"):  # what is not finite is refused before it is solved
+            P = self._identity + G.T @ G / self.weight
+            q = r @ G / self.weight
+        solution = self._solve(P, q)
+        if solution is None:
             self.fallbacks += 1
             self.cost = math.nan
-            command = 0.0
+            self._command = 0.0
         else:
-            command = max(0.0, chosen)
-            self.cost = 2 * self.weight * self._objective + float(r @ r) + deviation**2
-        self._command = command
-        self._rain_sum += precipitation[0]
-        self._evapotranspiration_sum += evapotranspiration[0]
-        self._ticks += 1
+            first, objective = solution
+            # At a bound the solver ends within its tolerance of it, on either side.
+            self._command = 0.0 if first < _AT_BOUND else min(first, self._max_command)
+            self.cost = 2 * self.weight * objective + float(r @ r) + deviation * deviation
+            self._rain_sum += precipitation[0]
+            self._evapotranspiration_sum += evapotranspiration[0]
+            self._ticks += 1
         self.solve_seconds.append(time.perf_counter() - started)
-        return command
+        return self._command
 
-    def _solve(self, P: np.ndarray, q: np.ndarray) -> float | None:
-        """Return the first command of the program's solution, or None where there is none."""
+    def _solve(self, P: Array, q: Array) -> tuple[float, float] | None:
+        """Return the first command of the program's solution and its objective.
+
+        None where the solver reports anything else than solved.
+        """
         hessian = P[self._rows, self._columns]
         if not (np.isfinite(hessian).all() and np.isfinite(q).all()):
             # OSQP does not refuse these; it returns numbers.
@@ -176,5 +194,4 @@ class Mpc:
             zeros = np.zeros_like(q)
             self._solver.warm_start(x=zeros, y=zeros)
             return None
-        self._objective = result.info.obj_val
-        return float(result.x[0])
+        return float(result.x[0]), float(result.info.obj_val)

@@ -116,6 +116,8 @@ class PlantNode:
 
     def _on_inputs(self) -> None:
         """Step the plant: weather and command, or flow, of this tick are here."""
+        if self._tick == 0:
+            self._began = time.monotonic()  # before that the others were still joining
         rain = self._rain.value
         self._command = command = self._command_input.value
         pump = self._flow.value if self._external else self._plant.pump_flow(command)

@@ -1,0 +1,128 @@
+"""The paper's equations once more, written from its text and apart from the package.
+
+The tests hold the package against these. Everything takes numbers or arrays, the smooth model
+also complex ones, so that its derivatives come from complex steps instead of from calculus.
+"""
+
+from __future__ import annotations
+
+import argparse
+import math
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+from hypothesis import strategies as st
+
+from greenroof_ros.run import Run, add_run_arguments, run_from_arguments
+from greenroof_ros.site import Site
+
+TABLE_I: dict[str, float] = {
+    "a1": 25, "a2": 68.8, "a_pump": 0.01 * math.pi, "a_in": 0.305**2 * math.pi,
+    "a_hat": -5.78e5, "c_hat": 55.2, "c_d": 0.61, "d": 16, "D": 0.2, "epsilon": 0.5, "F": 3.56,
+    "g": 9.81, "K": 7.83e-8, "k_L": 0.6, "l": 18.4, "M": 10, "N": 43200, "r_o": 0.125, "tau": 1,
+    "x2_star": 68.8 * 4.57e-2, "z_cap": 68.8 * 0.5, "z_H": 0.6, "z_o": 3, "z_pump": 0.15,
+    "z_soil": 0.5, "z_veg": 4.57e-2,
+}
+"""Every row of Table I but pi, which is no setting."""
+
+PAPER_SITE = Site(**TABLE_I)  # type: ignore[arg-type]  # M and N are written as whole numbers
+
+_STEP = 1e-30
+
+
+def paper_run(*options: str) -> Run:
+    """Build a run as a command line with these options would."""
+    parser = argparse.ArgumentParser()
+    add_run_arguments(parser)
+    return run_from_arguments(parser.parse_args(options))
+
+
+def site_with(**changes: float) -> Site:
+    """Return the paper's site with other values, x2_star and z_cap following from them."""
+    site = replace(PAPER_SITE, **changes)  # type: ignore[arg-type]
+    return replace(site, x2_star=site.a2 * site.z_veg, z_cap=site.a2 * site.z_soil)
+
+
+@st.composite
+def sites(draw: st.DrawFn) -> Site:
+    """Draw a site that a user could write down, from a rain barrel to a reservoir."""
+
+    def between(least: float, largest: float) -> float:
+        return draw(st.floats(least, largest))
+
+    z_soil, z_pump, z_H, d = between(0.05, 2), between(0, 1), between(0, 2), between(1, 40)
+    return site_with(
+        a1=between(0.5, 5000), a_in=between(0.01, 5000), z_o=between(0.1, 10),
+        r_o=between(0.01, 1), c_d=between(0.1, 1),
+        a2=between(0.5, 50000), z_soil=z_soil, z_veg=z_soil * between(0.01, 0.99),
+        K=between(1e-9, 1e-3),
+        a_hat=-between(1e2, 1e7), c_hat=max(d - z_pump - z_H, 0) + between(0.1, 50), d=d,
+        a_pump=between(1e-3, 0.1), D=between(0.01, 0.5), F=between(0.01, 5), k_L=between(0, 5),
+        l=between(1, 100), z_pump=z_pump, z_H=z_H, g=between(9.7, 9.9),
+        epsilon=between(0.01, 5), tau=draw(st.sampled_from([0.5, 1.0, 2.0, 10.0])),
+    )
+
+
+def exact_flows(site: Site, x1: float, x2: float, u: float) -> tuple[float, float, float]:
+    """Return q_out, q_pump and q_drain (m3/s) of Eqs. (2)-(4)."""
+    outlet = site.c_d * math.pi * site.r_o**2
+    q_out = q_pump = q_drain = 0.0
+    if x1 / site.a1 > site.z_o:
+        q_out = outlet * math.sqrt(2 * site.g * (x1 / site.a1 - site.z_o))
+    if not (x2 / site.a2 >= site.z_veg or x1 / site.a1 < site.z_pump + site.z_H):
+        q_pump = u * math.sqrt((x1 / site.a1 + site.c_hat - site.d) / _head_loss(site))
+    if not x2 < site.z_cap:
+        q_drain = site.K * site.a2 * (x2 / site.a2 + site.z_soil) / site.z_soil
+    return q_out, q_pump, q_drain
+
+
+def _head_loss(site: Site) -> float:
+    """Head per squared flow that pipe and pump take together, b to the power of -2."""
+    return (site.F * site.l / site.D + site.k_L) / (2 * site.g * site.a_pump**2) - site.a_hat
+
+
+def _psi(y: Any, epsilon: float) -> Any:
+    """Eq. (6)."""
+    root = np.where(np.real(y) > 0, y, 1) ** 0.5
+    low = 2 / 3 * epsilon**0.5
+    middle = root**3 / (3 * epsilon) + low
+    return np.where(np.real(y) <= 0, low, np.where(np.real(y) <= epsilon, middle, root))
+
+
+def _sigma(exponent: Any) -> Any:
+    """1 / (1 + exp(exponent)); beyond 700 that is below 1e-304, and exp would overflow."""
+    return 1 / (1 + np.exp(np.where(np.real(exponent) > 700, 700, exponent)))
+
+
+def smooth_rates(site: Site, x1: Any, x2: Any, u: Any, rain: Any, evaporated: Any) -> Any:
+    """Return f^epsilon of Eqs. (5)-(9) (m3/s), complex, shape (..., 2)."""
+    # In two parts, since numpy's complex division rounds twice, and near nu = 0 that is seen.
+    level = np.real(x1) / site.a1 + 1j * np.imag(x1) / site.a1
+    outlet = site.c_d * math.pi * site.r_o**2
+    q_out = outlet * math.sqrt(2 * site.g) * _psi(level - site.z_o, site.epsilon)
+    eta = u / math.sqrt(_head_loss(site)) * _psi(level + site.c_hat - site.d, site.epsilon)
+    sigma_1 = _sigma((site.a1 * (site.z_pump + site.z_H) - x1) / site.epsilon)
+    sigma_2 = _sigma((x2 - site.a2 * site.z_veg) / site.epsilon)
+    q_pump = eta * sigma_1 * sigma_2
+    darcy = site.K * site.a2 * (x2 / site.a2 + site.z_soil) / site.z_soil
+    q_drain = darcy * _sigma((site.z_cap - x2) / site.epsilon)
+    f1 = rain * site.a_in - q_out - q_pump
+    f2 = rain * site.a2 + q_pump - evaporated - q_drain
+    return np.stack([f1, f2], axis=-1)
+
+
+def linear_model(site: Site, *point: Any) -> tuple[Any, Any, Any, Any]:
+    """Return A - I, B, C and b of Eq. (10) at points (x1, x2, u, w_r, w_e), by complex steps.
+
+    The identity is left to the caller, because the digits of tau df/dx drown in it.
+    """
+    points = [np.asarray(value, dtype=float) for value in point]
+    columns = []
+    for index in range(len(points)):
+        moved: list[Any] = list(points)
+        moved[index] = moved[index] + 1j * _STEP
+        columns.append(np.imag(smooth_rates(site, *moved)) / _STEP)
+    slopes = site.tau * np.stack(columns, axis=-1)
+    b = site.tau * np.real(smooth_rates(site, *points))
+    return slopes[..., :2], slopes[..., 2], slopes[..., 3:], b

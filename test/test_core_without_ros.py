@@ -1,0 +1,57 @@
+"""The core needs no ROS installation."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+
+IMPORT_ALL = """
+import importlib, importlib.abc, pkgutil, sys
+
+GRAPH = ("greenroof_ros.nodes", "greenroof_ros.lockstep", "greenroof_ros.bringup")
+ROS = {
+    "rclpy", "rcl_interfaces", "std_msgs", "std_srvs", "rosgraph_msgs", "diagnostic_msgs",
+    "builtin_interfaces", "ament_index_python", "launch", "rosbag2_py",
+}
+asked = []
+
+
+class NoRos(importlib.abc.MetaPathFinder):
+    def find_spec(self, name, path=None, target=None):
+        if name.partition(".")[0] in ROS:
+            asked.append(name)
+            raise ModuleNotFoundError("no ROS here: " + name)
+
+
+def modules(package):
+    for module in pkgutil.iter_modules(package.__path__, package.__name__ + "."):
+        if module.name in GRAPH:
+            continue
+        yield module.name
+        imported = importlib.import_module(module.name)
+        if module.ispkg:
+            yield from modules(imported)
+
+
+sys.meta_path.insert(0, NoRos())
+try:
+    import rclpy
+except ModuleNotFoundError:
+    assert asked.pop() == "rclpy"
+else:
+    raise AssertionError("ROS was not hidden")
+import greenroof_ros
+print(*modules(greenroof_ros), sep="\\n")
+assert not asked, f"the core asks for {asked}"
+"""
+
+
+def test_every_module_but_the_graphs_imports_without_ros() -> None:
+    """In a process that finds no ROS, even where one is installed; new modules are included."""
+    done = subprocess.run(
+        [sys.executable, "-c", IMPORT_ALL], capture_output=True, text=True, check=False
+    )
+    assert done.returncode == 0, done.stdout + done.stderr
+    core = {"site", "plant", "smooth_plant", "pump_curve", "weather", "run", "closed_loop"}
+    core |= {"controllers.mpc", "controllers.onoff"}
+    assert {f"greenroof_ros.{name}" for name in core} <= set(done.stdout.split())
