@@ -31,7 +31,8 @@ _SOLVER_SETTINGS = {
     "warm_starting": True,
     "verbose": False,
 }
-# Below this a command is 0: ten times the solver's tolerance, a tenth of what the tests allow.
+# This close to a bound a command is at it: ten times the solver's tolerance, a tenth of what the
+# tests allow.
 _AT_BOUND = 1e-9
 
 Array = NDArray[np.float64]
@@ -165,7 +166,11 @@ class Mpc:
         else:
             first, objective = solution
             # At a bound the solver ends within its tolerance of it, on either side.
-            self._command = 0.0 if first < _AT_BOUND else min(first, self._max_command)
+            if first < _AT_BOUND:
+                first = 0.0
+            elif first > self._max_command - _AT_BOUND:
+                first = self._max_command
+            self._command = first
             self.cost = 2 * self.weight * objective + float(r @ r) + deviation * deviation
             self._rain_sum += precipitation[0]
             self._evapotranspiration_sum += evapotranspiration[0]
