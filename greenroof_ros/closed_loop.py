@@ -14,8 +14,8 @@ from greenroof_ros.run import Run
 class Tick(NamedTuple):
     """What one tick of a run saw and did."""
 
-    index: int
-    """k of 0..N"""
+    k: int
+    """index of 0..N"""
     x1: float
     """volume in the cistern (m3)"""
     x2: float
@@ -38,17 +38,17 @@ def closed_loop(run: Run, controller: Controller, metrics: Metrics) -> Iterator[
     """Run the ticks 0..N, adding to ``metrics``; a tick is yielded before its step is taken."""
     site = run.site
     plant = Plant(site, run.x1, run.x2)
-    for index in range(run.steps + 1):
+    for k in range(run.steps + 1):
         cistern_level, roof_level = plant.levels()
-        rain = run.series.precipitation(index)
-        evapotranspiration = run.series.evapotranspiration(index)
+        rain = run.series.precipitation(k)
+        evapotranspiration = run.series.evapotranspiration(k)
         command = controller.command(cistern_level, roof_level, rain, evapotranspiration)
         flows = plant.flows(rain[0], evapotranspiration[0], plant.pump_flow(command))
         metrics.observe(site, plant.x1, plant.x2)
         yield Tick(
-            index, plant.x1, plant.x2, cistern_level, roof_level,
+            k, plant.x1, plant.x2, cistern_level, roof_level,
             rain[0], evapotranspiration[0], command, flows,
         )
-        if index < run.steps:
+        if k < run.steps:
             metrics.step(site, command, rain[0], flows)
             plant.step(rain[0], flows)

@@ -17,7 +17,11 @@ from greenroof_ros.weather import Weather, WeatherSeries, parse_time, read_weath
 DEFAULT_START = "2021-07-07T02:00-05:00"
 
 # Table II: the volumes at which the outlet and the target are, times these.
-INITIAL_STATES = {"low-low": (1 / 1.3, 1 / 1.3), "high-low": (1.3, 1 / 1.3), "high-high": (1.3, 1.3)}
+INITIAL_STATES = {
+    "low-low": (1 / 1.3, 1 / 1.3),
+    "high-low": (1.3, 1 / 1.3),
+    "high-high": (1.3, 1.3),
+}
 
 # The parameters that each controller's YAML file holds.
 CONTROLLERS = {"mpc": ("weight", "max_command"), "onoff": ("fraction",)}
@@ -40,7 +44,9 @@ def read_parameters(path: Path, controller: str) -> dict[str, float]:
     if not isinstance(section, YamlMapping) or not isinstance(
         section.get("ros__parameters"), YamlMapping
     ):
-        raise ConfigurationError(f"must hold '{controller}:' and in it 'ros__parameters:'", file=path)
+        raise ConfigurationError(
+            f"must hold '{controller}:' and in it 'ros__parameters:'", file=path
+        )
     parameters: YamlMapping = section["ros__parameters"]
     for key, line in parameters.lines.items():
         if key not in CONTROLLERS[controller]:

@@ -19,7 +19,7 @@ def make_run_directory(output: Path | None, controller: str) -> Path:
         ConfigurationError: it holds something already, or cannot be made or written.
     """
     if output is None:
-        name = f"{datetime.now().strftime('%Y-%m-%dT%H-%M-%S')}-{controller}"
+        name = f"{datetime.now().astimezone().strftime('%Y-%m-%dT%H-%M-%S')}-{controller}"
         directory = Path("runs") / name
         number = 1
         while directory.exists():

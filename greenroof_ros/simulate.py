@@ -33,7 +33,7 @@ TRAJECTORY_COLUMNS = (
 def trajectory_row(tick: Tick, tau: float) -> tuple[float, ...]:
     """Return a tick as a row of :data:`TRAJECTORY_COLUMNS`."""
     return (
-        tick.index * tau, tick.x1, tick.x2, tick.cistern_level, tick.roof_level,
+        tick.k * tau, tick.x1, tick.x2, tick.cistern_level, tick.roof_level,
         tick.precipitation, tick.evapotranspiration, tick.command,
         tick.flows.pump, tick.flows.outflow, tick.flows.drainage,
     )
@@ -79,18 +79,17 @@ def main() -> int:
                 rows.writerow(trajectory_row(tick, tau))
             now = time.monotonic()
             if arguments.speed:
-                due = began + tick.index * tau / arguments.speed
+                due = began + tick.k * tau / arguments.speed
                 time.sleep(max(0.0, due - now))
-            if now - shown > INTERVAL_S or tick.index == run.steps:
+            if now - shown > INTERVAL_S or tick.k == run.steps:
                 shown = now
-                progress.update(tick.index, tick.cistern_level, tick.roof_level, tick.command)
+                progress.update(tick.k, tick.cistern_level, tick.roof_level, tick.command)
         wall = time.monotonic() - began
-    seconds = getattr(controller, "solve_seconds", None)
     result = summary.build(
         run,
         metrics,
         wall_s=wall,
-        solver=summary.solver_statistics(seconds, controller.fallbacks) if seconds else None,
+        solver=controller.statistics(),
     )
     summary.write(result, directory / "summary.json")
     summary.show(result, as_json=arguments.json, path=directory)

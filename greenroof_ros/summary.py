@@ -10,24 +10,12 @@ from importlib import metadata
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 from rich.console import Console
 from rich.table import Table
 
 from greenroof_ros import __version__
 from greenroof_ros.metrics import Metrics
 from greenroof_ros.run import Run
-
-
-def solver_statistics(seconds: list[float], fallbacks: int) -> dict[str, float]:
-    """Return how often a controller solved, how often in vain, and how long it took (s)."""
-    times = np.array(seconds or [0.0])
-    return {
-        "solves": len(seconds),
-        "fallbacks": fallbacks,
-        "mean_s": float(times.mean()),
-        "p99_s": float(np.percentile(times, 99)),
-    }
 
 
 def build(
@@ -46,7 +34,7 @@ def build(
         run: what was asked for.
         metrics: what came of it.
         wall_s: duration in wall time (s).
-        solver: as :func:`solver_statistics` gives it; None where the controller has no solver.
+        solver: the controller's statistics; None where it has no solver.
         messages: how many messages of each topic are in the bag.
         refused: how many values of each topic were refused.
         incidents: parameters changed during the run, with their tick.
@@ -138,9 +126,10 @@ def table(summary: Mapping[str, Any]) -> Table:
         rows.append(("REFUSED", str(sum(summary["refused"].values())), str(summary["refused"])))
     for incident in summary["incidents"]:
         rows.append(("changed", f"tick {incident['tick']}", str(incident)))
-    if summary["forecast_repeats_last_record_from"]:
+    repeats_from = summary["forecast_repeats_last_record_from"]
+    if repeats_from:
         rows.append(
-            ("forecast", "repeats", f"its last record from {summary['forecast_repeats_last_record_from']}")
+            ("forecast", "repeats", f"its last record from {repeats_from}")
         )
     if summary["messages"]:
         rows.append(
@@ -150,9 +139,8 @@ def table(summary: Mapping[str, Any]) -> Table:
                 f"in the bag, of {len(summary['messages'])} topics",
             )
         )
-    rows.append(
-        ("wall time", f"{summary['wall_s']:.1f} s", f"{summary['times_real_time']:.0f} times real time")
-    )
+    factor = f"{summary['times_real_time']:.0f} times real time"
+    rows.append(("wall time", f"{summary['wall_s']:.1f} s", factor))
     for row in rows:
         grid.add_row(*row)
     return grid

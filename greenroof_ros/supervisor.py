@@ -40,7 +40,7 @@ def _held_segments(pid: int) -> set[str]:
     held = set()
     with contextlib.suppress(OSError):  # it ends just now
         for entry in Path(f"/proc/{pid}/fd").iterdir():
-            target = Path(os.readlink(entry))
+            target = entry.readlink()
             if target.parent == _SHARED_MEMORY and target.name.endswith("_el"):
                 held.add(target.name.removesuffix("_el"))
     return held

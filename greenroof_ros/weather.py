@@ -143,7 +143,7 @@ def read_weather(path: Path) -> Weather:
             time = parse_time(row[0])
         except ValueError:
             raise ConfigurationError(
-                f"must be a time such as 2021-07-07T02:00-05:00, from {_FIRST_YEAR} to {_LAST_YEAR}",
+                f"must be a time such as 2021-07-07T02:00-05:00, {_FIRST_YEAR} to {_LAST_YEAR}",
                 file=path, line=line, key="time", value=row[0],
             ) from None
         if time.utcoffset() is None:

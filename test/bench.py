@@ -73,7 +73,8 @@ def measure_echo(domain: int) -> float:
     )
     try:
         done = subprocess.run(
-            [*command, "caller"], env=environment(domain), check=True, capture_output=True, text=True
+            [*command, "caller"],
+            env=environment(domain), check=True, capture_output=True, text=True,
         )
     finally:
         answerer.kill()

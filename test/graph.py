@@ -49,7 +49,7 @@ def orphans() -> set[str]:
     for process in Path("/proc").glob("[0-9]*"):
         try:
             held.update(Path(line.split()[-1]).name for line in (process / "maps").open())
-            held.update(Path(os.readlink(entry)).name for entry in (process / "fd").iterdir())
+            held.update(entry.readlink().name for entry in (process / "fd").iterdir())
         except OSError:
             continue
     stems = {name.removesuffix("_el") for name in held}

@@ -89,7 +89,7 @@ def test_hanging_node(domain: int, tmp_path: Path, victim: str) -> None:
 
 
 def test_pause_shorter_than_the_limit_changes_nothing(domain: int, tmp_path: Path) -> None:
-    """Each node stopped for a while, the recorder for 3 s: the bag is equal to an undisturbed one."""
+    """Each node stopped for a while, the recorder for 3 s: the bag equals an undisturbed one."""
     bring_up(domain, tmp_path, "--hours", "2", output="undisturbed")
     process = Process(domain, "bringup", "--output", "run", "--hours", "2", cwd=tmp_path)
     wait_for_ticks(tmp_path / "run")
@@ -101,7 +101,8 @@ def test_pause_shorter_than_the_limit_changes_nothing(domain: int, tmp_path: Pat
         os.kill(nodes[node], signal.SIGCONT)
         time.sleep(0.2)
     assert process.wait(60) == 0, process.stderr()
-    assert bag_file(tmp_path / "run").read_bytes() == bag_file(tmp_path / "undisturbed").read_bytes()
+    undisturbed = bag_file(tmp_path / "undisturbed").read_bytes()
+    assert bag_file(tmp_path / "run").read_bytes() == undisturbed
 
 
 def test_bringup_itself_killed(domain: int, tmp_path: Path) -> None:

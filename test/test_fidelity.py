@@ -47,7 +47,7 @@ def test_each_of_the_papers_runs(row: dict[str, str]) -> None:
     metrics = Metrics()
     pumping = 0
     for tick in loop_of(row["initial"], row["controller"], row["parameter"], metrics):
-        pumping += tick.command > 0 and tick.index < 43200
+        pumping += tick.command > 0 and tick.k < 43200
     total = float(row["total_deviation_m3"])
     assert metrics.total_deviation_m3 == pytest.approx(total, rel=5e-5)
     assert metrics.final_cistern_m3 == pytest.approx(float(row["final_cistern_m3"]), abs=VOLUME)

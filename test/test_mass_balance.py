@@ -83,7 +83,7 @@ def assert_balance(run: Run) -> Metrics:
     site, metrics = run.site, Metrics()
     controller = make_controller(run.controller, site, run.parameters)
     ticks = list(closed_loop(run, controller, metrics))
-    assert [tick.index for tick in ticks] == list(range(run.steps + 1))
+    assert [tick.k for tick in ticks] == list(range(run.steps + 1))
     rain = site.tau * sum(tick.precipitation for tick in ticks[:-1])
     gain_1 = rain * site.a_in - metrics.outflow_m3 - metrics.pumped_m3
     leaves = metrics.drainage_m3 + metrics.evapotranspiration_m3

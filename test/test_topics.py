@@ -61,11 +61,11 @@ def test_types_match_ros() -> None:
     for name, entry in types.items():
         package, _, short = name.split("/")
         module = importlib.import_module(f"{package}.msg")
-        share = [
+        share = next(
             parent / "share" / package / "msg"
             for parent in Path(str(module.__file__)).parents
             if (parent / "share" / package / "msg" / f"{short}.msg").exists()
-        ][0]
+        )
         text = (share / f"{short}.msg").read_text()
         fields = [line.split("#")[0].split() for line in text.splitlines()]
         assert [line.split() for line in entry["definition"].splitlines()] == list(

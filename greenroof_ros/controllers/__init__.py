@@ -28,3 +28,10 @@ class Controller(Protocol):
             Share of the pumps' maximum flow (1), finite and not negative.
         """
         ...
+
+    def statistics(self) -> dict[str, float] | None:
+        """Return what its solver did: ``solves``, ``fallbacks``, ``mean_s`` and ``p99_s``.
+
+        None where it has no solver.
+        """
+        ...

@@ -178,6 +178,16 @@ class Mpc:
         self.solve_seconds.append(time.perf_counter() - started)
         return self._command
 
+    def statistics(self) -> dict[str, float]:
+        """Return what the solver did; see :class:`greenroof_ros.controllers.Controller`."""
+        times = np.array(self.solve_seconds or [0.0])
+        return {
+            "solves": len(self.solve_seconds),
+            "fallbacks": self.fallbacks,
+            "mean_s": float(times.mean()),
+            "p99_s": float(np.percentile(times, 99)),
+        }
+
     def _solve(self, P: Array, q: Array) -> tuple[float, float] | None:
         """Return the first command of the program's solution and its objective.
 

@@ -29,3 +29,6 @@ class OnOff:
         dry = roof_level < self._site.z_veg
         enough = cistern_level >= self._site.suction_level
         return self.fraction if dry and enough else 0.0
+
+    def statistics(self) -> None:
+        """It has no solver."""

@@ -28,7 +28,6 @@ class ControllerNode:
         role: str,
         controller: Controller,
         tunable: str,
-        statistics: Callable[[], dict[str, Any]],
     ) -> None:
         """Open the topics.
 
@@ -37,7 +36,6 @@ class ControllerNode:
             role: the node's name in the contract.
             controller: decides the command.
             tunable: the parameter, and attribute of the controller, that may change in a run.
-            statistics: what the controller adds to the run's summary.
         """
         self._node = node
         self._controller = controller
@@ -52,7 +50,10 @@ class ControllerNode:
         self._publish_command = link.publish_topic("/pump/command")
         self._message = Float64()
         self.after_command: Callable[[], None] = lambda: None
-        link.summary = lambda: {**statistics(), "incidents": self._incidents}
+        link.summary = lambda: {
+            "solver": controller.statistics(),
+            "incidents": self._incidents,
+        }
         node.add_on_set_parameters_callback(self._on_parameters)
 
     def _on_inputs(self) -> None:

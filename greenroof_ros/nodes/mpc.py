@@ -14,7 +14,6 @@ from greenroof_ros.files import shared_directory
 from greenroof_ros.lockstep import declare, run_node
 from greenroof_ros.nodes.controller import ControllerNode
 from greenroof_ros.site import read_site
-from greenroof_ros.summary import solver_statistics
 
 
 def build(node: Node) -> ControllerNode:
@@ -30,10 +29,7 @@ def build(node: Node) -> ControllerNode:
         node, "max_command", math.inf, "largest command (1)", low=1e-9, high=math.inf
     )
     controller = Mpc(read_site(Path(site_file)), weight, max_command)
-    part = ControllerNode(
-        node, "mpc", controller, "weight",
-        lambda: {"solver": solver_statistics(controller.solve_seconds, controller.fallbacks)},
-    )
+    part = ControllerNode(node, "mpc", controller, "weight")
     publish_cost = part.link.publish_topic("/controller/cost")
     publish_status = part.link.publish_topic("/controller/solver_status")
     message = Float64()

@@ -24,7 +24,7 @@ def build(node: Node) -> ControllerNode:
         low=1e-9, high=1e6, read_only=False,
     )
     controller = OnOff(read_site(Path(site_file)), fraction)
-    return ControllerNode(node, "onoff", controller, "fraction", lambda: {"solver": None})
+    return ControllerNode(node, "onoff", controller, "fraction")
 
 
 def main(args: list[str] | None = None) -> None:
