@@ -68,14 +68,15 @@ class RunProgress:
         if self._began is None:
             self._began = (now, tick)
         elapsed = now - self._began[0]
-        factor = (tick - self._began[1]) * self._tau / elapsed if elapsed > 0 else 0.0
+        speed = ""
+        if elapsed > INTERVAL_S:
+            speed = f", {(tick - self._began[1]) * self._tau / elapsed:.0f}x real time"
         minutes, seconds = divmod(int(tick * self._tau), 60)
         hours, minutes = divmod(minutes, 60)
         self._progress.update(
             self._task,
             completed=tick,
             clock=f"{hours}:{minutes:02}:{seconds:02}",
-            state=f"cistern {cistern:.3f} m  roof {roof:.4f} m  command {command:.4f}"
-            f"  {factor:.0f}x real time",
+            state=f"cistern {cistern:.3f} m, roof {roof:.4f} m, command {command:.3f}{speed}",
             refresh=True,
         )

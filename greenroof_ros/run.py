@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 import math
 from dataclasses import dataclass
-from datetime import datetime, timedelta
+from datetime import datetime, timedelta, tzinfo
 from pathlib import Path
 
 from greenroof_ros.controllers import Controller
@@ -269,7 +269,7 @@ def run_from_arguments(arguments: argparse.Namespace) -> Run:
     weather = read_weather(
         arguments.weather or shared / "config" / "weather" / "toronto_2021-07.csv"
     )
-    start = read_start(arguments.start or DEFAULT_START, weather)
+    start = read_start(arguments.start or DEFAULT_START, weather.first.tzinfo)
     return Run(
         site_file=site_file,
         site=site,
@@ -285,17 +285,23 @@ def run_from_arguments(arguments: argparse.Namespace) -> Run:
     )
 
 
-def read_start(text: str, weather: Weather) -> datetime:
-    """Read a start time; without an offset from UTC it is in the weather file's own.
+def read_start(text: str, zone: tzinfo | None = None) -> datetime:
+    """Read a start time; without an offset from UTC it is in the given zone.
 
     Raises:
-        ConfigurationError: it is not an ISO 8601 time.
+        ConfigurationError: it is not an ISO 8601 time, or has no offset where there is no zone.
     """
     try:
         start = parse_time(text)
     except ValueError:
         raise ConfigurationError(
             "must be a time such as 2021-07-07T02:00-05:00, from 1971 to 2037",
-            key="--start", value=text,
+            key="start", value=text,
         ) from None
-    return start if start.utcoffset() is not None else start.replace(tzinfo=weather.first.tzinfo)
+    if start.utcoffset() is not None:
+        return start
+    if zone is None:
+        raise ConfigurationError(
+            "must say its offset from UTC, as in 2021-07-07T02:00-05:00", key="start", value=text
+        )
+    return start.replace(tzinfo=zone)

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import argparse
 import math
+import sys
 from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Any
@@ -65,8 +66,9 @@ def read_topics() -> dict[str, Topic]:
             name=name,
             type=entry["type"],
             unit=entry["unit"],
-            low=low,
-            high=high,
+            # No bound in the contract still means a finite value.
+            low=max(low, -sys.float_info.max),
+            high=min(high, sys.float_info.max),
             publishers=tuple(entry["publishers"]),
             subscribers=tuple(entry["subscribers"]),
             per_tick=entry["per_tick"],

@@ -19,9 +19,8 @@ from greenroof_ros.files import shared_directory
 from greenroof_ros.lockstep import Link, LockstepError, declare, run_node
 from greenroof_ros.metrics import Metrics
 from greenroof_ros.plant import Flows, Plant
-from greenroof_ros.run import DEFAULT_START, epoch_ns, initial_state
+from greenroof_ros.run import DEFAULT_START, epoch_ns, initial_state, read_start
 from greenroof_ros.site import read_site
-from greenroof_ros.weather import parse_time
 
 # How far the plant may run ahead of what the recorder has safely written (ticks).
 _AHEAD = 32
@@ -37,20 +36,24 @@ class PlantNode:
         )
         site = read_site(Path(site_file))
         cistern, roof = initial_state(site, "low-low")
-        x1 = declare(node, "cistern", cistern, "initial volume in the cistern (m3)", low=0, high=1e9)
-        x2 = declare(node, "roof", roof, "initial volume on the roof (m3)", low=0, high=1e9)
+        x1 = declare(node, "cistern", cistern, "initial volume there (m3)", low=0, high=1e9)
+        x2 = declare(node, "roof", roof, "initial volume there (m3)", low=0, high=1e9)
         start = declare(node, "start", DEFAULT_START, "time of tick 0, ISO 8601 with its offset")
         self._steps = declare(node, "steps", site.N, "N, ticks to run", low=1, high=2**40)
         self._speed = declare(
             node, "speed", 0.0, "simulated per wall time, 0 = as fast as it goes", low=0, high=1e9
         )
         self._external = (
-            declare(node, "pump", "internal", "internal, or external: /pump/flow is a driver's")
+            declare(
+                node, "pump", "internal", "internal, or external: /pump/flow is a driver's",
+                among=("internal", "external"),
+            )
             == "external"
         )
         self._record = declare(node, "record", False, "wait for a recorder")
         self._limit = declare(
-            node, "peer_limit", 5.0, "longest wait for another node (s of wall time)", low=0.1, high=1e6
+            node, "peer_limit", 5.0, "longest wait for another node (s of wall time)",
+            low=0.1, high=1e6,
         )
         self._start_limit = declare(
             node, "start_limit", 30.0, "longest wait for the other nodes to come (s of wall time)",
@@ -59,7 +62,7 @@ class PlantNode:
         self._site = site
         self._plant = Plant(site, x1, x2)
         self._metrics = Metrics()
-        self._start_ns = epoch_ns(parse_time(start))
+        self._start_ns = epoch_ns(read_start(start))
         self._tick_ns = round(site.tau * 1e9)
         self._tick = 0
         self._written = 0

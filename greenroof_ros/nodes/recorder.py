@@ -15,6 +15,7 @@ from std_msgs.msg import Float64
 from greenroof_ros.errors import ConfigurationError
 from greenroof_ros.lockstep import Link, LockstepError, declare, run_node
 from greenroof_ros.recording import BagWriter
+from greenroof_ros.run import CONTROLLERS
 from greenroof_ros.topics import recorded_topics
 
 # How many ticks go to the operating system together: what a kill -9 can cost at most is this and
@@ -31,7 +32,9 @@ class RecorderNode:
     def __init__(self, node: Node) -> None:
         """Declare the parameters, make the bag and open the topics."""
         directory = declare(node, "directory", "bag", "the bag; must not exist")
-        controller = declare(node, "controller", "mpc", "the active controller: mpc or onoff")
+        controller = declare(
+            node, "controller", "mpc", "the active controller", among=tuple(CONTROLLERS)
+        )
         self._limit = declare(
             node, "peer_limit", 5.0, "longest wait for the last messages (s)", low=0.1, high=1e6
         )

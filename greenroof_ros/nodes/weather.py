@@ -28,7 +28,7 @@ class WeatherNode:
         start_text = declare(node, "start", DEFAULT_START, "time of tick 0, ISO 8601")
         self._steps = declare(node, "steps", site.N, "N, ticks to run", low=1, high=2**40)
         weather = read_weather(Path(file))
-        start = read_start(start_text, weather)
+        start = read_start(start_text, weather.first.tzinfo)
         self._series = WeatherSeries(weather, site, start, self._steps)
         self._start_ns = epoch_ns(start)
         self._tick_ns = round(site.tau * 1e9)

