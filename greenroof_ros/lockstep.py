@@ -45,6 +45,9 @@ from greenroof_ros.topics import Qos, Topic, read_topics
 
 # A node that joins takes the last of what its peers said before; first it lets them finish.
 _SILENCE_S = 0.5
+# The name of a node is known a moment after its publisher; how long to wait for it (s).
+_UNKNOWN = "_NODE_NAME_UNKNOWN_"
+_NAMING_S = 0.5
 # How often a node says how it is (s of wall time).
 _REPORT_S = 0.25
 # How long a node listens before it looks at its clocks and signals again.
@@ -83,6 +86,7 @@ class Input:
     topic: Topic
     bit: int
     value: Any = 0.0
+    good: bool = True
     publishers: int = 0
     refused: int = 0
 
@@ -93,7 +97,6 @@ class Link:
     Attributes:
         inputs: by topic name.
         sent: how many messages went out, by topic name.
-        refused: how many values were refused since the node last acted.
         progress: what the node adds to each of its reports.
         summary: what the node adds to its report at the end of the run.
         final_reports: the values of the reports of nodes that have finished, by node.
@@ -110,7 +113,6 @@ class Link:
         """
         self.inputs: dict[str, Input] = {}
         self.sent: dict[str, int] = {}
-        self.refused = 0
         self.error: Exception | None = None
         self.progress: Callable[[], dict[str, Any]] = dict
         self.summary: Callable[[], dict[str, Any]] = dict
@@ -176,28 +178,28 @@ class Link:
         self._all |= entry.bit
         profile = qos_profile(topic.qos)
         watched = math.isfinite(topic.qos.lease_s) and not raw
-        if not watched:
+        if watched:
+            events = SubscriptionEventCallbacks(
+                liveliness=self._guard(
+                    lambda event: self._on_publishers(entry, event.alive_count, watched=True)
+                )
+            )
+        else:
             # Each message of a watched topic sets a timer anew in its reader: only where a node
             # acts on it is that worth its cost.
             profile.liveliness_lease_duration = Infinite
+            events = SubscriptionEventCallbacks(
+                matched=self._guard(
+                    lambda event: self._on_publishers(entry, event.current_count, watched=False)
+                )
+            )
         self._node.create_subscription(
             message_class(topic),
             topic.relative_name,
             self._guard(callback or self._fresh_input(entry)),
             profile,
             raw=raw,
-            event_callbacks=SubscriptionEventCallbacks(
-                liveliness=self._guard(
-                    lambda event: self._on_publishers(entry, event.alive_count, watched)
-                )
-                if watched
-                else None,
-                matched=self._guard(
-                    lambda event: self._on_publishers(entry, event.current_count, watched)
-                )
-                if not watched
-                else None,
-            ),
+            event_callbacks=events,
         )
         return entry
 
@@ -220,7 +222,6 @@ class Link:
             if self._fresh == self._all:
                 self._fresh = 0
                 self._act()
-                self.refused = 0
 
         return callback
 
@@ -237,11 +238,15 @@ class Link:
             for value in values:
                 if not low <= value <= high:  # neither is a NaN
                     return self._refuse(entry, value, [0.0] * len(values))
+            entry.good = True
             return values
 
         def one(message: Any) -> float:
             value: float = message.data
-            return value if low <= value <= high else self._refuse(entry, value, 0.0)
+            if not low <= value <= high:
+                return float(self._refuse(entry, value, 0.0))
+            entry.good = True
+            return value
 
         if entry.topic.type.endswith("Clock"):
             return clock
@@ -255,7 +260,7 @@ class Link:
                 f"{topic.high:g} {topic.unit}; it acts as 0, and further ones are only counted"
             )
         entry.refused += 1
-        self.refused += 1
+        entry.good = False
         return instead
 
     def _guard(self, callback: Callable[[Any], None]) -> Callable[[Any], None]:
@@ -269,7 +274,7 @@ class Link:
 
         return guarded
 
-    def _on_publishers(self, entry: Input, count: int, watched: bool) -> None:
+    def _on_publishers(self, entry: Input, count: int, *, watched: bool) -> None:
         """Note how many publishers an input has, and refuse a second one.
 
         A killed process stays matched for 20 s; only on a watched topic is its death seen within
@@ -280,8 +285,13 @@ class Link:
         if count <= 1:
             return
         topic = entry.topic
-        found = self._node.get_publishers_info_by_topic(topic.relative_name)
-        names = sorted({info.node_name for info in found})
+        until = time.monotonic() + _NAMING_S
+        while True:
+            found = self._node.get_publishers_info_by_topic(topic.relative_name)
+            names = sorted({info.node_name for info in found})
+            if _UNKNOWN not in names or time.monotonic() > until:
+                break
+            time.sleep(0.02)
         if watched or len(names) > 1:
             raise LockstepError(
                 f"{topic.name} has {count} publishers ({', '.join(names)}); "
@@ -298,6 +308,11 @@ class Link:
     def ready(self) -> bool:
         """Whether every input has its publisher."""
         return all(entry.publishers >= 1 for entry in self.inputs.values())
+
+    @property
+    def good(self) -> bool:
+        """Whether no input's present value was refused."""
+        return all(entry.good for entry in self.inputs.values())
 
     def absent(self) -> str:
         """Name the topics that nobody publishes, and who should."""
@@ -338,7 +353,6 @@ class Link:
             self._joining = False
             self._fresh = 0
             self._act()
-            self.refused = 0
 
     def finish(self, **values: Any) -> None:
         """Say from now on that the run is over for this node, with what its summary needs."""

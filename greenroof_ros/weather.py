@@ -11,6 +11,7 @@ from datetime import datetime, timedelta
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
 from greenroof_ros.errors import ConfigurationError
 from greenroof_ros.files import read_text
@@ -47,8 +48,8 @@ class Weather:
 
     file: Path
     first: datetime
-    precipitation: np.ndarray
-    evapotranspiration: np.ndarray
+    precipitation: NDArray[np.float64]
+    evapotranspiration: NDArray[np.float64]
     variant: str
 
     @property
@@ -216,7 +217,8 @@ class WeatherSeries:
         self._window = site.M
         ticks = steps + site.M
         offset_ns = round((start - weather.first) / timedelta(microseconds=1)) * 1000
-        hour = (offset_ns + np.arange(ticks, dtype=np.int64) * tick_ns) // _HOUR_NS
+        elapsed_ns: NDArray[np.int64] = offset_ns + np.arange(ticks, dtype=np.int64) * tick_ns
+        hour = elapsed_ns // _HOUR_NS
         last = len(weather.precipitation) - 1
         self.repeats_from = weather.end if hour[-1] > last else None
         hour = np.minimum(hour, last)

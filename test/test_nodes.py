@@ -28,7 +28,10 @@ from std_msgs.msg import Float64  # noqa: E402
 from greenroof_ros.lockstep import qos_profile  # noqa: E402
 from greenroof_ros.topics import read_topics  # noqa: E402
 
-TICK = qos_profile(read_topics()["/pump/command"].qos)
+
+def qos(topic: str) -> Any:
+    """Return a topic's profile in the contract."""
+    return qos_profile(read_topics()[topic].qos)
 
 
 class Observer:
@@ -90,7 +93,7 @@ def final_report(observer: Observer, node: str) -> dict[str, Any]:
                 found.update({entry.key: json.loads(entry.value) for entry in status.values})
 
     observer.node.create_subscription(
-        DiagnosticArray, "/diagnostics", on_report, qos_profile(read_topics()["/diagnostics"].qos)
+        DiagnosticArray, "/diagnostics", on_report, qos("/diagnostics")
     )
     observer.until(lambda: found, 60, f"the final report of {node}")
     return found
@@ -102,12 +105,12 @@ def test_bad_command_acts_as_zero_and_is_counted(
 ) -> None:
     """A command that is not finite or negative never becomes a flow."""
     flows: list[float] = []
-    publisher = observer.node.create_publisher(Float64, "/pump/command", TICK)
+    publisher = observer.node.create_publisher(Float64, "/pump/command", qos("/pump/command"))
     observer.node.create_subscription(
-        Float64, "/roof/level", lambda _: publisher.publish(Float64(data=bad)), TICK
+        Float64, "/roof/level", lambda _: publisher.publish(Float64(data=bad)), qos("/roof/level")
     )
     observer.node.create_subscription(
-        Float64, "/pump/flow", lambda message: flows.append(message.data), TICK
+        Float64, "/pump/flow", lambda message: flows.append(message.data), qos("/pump/flow")
     )
     with nodes(domain, tmp_path, "plant --ros-args -p steps:=20", "weather") as started:
         report = final_report(observer, "plant")
@@ -126,10 +129,11 @@ def test_bad_level_stops_the_pump(
 
     commands: list[float] = []
     observer.node.create_subscription(
-        Float64, "/pump/command", lambda message: commands.append(message.data), TICK
+        Float64, "/pump/command", lambda message: commands.append(message.data),
+        qos("/pump/command"),
     )
     publish = {
-        name: observer.node.create_publisher(kind, name, TICK)
+        name: observer.node.create_publisher(kind, name, qos(name))
         for name, kind in (
             ("/cistern/level", Float64),
             ("/roof/level", Float64),
@@ -156,7 +160,7 @@ def test_two_masters(domain: int, tmp_path: Path, observer: Observer) -> None:
     """A second publisher of the command ends the run, and the message names the topic."""
     process = Process(domain, "bringup", "--output", "run", cwd=tmp_path)
     wait_for_ticks(tmp_path / "run")
-    rogue = observer.node.create_publisher(Float64, "/pump/command", TICK)
+    rogue = observer.node.create_publisher(Float64, "/pump/command", qos("/pump/command"))
     observer.until(lambda: process.process.poll() is not None, 15, "the end of the run")
     assert rogue.get_subscription_count() == 0
     assert process.wait(1) == 1
@@ -165,7 +169,7 @@ def test_two_masters(domain: int, tmp_path: Path, observer: Observer) -> None:
 
 
 def test_weight_is_set_during_a_run(domain: int, tmp_path: Path, observer: Observer) -> None:
-    """A valid weight is taken and recorded with its tick; an invalid one is refused with a reason."""
+    """A valid weight is taken and recorded with its tick; others are refused with a reason."""
     process = Process(
         domain, "bringup", "--output", "run", "--hours", "0.2", "--speed", "100", cwd=tmp_path
     )
@@ -251,7 +255,7 @@ def test_restarted_controller_takes_the_last_levels(
     ) as started:
         seen: list[float] = []
         observer.node.create_subscription(
-            Float64, "/roof/level", lambda message: seen.append(message.data), TICK
+            Float64, "/roof/level", lambda message: seen.append(message.data), qos("/roof/level")
         )
         observer.until(lambda: len(seen) > 150, 30, "150 ticks")
         os.kill(started[2].pid, signal.SIGKILL)

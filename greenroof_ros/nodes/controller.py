@@ -58,7 +58,7 @@ class ControllerNode:
 
     def _on_inputs(self) -> None:
         command = 0.0
-        if not self.link.refused:
+        if self.link.good:
             command = self._controller.command(
                 self._cistern.value,
                 self._roof.value,
