@@ -98,7 +98,10 @@ def _refuse_company() -> None:
         until = time.monotonic() + _LISTEN_S
         while time.monotonic() < until:
             time.sleep(0.05)
-            found = sorted(ours.intersection(node.get_node_names()))
+            present = node.get_node_names_and_namespaces()
+            found = sorted(
+                name for name, namespace in present if namespace == "/" and name in ours
+            )
             if found:
                 domain = int(os.environ.get("ROS_DOMAIN_ID") or 0)
                 raise ConfigurationError(

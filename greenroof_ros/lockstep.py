@@ -11,23 +11,14 @@ import importlib
 import json
 import math
 import os
-import signal
-import sys
 import time
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from typing import Any
 
-import rclpy
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
-from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor
 from rclpy.duration import Duration, Infinite
 from rclpy.event_handler import SubscriptionEventCallbacks
-from rclpy.exceptions import (
-    InvalidParameterTypeException,
-    InvalidParameterValueException,
-)
-from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.qos import (
     DurabilityPolicy,
@@ -35,12 +26,10 @@ from rclpy.qos import (
     QoSProfile,
     ReliabilityPolicy,
 )
-from rclpy.signals import SignalHandlerOptions
 
-from greenroof_ros.command_line import EXIT_DONE, EXIT_FAILED, EXIT_USAGE
 from greenroof_ros.errors import ConfigurationError
-from greenroof_ros.files import shared_directory
 from greenroof_ros.node_report import FINISHED, READY, REPORT_PIPE, STARTING
+from greenroof_ros.run import CONTROLLERS
 from greenroof_ros.topics import Qos, Topic, read_topics
 
 # A node that joins takes the last of what its peers said before; first it lets them finish.
@@ -48,10 +37,10 @@ _SILENCE_S = 0.5
 # The name of a node is known a moment after its publisher; how long to wait for it (s).
 _UNKNOWN = "_NODE_NAME_UNKNOWN_"
 _NAMING_S = 0.5
+# How long a node listens at most before it looks at its clocks and signals again (s).
+LISTEN_S = 0.05
 # How often a node says how it is (s of wall time).
 _REPORT_S = 0.25
-# How long a node listens before it looks at its clocks and signals again.
-_SPIN_S = 0.05
 
 DIAGNOSTICS = "/diagnostics"
 
@@ -97,6 +86,9 @@ class Link:
     Attributes:
         inputs: by topic name.
         sent: how many messages went out, by topic name.
+        turn: called between messages, at least every 50 ms; returns how long the node may wait
+            for the next message (s).
+        stop: called once at the end, whatever the reason.
         progress: what the node adds to each of its reports.
         summary: what the node adds to its report at the end of the run.
         final_reports: the values of the reports of nodes that have finished, by node.
@@ -114,6 +106,8 @@ class Link:
         self.inputs: dict[str, Input] = {}
         self.sent: dict[str, int] = {}
         self.error: Exception | None = None
+        self.turn: Callable[[], float] = lambda: LISTEN_S
+        self.stop: Callable[[], None] = lambda: None
         self.progress: Callable[[], dict[str, Any]] = dict
         self.summary: Callable[[], dict[str, Any]] = dict
         self.final_reports: dict[str, dict[str, Any]] = {}
@@ -389,7 +383,8 @@ class Link:
             if state != FINISHED:
                 continue
             self.final_reports[node] = values
-            if node == "plant" and self._role in ("weather", "mpc", "onoff"):
+            ended = node == "plant" and self._state != FINISHED
+            if ended and self._role in ("weather", *CONTROLLERS):
                 self.finish(**self.summary())
 
     def flush(self) -> None:
@@ -405,119 +400,3 @@ def read_reports(array: DiagnosticArray) -> Iterator[tuple[str, str, dict[str, A
             with contextlib.suppress(json.JSONDecodeError):
                 values = {entry.key: json.loads(entry.value) for entry in status.values}
                 yield status.name, status.message, values
-
-
-def declare(
-    node: Node,
-    name: str,
-    default: str | float | int | bool,
-    description: str,
-    *,
-    low: float | None = None,
-    high: float | None = None,
-    among: tuple[str, ...] = (),
-    read_only: bool = True,
-) -> Any:
-    """Declare a parameter with its description and range, and return its value.
-
-    Raises:
-        ConfigurationError: the value given on the command line or in a file is of the wrong type
-            or out of range.
-    """
-    kind = {float: "a number such as 1.0", int: "a whole number", bool: "true or false"}.get(
-        type(default), "a text"
-    )
-    expected = f"must be {kind}"
-    descriptor = ParameterDescriptor(description=description, read_only=read_only)
-    if low is not None and high is not None:
-        expected += f" from {low:g} to {high:g}"
-        if isinstance(default, float):
-            descriptor.floating_point_range = [
-                FloatingPointRange(from_value=float(low), to_value=float(high))
-            ]
-        else:
-            descriptor.integer_range = [IntegerRange(from_value=int(low), to_value=int(high))]
-    if among:
-        expected = f"must be {' or '.join(among)}"
-        descriptor.additional_constraints = expected
-    key = f"parameter {name} of {node.get_name()}"
-    try:
-        value = node.declare_parameter(name, default, descriptor).value
-    except (InvalidParameterTypeException, InvalidParameterValueException) as error:
-        raise ConfigurationError(f"{expected} ({error})", key=key) from error
-    if among and value not in among:
-        raise ConfigurationError(expected, key=key, value=value)
-    return value
-
-
-def make_executor() -> Any:
-    """Return the fastest executor that this rclpy has."""
-    try:
-        from rclpy.experimental import EventsExecutor
-    except ImportError:
-        return SingleThreadedExecutor()
-    return EventsExecutor()
-
-
-def run_node(
-    name: str, build: Callable[[Node], Any], args: list[str] | None = None
-) -> int:
-    """Run one node as a process until it is told to stop or fails.
-
-    Args:
-        name: of the node.
-        build: makes the node's parts and returns an object with ``link`` (its :class:`Link`),
-            ``check()`` (called between messages, at least every 50 ms) and ``stop()`` (called
-            once at the end, whatever the reason).
-        args: ROS arguments; ``sys.argv`` if None.
-
-    Returns:
-        An exit code: 0 told to stop or done, 1 failed, 2 wrong parameters.
-    """
-    os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
-    profiles = str(shared_directory() / "config" / "fastdds.xml")
-    os.environ.setdefault("FASTRTPS_DEFAULT_PROFILES_FILE", profiles)
-    if hasattr(os, "SCHED_BATCH"):
-        # Linux: whoever wakes a peer goes on until it has said all it has to say. Being preempted
-        # by each of those that it wakes costs a third more of processor time per tick.
-        os.sched_setscheduler(0, os.SCHED_BATCH, os.sched_param(0))
-    stopping = False
-
-    def on_signal(signum: int, frame: Any) -> None:
-        nonlocal stopping
-        stopping = True
-
-    # Not rclpy's own handlers: after them nothing can be published, and a node that stops has a
-    # last word.
-    for number in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(number, on_signal)
-    rclpy.init(args=args, signal_handler_options=SignalHandlerOptions.NO)
-    code = EXIT_DONE
-    part: Any = None
-    node = Node(name)
-    try:
-        part = build(node)
-        executor = make_executor()
-        executor.add_node(node)
-        link: Link = part.link
-        while not stopping:
-            executor.spin_once(timeout_sec=_SPIN_S)
-            if link.error is not None:
-                raise link.error
-            link.check()
-            part.check()
-    except ConfigurationError as error:
-        print(f"error: {error}", file=sys.stderr)
-        code = EXIT_USAGE
-    except (LockstepError, OSError) as error:
-        node.get_logger().fatal(str(error))
-        code = EXIT_FAILED
-    except ExternalShutdownException:
-        pass
-    finally:
-        if part is not None:
-            part.stop()
-            part.link.flush()
-        node.destroy_node()
-        rclpy.try_shutdown()
-    return code

@@ -30,7 +30,8 @@ def echo(role: str) -> None:
     from rclpy.node import Node
     from std_msgs.msg import Float64
 
-    from greenroof_ros.lockstep import make_executor, qos_profile
+    from greenroof_ros.lockstep import qos_profile
+    from greenroof_ros.node_process import make_executor
     from greenroof_ros.topics import read_topics
 
     rclpy.init(args=[])

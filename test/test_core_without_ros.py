@@ -8,7 +8,9 @@ import sys
 IMPORT_ALL = """
 import importlib, importlib.abc, pkgutil, sys
 
-GRAPH = ("greenroof_ros.nodes", "greenroof_ros.lockstep", "greenroof_ros.bringup")
+GRAPH = tuple(
+    "greenroof_ros." + name for name in ("nodes", "lockstep", "node_process", "parameters")
+)
 ROS = {
     "rclpy", "rcl_interfaces", "std_msgs", "std_srvs", "rosgraph_msgs", "diagnostic_msgs",
     "builtin_interfaces", "ament_index_python", "launch", "rosbag2_py",

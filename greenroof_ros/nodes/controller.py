@@ -85,9 +85,3 @@ class ControllerNode:
                 f"{parameter.name} is {parameter.value:g} from tick {self._tick} on"
             )
         return SetParametersResult(successful=True)
-
-    def check(self) -> None:
-        """Nothing: a controller acts on its inputs alone."""
-
-    def stop(self) -> None:
-        """Nothing: its publisher ends with it, on which a pump driver stops pumping."""

@@ -4,23 +4,20 @@ from __future__ import annotations
 
 import math
 import sys
-from pathlib import Path
 
 from rclpy.node import Node
 from std_msgs.msg import Float64
 
 from greenroof_ros.controllers.mpc import Mpc
-from greenroof_ros.files import shared_directory
-from greenroof_ros.lockstep import declare, run_node
+from greenroof_ros.lockstep import Link
+from greenroof_ros.node_process import run_node
 from greenroof_ros.nodes.controller import ControllerNode
-from greenroof_ros.site import read_site
+from greenroof_ros.parameters import declare, declare_site
 
 
-def build(node: Node) -> ControllerNode:
+def build(node: Node) -> Link:
     """Declare the parameters and put the controller into the graph."""
-    site_file = declare(
-        node, "site_file", str(shared_directory() / "config" / "site.yaml"), "Table I"
-    )
+    site = declare_site(node)
     weight = declare(
         node, "weight", 0.001, "lambda of Eq. (11): price of pumping (1); may be changed in a run",
         low=1e-9, high=1e6, read_only=False,
@@ -28,7 +25,7 @@ def build(node: Node) -> ControllerNode:
     max_command = declare(
         node, "max_command", math.inf, "largest command (1)", low=1e-9, high=math.inf
     )
-    controller = Mpc(read_site(Path(site_file)), weight, max_command)
+    controller = Mpc(site, weight, max_command)
     part = ControllerNode(node, "mpc", controller, "weight")
     publish_cost = part.link.publish_topic("/controller/cost")
     publish_status = part.link.publish_topic("/controller/solver_status")
@@ -41,7 +38,7 @@ def build(node: Node) -> ControllerNode:
         publish_status(message)
 
     part.after_command = after_command
-    return part
+    return part.link
 
 
 def main(args: list[str] | None = None) -> None:

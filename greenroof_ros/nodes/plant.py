@@ -9,18 +9,17 @@ from __future__ import annotations
 import sys
 import time
 from dataclasses import asdict
-from pathlib import Path
 
 from rclpy.node import Node
 from rosgraph_msgs.msg import Clock
 from std_msgs.msg import Float64
 
-from greenroof_ros.files import shared_directory
-from greenroof_ros.lockstep import Link, LockstepError, declare, run_node
+from greenroof_ros.lockstep import LISTEN_S, Link, LockstepError
 from greenroof_ros.metrics import Metrics
+from greenroof_ros.node_process import run_node
+from greenroof_ros.parameters import declare, declare_site
 from greenroof_ros.plant import Flows, Plant
 from greenroof_ros.run import DEFAULT_START, epoch_ns, initial_state, read_start
-from greenroof_ros.site import read_site
 
 # How far the plant may run ahead of what the recorder has safely written (ticks).
 _AHEAD = 32
@@ -31,10 +30,7 @@ class PlantNode:
 
     def __init__(self, node: Node) -> None:
         """Declare the parameters and open the topics."""
-        site_file = declare(
-            node, "site_file", str(shared_directory() / "config" / "site.yaml"), "Table I"
-        )
-        site = read_site(Path(site_file))
+        site = declare_site(node)
         cistern, roof = initial_state(site, "low-low")
         x1 = declare(node, "cistern", cistern, "initial volume there (m3)", low=0, high=1e9)
         x2 = declare(node, "roof", roof, "initial volume there (m3)", low=0, high=1e9)
@@ -74,6 +70,7 @@ class PlantNode:
 
         self.link = link = Link(node, "plant", self._on_inputs)
         link.progress = self._progress
+        link.turn = self._turn
         self._publish_clock = link.publish_topic("/clock")
         self._publish_cistern = link.publish_topic("/cistern/level")
         self._publish_roof = link.publish_topic("/roof/level")
@@ -96,13 +93,16 @@ class PlantNode:
     def _on_written(self, message: Float64) -> None:
         self._written = int(message.data)
 
-    def _may_tick(self) -> bool:
-        if self._record and self._tick >= self._written + _AHEAD:
-            return False
-        if self._speed:
-            due = self._began + self._tick * self._site.tau / self._speed
-            return time.monotonic() >= due
-        return True
+    def _behind(self) -> bool:
+        """Whether the recorder is as far behind as it may be."""
+        return self._record and self._tick >= self._written + _AHEAD
+
+    def _pause(self) -> float:
+        """How long the present tick must still wait for its time at this pace (s)."""
+        if not self._speed:
+            return 0.0
+        due = self._began + self._tick * self._site.tau / self._speed
+        return max(0.0, due - time.monotonic())
 
     def _publish_tick(self) -> None:
         """Publish the time and the levels of the present tick."""
@@ -137,7 +137,7 @@ class PlantNode:
         self._tick += 1
         # The next tick first where it may go: the others start on it while this node still
         # publishes what moved in the last one. Each topic keeps its own order.
-        if self._may_tick():
+        if not self._behind() and not self._pause():
             self._publish_tick()
         else:
             self._held = True
@@ -153,9 +153,11 @@ class PlantNode:
             self._value.data = flows.pump
             self._publish_flow(self._value)
 
-    def check(self) -> None:
+    def _turn(self) -> float:
         """Start when the graph is whole, let a held tick go, and watch the clock."""
         now = time.monotonic()
+        if self._done:
+            return LISTEN_S
         if not self._running:
             if self.link.ready:
                 self._running = True
@@ -165,20 +167,19 @@ class PlantNode:
                 raise LockstepError(
                     f"no start within {self._start_limit:g} s: {self.link.absent()}"
                 )
-            return
-        if self._held and not self._done and self._may_tick():
+            return LISTEN_S
+        if self._held and not self._behind():
+            pause = self._pause()
+            if pause:
+                return min(pause, LISTEN_S)
             self._publish_tick()
-        if self._done or now - self._waiting_since < self._limit:
-            return
-        if not self._held:
-            missing = self.link.missing()
-        elif self._record and self._tick >= self._written + _AHEAD:
-            missing = "/recorder/written from recorder"
-        else:
-            return  # paced: the wait is the plant's own
-        raise LockstepError(
-            f"tick {self._tick}: nothing came within {self._limit:g} s on {missing}"
-        )
+            return LISTEN_S
+        if now - self._waiting_since > self._limit:
+            missing = "/recorder/written from recorder" if self._held else self.link.missing()
+            raise LockstepError(
+                f"tick {self._tick}: nothing came within {self._limit:g} s on {missing}"
+            )
+        return LISTEN_S
 
     def _progress(self) -> dict[str, float]:
         cistern, roof = self._plant.levels()
@@ -189,13 +190,10 @@ class PlantNode:
             "command": self._command,
         }
 
-    def stop(self) -> None:
-        """Nothing: a plant that stops leaves nothing running."""
-
 
 def main(args: list[str] | None = None) -> None:
     """Run the node."""
-    sys.exit(run_node("plant", PlantNode, args))
+    sys.exit(run_node("plant", lambda node: PlantNode(node).link, args))
 
 
 if __name__ == "__main__":

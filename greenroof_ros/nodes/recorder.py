@@ -13,7 +13,9 @@ from rclpy.node import Node
 from std_msgs.msg import Float64
 
 from greenroof_ros.errors import ConfigurationError
-from greenroof_ros.lockstep import Link, LockstepError, declare, run_node
+from greenroof_ros.lockstep import LISTEN_S, Link, LockstepError
+from greenroof_ros.node_process import run_node
+from greenroof_ros.parameters import declare
 from greenroof_ros.recording import BagWriter
 from greenroof_ros.run import CONTROLLERS
 from greenroof_ros.topics import recorded_topics
@@ -50,6 +52,8 @@ class RecorderNode:
         self._flushed = 0
         self._finished_at: float | None = None
         self.link = link = Link(node, "recorder")
+        link.turn = self._turn
+        link.stop = self._stop
         self._publish_written = link.publish_topic("/recorder/written")
         self._written = Float64()
         self._queues: list[deque[bytes]] = [deque() for _ in self._topics]
@@ -57,7 +61,6 @@ class RecorderNode:
         for topic, queue in zip(self._topics, self._queues, strict=True):
             link.take_topic(topic.name, self._collect(queue), raw=True)
         self._clock = [topic.name for topic in self._topics].index("/clock")
-        self._counts = dict.fromkeys((topic.name for topic in self._topics), 0)
 
     def _collect(self, queue: deque[bytes]) -> Callable[[bytes], None]:
         def callback(message: bytes) -> None:
@@ -95,11 +98,14 @@ class RecorderNode:
         self._written.data = float(self._flushed)
         self._publish_written(self._written)
 
-    def check(self) -> None:
-        """At the end of the run hold the counts against what the publishers say they sent."""
+    def _turn(self) -> float:
+        if not self._closed and "plant" in self.link.final_reports:
+            self._end()
+        return LISTEN_S
+
+    def _end(self) -> None:
+        """Hold the counts against what the publishers say they sent, and close the bag."""
         reports = self.link.final_reports
-        if self._closed or "plant" not in reports:
-            return
         if self._finished_at is None:
             self._finished_at = time.monotonic()
         late = time.monotonic() - self._finished_at > self._limit
@@ -130,7 +136,7 @@ class RecorderNode:
         self._closed = True
         self._bag.close()
 
-    def stop(self) -> None:
+    def _stop(self) -> None:
         """Close the bag with the ticks that are whole."""
         if not self._closed:
             self._close()
@@ -138,7 +144,7 @@ class RecorderNode:
 
 def main(args: list[str] | None = None) -> None:
     """Run the node."""
-    sys.exit(run_node("recorder", RecorderNode, args))
+    sys.exit(run_node("recorder", lambda node: RecorderNode(node).link, args))
 
 
 if __name__ == "__main__":

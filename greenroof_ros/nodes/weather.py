@@ -9,9 +9,10 @@ from rclpy.node import Node
 from std_msgs.msg import Float64, Float64MultiArray
 
 from greenroof_ros.files import shared_directory
-from greenroof_ros.lockstep import Link, LockstepError, declare, run_node
+from greenroof_ros.lockstep import Link, LockstepError
+from greenroof_ros.node_process import run_node
+from greenroof_ros.parameters import declare, declare_site
 from greenroof_ros.run import DEFAULT_START, epoch_ns, read_start
-from greenroof_ros.site import read_site
 from greenroof_ros.weather import WeatherSeries, read_weather
 
 
@@ -20,11 +21,9 @@ class WeatherNode:
 
     def __init__(self, node: Node) -> None:
         """Declare the parameters and open the topics."""
-        config = shared_directory() / "config"
-        site = read_site(Path(declare(node, "site_file", str(config / "site.yaml"), "Table I")))
-        file = declare(
-            node, "weather_file", str(config / "weather" / "toronto_2021-07.csv"), "hourly records"
-        )
+        site = declare_site(node)
+        default = shared_directory() / "config" / "weather" / "toronto_2021-07.csv"
+        file = declare(node, "weather_file", str(default), "hourly records")
         start_text = declare(node, "start", DEFAULT_START, "time of tick 0, ISO 8601")
         self._steps = declare(node, "steps", site.N, "N, ticks to run", low=1, high=2**40)
         weather = read_weather(Path(file))
@@ -63,16 +62,10 @@ class WeatherNode:
         self._value.data = evapotranspiration[0]
         self._publish_evapotranspiration(self._value)
 
-    def check(self) -> None:
-        """Nothing: the weather waits for the clock alone."""
-
-    def stop(self) -> None:
-        """Nothing to do."""
-
 
 def main(args: list[str] | None = None) -> None:
     """Run the node."""
-    sys.exit(run_node("weather", WeatherNode, args))
+    sys.exit(run_node("weather", lambda node: WeatherNode(node).link, args))
 
 
 if __name__ == "__main__":
