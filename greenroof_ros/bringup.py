@@ -3,10 +3,15 @@
 from __future__ import annotations
 
 import argparse
+import fcntl
 import os
 import signal
 import sys
+import tempfile
 import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
 from typing import Any
 
 from greenroof_ros import summary
@@ -72,6 +77,33 @@ def _parser() -> argparse.ArgumentParser:
     return parser
 
 
+def _company(what: str) -> ConfigurationError:
+    domain = int(os.environ.get("ROS_DOMAIN_ID") or 0)
+    return ConfigurationError(
+        f"{what} already in ROS domain {domain}; end it, or take another domain: "
+        f"ROS_DOMAIN_ID={domain % 100 + 1} python -m greenroof_ros.bringup ..."
+    )
+
+
+@contextmanager
+def _only_bringup() -> Iterator[None]:
+    """Hold the ROS domain against another bringup on this machine.
+
+    Discovery would find its nodes, too, but on a busy machine not always in time.
+
+    Raises:
+        ConfigurationError: one runs already.
+    """
+    domain = os.environ.get("ROS_DOMAIN_ID") or "0"
+    path = Path(tempfile.gettempdir()) / f"greenroof_ros-{os.getuid()}-domain-{domain}.lock"
+    with path.open("w") as stream:
+        try:
+            fcntl.flock(stream, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except OSError:
+            raise _company("a bringup runs") from None
+        yield
+
+
 def _refuse_company() -> None:
     """Listen whether nodes of the same names are in the graph already.
 
@@ -103,12 +135,7 @@ def _refuse_company() -> None:
                 name for name, namespace in present if namespace == "/" and name in ours
             )
             if found:
-                domain = int(os.environ.get("ROS_DOMAIN_ID") or 0)
-                raise ConfigurationError(
-                    f"a graph with {', '.join(found)} runs already in ROS domain {domain}; "
-                    f"end it, or take another domain: ROS_DOMAIN_ID={(domain + 1) % 100} "
-                    "python -m greenroof_ros.bringup ..."
-                )
+                raise _company(f"a graph with {', '.join(found)} runs")
     finally:
         node.destroy_node()
         context.try_shutdown()
@@ -150,14 +177,19 @@ def _watch(run: Run, limit: float, supervisor: Supervisor) -> dict[str, dict[str
     return final
 
 
-@command
-def main() -> int:
-    """Bring the graph up, watch it, and end it."""
-    arguments = _parser().parse_args()
-    run = run_from_arguments(arguments)
-    for number in _SIGNALS:
-        signal.signal(number, _on_signal)
-    try:
+def _run_graph(
+    run: Run, arguments: argparse.Namespace
+) -> tuple[Path, dict[str, dict[str, Any]]]:
+    """Make the run's directory, start the nodes, watch them, and end them.
+
+    Returns:
+        The directory and the final report of each node.
+
+    Raises:
+        ConfigurationError: there is a graph already, no ROS 2, or the directory cannot be made.
+        NodeFailed: a node ended or hangs.
+    """
+    with _only_bringup():
         _refuse_company()
         directory = make_run_directory(arguments.output, run.controller)
         parameters = write_configuration(
@@ -174,9 +206,20 @@ def main() -> int:
                 supervisor.start(node, parameters)
             if not arguments.no_record:
                 supervisor.start("recorder", parameters)
-            final = _watch(run, arguments.peer_limit, supervisor)
+            return directory, _watch(run, arguments.peer_limit, supervisor)
+
+
+@command
+def main() -> int:
+    """Bring the graph up, watch it, and end it."""
+    arguments = _parser().parse_args()
+    run = run_from_arguments(arguments)
+    for number in _SIGNALS:
+        signal.signal(number, _on_signal)
+    try:
+        directory, final = _run_graph(run, arguments)
     except _Interrupted:
-        print("interrupted; the bag is closed", file=sys.stderr)
+        print("interrupted", file=sys.stderr)
         return EXIT_INTERRUPTED
     except NodeFailed as error:
         print(f"error: {error}", file=sys.stderr)

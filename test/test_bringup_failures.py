@@ -126,6 +126,22 @@ def test_graph_that_is_there_already(domain: int, tmp_path: Path) -> None:
     assert process.wait(8) == 130
 
 
+def test_nodes_that_are_there_already(domain: int, tmp_path: Path) -> None:
+    """The same for nodes that were started by hand."""
+    weather = subprocess.Popen(
+        [sys.executable, "-m", "greenroof_ros.nodes.weather"],
+        cwd=tmp_path, env=environment(domain),
+    )
+    try:
+        time.sleep(4)  # until it is up
+        process = Process(domain, "bringup", "--output", "run", cwd=tmp_path)
+        assert process.wait(20) == 2
+        assert "a graph with weather runs already" in process.stderr()
+    finally:
+        weather.send_signal(signal.SIGINT)
+        assert weather.wait(8) == 0
+
+
 def test_node_that_was_never_started(domain: int, tmp_path: Path) -> None:
     """Plant and weather by hand, no controller: the plant names it and ends within its limit."""
     environ = environment(domain)
