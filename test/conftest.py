@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 import pytest
-from graph import own_domain
+from graph import Process, own_domain
 from hypothesis import settings
 
 # The same examples on every machine, and no limit on their time.
@@ -18,3 +18,10 @@ def domain() -> Iterator[int]:
     """A ROS domain of this session's own."""
     with own_domain() as number:
         yield number
+
+
+@pytest.fixture(autouse=True)
+def nothing_left() -> Iterator[None]:
+    """A run that a failed test leaves behind must not meet the next test's."""
+    yield
+    Process.end_all()

@@ -5,14 +5,15 @@ from __future__ import annotations
 import fcntl
 import json
 import os
+import signal
 import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 _SHARED_MEMORY = Path("/dev/shm")
 
@@ -43,22 +44,17 @@ def environment(domain: int) -> dict[str, str]:
     }
 
 
-def orphans() -> set[str]:
-    """Return Fast DDS's shared-memory files that no living process maps or has open."""
-    held = set()
-    for process in Path("/proc").glob("[0-9]*"):
-        try:
-            held.update(Path(line.split()[-1]).name for line in (process / "maps").open())
-            held.update(entry.readlink().name for entry in (process / "fd").iterdir())
-        except OSError:
-            continue
-    stems = {name.removesuffix("_el") for name in held}
-    return {
-        entry.name
-        for entry in _SHARED_MEMORY.iterdir()
-        if "fastrtps" in entry.name
-        and entry.name.removeprefix("sem.").removesuffix("_mutex").removesuffix("_el") not in stems
-    }
+def shared_memory_of(pids: Iterable[int]) -> set[Path]:
+    """Return Fast DDS's shared-memory files that living processes own: they hold their locks."""
+    owned = set()
+    for pid in pids:
+        for entry in Path(f"/proc/{pid}/fd").iterdir():
+            target = entry.readlink()
+            if target.parent == _SHARED_MEMORY and target.name.endswith("_el"):
+                name = target.name.removesuffix("_el")
+                owned |= {target, _SHARED_MEMORY / name, _SHARED_MEMORY / f"sem.{name}_mutex"}
+    assert owned
+    return owned
 
 
 def wait_for(condition: Callable[[], Any], seconds: float, what: str) -> Any:
@@ -75,6 +71,8 @@ def wait_for(condition: Callable[[], Any], seconds: float, what: str) -> Any:
 class Process:
     """A command of this package as a user would start it, in a session of its own."""
 
+    started: ClassVar[list[Process]] = []
+
     def __init__(self, domain: int, module: str, *arguments: str, cwd: Path) -> None:
         self.cwd = cwd
         number = len(list(cwd.glob("*.err")))
@@ -85,6 +83,16 @@ class Process:
             cwd=cwd, env=environment(domain), stdin=subprocess.DEVNULL,
             stdout=self._out, stderr=self._err, start_new_session=True,
         )
+        self.started.append(self)
+
+    @classmethod
+    def end_all(cls) -> None:
+        """End what a test that failed left running."""
+        for process in cls.started:
+            if process.process.poll() is None:
+                process.process.send_signal(signal.SIGINT)
+                process.wait(15)
+        cls.started.clear()
 
     def nodes(self) -> dict[str, int]:
         """Return the process id of each node that this bringup started."""

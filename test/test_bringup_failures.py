@@ -16,7 +16,7 @@ from graph import (
     bag_file,
     bring_up,
     environment,
-    orphans,
+    shared_memory_of,
     wait_for,
     wait_for_ticks,
 )
@@ -36,10 +36,10 @@ def started(domain: int, cwd: Path, *arguments: str) -> tuple[Process, dict[str,
     return process, nodes
 
 
-def assert_gone(nodes: dict[str, int], before: set[str]) -> None:
+def assert_gone(nodes: dict[str, int], shared_memory: set[Path]) -> None:
     """No process and no shared memory of the run stays behind."""
     assert not [name for name, pid in nodes.items() if alive(pid)]
-    assert orphans() <= before
+    assert not [file for file in shared_memory if file.exists()]
 
 
 def readable_ticks(run: Path) -> int:
@@ -52,12 +52,12 @@ def readable_ticks(run: Path) -> int:
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM], ids=["ctrl-c", "sigterm"])
 def test_interrupted(domain: int, tmp_path: Path, number: signal.Signals) -> None:
     """It ends within seconds with exit code 130, no traceback, and a bag that is closed."""
-    before = orphans()
     process, nodes = started(domain, tmp_path)
+    shared_memory = shared_memory_of(nodes.values())
     process.process.send_signal(number)
     assert process.wait(8) == 130
     assert "Traceback" not in process.stderr()
-    assert_gone(nodes, before)
+    assert_gone(nodes, shared_memory)
     assert readable_ticks(tmp_path / "run") > 0
     assert (tmp_path / "run" / "bag" / "metadata.yaml").exists()
 
@@ -65,27 +65,27 @@ def test_interrupted(domain: int, tmp_path: Path, number: signal.Signals) -> Non
 @pytest.mark.parametrize("victim", NODES)
 def test_killed_node(domain: int, tmp_path: Path, victim: str) -> None:
     """kill -9 of any node ends the run at once, with its name, and leaves nothing behind."""
-    before = orphans()
     process, nodes = started(domain, tmp_path)
+    shared_memory = shared_memory_of(nodes.values())
     os.kill(nodes[victim], signal.SIGKILL)
     assert process.wait(8) == 1
     assert f"node {victim} ended (SIGKILL)" in process.stderr()
     assert "Traceback" not in process.stderr()
-    assert_gone(nodes, before)
+    assert_gone(nodes, shared_memory)
 
 
 @pytest.mark.parametrize("victim", NODES)
 def test_hanging_node(domain: int, tmp_path: Path, victim: str) -> None:
     """A node stopped for longer than the limit ends the run soon after it, with its name."""
-    before = orphans()
     process, nodes = started(domain, tmp_path, "--peer-limit", "2")
+    shared_memory = shared_memory_of(nodes.values())
     os.kill(nodes[victim], signal.SIGSTOP)
     stopped = time.monotonic()
     assert process.wait(12) == 1
     assert time.monotonic() - stopped > 1.5
     assert victim in process.stderr()
     assert "Traceback" not in process.stderr()
-    assert_gone(nodes, before)
+    assert_gone(nodes, shared_memory)
 
 
 def test_pause_shorter_than_the_limit_changes_nothing(domain: int, tmp_path: Path) -> None:

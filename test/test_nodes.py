@@ -160,9 +160,8 @@ def test_two_masters(domain: int, tmp_path: Path, observer: Observer) -> None:
     """A second publisher of the command ends the run, and the message names the topic."""
     process = Process(domain, "bringup", "--output", "run", cwd=tmp_path)
     wait_for_ticks(tmp_path / "run")
-    rogue = observer.node.create_publisher(Float64, "/pump/command", qos("/pump/command"))
+    observer.node.create_publisher(Float64, "/pump/command", qos("/pump/command"))
     observer.until(lambda: process.process.poll() is not None, 15, "the end of the run")
-    assert rogue.get_subscription_count() == 0
     assert process.wait(1) == 1
     assert "/pump/command has 2 publishers (mpc, observer)" in process.stderr()
     assert "Traceback" not in process.stderr()
