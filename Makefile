@@ -43,7 +43,7 @@ help:
 	@echo "make run    the 12 h of the paper with the predictive controller, as a node graph"
 	@echo "make test   every test"
 	@echo "make lint   ruff and mypy"
-	@echo "make bench  solve times, beside those of do-mpc"
+	@echo "make bench  the speed of graph and controller, as ratios"
 	@echo "make clean  remove .venv and all else that can be made again; runs/ stays"
 
 run: $(FOR_RUN)

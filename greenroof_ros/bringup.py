@@ -17,7 +17,6 @@ from typing import Any
 from greenroof_ros import summary
 from greenroof_ros.command_line import (
     EXIT_DONE,
-    EXIT_FAILED,
     EXIT_INTERRUPTED,
     command,
 )
@@ -29,8 +28,8 @@ from greenroof_ros.run import (
     Run,
     add_output_arguments,
     add_run_arguments,
-    positive,
     run_from_arguments,
+    within,
 )
 from greenroof_ros.run_directory import make_run_directory, write_configuration
 from greenroof_ros.supervisor import NodeFailed, Supervisor
@@ -40,17 +39,38 @@ from greenroof_ros.supervisor import NodeFailed, Supervisor
 _LISTEN_S = 1.0
 # From the start of the processes to all being ready (s): imports on a busy machine take seconds.
 _START_LIMIT_S = 30.0
-_SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+# Above it the ports of a domain run into those that the system lends.
+_LAST_DOMAIN = 101
 
 
 class _Interrupted(Exception):
-    """Ctrl-C, or SIGTERM."""
+    """Ctrl-C, or SIGTERM, or the terminal was closed."""
 
 
-def _on_signal(signum: int, frame: Any) -> None:
-    for number in _SIGNALS:
-        signal.signal(number, signal.SIG_IGN)  # once is enough; what follows is the clean end
-    raise _Interrupted
+class _Signals:
+    """Notes that a signal came; the run looks at it where it can end cleanly.
+
+    An exception out of the handler could fall into the middle of anything, the end of the nodes
+    among it.
+    """
+
+    def __init__(self) -> None:
+        self._came = False
+        for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
+            signal.signal(number, self._on_signal)
+
+    def _on_signal(self, signum: int, frame: Any) -> None:
+        self._came = True
+
+    def ignore(self) -> None:
+        """Take no further one: the end of the interpreter would be ended by it."""
+        for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
+            signal.signal(number, signal.SIG_IGN)
+
+    def check(self) -> None:
+        """Raise :class:`_Interrupted` if one came."""
+        if self._came:
+            raise _Interrupted
 
 
 def _parser() -> argparse.ArgumentParser:
@@ -71,18 +91,27 @@ def _parser() -> argparse.ArgumentParser:
         "(default: %(default)s)",
     )
     group.add_argument(
-        "--peer-limit", type=positive, default=5.0, metavar="S",
+        "--peer-limit", type=within(0.1, 1e6), default=5.0, metavar="S",
         help="longest wait for a node, in wall time (default: %(default)s s)",
     )
     return parser
 
 
 def _company(what: str) -> ConfigurationError:
-    domain = int(os.environ.get("ROS_DOMAIN_ID") or 0)
+    domain = _domain()
     return ConfigurationError(
         f"{what} already in ROS domain {domain}; end it, or take another domain: "
         f"ROS_DOMAIN_ID={domain % 100 + 1} python -m greenroof_ros.bringup ..."
     )
+
+
+def _domain() -> int:
+    text = os.environ.get("ROS_DOMAIN_ID") or "0"
+    if not text.isdecimal() or int(text) > _LAST_DOMAIN:
+        raise ConfigurationError(
+            f"must be a number from 0 to {_LAST_DOMAIN}", key="ROS_DOMAIN_ID", value=text
+        )
+    return int(text)
 
 
 @contextmanager
@@ -94,8 +123,8 @@ def _only_bringup() -> Iterator[None]:
     Raises:
         ConfigurationError: one runs already.
     """
-    domain = os.environ.get("ROS_DOMAIN_ID") or "0"
-    path = Path(tempfile.gettempdir()) / f"greenroof_ros-{os.getuid()}-domain-{domain}.lock"
+    name = f"greenroof_ros-{os.getuid()}-domain-{_domain()}.lock"
+    path = Path(tempfile.gettempdir()) / name
     with path.open("w") as stream:
         try:
             fcntl.flock(stream, fcntl.LOCK_EX | fcntl.LOCK_NB)
@@ -104,7 +133,7 @@ def _only_bringup() -> Iterator[None]:
         yield
 
 
-def _refuse_company() -> None:
+def _refuse_company(signals: _Signals) -> None:
     """Listen whether nodes of the same names are in the graph already.
 
     The node that listens leaves the graph again: nothing of this process takes part in the run.
@@ -129,6 +158,7 @@ def _refuse_company() -> None:
     try:
         until = time.monotonic() + _LISTEN_S
         while time.monotonic() < until:
+            signals.check()
             time.sleep(0.05)
             present = node.get_node_names_and_namespaces()
             found = sorted(
@@ -141,13 +171,16 @@ def _refuse_company() -> None:
         context.try_shutdown()
 
 
-def _watch(run: Run, limit: float, supervisor: Supervisor) -> dict[str, dict[str, Any]]:
+def _watch(
+    run: Run, limit: float, supervisor: Supervisor, signals: _Signals
+) -> dict[str, dict[str, Any]]:
     """Watch the nodes until all have reported the end of the run.
 
     Args:
         run: what was asked for.
         limit: longest silence of a node (s).
         supervisor: has started the nodes.
+        signals: looked at ten times a second.
 
     Returns:
         The final report of each node.
@@ -159,6 +192,7 @@ def _watch(run: Run, limit: float, supervisor: Supervisor) -> dict[str, dict[str
     final: dict[str, dict[str, Any]] = {}
     with RunProgress(run.steps, run.site.tau) as progress:
         while len(final) < len(supervisor.nodes):
+            signals.check()
             for node, report in supervisor.reports():
                 if report["state"] != STARTING:
                     waiting.discard(node)
@@ -178,7 +212,7 @@ def _watch(run: Run, limit: float, supervisor: Supervisor) -> dict[str, dict[str
 
 
 def _run_graph(
-    run: Run, arguments: argparse.Namespace
+    run: Run, arguments: argparse.Namespace, signals: _Signals
 ) -> tuple[Path, dict[str, dict[str, Any]]]:
     """Make the run's directory, start the nodes, watch them, and end them.
 
@@ -190,7 +224,7 @@ def _run_graph(
         NodeFailed: a node ended or hangs.
     """
     with _only_bringup():
-        _refuse_company()
+        _refuse_company(signals)
         directory = make_run_directory(arguments.output, run.controller)
         parameters = write_configuration(
             directory, run,
@@ -206,24 +240,25 @@ def _run_graph(
                 supervisor.start(node, parameters)
             if not arguments.no_record:
                 supervisor.start("recorder", parameters)
-            return directory, _watch(run, arguments.peer_limit, supervisor)
+            return directory, _watch(run, arguments.peer_limit, supervisor, signals)
 
 
 @command
 def main() -> int:
     """Bring the graph up, watch it, and end it."""
     arguments = _parser().parse_args()
+    signals = _Signals()
     run = run_from_arguments(arguments)
-    for number in _SIGNALS:
-        signal.signal(number, _on_signal)
     try:
-        directory, final = _run_graph(run, arguments)
+        directory, final = _run_graph(run, arguments, signals)
     except _Interrupted:
+        signals.ignore()
         print("interrupted", file=sys.stderr)
         return EXIT_INTERRUPTED
     except NodeFailed as error:
+        signals.ignore()
         print(f"error: {error}", file=sys.stderr)
-        return EXIT_FAILED
+        return error.code
     controller = final[run.controller]
     plant = final["plant"]
     refused: dict[str, int] = {}

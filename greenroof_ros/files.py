@@ -40,6 +40,8 @@ def read_text(path: Path) -> str:
         ConfigurationError: it cannot be read, is empty, is not UTF-8 text, or starts with a byte
             order mark.
     """
+    if path.exists() and not path.is_file():
+        raise ConfigurationError("must be a regular file", file=path)
     try:
         raw = path.read_bytes()
     except OSError as error:

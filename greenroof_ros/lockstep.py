@@ -118,6 +118,7 @@ class Link:
         self._fresh = 0
         self._all = 0
         self._joining = True
+        self._acted = False
         self._last_arrival = time.monotonic()
         self._publishers: dict[str, Any] = {}
         self._state = STARTING
@@ -215,6 +216,7 @@ class Link:
             self._fresh |= entry.bit
             if self._fresh == self._all:
                 self._fresh = 0
+                self._acted = True
                 self._act()
 
         return callback
@@ -287,10 +289,11 @@ class Link:
                 break
             time.sleep(0.02)
         if watched or len(names) > 1:
-            raise LockstepError(
-                f"{topic.name} has {count} publishers ({', '.join(names)}); "
-                "a graph must have exactly one"
+            message = (
+                f"{topic.name} has {count} publishers ({', '.join(names)}); a graph must have "
+                "exactly one: end the other, or take another ROS_DOMAIN_ID"
             )
+            raise LockstepError(message) if self._acted else ConfigurationError(message)
 
     # --- running ----------------------------------------------------------------------------
 
@@ -346,6 +349,7 @@ class Link:
         ):
             self._joining = False
             self._fresh = 0
+            self._acted = True
             self._act()
 
     def finish(self, **values: Any) -> None:

@@ -47,7 +47,7 @@ class Metrics:
 
         Args:
             site: the parameters of Table I.
-            command: the command applied (1); 0 where a pump driver makes the flow.
+            command: the command given (1); a pump driver makes of it what it can.
             precipitation: rain (m/s).
             flows: what moves (m3/s).
         """

@@ -83,7 +83,11 @@ def run_node(name: str, build: Callable[[Node], Link], args: list[str] | None = 
         pass
     finally:
         if link is not None:
-            link.stop()
+            try:
+                link.stop()
+            except OSError as error:
+                node.get_logger().fatal(str(error))
+                code = EXIT_FAILED
             link.flush()
         node.destroy_node()
         rclpy.try_shutdown()

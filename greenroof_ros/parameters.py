@@ -19,9 +19,9 @@ def declare(
     name: str,
     default: str | float | int | bool,
     description: str,
-    *,
     low: float | None = None,
     high: float | None = None,
+    *,
     among: tuple[str, ...] = (),
     read_only: bool = True,
 ) -> Any:

@@ -46,7 +46,12 @@ def recover(directory: Path, output: Path | None = None) -> tuple[Path, int]:
                 raise ConfigurationError(
                     f"holds {', '.join(foreign)}, which is no topic of this graph", file=files[0]
                 )
-            writer = BagWriter(target, [contract[channel.topic] for channel in channels])
+            try:
+                writer = BagWriter(target, [contract[channel.topic] for channel in channels])
+            except OSError as error:
+                raise ConfigurationError(
+                    f"cannot be written: {error.strerror}", file=target
+                ) from error
         writer.write_tick(time_ns, messages)
         if writer.ticks % _TICKS_PER_CHUNK == 0:
             writer.flush()

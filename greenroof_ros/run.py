@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 from datetime import datetime, timedelta, tzinfo
 from pathlib import Path
@@ -12,6 +13,7 @@ from greenroof_ros.controllers import Controller
 from greenroof_ros.errors import ConfigurationError
 from greenroof_ros.files import YamlMapping, number, read_yaml, shared_directory
 from greenroof_ros.site import Site, read_site
+from greenroof_ros.topics import read_topics
 from greenroof_ros.weather import Weather, WeatherSeries, parse_time, read_weather
 
 DEFAULT_START = "2021-07-07T02:00-05:00"
@@ -23,8 +25,13 @@ INITIAL_STATES = {
     "high-high": (1.3, 1.3),
 }
 
-# The parameters that each controller's YAML file holds.
-CONTROLLERS = {"mpc": ("weight", "max_command"), "onoff": ("fraction",)}
+# The parameters of each controller, in its YAML file and of its node, with their range.
+CONTROLLERS = {
+    "mpc": {"weight": (1e-9, 1e6), "max_command": (1e-9, math.inf)},
+    "onoff": {"fraction": (1e-9, 1e6)},
+}
+# A year of seconds, as much as fits into memory and patience.
+_MOST_STEPS = 31_622_400
 
 
 def initial_state(site: Site, name: str) -> tuple[float, float]:
@@ -60,21 +67,13 @@ def read_parameters(path: Path, controller: str) -> dict[str, float]:
         if key not in parameters:
             raise ConfigurationError("is missing", file=path, key=key)
         values[key] = number(path, parameters, key)
-        reason = refused_parameter(key, values[key])
-        if reason:
+        low, high = CONTROLLERS[controller][key]
+        if not low <= values[key] <= high:
             raise ConfigurationError(
-                reason, file=path, line=parameters.lines[key], key=key, value=parameters[key]
+                f"must be from {low:g} to {high:g}",
+                file=path, line=parameters.lines[key], key=key, value=parameters[key],
             )
     return values
-
-
-def refused_parameter(name: str, value: float) -> str | None:
-    """Say why a controller's parameter cannot be used, or None if it can."""
-    if not value > 0:
-        return "must be greater than 0"
-    if name != "max_command" and not math.isfinite(value):
-        return "must be finite"
-    return None
 
 
 def make_controller(name: str, site: Site, parameters: dict[str, float]) -> Controller:
@@ -130,25 +129,17 @@ def epoch_ns(time: datetime) -> int:
     return (time - epoch) // timedelta(microseconds=1) * 1000
 
 
-def positive(text: str) -> float:
-    """Parse an option that must be a finite number greater than 0."""
-    value = float(text)
-    if not (value > 0 and math.isfinite(value)):
-        raise ValueError
-    return value
+def within(low: float, high: float) -> Callable[[str], float]:
+    """Return what parses an option that must be a number from low to high."""
 
+    def parse(text: str) -> float:
+        value = float(text)
+        if not low <= value <= high:
+            raise ValueError
+        return value
 
-positive.__name__ = "number greater than 0"  # argparse puts it into its message
-
-
-def _volume(text: str) -> float:
-    value = float(text)
-    if not (value >= 0 and math.isfinite(value)):
-        raise ValueError
-    return value
-
-
-_volume.__name__ = "volume in m3"
+    parse.__name__ = f"number from {low:g} to {high:g}"  # argparse puts it into its message
+    return parse
 
 
 def add_run_arguments(parser: argparse.ArgumentParser) -> None:
@@ -163,14 +154,15 @@ def add_run_arguments(parser: argparse.ArgumentParser) -> None:
         help="initial levels of cistern and roof, Table II of the paper (default: low-low)",
     )
     group.add_argument(
-        "--cistern", type=_volume, metavar="V",
+        "--cistern", type=within(0, 1e9), metavar="V",
         help="instead of --initial: volume in the cistern (m3); --roof must be given too",
     )
     group.add_argument(
-        "--roof", type=_volume, metavar="V", help="instead of --initial: volume on the roof (m3)"
+        "--roof", type=within(0, 1e9), metavar="V",
+        help="instead of --initial: volume on the roof (m3)",
     )
     group.add_argument(
-        "--hours", type=positive, metavar="H",
+        "--hours", type=within(1e-9, 1e9), metavar="H",
         help="length of the run in simulated hours (default: N of the site file, 12 h)",
     )
     group.add_argument(
@@ -187,22 +179,22 @@ def add_run_arguments(parser: argparse.ArgumentParser) -> None:
         f"the weather file's own (default: {DEFAULT_START}, the paper's window)",
     )
     group.add_argument(
-        "--weight", type=positive, metavar="LAMBDA",
+        "--weight", type=within(*CONTROLLERS["mpc"]["weight"]), metavar="LAMBDA",
         help="mpc: price of pumping, lambda in the paper, 1e-5 to 0.1 there "
         "(default: config/mpc.yaml)",
     )
     group.add_argument(
-        "--fraction", type=positive, metavar="V",
+        "--fraction", type=within(*CONTROLLERS["onoff"]["fraction"]), metavar="V",
         help="onoff: command when pumping, v in the paper, 0.2 to 2 there "
         "(default: config/onoff.yaml)",
     )
 
 
 def _speed(text: str) -> float:
-    return 0.0 if text == "max" else positive(text)
+    return 0.0 if text == "max" else within(1e-9, 1e9)(text)
 
 
-_speed.__name__ = "speed: max, or a factor greater than 0"
+_speed.__name__ = "speed: max, or a factor from 1e-9 to 1e9"
 
 
 def add_output_arguments(parser: argparse.ArgumentParser) -> None:
@@ -259,8 +251,7 @@ def run_from_arguments(arguments: argparse.Namespace) -> Run:
 
     steps = site.N
     if arguments.hours is not None:
-        ticks = arguments.hours * 3600 / site.tau
-        steps = round(ticks) if math.isfinite(ticks) else 0
+        steps = round(arguments.hours * 3600 / site.tau)
         if steps < 1 or not math.isclose(steps * site.tau, arguments.hours * 3600, rel_tol=1e-9):
             raise ConfigurationError(
                 f"must be a whole number of ticks of {site.tau:g} s, at least one",
@@ -269,12 +260,24 @@ def run_from_arguments(arguments: argparse.Namespace) -> Run:
     weather = read_weather(
         arguments.weather or shared / "config" / "weather" / "toronto_2021-07.csv"
     )
+    if steps > _MOST_STEPS:
+        raise ConfigurationError(
+            f"makes {steps} ticks of {site.tau:g} s; must be at most {_MOST_STEPS}", key="--hours"
+        )
     start = read_start(arguments.start or DEFAULT_START, weather.first.tzinfo)
+    series = WeatherSeries(weather, site, start, steps)
+    for topic, largest in (
+        ("/cistern/level", site.cistern_level(x1)),
+        ("/roof/level", site.roof_level(x2)),
+        ("/weather/precipitation", series.largest_precipitation),
+        ("/weather/evapotranspiration", series.largest_evapotranspiration),
+    ):
+        _check_range(topic, largest)
     return Run(
         site_file=site_file,
         site=site,
         weather=weather,
-        series=WeatherSeries(weather, site, start, steps),
+        series=series,
         start=start,
         steps=steps,
         controller=name,
@@ -283,6 +286,16 @@ def run_from_arguments(arguments: argparse.Namespace) -> Run:
         x1=x1,
         x2=x2,
     )
+
+
+def _check_range(name: str, largest: float) -> None:
+    """Refuse a run whose values the nodes would refuse: both engines give the same numbers."""
+    topic = read_topics()[name]
+    if largest > topic.high:
+        raise ConfigurationError(
+            f"the run has {largest:g} {topic.unit} on {name}, where at most {topic.high:g} "
+            "is accepted (msg_defs/topics.yaml); is a unit wrong?"
+        )
 
 
 def read_start(text: str, zone: tzinfo | None = None) -> datetime:

@@ -52,8 +52,19 @@ def write_configuration(directory: Path, run: Run, nodes: dict[str, object]) -> 
 
     Returns:
         The ROS 2 parameter file that all nodes of the run read.
+
+    Raises:
+        ConfigurationError: the directory cannot be written.
     """
-    configuration = directory / "configuration"
+    try:
+        return _write_configuration(directory / "configuration", run, nodes)
+    except OSError as error:
+        raise ConfigurationError(
+            f"cannot be written: {error.strerror}", key="--output", value=str(directory)
+        ) from error
+
+
+def _write_configuration(configuration: Path, run: Run, nodes: dict[str, object]) -> Path:
     site_file = configuration / "site.yaml"
     weather_file = configuration / "weather.csv"
     shutil.copyfile(run.site_file, site_file)
@@ -64,7 +75,11 @@ def write_configuration(directory: Path, run: Run, nodes: dict[str, object]) -> 
         "plant": {**common, **span, "cistern": run.x1, "roof": run.x2, **nodes},
         "weather": {**common, **span, "weather_file": str(weather_file)},
         run.controller: {**common, **run.parameters},
-        "recorder": {"directory": str(directory / "bag"), "controller": run.controller},
+        "recorder": {
+            **({"peer_limit": nodes["peer_limit"]} if nodes else {}),
+            "directory": str(configuration.parent / "bag"),
+            "controller": run.controller,
+        },
     }
     file = configuration / "parameters.yaml"
     file.write_text(

@@ -57,6 +57,8 @@ def main() -> int:
     run = run_from_arguments(arguments)
     tau = run.site.tau
     with ExitStack() as stack:
+        directory = make_run_directory(arguments.output, run.controller)
+        write_configuration(directory, run, {})
         rows: Any = None
         if arguments.trajectory is not None:
             try:
@@ -68,8 +70,6 @@ def main() -> int:
                 ) from error
             rows = csv.writer(stream)
             rows.writerow(TRAJECTORY_COLUMNS)
-        directory = make_run_directory(arguments.output, run.controller)
-        write_configuration(directory, run, {})
         controller = make_controller(run.controller, run.site, run.parameters)
         metrics = Metrics()
         progress = stack.enter_context(RunProgress(run.steps, tau))

@@ -11,8 +11,9 @@ from greenroof_ros.errors import ConfigurationError
 from greenroof_ros.files import number, read_yaml
 
 _MAY_BE_ZERO = {"k_L", "z_pump", "z_H"}
-_WHOLE = {"M", "N"}
-_MOST_TICKS = 10**9
+_MOST_TICKS = {"M": 1000, "N": 31_622_400}
+# No parameter of any site is beyond these, and nothing computed from them overflows.
+_LEAST, _LARGEST = 1e-12, 1e9
 # A product that a person rounds when writing it down, such as x2_star, is still consistent.
 _ROUNDING = 1e-6
 
@@ -142,6 +143,9 @@ def read_site(path: Path) -> Site:
 
         if not math.isfinite(value):
             raise refuse("must be finite")
+        least = 0.0 if value == 0 or name in _MAY_BE_ZERO else _LEAST
+        if not least <= abs(value) <= _LARGEST:
+            raise refuse(f"must be from {least:g} to {_LARGEST:g} in size; is a unit wrong?")
         if name == "a_hat":
             if value >= 0:
                 raise refuse("must be negative: the head of a pump falls as its flow rises")
@@ -150,9 +154,9 @@ def read_site(path: Path) -> Site:
                 raise refuse("must not be negative")
         elif value <= 0:
             raise refuse("must be greater than 0")
-        if name in _WHOLE:
-            if value != int(value) or value > _MOST_TICKS:
-                raise refuse(f"must be a whole number of ticks, at most {_MOST_TICKS}")
+        if name in _MOST_TICKS:
+            if value != int(value) or value > _MOST_TICKS[name]:
+                raise refuse(f"must be a whole number of ticks, at most {_MOST_TICKS[name]}")
             value = int(value)
         values[name] = value
     site = Site(**values)  # type: ignore[arg-type]  # M and N were made whole above
@@ -176,9 +180,9 @@ def read_site(path: Path) -> Site:
             "or the pumps never lift water to the roof (Eq. 3e)",
             file=path, line=mapping.lines["c_hat"], key="c_hat", value=mapping["c_hat"],
         )
-    if site.tau > 3600 or site.tau * 1e9 != round(site.tau * 1e9):
+    if not 0.001 <= site.tau <= 3600 or site.tau * 1e9 != round(site.tau * 1e9):
         raise ConfigurationError(
-            "must be a whole number of nanoseconds, and at most an hour, as weather is hourly",
+            "must be a whole number of nanoseconds, from 0.001 s to an hour, as weather is hourly",
             file=path, line=mapping.lines["tau"], key="tau", value=mapping["tau"],
         )
     return site

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import platform
 from collections.abc import Mapping
 from dataclasses import asdict
@@ -43,7 +44,10 @@ def build(
     repeats_from = run.series.repeats_from
     return {
         "controller": run.controller,
-        "parameters": dict(run.parameters),
+        # JSON has no infinity: null stands for "no bound".
+        "parameters": {
+            key: value if math.isfinite(value) else None for key, value in run.parameters.items()
+        },
         "initial": {"name": run.initial, "cistern_m3": run.x1, "roof_m3": run.x2},
         "start": run.start.isoformat(),
         "steps": run.steps,
@@ -76,7 +80,7 @@ def versions() -> dict[str, str]:
 
 def write(summary: Mapping[str, Any], path: Path) -> None:
     """Write a summary as JSON."""
-    path.write_text(json.dumps(summary, indent=2) + "\n", encoding="utf-8")
+    path.write_text(json.dumps(summary, indent=2, allow_nan=False) + "\n", encoding="utf-8")
 
 
 def table(summary: Mapping[str, Any]) -> Table:
@@ -85,7 +89,9 @@ def table(summary: Mapping[str, Any]) -> Table:
     grid.add_column(style="bold")
     grid.add_column(justify="right")
     grid.add_column()
-    parameters = ", ".join(f"{key} {value:g}" for key, value in summary["parameters"].items())
+    parameters = ", ".join(
+        f"{key} {value:g}" for key, value in summary["parameters"].items() if value is not None
+    )
     rows: list[tuple[str, str, str]] = [
         ("controller", summary["controller"], parameters),
         (
@@ -149,7 +155,7 @@ def table(summary: Mapping[str, Any]) -> Table:
 def show(summary: Mapping[str, Any], *, as_json: bool, path: Path | None) -> None:
     """Print a summary: as a table with the path of the run, or as JSON alone."""
     if as_json:
-        print(json.dumps(summary, indent=2))
+        print(json.dumps(summary, indent=2, allow_nan=False))
         return
     console = Console()
     console.print(table(summary))

@@ -17,6 +17,7 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any
 
+from greenroof_ros.command_line import EXIT_FAILED, EXIT_USAGE
 from greenroof_ros.node_report import REPORT_PIPE
 
 # Patience with a process that was told to end, before the next, harder signal (s).
@@ -27,7 +28,15 @@ _PR_SET_PDEATHSIG = 1
 
 
 class NodeFailed(Exception):
-    """A node of the run ended or hangs; the message names it and quotes its last lines."""
+    """A node of the run ended or hangs; the message names it and quotes its last lines.
+
+    Attributes:
+        code: what the run's exit code should be.
+    """
+
+    def __init__(self, message: str, code: int = EXIT_FAILED) -> None:
+        super().__init__(message)
+        self.code = code
 
 
 def _end_with_parent() -> None:
@@ -66,6 +75,7 @@ class Supervisor:
         self._heard: dict[str, float] = {}
         self._looked = time.monotonic()
         self._segments: dict[str, set[str]] = {}
+        self._spoke: set[str] = set()  # by then a node has all the shared memory that it will have
         logs.mkdir()
 
     def __enter__(self) -> Supervisor:
@@ -82,6 +92,13 @@ class Supervisor:
         # The recorder last, so that its bag holds all that the others said.
         for group in (self.nodes.keys() - {"recorder"}, self.nodes.keys() & {"recorder"}):
             self._end([self.nodes[node] for node in group])
+        recorder = self.nodes.get("recorder")
+        if recorder is not None and recorder.returncode and not isinstance(error, NodeFailed):
+            print(
+                "error: "
+                + self._with_last_lines("recorder", "the recorder could not close its bag"),
+                file=sys.stderr,
+            )
         self._clear_shared_memory()
 
     def start(self, node: str, parameters: Path) -> None:
@@ -111,6 +128,7 @@ class Supervisor:
             os.set_blocking(pipe, False)
             self._pipes.register(pipe, selectors.EVENT_READ, (node, use))
         self._heard[node] = time.monotonic()
+        self._segments[node] = set()
         self._last_lines[node] = deque(maxlen=_LAST_LINES)
 
     def reports(self) -> list[tuple[str, dict[str, Any]]]:
@@ -120,6 +138,9 @@ class Supervisor:
             # This process itself was stopped; what it did not hear is not the nodes' silence.
             self._heard = dict.fromkeys(self._heard, now)
         self._looked = now
+        for node, process in self.nodes.items():
+            if node not in self._spoke:
+                self._segments[node] = _held_segments(process.pid) or self._segments[node]
         for key, _ in self._pipes.select(timeout=0.1):
             self._read(key)
         found, self._reports = self._reports, []
@@ -137,8 +158,7 @@ class Supervisor:
             use(node, data)
 
     def _take_reports(self, node: str, data: bytes) -> None:
-        if node not in self._segments:
-            self._segments[node] = _held_segments(self.nodes[node].pid)
+        self._spoke.add(node)
         self._heard[node] = time.monotonic()
         # A line is far shorter than what a pipe takes whole, so no line comes in parts.
         self._reports += [(node, json.loads(line)) for line in data.splitlines()]
@@ -162,7 +182,10 @@ class Supervisor:
             code = process.poll()
             if code is not None:
                 how = f"exit code {code}" if code >= 0 else signal.Signals(-code).name
-                raise NodeFailed(self._with_last_lines(node, f"node {node} ended ({how})"))
+                raise NodeFailed(
+                    self._with_last_lines(node, f"node {node} ended ({how})"),
+                    EXIT_USAGE if code == EXIT_USAGE else EXIT_FAILED,
+                )
         for node, heard in self._heard.items():
             if time.monotonic() - heard > limit:
                 raise NodeFailed(

@@ -191,6 +191,8 @@ class WeatherSeries:
     Attributes:
         repeats_from: the time from which on the last record is repeated, because some tick's
             forecast window reaches past the end of the file; None if none does.
+        largest_precipitation: of the run (m/s).
+        largest_evapotranspiration: of the run (m3/s).
     """
 
     def __init__(self, weather: Weather, site: Site, start: datetime, steps: int) -> None:
@@ -224,6 +226,8 @@ class WeatherSeries:
         hour = np.minimum(hour, last)
         metres_per_second = weather.precipitation / 1000 / 3600
         cubic_metres_per_second = weather.evapotranspiration / 1000 / 86400 * site.a2
+        self.largest_precipitation = float(metres_per_second[hour].max())
+        self.largest_evapotranspiration = float(cubic_metres_per_second[hour].max())
         self._precipitation = array("d", metres_per_second[hour].tobytes())
         self._evapotranspiration = array("d", cubic_metres_per_second[hour].tobytes())
 

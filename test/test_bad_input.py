@@ -34,10 +34,16 @@ OPTIONS: dict[str, tuple[str, tuple[str, ...]]] = {
     "unknown-controller": ("--controller pid", ("--controller", "pid")),
     "unknown-initial": ("--initial low", ("--initial", "low-low")),
     "unknown-option": ("--horizon 30", ("--horizon",)),
-    "weight-zero": ("--weight 0", ("--weight", "greater than 0")),
+    "weight-zero": ("--weight 0", ("--weight", "1e-09")),
     "weight-negative": ("--weight=-0.1", ("--weight",)),
     "weight-nan": ("--weight nan", ("--weight",)),
     "weight-inf": ("--weight inf", ("--weight",)),
+    "weight-tiny": ("--weight 1e-10", ("--weight", "1e-09 to 1e+06")),
+    "fraction-huge": ("--controller onoff --fraction 1e7", ("--fraction", "1e+06")),
+    "speed-huge": ("--speed 1e10", ("--speed", "1e9")),
+    "cistern-deep": ("--cistern 2600 --roof 2.4", ("/cistern/level", "104 m", "100")),
+    "cistern-huge": ("--cistern 1e10 --roof 2", ("--cistern", "1e+09")),
+    "endless-file": ("--weather /dev/zero", ("/dev/zero", "regular file")),
     "weight-text": ("--weight heavy", ("--weight", "heavy")),
     "weight-for-onoff": ("--controller onoff --weight 0.1", ("--weight", "mpc", "onoff")),
     "fraction-for-mpc": ("--fraction 0.5", ("--fraction", "onoff")),
@@ -47,7 +53,7 @@ OPTIONS: dict[str, tuple[str, tuple[str, ...]]] = {
     "hours-nan": ("--hours nan", ("--hours",)),
     "hours-broken-tick": ("--hours 0.0001", ("--hours", "whole number of ticks")),
     "hours-beyond-the-file": ("--hours 1000", ("toronto_2021-07.csv", "2021-07-10T00:00-05:00")),
-    "hours-beyond-time": ("--hours 1e300", ("toronto_2021-07.csv", "hours")),
+    "hours-beyond-time": ("--hours 1e300", ("--hours", "1e+09")),
     "start-before-the-file": ("--start 2021-07-06T23:00-05:00", ("2021-07-07T00:00-05:00",)),
     "start-no-time": ("--start yesterday", ("start", "yesterday")),
     "start-impossible": ("--start 2021-07-32T02:00", ("start", "2021-07-32")),
@@ -79,11 +85,18 @@ SITES: dict[str, tuple[bytes, tuple[str, ...]]] = {
     "z_cap": (replaced(SITE, "\nz_cap: 34.4", "\nz_cap: 3.44").encode(), ("z_cap", "34.4 m3")),
     "x2_star": (replaced(SITE, "\nx2_star: 3.14416", "\nx2_star: 3").encode(), ("x2_star",)),
     "weak-pump": (replaced(SITE, "\nc_hat: 55.2", "\nc_hat: 5.52").encode(), ("c_hat", "15.25")),
+    "long-look-ahead": (replaced(SITE, "\nM: 10", "\nM: 1000000").encode(), ("M", "1000")),
+    "short-tick": (replaced(SITE, "\ntau: 1.0", "\ntau: 1e-9").encode(), ("tau", "0.001 s")),
+    "huge-outlet": (replaced(SITE, "\nr_o: 0.125", "\nr_o: 1e200").encode(), ("r_o", "1e+09")),
+    "tiny-pump": (
+        replaced(SITE, "\na_pump: 0.031415926535897934", "\na_pump: 1e-200").encode(),
+        ("a_pump", "1e-12"),
+    ),
     "sexagesimal": (replaced(SITE, "\nz_o: 3.0", "\nz_o: 3:0").encode(), ("z_o", "3:0")),
     "date": (replaced(SITE, "\nz_o: 3.0", "\nz_o: 2021-13-45").encode(), ("z_o", "number")),
     "no-float": (replaced(SITE, "\nz_o: 3.0", "\nz_o: !!float abc").encode(), ("YAML",)),
     "endless": (replaced(SITE, "\nz_o: 3.0", "\nz_o: " + "9" * 400).encode(), ("z_o", "finite")),
-    "long-tick": (replaced(SITE, "\ntau: 1.0", "\ntau: 1e300").encode(), ("tau", "hour")),
+    "long-tick": (replaced(SITE, "\ntau: 1.0", "\ntau: 7200.0").encode(), ("tau", "hour")),
     "half-a-tick": (replaced(SITE, "\nM: 10", "\nM: 10.5").encode(), ("M", "10.5", "whole")),
     "empty": (b"", ("empty",)),
     "binary": (bytes(range(256)), ("UTF-8",)),
@@ -162,3 +175,30 @@ def test_refused(
     if content is not None:
         assert "FILE" in message
     assert sorted(tmp_path.rglob("*")) == before
+
+
+@pytest.mark.parametrize("domain", ["abc", "300", "-1"])
+def test_wrong_domain(tmp_path: Path, domain: str) -> None:
+    """ROS_DOMAIN_ID is an input, too."""
+    done = subprocess.run(
+        [sys.executable, "-m", "greenroof_ros.bringup", "--hours", "0.01"],
+        cwd=tmp_path, env={**environment(99), "ROS_DOMAIN_ID": domain},
+        capture_output=True, text=True, timeout=60, check=False,
+    )
+    assert done.returncode == 2
+    assert f"ROS_DOMAIN_ID = '{domain}'" in done.stderr
+    assert "Traceback" not in done.stderr
+    assert not list(tmp_path.iterdir())
+
+
+def test_wrong_output_leaves_no_trajectory(tmp_path: Path) -> None:
+    """What is refused writes nothing, so that the mended command can be given again."""
+    done = subprocess.run(
+        [
+            sys.executable, "-m", "greenroof_ros.simulate", "--hours", "0.01",
+            "--trajectory", "run.csv", "--output", "/proc/greenroof",
+        ],
+        cwd=tmp_path, env=environment(99), capture_output=True, text=True, timeout=60, check=False,
+    )
+    assert done.returncode == 2
+    assert not list(tmp_path.iterdir())

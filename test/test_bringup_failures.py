@@ -105,6 +105,35 @@ def test_pause_shorter_than_the_limit_changes_nothing(domain: int, tmp_path: Pat
     assert bag_file(tmp_path / "run").read_bytes() == undisturbed
 
 
+@pytest.mark.parametrize("delay", [0.0, 0.005, 0.01, 0.02, 0.3, 1.0])
+def test_interrupted_while_starting(domain: int, tmp_path: Path, delay: float) -> None:
+    """Ctrl-C at any moment ends the run, and a second and third do not disturb its end."""
+    process = Process(domain, "bringup", "--output", "run", cwd=tmp_path)
+    wait_for((tmp_path / "run" / "log").exists, 20, "the start of the nodes")
+    time.sleep(delay)
+    nodes = process.nodes()
+    for _ in range(3):
+        process.process.send_signal(signal.SIGINT)
+        time.sleep(0.05)
+    assert process.wait(12) == 130
+    assert process.stderr().count("interrupted") == 1
+    assert "Traceback" not in process.stderr()
+    assert not [name for name, pid in nodes.items() if alive(pid)]
+
+
+def test_interrupted_while_ending(domain: int, tmp_path: Path) -> None:
+    """Ctrl-C after a node's death does not keep the rest from being ended, and told."""
+    process, nodes = started(domain, tmp_path)
+    shared_memory = shared_memory_of(nodes.values())
+    os.kill(nodes["weather"], signal.SIGKILL)
+    for _ in range(5):
+        time.sleep(0.1)
+        process.process.send_signal(signal.SIGINT)
+    assert process.wait(12) in (1, 130)
+    assert_gone(nodes, shared_memory)
+    assert (tmp_path / "run" / "bag" / "metadata.yaml").exists()
+
+
 def test_bringup_itself_killed(domain: int, tmp_path: Path) -> None:
     """kill -9 of bringup: the nodes end by themselves and the bag is closed."""
     process, nodes = started(domain, tmp_path)
@@ -136,7 +165,7 @@ def test_nodes_that_are_there_already(domain: int, tmp_path: Path) -> None:
         time.sleep(4)  # until it is up
         process = Process(domain, "bringup", "--output", "run", cwd=tmp_path)
         assert process.wait(20) == 2
-        assert "a graph with weather runs already" in process.stderr()
+        assert "ROS_DOMAIN_ID" in process.stderr()
     finally:
         weather.send_signal(signal.SIGINT)
         assert weather.wait(8) == 0

@@ -185,4 +185,4 @@ def test_what_is_no_site_file(tmp_path: Path, content: bytes, where: str, reason
 def test_unreadable_file(tmp_path: Path) -> None:
     """A file that is not there, and a directory."""
     assert "cannot be read: No such file" in refusal(tmp_path / "absent.yaml")
-    assert "cannot be read: Is a directory" in refusal(tmp_path)
+    assert "must be a regular file" in refusal(tmp_path)

@@ -12,7 +12,6 @@ from std_msgs.msg import Float64
 
 from greenroof_ros.controllers import Controller
 from greenroof_ros.lockstep import Link
-from greenroof_ros.run import refused_parameter
 
 
 class ControllerNode:
@@ -74,9 +73,6 @@ class ControllerNode:
         for parameter in parameters:
             if parameter.name != self._tunable:
                 continue
-            reason = refused_parameter(parameter.name, parameter.value)
-            if reason:
-                return SetParametersResult(successful=False, reason=f"{parameter.name} {reason}")
             setattr(self._controller, self._tunable, parameter.value)
             self._incidents.append(
                 {"tick": self._tick, "parameter": parameter.name, "value": parameter.value}

@@ -13,6 +13,7 @@ from greenroof_ros.lockstep import Link
 from greenroof_ros.node_process import run_node
 from greenroof_ros.nodes.controller import ControllerNode
 from greenroof_ros.parameters import declare, declare_site
+from greenroof_ros.run import CONTROLLERS
 
 
 def build(node: Node) -> Link:
@@ -20,10 +21,10 @@ def build(node: Node) -> Link:
     site = declare_site(node)
     weight = declare(
         node, "weight", 0.001, "lambda of Eq. (11): price of pumping (1); may be changed in a run",
-        low=1e-9, high=1e6, read_only=False,
+        *CONTROLLERS["mpc"]["weight"], read_only=False,
     )
     max_command = declare(
-        node, "max_command", math.inf, "largest command (1)", low=1e-9, high=math.inf
+        node, "max_command", math.inf, "largest command (1)", *CONTROLLERS["mpc"]["max_command"]
     )
     controller = Mpc(site, weight, max_command)
     part = ControllerNode(node, "mpc", controller, "weight")

@@ -11,6 +11,7 @@ from greenroof_ros.lockstep import Link
 from greenroof_ros.node_process import run_node
 from greenroof_ros.nodes.controller import ControllerNode
 from greenroof_ros.parameters import declare, declare_site
+from greenroof_ros.run import CONTROLLERS
 
 
 def build(node: Node) -> Link:
@@ -18,7 +19,7 @@ def build(node: Node) -> Link:
     site = declare_site(node)
     fraction = declare(
         node, "fraction", 1.0, "v of Eq. (12): command when pumping (1); may be changed in a run",
-        low=1e-9, high=1e6, read_only=False,
+        *CONTROLLERS["onoff"]["fraction"], read_only=False,
     )
     controller = OnOff(site, fraction)
     return ControllerNode(node, "onoff", controller, "fraction").link

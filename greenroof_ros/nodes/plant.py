@@ -55,6 +55,7 @@ class PlantNode:
             node, "start_limit", 30.0, "longest wait for the other nodes to come (s of wall time)",
             low=0.1, high=1e6,
         )
+        self._node = node
         self._site = site
         self._plant = Plant(site, x1, x2)
         self._metrics = Metrics()
@@ -131,6 +132,10 @@ class PlantNode:
             self._done = True
             wall = time.monotonic() - self._began
             self.link.finish(metrics=asdict(self._metrics), wall_s=wall)
+            self._node.get_logger().info(
+                f"finished {self._steps} ticks in {wall:.1f} s; total deviation "
+                f"{self._metrics.total_deviation_m3:.2f} m3"
+            )
             return
         self._metrics.step(self._site, command, rain, flows)
         self._plant.step(rain, flows)

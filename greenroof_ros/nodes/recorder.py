@@ -89,11 +89,7 @@ class RecorderNode:
             self._bag.flush()
         except OSError as error:
             self._closed = True  # closing would only fail again
-            raise LockstepError(
-                f"{self._bag.directory}: {error.strerror}; the run ends here, and 'python -m "
-                f"greenroof_ros.recover {self._bag.directory}' restores its first "
-                f"{self._flushed} ticks"
-            ) from error
+            raise self._damaged(error) from error
         self._flushed = self._bag.ticks
         self._written.data = float(self._flushed)
         self._publish_written(self._written)
@@ -134,7 +130,17 @@ class RecorderNode:
 
     def _close(self) -> None:
         self._closed = True
-        self._bag.close()
+        try:
+            self._bag.close()
+        except OSError as error:
+            raise self._damaged(error) from error
+
+    def _damaged(self, error: OSError) -> OSError:
+        bag = self._bag.directory
+        return OSError(
+            f"{bag}: {error.strerror}; the run ends here, and 'python -m greenroof_ros.recover "
+            f"{bag}' restores its first {self._flushed} ticks"
+        )
 
     def _stop(self) -> None:
         """Close the bag with the ticks that are whole."""
