@@ -21,6 +21,9 @@ from greenroof_ros.topics import Qos, Topic
 _METADATA_VERSION = 9
 _INFINITE = {"sec": 9223372036, "nsec": 854775807}
 _LIBRARY = "greenroof_ros"
+# How many ticks go to the operating system together. What a kill -9 can cost is what the plant is
+# ahead of them, at most 32 ticks.
+_TICKS_PER_CHUNK = 16
 
 
 def _qos_profile(qos: Qos) -> dict[str, Any]:
@@ -63,6 +66,7 @@ class BagWriter:
     Attributes:
         directory: the bag, ``metadata.yaml`` and one ``.mcap`` file.
         ticks: how many ticks were written.
+        safe: how many of them a killed process would leave behind.
     """
 
     def __init__(self, directory: Path, topics: Sequence[Topic]) -> None:
@@ -78,6 +82,7 @@ class BagWriter:
         """
         self.directory = directory
         self.ticks = 0
+        self.safe = 0
         self._topics = list(topics)
         self._first_ns: int | None = None
         self._last_ns = 0
@@ -105,7 +110,6 @@ class BagWriter:
                     },
                 )
             )
-        self.flush()
 
     def write_tick(self, time_ns: int, messages: Sequence[bytes]) -> None:
         """Write one tick.
@@ -113,6 +117,9 @@ class BagWriter:
         Args:
             time_ns: its simulated time, nanoseconds since 1970.
             messages: the serialised (CDR) message of each topic, in the order of the topics.
+
+        Raises:
+            OSError: for instance on a full disk.
         """
         if self._first_ns is None:
             self._first_ns = time_ns
@@ -121,6 +128,8 @@ class BagWriter:
         for channel, message in zip(self._channels, messages, strict=True):
             add(channel, time_ns, message, time_ns, self.ticks)
         self.ticks += 1
+        if self.ticks % _TICKS_PER_CHUNK == 0:
+            self.flush()
 
     def flush(self) -> None:
         """Hand everything written so far to the operating system; a killed process keeps it.
@@ -129,6 +138,7 @@ class BagWriter:
             OSError: for instance on a full disk.
         """
         self._writer.flush()
+        self.safe = self.ticks
 
     def close(self) -> None:
         """Finish the file and write ``metadata.yaml``.
@@ -139,6 +149,7 @@ class BagWriter:
         """
         self._writer.finish()
         self._stream.close()
+        self.safe = self.ticks
         (self.directory / "metadata.yaml").write_text(self._metadata(), encoding="utf-8")
 
     def _metadata(self) -> str:

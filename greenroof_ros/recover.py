@@ -10,9 +10,6 @@ from greenroof_ros.errors import ConfigurationError
 from greenroof_ros.recording import BagWriter, read_ticks
 from greenroof_ros.topics import read_topics
 
-# As often as the recorder does, so that a run that ended well is recovered to equal bytes.
-_TICKS_PER_CHUNK = 16
-
 
 def recover(directory: Path, output: Path | None = None) -> tuple[Path, int]:
     """Write every whole tick of a damaged bag into a new bag.
@@ -53,8 +50,6 @@ def recover(directory: Path, output: Path | None = None) -> tuple[Path, int]:
                     f"cannot be written: {error.strerror}", file=target
                 ) from error
         writer.write_tick(time_ns, messages)
-        if writer.ticks % _TICKS_PER_CHUNK == 0:
-            writer.flush()
     if writer is None:
         raise ConfigurationError("holds not one whole tick", file=files[0])
     writer.close()

@@ -20,10 +20,6 @@ from greenroof_ros.recording import BagWriter
 from greenroof_ros.run import CONTROLLERS
 from greenroof_ros.topics import recorded_topics
 
-# How many ticks go to the operating system together: what a kill -9 can cost at most is this and
-# what the plant is ahead, which the plant bounds to 32 ticks in all.
-_TICKS_PER_FLUSH = 16
-
 
 class RecorderNode:
     """Writes ticks whole, in the order of the contract, stamped with their simulated time.
@@ -49,7 +45,6 @@ class RecorderNode:
                 "exists; the recorder never writes over a bag", key="directory", value=directory
             ) from None
         self._closed = False
-        self._flushed = 0
         self._finished_at: float | None = None
         self.link = link = Link(node, "recorder")
         link.turn = self._turn
@@ -79,19 +74,17 @@ class RecorderNode:
             messages = [queue.popleft() for queue in queues]
             # CDR: four bytes of header, then seconds and nanoseconds.
             seconds, nanoseconds = struct.unpack_from("<iI", messages[self._clock], 4)
-            self._bag.write_tick(seconds * 1_000_000_000 + nanoseconds, messages)
-            if self._bag.ticks % _TICKS_PER_FLUSH == 0:
-                self._flush()
+            try:
+                self._bag.write_tick(seconds * 1_000_000_000 + nanoseconds, messages)
+            except OSError as error:
+                self._closed = True  # closing would only fail again
+                raise self._damaged(error) from error
+            if self._bag.safe == self._bag.ticks:
+                self._report_written()
         self._waiting = sum(not queue for queue in queues)
 
-    def _flush(self) -> None:
-        try:
-            self._bag.flush()
-        except OSError as error:
-            self._closed = True  # closing would only fail again
-            raise self._damaged(error) from error
-        self._flushed = self._bag.ticks
-        self._written.data = float(self._flushed)
+    def _report_written(self) -> None:
+        self._written.data = float(self._bag.safe)
         self._publish_written(self._written)
 
     def _turn(self) -> float:
@@ -110,9 +103,8 @@ class RecorderNode:
         complete = self._bag.ticks == ticks and not missing
         if not complete and not late:
             return
-        if self._flushed != self._bag.ticks:
-            self._flush()
         self._close()
+        self._report_written()
         if missing:
             raise LockstepError(f"no word from {', '.join(missing)} of what it sent")
         sent: dict[str, int] = {}
@@ -139,7 +131,7 @@ class RecorderNode:
         bag = self._bag.directory
         return OSError(
             f"{bag}: {error.strerror}; the run ends here, and 'python -m greenroof_ros.recover "
-            f"{bag}' restores its first {self._flushed} ticks"
+            f"{bag}' restores its first {self._bag.safe} ticks"
         )
 
     def _stop(self) -> None:
