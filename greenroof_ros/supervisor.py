@@ -73,6 +73,7 @@ class Supervisor:
         self._reports: list[tuple[str, dict[str, Any]]] = []
         self._last_lines: dict[str, deque[str]] = {}
         self._heard: dict[str, float] = {}
+        self._cut: dict[str, bytes] = {}
         self._looked = time.monotonic()
         self._segments: dict[str, set[str]] = {}
         self._spoke: set[str] = set()  # by then a node has all the shared memory that it will have
@@ -92,13 +93,10 @@ class Supervisor:
         # The recorder last, so that its bag holds all that the others said.
         for group in (self.nodes.keys() - {"recorder"}, self.nodes.keys() & {"recorder"}):
             self._end([self.nodes[node] for node in group])
-        recorder = self.nodes.get("recorder")
-        if recorder is not None and recorder.returncode and not isinstance(error, NodeFailed):
-            print(
-                "error: "
-                + self._with_last_lines("recorder", "the recorder could not close its bag"),
-                file=sys.stderr,
-            )
+        failed = "recorder" in self._spoke and self.nodes["recorder"].returncode
+        if failed and not isinstance(error, NodeFailed):
+            message = self._with_last_lines("recorder", "the recorder could not close its bag")
+            print(f"error: {message}", file=sys.stderr)
         self._clear_shared_memory()
 
     def start(self, node: str, parameters: Path) -> None:
@@ -160,8 +158,11 @@ class Supervisor:
     def _take_reports(self, node: str, data: bytes) -> None:
         self._spoke.add(node)
         self._heard[node] = time.monotonic()
-        # A line is far shorter than what a pipe takes whole, so no line comes in parts.
-        self._reports += [(node, json.loads(line)) for line in data.splitlines()]
+        *lines, self._cut[node] = (self._cut.get(node, b"") + data).split(b"\n")
+        for line in lines:
+            # A line that did not fit into a full pipe is cut short; the next one says it again.
+            with contextlib.suppress(json.JSONDecodeError):
+                self._reports.append((node, json.loads(line)))
 
     def _log(self, node: str, data: bytes) -> None:
         """Keep what a node prints: in its log, and in memory should the disk be full."""
