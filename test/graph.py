@@ -48,13 +48,24 @@ def shared_memory_of(pids: Iterable[int]) -> set[Path]:
     """Return Fast DDS's shared-memory files that living processes own: they hold their locks."""
     owned = set()
     for pid in pids:
-        for entry in Path(f"/proc/{pid}/fd").iterdir():
-            target = entry.readlink()
+        try:
+            targets = [entry.readlink() for entry in Path(f"/proc/{pid}/fd").iterdir()]
+        except OSError:
+            continue  # it has just ended
+        for target in targets:
             if target.parent == _SHARED_MEMORY and target.name.endswith("_el"):
                 name = target.name.removesuffix("_el")
                 owned |= {target, _SHARED_MEMORY / name, _SHARED_MEMORY / f"sem.{name}_mutex"}
-    assert owned
     return owned
+
+
+def left_behind(shared_memory: set[Path]) -> set[Path]:
+    """Return which of these files are still there, and nobody's.
+
+    Some names (fastrtps_port7000 and the like) go from one process to the next, of any domain.
+    """
+    living = [int(entry.name) for entry in Path("/proc").glob("[0-9]*")]
+    return {file for file in shared_memory if file.exists()} - shared_memory_of(living)
 
 
 def wait_for(condition: Callable[[], Any], seconds: float, what: str) -> Any:

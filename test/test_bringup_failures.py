@@ -16,6 +16,7 @@ from graph import (
     bag_file,
     bring_up,
     environment,
+    left_behind,
     shared_memory_of,
     wait_for,
     wait_for_ticks,
@@ -39,7 +40,8 @@ def started(domain: int, cwd: Path, *arguments: str) -> tuple[Process, dict[str,
 def assert_gone(nodes: dict[str, int], shared_memory: set[Path]) -> None:
     """No process and no shared memory of the run stays behind."""
     assert not [name for name, pid in nodes.items() if alive(pid)]
-    assert not [file for file in shared_memory if file.exists()]
+    assert shared_memory
+    assert not left_behind(shared_memory)
 
 
 def readable_ticks(run: Path) -> int:
