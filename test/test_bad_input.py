@@ -152,7 +152,12 @@ CASES = [
     ("options", "content", "words"), [case[1:] for case in CASES], ids=[case[0] for case in CASES]
 )
 def test_refused(
-    tmp_path: Path, command: str, options: str, content: bytes | None, words: tuple[str, ...]
+    domain: int,
+    tmp_path: Path,
+    command: str,
+    options: str,
+    content: bytes | None,
+    words: tuple[str, ...],
 ) -> None:
     """The command says what is wrong, where, and what would be right."""
     (tmp_path / "full").mkdir()
@@ -163,7 +168,7 @@ def test_refused(
     before = sorted(tmp_path.rglob("*"))
     done = subprocess.run(
         [sys.executable, "-m", f"greenroof_ros.{command}", *options.split()],
-        cwd=tmp_path, env=environment(99), capture_output=True, text=True, timeout=60, check=False,
+        cwd=tmp_path, env=environment(domain), capture_output=True, text=True, timeout=60, check=False,
     )
     assert done.returncode == 2, done.stderr
     assert done.stdout == ""
@@ -177,28 +182,28 @@ def test_refused(
     assert sorted(tmp_path.rglob("*")) == before
 
 
-@pytest.mark.parametrize("domain", ["abc", "300", "-1"])
-def test_wrong_domain(tmp_path: Path, domain: str) -> None:
+@pytest.mark.parametrize("wrong", ["abc", "300", "-1"])
+def test_wrong_domain(tmp_path: Path, wrong: str) -> None:
     """ROS_DOMAIN_ID is an input, too."""
     done = subprocess.run(
         [sys.executable, "-m", "greenroof_ros.bringup", "--hours", "0.01"],
-        cwd=tmp_path, env={**environment(99), "ROS_DOMAIN_ID": domain},
+        cwd=tmp_path, env={**environment(0), "ROS_DOMAIN_ID": wrong},
         capture_output=True, text=True, timeout=60, check=False,
     )
     assert done.returncode == 2
-    assert f"ROS_DOMAIN_ID = '{domain}'" in done.stderr
+    assert f"ROS_DOMAIN_ID = '{wrong}'" in done.stderr
     assert "Traceback" not in done.stderr
     assert not list(tmp_path.iterdir())
 
 
-def test_wrong_output_leaves_no_trajectory(tmp_path: Path) -> None:
+def test_wrong_output_leaves_no_trajectory(domain: int, tmp_path: Path) -> None:
     """What is refused writes nothing, so that the mended command can be given again."""
     done = subprocess.run(
         [
             sys.executable, "-m", "greenroof_ros.simulate", "--hours", "0.01",
             "--trajectory", "run.csv", "--output", "/proc/greenroof",
         ],
-        cwd=tmp_path, env=environment(99), capture_output=True, text=True, timeout=60, check=False,
+        cwd=tmp_path, env=environment(domain), capture_output=True, text=True, timeout=60, check=False,
     )
     assert done.returncode == 2
     assert not list(tmp_path.iterdir())
