@@ -168,7 +168,8 @@ def test_refused(
     before = sorted(tmp_path.rglob("*"))
     done = subprocess.run(
         [sys.executable, "-m", f"greenroof_ros.{command}", *options.split()],
-        cwd=tmp_path, env=environment(domain), capture_output=True, text=True, timeout=60, check=False,
+        cwd=tmp_path, env=environment(domain), capture_output=True, text=True, timeout=60,
+        check=False,
     )
     assert done.returncode == 2, done.stderr
     assert done.stdout == ""
@@ -203,7 +204,8 @@ def test_wrong_output_leaves_no_trajectory(domain: int, tmp_path: Path) -> None:
             sys.executable, "-m", "greenroof_ros.simulate", "--hours", "0.01",
             "--trajectory", "run.csv", "--output", "/proc/greenroof",
         ],
-        cwd=tmp_path, env=environment(domain), capture_output=True, text=True, timeout=60, check=False,
+        cwd=tmp_path, env=environment(domain), capture_output=True, text=True, timeout=60,
+        check=False,
     )
     assert done.returncode == 2
     assert not list(tmp_path.iterdir())
