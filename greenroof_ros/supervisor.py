@@ -136,9 +136,8 @@ class Supervisor:
             # This process itself was stopped; what it did not hear is not the nodes' silence.
             self._heard = dict.fromkeys(self._heard, now)
         self._looked = now
-        for node, process in self.nodes.items():
-            if node not in self._spoke:
-                self._segments[node] = _held_segments(process.pid) or self._segments[node]
+        for node in self.nodes.keys() - self._spoke:
+            self._note_segments(node)
         for key, _ in self._pipes.select(timeout=0.1):
             self._read(key)
         found, self._reports = self._reports, []
@@ -156,13 +155,19 @@ class Supervisor:
             use(node, data)
 
     def _take_reports(self, node: str, data: bytes) -> None:
-        self._spoke.add(node)
+        if node not in self._spoke:
+            self._note_segments(node)
+            self._spoke.add(node)
         self._heard[node] = time.monotonic()
         *lines, self._cut[node] = (self._cut.get(node, b"") + data).split(b"\n")
         for line in lines:
             # A line that did not fit into a full pipe is cut short; the next one says it again.
             with contextlib.suppress(json.JSONDecodeError):
                 self._reports.append((node, json.loads(line)))
+
+    def _note_segments(self, node: str) -> None:
+        """Note a node's shared memory while it lives: after a kill -9 nobody can tell."""
+        self._segments[node] |= _held_segments(self.nodes[node].pid)
 
     def _log(self, node: str, data: bytes) -> None:
         """Keep what a node prints: in its log, and in memory should the disk be full."""
