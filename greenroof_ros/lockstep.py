@@ -93,6 +93,8 @@ class Link:
         summary: what the node adds to its report at the end of the run.
         final_reports: the values of the reports of nodes that have finished, by node.
         error: why the node cannot go on.
+        acted: whether the run has begun for the node; a second publisher is a wrong set-up before,
+            and a failure of the run after.
     """
 
     def __init__(self, node: Node, role: str, act: Callable[[], None] = lambda: None) -> None:
@@ -106,6 +108,7 @@ class Link:
         self.inputs: dict[str, Input] = {}
         self.sent: dict[str, int] = {}
         self.error: Exception | None = None
+        self.acted = False
         self.turn: Callable[[], float] = lambda: LISTEN_S
         self.stop: Callable[[], None] = lambda: None
         self.progress: Callable[[], dict[str, Any]] = dict
@@ -118,7 +121,6 @@ class Link:
         self._fresh = 0
         self._all = 0
         self._joining = True
-        self._acted = False
         self._last_arrival = time.monotonic()
         self._publishers: dict[str, Any] = {}
         self._state = STARTING
@@ -216,7 +218,7 @@ class Link:
             self._fresh |= entry.bit
             if self._fresh == self._all:
                 self._fresh = 0
-                self._acted = True
+                self.acted = True
                 self._act()
 
         return callback
@@ -293,7 +295,7 @@ class Link:
                 f"{topic.name} has {count} publishers ({', '.join(names)}); a graph must have "
                 "exactly one: end the other, or take another ROS_DOMAIN_ID"
             )
-            raise LockstepError(message) if self._acted else ConfigurationError(message)
+            raise LockstepError(message) if self.acted else ConfigurationError(message)
 
     # --- running ----------------------------------------------------------------------------
 
@@ -349,7 +351,7 @@ class Link:
         ):
             self._joining = False
             self._fresh = 0
-            self._acted = True
+            self.acted = True
             self._act()
 
     def finish(self, **values: Any) -> None:

@@ -69,6 +69,7 @@ class RecorderNode:
 
     def _write_ticks(self) -> None:
         """Write every tick that is whole."""
+        self.link.acted = True
         queues = self._queues
         while all(queues):
             messages = [queue.popleft() for queue in queues]
