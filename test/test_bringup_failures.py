@@ -96,7 +96,7 @@ def test_pause_shorter_than_the_limit_changes_nothing(domain: int, tmp_path: Pat
     process = Process(domain, "bringup", "--output", "run", "--hours", "2", cwd=tmp_path)
     wait_for_ticks(tmp_path / "run")
     nodes = process.nodes()
-    for node, seconds in (("recorder", 3.0), ("mpc", 0.7), ("weather", 0.7), ("plant", 0.7)):
+    for node, seconds in (("recorder", 3.0), ("mpc", 1.0), ("weather", 1.0), ("plant", 1.0)):
         os.kill(nodes[node], signal.SIGSTOP)
         time.sleep(seconds)
         assert process.process.poll() is None, process.stderr()

@@ -48,7 +48,8 @@ class ControllerNode:
         self._evapotranspiration = link.take_topic("/forecast/evapotranspiration")
         self._publish_command = link.publish_topic("/pump/command")
         self._message = Float64()
-        self.after_command: Callable[[], None] = lambda: None
+        # Called after each command with whether the controller decided it.
+        self.after_command: Callable[[bool], None] = lambda decided: None
         link.summary = lambda: {
             "solver": controller.statistics(),
             "incidents": self._incidents,
@@ -57,7 +58,8 @@ class ControllerNode:
 
     def _on_inputs(self) -> None:
         command = 0.0
-        if self.link.good:
+        decided = self.link.good
+        if decided:
             command = self._controller.command(
                 self._cistern.value,
                 self._roof.value,
@@ -67,7 +69,7 @@ class ControllerNode:
         self._message.data = command
         self._publish_command(self._message)
         self._tick += 1
-        self.after_command()
+        self.after_command(decided)
 
     def _on_parameters(self, parameters: list[Parameter]) -> SetParametersResult:
         for parameter in parameters:

@@ -32,10 +32,10 @@ def build(node: Node) -> Link:
     publish_status = part.link.publish_topic("/controller/solver_status")
     message = Float64()
 
-    def after_command() -> None:
-        message.data = controller.cost
+    def after_command(decided: bool) -> None:
+        message.data = controller.cost if decided else math.nan
         publish_cost(message)
-        message.data = float(controller.status)
+        message.data = float(controller.status) if decided else 0.0
         publish_status(message)
 
     part.after_command = after_command
