@@ -55,6 +55,7 @@ setup(
         "scipy>=1.8,<2",  # sparse matrices, the form in which OSQP takes its problem
         "osqp>=1.0.3,<2",  # solves the controller's program; 1.0.3 has SolverStatus
         "mcap>=1.5,<2",  # writes and reads bags; 1.5 has Writer.flush; brings zstandard
+        "eto>=2.2,<3",  # FAO-56 Penman-Monteith; 2.2 has hours in any time zone and clouded nights
         "PyYAML>=6.0,<7",  # reads config/ and msg_defs/, writes a bag's metadata.yaml
         "rich>=13,<16",  # progress bar and tables on the terminal
     ],

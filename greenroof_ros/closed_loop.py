@@ -28,6 +28,8 @@ class Tick(NamedTuple):
     """m/s"""
     evapotranspiration: float
     """m3/s, before the limit to what the roof holds"""
+    frost: float
+    """1 where there is frost, which commands 0; 0 where there is none or nobody knows"""
     command: float
     """share of the maximum flow"""
     flows: Flows
@@ -36,19 +38,27 @@ class Tick(NamedTuple):
 
 def closed_loop(run: Run, controller: Controller, metrics: Metrics) -> Iterator[Tick]:
     """Run the ticks 0..N, adding to ``metrics``; a tick is yielded before its step is taken."""
-    site = run.site
+    site, series = run.site, run.series
     plant = Plant(site, run.x1, run.x2)
     for k in range(run.steps + 1):
         cistern_level, roof_level = plant.levels()
-        rain = run.series.precipitation(k)
-        evapotranspiration = run.series.evapotranspiration(k)
-        command = controller.command(cistern_level, roof_level, rain, evapotranspiration)
-        flows = plant.flows(rain[0], evapotranspiration[0], plant.pump_flow(command))
+        precipitation = series.precipitation[k]
+        evapotranspiration = series.evapotranspiration[k]
+        frost = series.frost[k]
+        command = 0.0
+        if not frost:
+            command = controller.command(
+                cistern_level,
+                roof_level,
+                run.forecast.precipitation(k),
+                run.forecast.evapotranspiration(k),
+            )
+        flows = plant.flows(precipitation, evapotranspiration, plant.pump_flow(command))
         metrics.observe(site, plant.x1, plant.x2)
         yield Tick(
             k, plant.x1, plant.x2, cistern_level, roof_level,
-            rain[0], evapotranspiration[0], command, flows,
+            precipitation, evapotranspiration, frost, command, flows,
         )
         if k < run.steps:
-            metrics.step(site, command, rain[0], flows)
-            plant.step(rain[0], flows)
+            metrics.step(site, command, precipitation, flows)
+            plant.step(precipitation, flows)

@@ -33,8 +33,12 @@ def shared_directory() -> Path:
     )
 
 
-def read_text(path: Path) -> str:
+def read_text(path: Path, *, byte_order_mark: bool = False) -> str:
     """Read a UTF-8 text file.
+
+    Args:
+        path: the file.
+        byte_order_mark: whether it may start with one, which is then left away.
 
     Raises:
         ConfigurationError: it cannot be read, is empty, is not UTF-8 text, or starts with a byte
@@ -46,7 +50,9 @@ def read_text(path: Path) -> str:
         raw = path.read_bytes()
     except OSError as error:
         raise ConfigurationError(f"cannot be read: {error.strerror}", file=path) from error
-    if raw.startswith(b"\xef\xbb\xbf"):
+    if byte_order_mark:
+        raw = raw.removeprefix(b"\xef\xbb\xbf")
+    elif raw.startswith(b"\xef\xbb\xbf"):
         raise ConfigurationError(
             "starts with a byte order mark; save it as plain UTF-8", file=path, line=1
         )

@@ -12,9 +12,11 @@ from pathlib import Path
 from greenroof_ros.controllers import Controller
 from greenroof_ros.errors import ConfigurationError
 from greenroof_ros.files import YamlMapping, number, read_yaml, shared_directory
+from greenroof_ros.forecast import Forecast, PerfectForecast
 from greenroof_ros.site import Site, read_site
 from greenroof_ros.topics import read_topics
-from greenroof_ros.weather import Weather, WeatherSeries, parse_time, read_weather
+from greenroof_ros.weather import Weather, WeatherSeries, read_weather
+from greenroof_ros.weather_csv import parse_time
 
 DEFAULT_START = "2021-07-07T02:00-05:00"
 
@@ -96,6 +98,7 @@ class Run:
         site: Table I.
         weather: hourly records.
         series: the same, tick by tick.
+        forecast: what the controller is told of it.
         start: time of tick 0.
         steps: N; the states are x_0..x_N.
         controller: ``mpc`` or ``onoff``.
@@ -109,6 +112,7 @@ class Run:
     site: Site
     weather: Weather
     series: WeatherSeries
+    forecast: Forecast
     start: datetime
     steps: int
     controller: str
@@ -171,7 +175,13 @@ def add_run_arguments(parser: argparse.ArgumentParser) -> None:
     )
     group.add_argument(
         "--weather", type=Path, metavar="FILE",
-        help="weather file (default: config/weather/toronto_2021-07.csv)",
+        help="weather file: of this project's form, or an hourly bulk file of Environment and "
+        "Climate Change Canada (default: config/weather/toronto_2021-07.csv)",
+    )
+    group.add_argument(
+        "--evapotranspiration", metavar="VARIANT",
+        help="fao56: computed by FAO-56 Penman-Monteith; or the name of the weather file's own "
+        "column, such as published (default: the file's own, fao56 if it has none)",
     )
     group.add_argument(
         "--start", default=None, metavar="ISO",
@@ -258,7 +268,9 @@ def run_from_arguments(arguments: argparse.Namespace) -> Run:
                 key="--hours", value=arguments.hours,
             )
     weather = read_weather(
-        arguments.weather or shared / "config" / "weather" / "toronto_2021-07.csv"
+        arguments.weather or shared / "config" / "weather" / "toronto_2021-07.csv",
+        site,
+        arguments.evapotranspiration,
     )
     if steps > _MOST_STEPS:
         raise ConfigurationError(
@@ -269,8 +281,8 @@ def run_from_arguments(arguments: argparse.Namespace) -> Run:
     for topic, largest in (
         ("/cistern/level", site.cistern_level(x1)),
         ("/roof/level", site.roof_level(x2)),
-        ("/weather/precipitation", series.largest_precipitation),
-        ("/weather/evapotranspiration", series.largest_evapotranspiration),
+        ("/weather/precipitation", max(series.precipitation)),
+        ("/weather/evapotranspiration", max(series.evapotranspiration)),
     ):
         _check_range(topic, largest)
     return Run(
@@ -278,6 +290,7 @@ def run_from_arguments(arguments: argparse.Namespace) -> Run:
         site=site,
         weather=weather,
         series=series,
+        forecast=PerfectForecast(series, site.M),
         start=start,
         steps=steps,
         controller=name,

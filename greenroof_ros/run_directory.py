@@ -73,7 +73,10 @@ def _write_configuration(configuration: Path, run: Run, nodes: dict[str, object]
     span = {"start": run.start.isoformat(), "steps": run.steps}
     parameters = {
         "plant": {**common, **span, "cistern": run.x1, "roof": run.x2, **nodes},
-        "weather": {**common, **span, "weather_file": str(weather_file)},
+        "weather": {
+            **common, **span, "weather_file": str(weather_file),
+            "evapotranspiration": run.weather.variant,
+        },
         run.controller: {**common, **run.parameters},
         "recorder": {
             **({"peer_limit": nodes["peer_limit"]} if nodes else {}),

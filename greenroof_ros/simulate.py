@@ -26,7 +26,7 @@ from greenroof_ros.run_directory import make_run_directory, write_configuration
 TRAJECTORY_COLUMNS = (
     "time_s", "cistern_m3", "roof_m3", "cistern_level_m", "roof_level_m",
     "precipitation_m_per_s", "evapotranspiration_m3_per_s", "command",
-    "pump_flow_m3_per_s", "outflow_m3_per_s", "drainage_m3_per_s",
+    "pump_flow_m3_per_s", "outflow_m3_per_s", "drainage_m3_per_s", "frost",
 )
 
 
@@ -35,7 +35,7 @@ def trajectory_row(tick: Tick, tau: float) -> tuple[float, ...]:
     return (
         tick.k * tau, tick.x1, tick.x2, tick.cistern_level, tick.roof_level,
         tick.precipitation, tick.evapotranspiration, tick.command,
-        tick.flows.pump, tick.flows.outflow, tick.flows.drainage,
+        tick.flows.pump, tick.flows.outflow, tick.flows.drainage, tick.frost,
     )
 
 

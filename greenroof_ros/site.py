@@ -1,4 +1,4 @@
-"""The site: Table I of the paper, read from a YAML file and checked."""
+"""The site: Table I of the paper and its place on earth, from a YAML file and checked."""
 
 from __future__ import annotations
 
@@ -16,11 +16,22 @@ _MOST_TICKS = {"M": 1000, "N": 31_622_400}
 _LEAST, _LARGEST = 1e-12, 1e9
 # A product that a person rounds when writing it down, such as x2_star, is still consistent.
 _ROUNDING = 1e-6
+# What only a computed evapotranspiration needs, with its range.
+_PLACE = {
+    "latitude": (-66.0, 66.0),
+    "longitude": (-180.0, 180.0),
+    "elevation": (-430.0, 6000.0),
+    "utc_offset": (-12.0, 14.0),
+    "albedo": (0.0, 1.0),
+    "k_Rs": (0.1, 0.25),
+    "wind_height": (0.5, 100.0),
+    "crop_coefficient": (0.01, 3.0),
+}
 
 
 @dataclass(frozen=True)
 class Site:
-    """The parameters of Table I under the paper's symbols.
+    """The parameters of Table I under the paper's symbols, and the place, which may be left out.
 
     Attributes:
         a1: bottom surface area of the cistern (m2).
@@ -49,6 +60,15 @@ class Site:
         tau: duration of a tick (s).
         M: look-ahead of the controller (ticks).
         N: length of a run (ticks).
+        latitude: of the site (degrees north).
+        longitude: of the site (degrees, positive to the east of Greenwich).
+        elevation: of the site above the sea (m).
+        utc_offset: of the local standard time (h), without daylight saving.
+        albedo: of the vegetation (1); 0.23 is FAO-56's reference grass.
+        k_Rs: adjustment coefficient of FAO-56 Eq. 50 (degC^-0.5), for radiation that was not
+            measured; 0.16 inland, 0.19 by a large water.
+        wind_height: above the ground, at which the wind was measured (m).
+        crop_coefficient: evapotranspiration of the vegetation over that of the reference grass (1).
     """
 
     a1: float
@@ -77,6 +97,14 @@ class Site:
     tau: float
     M: int
     N: int
+    latitude: float | None = None
+    longitude: float | None = None
+    elevation: float | None = None
+    utc_offset: float | None = None
+    albedo: float = 0.23
+    k_Rs: float = 0.16
+    wind_height: float = 10.0
+    crop_coefficient: float = 1.0
 
     @cached_property
     def c_out(self) -> float:
@@ -133,6 +161,8 @@ def read_site(path: Path) -> Site:
     values: dict[str, float] = {}
     for name in names:
         if name not in mapping:
+            if name in _PLACE:
+                continue
             raise ConfigurationError("is missing", file=path, key=name)
         value = number(path, mapping, name)
 
@@ -143,6 +173,12 @@ def read_site(path: Path) -> Site:
 
         if not math.isfinite(value):
             raise refuse("must be finite")
+        if name in _PLACE:
+            low, high = _PLACE[name]
+            if not low <= value <= high:
+                raise refuse(f"must be from {low:g} to {high:g}")
+            values[name] = value
+            continue
         least = 0.0 if value == 0 or name in _MAY_BE_ZERO else _LEAST
         if not least <= abs(value) <= _LARGEST:
             raise refuse(f"must be from {least:g} to {_LARGEST:g} in size; is a unit wrong?")

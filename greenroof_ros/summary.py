@@ -56,6 +56,9 @@ def build(
         "weather": str(run.weather.file),
         "evapotranspiration_variant": run.weather.variant,
         "forecast_repeats_last_record_from": repeats_from.isoformat() if repeats_from else None,
+        "filled": run.series.filled,
+        "frost_hours": run.series.frost_hours,
+        "precipitation_in_frost_mm": run.series.precipitation_in_frost,
         **sums,
         "solver": dict(solver) if solver is not None else None,
         "wall_s": wall_s,
@@ -132,6 +135,17 @@ def table(summary: Mapping[str, Any]) -> Table:
         rows.append(("REFUSED", str(sum(summary["refused"].values())), str(summary["refused"])))
     for incident in summary["incidents"]:
         rows.append(("changed", f"tick {incident['tick']}", str(incident)))
+    if summary["frost_hours"]:
+        rows.append(
+            (
+                "FROST",
+                f"{summary['frost_hours']:.1f} h",
+                "at or below 0 degC, nothing pumped; "
+                f"{summary['precipitation_in_frost_mm']:.1f} mm of snow or rain taken as rain",
+            )
+        )
+    for quantity, hours in summary["filled"].items():
+        rows.append(("FILLED", quantity, ", ".join(hours)))
     repeats_from = summary["forecast_repeats_last_record_from"]
     if repeats_from:
         rows.append(

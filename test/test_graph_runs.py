@@ -28,6 +28,7 @@ COLUMNS = {
     "/roof/level": "roof_level_m",
     "/weather/precipitation": "precipitation_m_per_s",
     "/weather/evapotranspiration": "evapotranspiration_m3_per_s",
+    "/weather/frost": "frost",
     "/pump/command": "command",
     "/pump/flow": "pump_flow_m3_per_s",
     "/cistern/outflow": "outflow_m3_per_s",
@@ -107,7 +108,7 @@ def assert_complete(run: Path, summary: dict[str, Any], ticks: int) -> None:
             counts[channel.topic] += 1
             sequences.setdefault(channel.topic, []).append(message.sequence)
     assert counts == summary["messages"]
-    assert len(counts) == 13
+    assert len(counts) == 14
     assert all(sequence == list(range(ticks)) for sequence in sequences.values())
 
 

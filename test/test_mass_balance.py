@@ -13,8 +13,10 @@ from hypothesis import strategies as st
 from paper import PAPER_SITE, exact_flows, paper_run, sites
 
 from greenroof_ros.closed_loop import closed_loop
+from greenroof_ros.forecast import PerfectForecast
 from greenroof_ros.metrics import Metrics
 from greenroof_ros.plant import Plant
+from greenroof_ros.records import Records
 from greenroof_ros.run import Run, make_controller
 from greenroof_ros.site import Site
 from greenroof_ros.weather import Weather, WeatherSeries
@@ -112,14 +114,15 @@ def run_of(
     """Build a run of the paper's site, in ticks of 10 s, over hours of mm/h and mm/day."""
     site = replace(PAPER_SITE, tau=10.0)
     first = datetime.fromisoformat("2021-07-07T00:00-05:00")
-    weather = Weather(
-        Path("drawn.csv"), first, np.array(precipitation), np.array(evapotranspiration), "drawn"
-    )
+    rain = np.array(precipitation)
+    records = Records(Path("drawn.csv"), first, {"precipitation": rain}, "drawn")
+    weather = Weather(records, rain, np.array(evapotranspiration), "drawn", None)
     steps = 360 * len(precipitation)
     series = WeatherSeries(weather, site, first, steps)
     parameters = {"fraction": v}
     return Run(
-        weather.file, site, weather, series, first, steps, "onoff", parameters, "custom", x1, x2
+        weather.file, site, weather, series, PerfectForecast(series, site.M), first, steps,
+        "onoff", parameters, "custom", x1, x2,
     )
 
 

@@ -121,10 +121,10 @@ def test_bad_command_acts_as_zero_and_is_counted(
 
 
 @pytest.mark.parametrize("level", [math.nan, -1.0, 1e6])
-def test_bad_level_stops_the_pump(
+def test_bad_level_or_frost_stops_the_pump(
     domain: int, tmp_path: Path, observer: Observer, level: float
 ) -> None:
-    """A level that no sensor can have measured must not look like a dry roof."""
+    """A level that no sensor can have measured is not a dry roof; frost and bad frost pump not."""
     from std_msgs.msg import Float64MultiArray
 
     commands: list[float] = []
@@ -139,21 +139,25 @@ def test_bad_level_stops_the_pump(
             ("/roof/level", Float64),
             ("/forecast/precipitation", Float64MultiArray),
             ("/forecast/evapotranspiration", Float64MultiArray),
+            ("/weather/frost", Float64),
         )
     }
     with nodes(domain, tmp_path, "mpc"):
         observer.until(
             lambda: all(each.get_subscription_count() for each in publish.values()), 20, "mpc"
         )
-        for tick, roof in enumerate([0.03, level, 0.03]):
+        inputs = [(0.03, 0.0), (level, 0.0), (0.03, 0.0), (0.03, 1.0), (0.03, math.nan)]
+        for tick, (roof, frost) in enumerate(inputs):
             publish["/cistern/level"].publish(Float64(data=2.5))
             publish["/roof/level"].publish(Float64(data=roof))
+            publish["/weather/frost"].publish(Float64(data=frost))
             publish["/forecast/precipitation"].publish(Float64MultiArray(data=[0.0] * 10))
             publish["/forecast/evapotranspiration"].publish(Float64MultiArray(data=[0.0] * 10))
             observer.until(lambda tick=tick: len(commands) == tick + 1, 10, f"command {tick}")
     assert commands[0] > 0
     assert commands[1] == 0.0
     assert commands[2] > 0
+    assert commands[3:] == [0.0, 0.0]
 
 
 def test_two_masters(domain: int, tmp_path: Path, observer: Observer) -> None:

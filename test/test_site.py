@@ -39,7 +39,13 @@ def line_of(key: str) -> int:
 def test_packaged_site_is_table_i() -> None:
     """Every row with the paper's value, and no row more."""
     site = asdict(read_site(shared_directory() / "config" / "site.yaml"))
-    assert site == pytest.approx(TABLE_I, rel=1e-15)
+    assert {key: site[key] for key in TABLE_I} == pytest.approx(TABLE_I, rel=1e-15)
+    place = {key: value for key, value in site.items() if key not in TABLE_I}
+    # Toronto City Centre; FAO-56's reference grass; radiation "for coastal locations" (Eq. 50).
+    assert place == {
+        "latitude": 43.63, "longitude": -79.40, "elevation": 77.0, "utc_offset": -5.0,
+        "albedo": 0.23, "k_Rs": 0.19, "wind_height": 10.0, "crop_coefficient": 1.0,
+    }
     assert (type(site["M"]), type(site["N"])) == (int, int)
 
 
@@ -131,6 +137,28 @@ def test_water_deeper_than_the_soil(tmp_path: Path) -> None:
     path = write(tmp_path, z_veg=0.5, x2_star=34.4)
     start = f"{path}, line {line_of('z_veg')}: z_veg = 0.5: must be below z_soil = 0.5 m"
     assert refusal(path).startswith(start)
+
+
+@pytest.mark.parametrize(
+    ("key", "value", "reason"),
+    [
+        ("latitude", "79.4", "must be from -66 to 66"),
+        ("longitude", "280.6", "must be from -180 to 180"),
+        ("elevation", "77000.0", "must be from -430 to 6000"),
+        ("utc_offset", "-300.0", "must be from -12 to 14"),
+        ("albedo", "23.0", "must be from 0 to 1"),
+        ("k_Rs", "0.5", "must be from 0.1 to 0.25"),
+        ("wind_height", "0.0", "must be from 0.5 to 100"),
+        ("crop_coefficient", "-1.0", "must be from 0.01 to 3"),
+        ("latitude", ".nan", "must be finite"),
+    ],
+)
+def test_wrong_place(tmp_path: Path, key: str, value: str, reason: str) -> None:
+    """It may be left out, but not be wrong."""
+    path = write(tmp_path, f"{key}: {value}")
+    message = refusal(path)
+    assert message.startswith(f"{path}, line {len(TABLE_I) + 1}: {key} = ")
+    assert message.endswith(reason)
 
 
 @pytest.mark.parametrize("key", ["k_L", "z_pump", "z_H"])

@@ -14,7 +14,9 @@ from paper import PAPER_SITE
 
 from greenroof_ros.errors import ConfigurationError
 from greenroof_ros.files import shared_directory
-from greenroof_ros.weather import Weather, WeatherSeries, parse_time, read_weather
+from greenroof_ros.forecast import PerfectForecast
+from greenroof_ros.weather import Weather, WeatherSeries, read_weather
+from greenroof_ros.weather_csv import parse_time
 
 HEADER = "time,precipitation [mm/h],made up evapotranspiration [mm/day]"
 # A line of comment, the header in line 2, and three hours in lines 3 to 5.
@@ -38,13 +40,14 @@ def series(
 ) -> WeatherSeries:
     """Lay the three hours out for a run."""
     site = replace(PAPER_SITE, tau=tau, M=lookahead)
-    return WeatherSeries(read_weather(write(directory, *HOURS)), site, parse_time(start), steps)
+    weather = read_weather(write(directory, *HOURS), site)
+    return WeatherSeries(weather, site, parse_time(start), steps)
 
 
 def refusal(path: Path) -> str:
     """Return what is said of a weather file that must not be taken."""
     with pytest.raises(ConfigurationError) as caught:
-        read_weather(path)
+        read_weather(path, PAPER_SITE)
     return str(caught.value)
 
 
@@ -67,7 +70,7 @@ def test_packaged_weather_is_the_72_hours() -> None:
     assert len(packaged) == 72
     assert packaged == [{ours: row[theirs] for ours, theirs in columns.items()} for row in source]
 
-    weather = read_weather(path)
+    weather = read_weather(path, PAPER_SITE)
     assert weather.precipitation.tolist() == [float(row["rain_mm"]) for row in source]
     published = [float(row["published_et_mm_per_day"]) for row in source]
     assert weather.evapotranspiration.tolist() == published
@@ -79,8 +82,8 @@ def test_packaged_weather_is_the_72_hours() -> None:
 def test_units_by_hand(tmp_path: Path) -> None:
     """3.0 mm/h are 1/1,200,000 m/s; 1.22675507 mm/day off 68.8 m2 are 0.0844007 m3 in 86,400 s."""
     run = series(tmp_path, "2021-07-07T04:00-05:00", 3600)
-    assert run.precipitation(0)[0] == pytest.approx(8.333333333333333e-7, rel=1e-15)
-    assert run.evapotranspiration(0)[0] == pytest.approx(0.084400748816 / 86400, rel=1e-12)
+    assert run.precipitation[0] == pytest.approx(8.333333333333333e-7, rel=1e-15)
+    assert run.evapotranspiration[0] == pytest.approx(0.084400748816 / 86400, rel=1e-12)
 
 
 def test_an_hour_holds_from_its_time_to_the_next(tmp_path: Path) -> None:
@@ -88,16 +91,16 @@ def test_an_hour_holds_from_its_time_to_the_next(tmp_path: Path) -> None:
     run = series(tmp_path, "2021-07-07T03:30-05:00", 9000)
     for first, last, hour in ((0, 1799, 0), (1800, 5399, 1), (5400, 9000, 2)):
         for tick in (first, (first + last) // 2, last):
-            assert run.precipitation(tick)[0] == pytest.approx(RAIN[hour], rel=1e-15)
+            assert run.precipitation[tick] == pytest.approx(RAIN[hour], rel=1e-15)
     off_bed = [row.split(",")[2] for row in HOURS]
     for tick, hour in ((0, 0), (1799, 0), (1800, 1), (5399, 1), (5400, 2)):
         expected = float(off_bed[hour]) / 1000 * 68.8 / 86400
-        assert run.evapotranspiration(tick)[0] == pytest.approx(expected, rel=1e-12)
+        assert run.evapotranspiration[tick] == pytest.approx(expected, rel=1e-12)
 
 
 def test_windows_look_ahead(tmp_path: Path) -> None:
     """Four seconds before the hour, a window of ten is four of this hour and six of the next."""
-    run = series(tmp_path, "2021-07-07T03:00-05:00", 7200)
+    run = PerfectForecast(series(tmp_path, "2021-07-07T03:00-05:00", 7200), 10)
     assert list(run.precipitation(3596)) == pytest.approx([RAIN[0]] * 4 + [RAIN[1]] * 6, rel=1e-15)
     evapotranspiration = list(run.evapotranspiration(3596))
     assert len(set(evapotranspiration[:4])) == len(set(evapotranspiration[4:])) == 1
@@ -122,7 +125,9 @@ def test_every_tick_is_in_its_hour(
     start = datetime.fromisoformat("2021-07-07T03:00-05:00") + timedelta(seconds=offset)
     steps = int((3 * 3600 - offset) / tau)
     directory = tmp_path_factory.mktemp("weather")
-    run = series(directory, start.isoformat(), steps, tau, lookahead)
+    run = PerfectForecast(
+        series(directory, start.isoformat(), steps, tau, lookahead), lookahead
+    )
     tick = data.draw(st.integers(0, steps))
     hours = [min(int((offset + (tick + i) * tau) // 3600), 2) for i in range(lookahead)]
     assert list(run.precipitation(tick)) == pytest.approx([RAIN[hour] for hour in hours], rel=1e-15)
@@ -134,9 +139,10 @@ def test_every_tick_is_in_its_hour(
 def test_last_record_is_repeated_past_the_end(tmp_path: Path, steps: int, repeats: bool) -> None:
     """The window of tick N reaches to tick N + 9; the records end with tick 10,799."""
     hours = [*HOURS[:2], "2021-07-07T05:00-05:00,7.2,2.4"]
-    weather = read_weather(write(tmp_path, *hours))
+    weather = read_weather(write(tmp_path, *hours), PAPER_SITE)
     run = WeatherSeries(weather, PAPER_SITE, weather.first, steps)
-    assert list(run.precipitation(steps)) == pytest.approx([2e-6] * 10, rel=1e-15)
+    window = PerfectForecast(run, 10).precipitation(steps)
+    assert list(window) == pytest.approx([2e-6] * 10, rel=1e-15)
     end = parse_time("2021-07-07T06:00-05:00")
     assert run.repeats_from == (end if repeats else None)
 
@@ -168,9 +174,9 @@ def test_offsets_from_utc(tmp_path: Path, same: str) -> None:
     """09:00 UTC is 04:00 in Toronto's standard time: the hour of 3.0 mm."""
     assert parse_time(same) == parse_time("2021-07-07T04:00-05:00")
     run = series(tmp_path, same, 1)
-    assert run.precipitation(0)[0] == pytest.approx(RAIN[1], rel=1e-15)
+    assert run.precipitation[0] == pytest.approx(RAIN[1], rel=1e-15)
     rows = [f"{same},1.5,2.0", "2021-07-07T10:00+00:00,0.0,2.0"]
-    weather = read_weather(write(tmp_path, *rows))
+    weather = read_weather(write(tmp_path, *rows), PAPER_SITE)
     assert weather.first == parse_time("2021-07-07T09:00+00:00")
     assert weather.end == parse_time("2021-07-07T11:00+00:00")
 
@@ -179,16 +185,17 @@ def test_order_of_columns_and_further_ones(tmp_path: Path) -> None:
     """Columns are found by name; comments and empty lines may stand anywhere."""
     header = "time, fao56 evapotranspiration [mm/day],dew point [degC],precipitation [mm/h]"
     path = write(tmp_path, "", "2021-07-07T03:00Z,1.5,-3.5,0.25", "# gauge read", header=header)
-    weather = read_weather(path)
+    weather = read_weather(path, PAPER_SITE)
     assert (weather.precipitation.tolist(), weather.evapotranspiration.tolist()) == ([0.25], [1.5])
     assert weather.variant == "fao56"
-    unnamed = read_weather(write(tmp_path, HOURS[0], header=HEADER.replace("made up ", "")))
+    path = write(tmp_path, HOURS[0], header=HEADER.replace("made up ", ""))
+    unnamed = read_weather(path, PAPER_SITE)
     assert unnamed.variant == "unnamed"
 
 
 def test_records_may_be_read_back(tmp_path: Path) -> None:
     """The hours as they were written."""
-    weather = read_weather(write(tmp_path, *HOURS))
+    weather = read_weather(write(tmp_path, *HOURS), PAPER_SITE)
     assert isinstance(weather, Weather)
     assert weather.precipitation.tolist() == [0.2, 3.0, 0.0]
     assert weather.evapotranspiration.tolist() == [3.44779366, 1.22675507, 2.4]
@@ -205,7 +212,7 @@ def test_records_may_be_read_back(tmp_path: Path) -> None:
         (HEADER.replace("mm/day", "m3/s"), "'made up evapotranspiration [m3/s]': the unit of"),
         (HEADER + ",precipitation [mm/h]", "'precipitation [mm/h]': there is a column of prec"),
         (HEADER + ",b evapotranspiration [mm/day]", "'b evapotranspiration [mm/day]': there is a"),
-        ("time,precipitation [mm/h]", "there must be a column 'evapotranspiration [mm/day]'"),
+        ("time,precipitation [mm/h]", "there must be a column 'evapotranspiration [mm/day]', or"),
         ("time,fao56 evapotranspiration [mm/day]", "there must be a column 'precipitation [mm/h]'"),
         (HOURS[0], "'2021-07-07T03:00-05:00': the first column must be 'time'"),
     ],

@@ -18,7 +18,7 @@ class ControllerNode:
     """Runs one controller in the graph.
 
     A tick in which any input was refused commands 0: what the controller would make of a level
-    that nobody measured must not reach the pump.
+    that nobody measured must not reach the pump. So does frost, which bursts a running pump's pipe.
     """
 
     def __init__(
@@ -46,6 +46,7 @@ class ControllerNode:
         self._roof = link.take_topic("/roof/level")
         self._rain = link.take_topic("/forecast/precipitation")
         self._evapotranspiration = link.take_topic("/forecast/evapotranspiration")
+        self._frost = link.take_topic("/weather/frost")
         self._publish_command = link.publish_topic("/pump/command")
         self._message = Float64()
         # Called after each command with whether the controller decided it.
@@ -58,7 +59,7 @@ class ControllerNode:
 
     def _on_inputs(self) -> None:
         command = 0.0
-        decided = self.link.good
+        decided = self.link.good and not self._frost.value
         if decided:
             command = self._controller.command(
                 self._cistern.value,

@@ -9,6 +9,7 @@ from rclpy.node import Node
 from std_msgs.msg import Float64, Float64MultiArray
 
 from greenroof_ros.files import shared_directory
+from greenroof_ros.forecast import PerfectForecast
 from greenroof_ros.lockstep import Link, LockstepError
 from greenroof_ros.node_process import run_node
 from greenroof_ros.parameters import declare, declare_site
@@ -26,9 +27,14 @@ class WeatherNode:
         file = declare(node, "weather_file", str(default), "hourly records")
         start_text = declare(node, "start", DEFAULT_START, "time of tick 0, ISO 8601")
         self._steps = declare(node, "steps", site.N, "N, ticks to run", low=1, high=2**40)
-        weather = read_weather(Path(file))
+        variant = declare(
+            node, "evapotranspiration", "",
+            "fao56, or the name of the file's own column; empty: the file's own if it has one",
+        )
+        weather = read_weather(Path(file), site, variant or None)
         start = read_start(start_text, weather.first.tzinfo)
         self._series = WeatherSeries(weather, site, start, self._steps)
+        self._forecast = PerfectForecast(self._series, site.M)
         self._start_ns = epoch_ns(start)
         self._tick_ns = round(site.tau * 1e9)
 
@@ -40,6 +46,7 @@ class WeatherNode:
         )
         self._publish_rain = link.publish_topic("/weather/precipitation")
         self._publish_evapotranspiration = link.publish_topic("/weather/evapotranspiration")
+        self._publish_frost = link.publish_topic("/weather/frost")
         self._window = Float64MultiArray()
         self._value = Float64()
 
@@ -50,16 +57,16 @@ class WeatherNode:
                 f"/clock is at tick {tick} of a run of {self._steps}; plant and weather were "
                 "started for different runs"
             )
-        rain = self._series.precipitation(tick)
-        evapotranspiration = self._series.evapotranspiration(tick)
-        # The forecasts first: the controller needs longest.
-        self._window.data = rain
+        # What the controller takes comes first: it needs longest.
+        self._value.data = self._series.frost[tick]
+        self._publish_frost(self._value)
+        self._window.data = self._forecast.precipitation(tick)
         self._publish_rain_forecast(self._window)
-        self._window.data = evapotranspiration
+        self._window.data = self._forecast.evapotranspiration(tick)
         self._publish_evapotranspiration_forecast(self._window)
-        self._value.data = rain[0]
+        self._value.data = self._series.precipitation[tick]
         self._publish_rain(self._value)
-        self._value.data = evapotranspiration[0]
+        self._value.data = self._series.evapotranspiration[tick]
         self._publish_evapotranspiration(self._value)
 
 
