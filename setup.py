@@ -11,7 +11,7 @@ SHARE = Path("share") / NAME
 # Nodes: ``ros2 run greenroof_ros plant``, or just ``plant`` in a virtual environment.
 NODES = ("plant", "weather", "mpc", "onoff", "recorder")
 # Commands: they start the graph, or need no ROS at all.
-COMMANDS = ("bringup", "simulate", "recover", "topics")
+COMMANDS = ("bringup", "simulate", "recover", "topics", "study.__main__", "report.__main__")
 
 
 def version() -> str:
@@ -69,10 +69,20 @@ setup(
             "ros-jazzy-diagnostic-msgs>=5.3,<6",  # /diagnostics
             "ros-jazzy-rcl-interfaces>=2.0,<3",  # descriptors and results of node parameters
         ],
+        # Studies of many runs, and reports with figures; neither needs a ROS.
+        "study": [
+            "pebble>=5,<6",  # parallel processes, of which one may die without the others
+            "polars>=1,<3",  # trajectories as parquet
+            "rosbags>=0.10,<1",  # reads any bag, of whatever storage
+            "altair>=6,<7",  # figures: one description for page, PNG and SVG
+            "vl-convert-python>=1.8,<2",  # draws them without a browser; brings the page's scripts
+            "Jinja2>=3,<4",  # the page
+        ],
+        "dask": ["distributed>=2024.1"],  # study --scheduler: more than one machine
         "test": [
             "pytest>=8",
             "hypothesis>=6.100",  # properties of the plant and the controllers
-            "rosbags>=0.10",  # reads the bags back, independently of the mcap package
+            "playwright>=1.40",  # reads the report's page in the system's Chromium
             # A new minor release of a linter brings new rules; they are taken in on purpose.
             "ruff~=0.17.0",
             "mypy~=2.4.0",
@@ -88,7 +98,7 @@ setup(
     entry_points={
         "console_scripts": [
             *(f"{name} = {NAME}.nodes.{name}:main" for name in NODES),
-            *(f"{name} = {NAME}.{name}:main" for name in COMMANDS),
+            *(f"{name.split('.')[0]} = {NAME}.{name}:main" for name in COMMANDS),
         ],
     },
     zip_safe=False,

@@ -189,14 +189,18 @@ def add_run_arguments(parser: argparse.ArgumentParser) -> None:
         f"the weather file's own (default: {DEFAULT_START}, the paper's window)",
     )
     group.add_argument(
+        "--parameters", type=Path, metavar="FILE",
+        help="the controller's parameter file (default: config/mpc.yaml, config/onoff.yaml)",
+    )
+    group.add_argument(
         "--weight", type=within(*CONTROLLERS["mpc"]["weight"]), metavar="LAMBDA",
         help="mpc: price of pumping, lambda in the paper, 1e-5 to 0.1 there "
-        "(default: config/mpc.yaml)",
+        "(default: that of the parameter file)",
     )
     group.add_argument(
         "--fraction", type=within(*CONTROLLERS["onoff"]["fraction"]), metavar="V",
         help="onoff: command when pumping, v in the paper, 0.2 to 2 there "
-        "(default: config/onoff.yaml)",
+        "(default: that of the parameter file)",
     )
 
 
@@ -232,16 +236,18 @@ def run_from_arguments(arguments: argparse.Namespace) -> Run:
     Raises:
         ConfigurationError: an option, or a file that it names, is wrong.
     """
-    name: str = arguments.controller
-    for option, controller in (("weight", "mpc"), ("fraction", "onoff")):
-        if getattr(arguments, option) is not None and name != controller:
+    controller: str = arguments.controller
+    for option, owner in (("weight", "mpc"), ("fraction", "onoff")):
+        if getattr(arguments, option) is not None and controller != owner:
             raise ConfigurationError(
-                f"is an option of {controller}; the controller is {name}", key=f"--{option}"
+                f"is an option of {owner}; the controller is {controller}", key=f"--{option}"
             )
     shared = shared_directory()
     site_file: Path = arguments.site or shared / "config" / "site.yaml"
     site = read_site(site_file)
-    parameters = read_parameters(shared / "config" / f"{name}.yaml", name)
+    parameters = read_parameters(
+        arguments.parameters or shared / "config" / f"{controller}.yaml", controller
+    )
     if arguments.weight is not None:
         parameters["weight"] = arguments.weight
     if arguments.fraction is not None:
@@ -254,30 +260,74 @@ def run_from_arguments(arguments: argparse.Namespace) -> Run:
             raise ConfigurationError(
                 "says the initial state twice with --cistern and --roof", key="--initial"
             )
-        initial, x1, x2 = "custom", arguments.cistern, arguments.roof
+        initial, volumes = "custom", (arguments.cistern, arguments.roof)
     else:
         initial = arguments.initial or "low-low"
-        x1, x2 = initial_state(site, initial)
-
-    steps = site.N
-    if arguments.hours is not None:
-        steps = round(arguments.hours * 3600 / site.tau)
-        if steps < 1 or not math.isclose(steps * site.tau, arguments.hours * 3600, rel_tol=1e-9):
-            raise ConfigurationError(
-                f"must be a whole number of ticks of {site.tau:g} s, at least one",
-                key="--hours", value=arguments.hours,
-            )
+        volumes = initial_state(site, initial)
     weather = read_weather(
         arguments.weather or shared / "config" / "weather" / "toronto_2021-07.csv",
         site,
         arguments.evapotranspiration,
     )
+    return build_run(
+        site_file, site, weather, arguments.start or DEFAULT_START,
+        count_ticks(site, arguments.hours, "--hours"), controller, parameters, initial, volumes,
+    )
+
+
+def count_ticks(site: Site, hours: float | None, key: str) -> int:
+    """Return N for a run of some hours; the site's own N if it is None.
+
+    Raises:
+        ConfigurationError: they are not a whole number of ticks, at least one and not too many; the
+            message calls them by ``key``.
+    """
+    if hours is None:
+        return site.N
+    seconds = hours * 3600
+    steps = round(seconds / site.tau) if math.isfinite(seconds) else 0
+    if steps < 1 or not math.isclose(steps * site.tau, seconds, rel_tol=1e-9):
+        raise ConfigurationError(
+            f"must be a whole number of ticks of {site.tau:g} s, at least one", key=key, value=hours
+        )
     if steps > _MOST_STEPS:
         raise ConfigurationError(
-            f"makes {steps} ticks of {site.tau:g} s; must be at most {_MOST_STEPS}", key="--hours"
+            f"makes {steps} ticks of {site.tau:g} s; must be at most {_MOST_STEPS}", key=key
         )
-    start = read_start(arguments.start or DEFAULT_START, weather.first.tzinfo)
-    series = WeatherSeries(weather, site, start, steps)
+    return steps
+
+
+def build_run(
+    site_file: Path,
+    site: Site,
+    weather: Weather,
+    start: str,
+    steps: int,
+    controller: str,
+    parameters: dict[str, float],
+    initial: str,
+    volumes: tuple[float, float],
+) -> Run:
+    """Put a run together and check it.
+
+    Args:
+        site_file: where the site was read from.
+        site: its parameters.
+        weather: hourly records.
+        start: time of tick 0, ISO 8601; without an offset from UTC in that of the weather.
+        steps: N, its length (ticks).
+        controller: its name.
+        parameters: its parameters, all of them.
+        initial: name of the initial state.
+        volumes: of the initial state, in cistern and roof (m3).
+
+    Raises:
+        ConfigurationError: the weather does not cover the run, or it has values that the nodes
+            would refuse.
+    """
+    first = read_start(start, weather.first.tzinfo)
+    series = WeatherSeries(weather, site, first, steps)
+    x1, x2 = volumes
     for topic, largest in (
         ("/cistern/level", site.cistern_level(x1)),
         ("/roof/level", site.roof_level(x2)),
@@ -291,9 +341,9 @@ def run_from_arguments(arguments: argparse.Namespace) -> Run:
         weather=weather,
         series=series,
         forecast=PerfectForecast(series, site.M),
-        start=start,
+        start=first,
         steps=steps,
-        controller=name,
+        controller=controller,
         parameters=parameters,
         initial=initial,
         x1=x1,

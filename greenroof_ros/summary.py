@@ -57,6 +57,7 @@ def build(
         "evapotranspiration_variant": run.weather.variant,
         "forecast_repeats_last_record_from": repeats_from.isoformat() if repeats_from else None,
         "filled": run.series.filled,
+        "filled_hours": run.series.filled_hours,
         "frost_hours": run.series.frost_hours,
         "precipitation_in_frost_mm": run.series.precipitation_in_frost,
         **sums,

@@ -39,7 +39,7 @@ class NodeFailed(Exception):
         self.code = code
 
 
-def _end_with_parent() -> None:
+def end_with_parent() -> None:
     """Have the kernel interrupt this process when its parent dies, even by kill -9."""
     ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGINT)
 
@@ -118,7 +118,7 @@ class Supervisor:
             env={**os.environ, REPORT_PIPE: str(writing)},
             pass_fds=(writing,),
             start_new_session=True,
-            preexec_fn=_end_with_parent,
+            preexec_fn=end_with_parent,
         )
         os.close(writing)
         assert process.stdout is not None

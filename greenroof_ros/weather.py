@@ -111,7 +111,9 @@ class WeatherSeries:
         frost: 1 where there is frost and 0 where there is none or nobody knows, shape (ticks,).
         repeats_from: the time from which on the last record is repeated, because some tick's
             forecast window reaches past the end of the file; None if none does.
-        filled: hours of the run's days that were missing and filled, by quantity.
+        filled: hours of the run's days and the day before that were missing and filled, named, by
+            quantity.
+        filled_hours: their number, of all quantities together.
         frost_hours: of the run (h); None where the file has no temperature.
         precipitation_in_frost: depth (mm) in them, snow perhaps, which the model takes as rain.
     """
@@ -159,12 +161,15 @@ class WeatherSeries:
         self.precipitation_in_frost = float(
             (frost * weather.precipitation)[run].sum() * site.tau / 3600
         )
-        day = range(max(0, int(run[0]) - 24), min(last, int(run[-1]) + 24) + 1)
+        days = range(max(0, int(run[0]) - 24), min(last, int(run[-1]) + 24) + 1)
         self.filled = {
-            quantity: name_hours(weather.first, [index for index in day if marks[index]])
+            quantity: name_hours(weather.first, [index for index in days if marks[index]])
             for quantity, marks in weather.records.filled.items()
-            if marks[day.start : day.stop].any()
+            if marks[days.start : days.stop].any()
         }
+        self.filled_hours = sum(
+            int(marks[days.start : days.stop].sum()) for marks in weather.records.filled.values()
+        )
 
 
 def _check_known(weather: Weather, hours: NDArray[np.int64]) -> None:

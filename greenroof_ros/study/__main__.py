@@ -1,0 +1,201 @@
+"""Many runs from one grid: ``python -m greenroof_ros.study``."""
+
+from __future__ import annotations
+
+import argparse
+import os
+from collections.abc import Mapping, Sequence
+from concurrent.futures import FIRST_COMPLETED, Future, wait
+from pathlib import Path
+from typing import Any
+
+from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+from rich.table import Table
+
+from greenroof_ros.command_line import EXIT_DONE, EXIT_FAILED, command
+from greenroof_ros.errors import ConfigurationError
+from greenroof_ros.files import shared_directory
+from greenroof_ros.study.case_run import ENGINES, Outcome
+from greenroof_ros.study.grid import Case, read_grid
+from greenroof_ros.study.store import Store
+from greenroof_ros.study.workers import Submit, cluster, processes
+
+# A graph is five processes; two cores are busy with one.
+_CORES_PER_GRAPH = 2
+_REFRESH_S = 0.5
+
+
+def _count(text: str) -> int:
+    value = int(text)
+    if value < 1:
+        raise ValueError
+    return value
+
+
+_count.__name__ = "whole number from 1"
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(
+        prog="python -m greenroof_ros.study",
+        description="Run every combination of a grid - sites, weather windows, initial states, "
+        "controllers and their parameters - in parallel, and put the results in one table, "
+        "results.csv. The paper's 30 runs, unless another grid is given. Interrupted or killed, "
+        "the same command goes on where it was. 'python -m greenroof_ros.report DIR' draws it.",
+        epilog="exit codes: 0 done, 1 a run failed (the others are in the table), 2 bad usage or "
+        "configuration, 130 interrupted",
+    )
+    parser.add_argument(
+        "grid", nargs="?", type=Path, metavar="GRID.yaml",
+        help="the grid (default: the paper's, config/study.yaml; copy and edit it)",
+    )
+    parser.add_argument(
+        "--output", type=Path, metavar="DIR",
+        help="directory of the study, new or its own (default: studies/ and the grid's name)",
+    )
+    parser.add_argument(
+        "--engine", choices=ENGINES, default="inprocess",
+        help="inprocess: the fast loop; ros: the node graph, each run in a ROS domain of its own, "
+        "for the same table (default: %(default)s)",
+    )
+    parser.add_argument(
+        "--jobs", type=_count, metavar="N",
+        help="runs at a time (default: one a core; with --engine ros, one every two cores)",
+    )
+    parser.add_argument(
+        "--scheduler", metavar="ADDRESS",
+        help="hand the runs to a Dask cluster, such as tcp://10.0.0.1:8786, instead of processes "
+        "of this machine; its workers need greenroof_ros[dask,study]",
+    )
+    return parser
+
+
+@command
+def main() -> int:
+    """Run a study, or the rest of it."""
+    arguments = _parser().parse_args()
+    if arguments.scheduler is not None and arguments.jobs is not None:
+        raise ConfigurationError(
+            "is not an option with --scheduler: the cluster knows how many", key="--jobs"
+        )
+    grid: Path = arguments.grid or shared_directory() / "config" / "study.yaml"
+    name = "paper" if arguments.grid is None else grid.stem
+    cases = read_grid(grid)
+    store = Store(arguments.output or Path("studies") / name, grid, cases, arguments.engine)
+    outcomes = store.finished()
+    open_cases = [case for case in cases if case.identity not in outcomes]
+    failures: dict[str, str] = {}
+    console = Console(stderr=True)
+    if outcomes:
+        console.print(f"{len(outcomes)} of {len(cases)} runs are there already")
+    try:
+        if open_cases:
+            cores = len(os.sched_getaffinity(0))
+            if arguments.engine == "ros":
+                cores = max(1, cores // _CORES_PER_GRAPH)
+            workers = (
+                cluster(arguments.scheduler) if arguments.scheduler is not None
+                else processes(arguments.jobs or cores)
+            )
+            with workers as submit:
+                _run(open_cases, arguments.engine, submit, store, outcomes, failures, console)
+    finally:
+        rows = store.write_tables(outcomes, failures)
+    _show(rows, store.directory)
+    return EXIT_FAILED if failures else EXIT_DONE
+
+
+def _run(
+    cases: Sequence[Case],
+    engine: str,
+    submit: Submit,
+    store: Store,
+    outcomes: dict[str, Outcome],
+    failures: dict[str, str],
+    console: Console,
+) -> None:
+    """Run cases, keeping each outcome as it comes."""
+    # The longest first, so that no core is idle at the end while another has a long one left.
+    ordered = sorted(cases, key=lambda case: (case.controller == "onoff", -case.hours))
+    with Progress(
+        TextColumn("{task.description}"), BarColumn(bar_width=None), MofNCompleteColumn(),
+        TextColumn("runs, time left"), TimeRemainingColumn(),
+        console=console, auto_refresh=False,
+    ) as progress:
+        task = progress.add_task("study", total=len(ordered))
+        progress.refresh()
+        pending: dict[Future[Outcome], Case] = {submit(case, engine): case for case in ordered}
+        while pending:
+            done, _ = wait(pending, timeout=_REFRESH_S, return_when=FIRST_COMPLETED)
+            for future in done:
+                case = pending.pop(future)
+                try:
+                    outcome = future.result()
+                except Exception as error:  # whatever a run, or the end of its process, comes to
+                    reason = str(error) or type(error).__name__
+                    failures[case.identity] = reason
+                    progress.print(f"failed: {_name(case)}: {reason}", markup=False)
+                else:
+                    store.keep(case, outcome)
+                    outcomes[case.identity] = outcome
+                progress.advance(task)
+            progress.refresh()
+
+
+def _name(case: Case) -> str:
+    return f"{_setting(case.controller, case.parameters)}, {case.initial}, from {case.start}"
+
+
+def _setting(controller: str, parameters: Mapping[str, Any]) -> str:
+    """Name a controller with its parameters; an infinite one is no bound."""
+    return " ".join([
+        controller,
+        *(
+            f"{key} {value:g}"
+            for key, value in parameters.items() if value is not None and value != float("inf")
+        ),
+    ])
+
+
+def _show(rows: Sequence[Mapping[str, Any]], directory: Path) -> None:
+    """Print the total deviations, a setting a line and an initial state a column."""
+    console = Console()
+    first, last = list(rows[0]).index("roof_m3") + 1, list(rows[0]).index("status")
+    parameters = list(rows[0])[first:last]
+    windows: dict[tuple[Any, ...], dict[str, dict[str, str]]] = {}
+    initials = list(dict.fromkeys(row["initial"] for row in rows))
+    for row in rows:
+        window = tuple(
+            row[key] for key in ("site", "weather", "start", "hours", "evapotranspiration")
+        )
+        setting = _setting(row["controller"], {key: row[key] for key in parameters})
+        text = row["status"].upper()
+        if row["status"] == "done":
+            text = f"{row['total_deviation_m3']:.2f}"
+        windows.setdefault(window, {}).setdefault(setting, {})[row["initial"]] = text
+    for (site, weather, start, hours, variant), settings in windows.items():
+        table = Table(
+            title=f"Total deviation (m3, summed over the ticks): {weather}, {hours:g} h from "
+            f"{start}, evapotranspiration {variant}, {site}",
+            title_justify="left",
+        )
+        table.add_column("controller")
+        for initial in initials:
+            table.add_column(initial, justify="right")
+        for setting, totals in settings.items():
+            table.add_row(setting, *(totals.get(initial, "") for initial in initials))
+        console.print(table)
+    for column, what in (
+        ("filled_hours", "had missing hours of weather filled in (column filled)"),
+        ("frost_hours", "had frost, in which nothing was pumped (column frost_hours)"),
+        ("limited_steps", "had a tank run empty (column limited_steps)"),
+    ):
+        count = sum(bool(row.get(column)) for row in rows)
+        if count:
+            console.print(f"NOTE: {count} of {len(rows)} runs {what}")
+    console.print(f"written to {directory / 'results.csv'}", soft_wrap=True, highlight=False)
+
+
+if __name__ == "__main__":
+    main()

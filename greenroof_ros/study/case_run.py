@@ -1,0 +1,170 @@
+"""One run of a study, on whichever machine and by whichever engine: the graph, or in process."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+import tempfile
+import time
+from array import array
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import yaml
+
+from greenroof_ros import summary
+from greenroof_ros.closed_loop import closed_loop
+from greenroof_ros.metrics import Metrics
+from greenroof_ros.report.runs import find_runs
+from greenroof_ros.run import Run, build_run, count_ticks, make_controller
+from greenroof_ros.site import read_site
+from greenroof_ros.study.grid import Case
+from greenroof_ros.supervisor import end_with_parent
+from greenroof_ros.trajectory import Trajectory
+from greenroof_ros.weather import read_weather
+
+ENGINES = ("inprocess", "ros")
+# The domains to try, one after the other, until one is free (bringup refuses one that is not).
+_DOMAINS = range(1, 102)
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What came of a run.
+
+    Attributes:
+        results: columns of the table; the same for both engines and every repetition.
+        timings: wall-clock figures (s), which are not.
+        files: what is kept of the run, by name.
+    """
+
+    results: dict[str, Any]
+    timings: dict[str, float]
+    files: dict[str, bytes]
+
+
+def run_case(case: Case, engine: str) -> Outcome:
+    """Run a case.
+
+    Raises:
+        ConfigurationError: the run is wrong, or the engine is not there.
+        RuntimeError: the graph failed; the message has its last words.
+    """
+    with tempfile.TemporaryDirectory(prefix="greenroof_ros-") as name:
+        directory = Path(name)
+        for file in (case.site, case.weather):
+            (directory / file.name).write_bytes(file.content)
+        if engine == "ros":
+            return _run_graph(case, directory)
+        return _run_in_process(_build(case, directory))
+
+
+def _build(case: Case, directory: Path) -> Run:
+    site_file = directory / case.site.name
+    site = read_site(site_file)
+    weather = read_weather(directory / case.weather.name, site, case.evapotranspiration)
+    return build_run(
+        site_file, site, weather, case.start, count_ticks(site, case.hours, "hours"),
+        case.controller, case.parameters, case.initial, (case.cistern, case.roof),
+    )
+
+
+def _run_in_process(run: Run) -> Outcome:
+    controller = make_controller(run.controller, run.site, run.parameters)
+    metrics = Metrics()
+    rows = array("d")
+    began = time.monotonic()
+    for tick in closed_loop(run, controller, metrics):
+        rows.extend((
+            tick.x1, tick.x2, tick.precipitation, tick.evapotranspiration, tick.command,
+            tick.flows.pump, tick.flows.outflow, tick.flows.drainage, tick.frost,
+        ))
+    wall = time.monotonic() - began
+    result = summary.build(run, metrics, wall_s=wall, solver=controller.statistics())
+    columns = np.frombuffer(rows).reshape(run.steps + 1, -1).T
+    time_s = run.site.tau * np.arange(run.steps + 1, dtype=np.float64)
+    trajectory = Trajectory(run.start, time_s, *columns)
+    return Outcome(
+        _results(result), _timings(result), {"trajectory.parquet": trajectory.to_parquet()}
+    )
+
+
+def _run_graph(case: Case, directory: Path) -> Outcome:
+    """Run bringup in a domain of its own; keep its bag and summary."""
+    parameters = directory / "parameters.yaml"
+    parameters.write_text(
+        yaml.safe_dump({case.controller: {"ros__parameters": case.parameters}}), encoding="utf-8"
+    )
+    output = directory / "run"
+    command = [
+        sys.executable, "-m", "greenroof_ros.bringup", "--json", "--output", str(output),
+        "--site", str(directory / case.site.name), "--weather", str(directory / case.weather.name),
+        "--evapotranspiration", case.evapotranspiration, "--start", case.start,
+        "--hours", repr(case.hours), "--controller", case.controller,
+        "--parameters", str(parameters), "--cistern", repr(case.cistern), "--roof", repr(case.roof),
+    ]
+    for domain in _domains(case):
+        process = subprocess.run(
+            command, env={**os.environ, "ROS_DOMAIN_ID": str(domain)}, capture_output=True,
+            text=True, check=False, stdin=subprocess.DEVNULL, preexec_fn=end_with_parent,
+        )
+        if process.returncode == 0:
+            break
+        if f"already in ROS domain {domain}" not in process.stderr:
+            raise RuntimeError(process.stderr.strip().removeprefix("error: "))
+    else:
+        raise RuntimeError("no ROS domain from 1 to 101 is free")
+    result = json.loads((output / "summary.json").read_text(encoding="utf-8"))
+    trajectory, _ = find_runs([output], None).runs[0].load()
+    kept = ("summary.json", "bag/metadata.yaml", "bag/bag_0.mcap")
+    files = {name: (output / name).read_bytes() for name in kept}
+    return Outcome(
+        _results(result), _timings(result),
+        {"trajectory.parquet": trajectory.to_parquet(), **files},
+    )
+
+
+def _domains(case: Case) -> Iterator[int]:
+    """Yield every domain once, from one that is the case's own on."""
+    first = int(case.identity, 16) % len(_DOMAINS)
+    yield from _DOMAINS[first:]
+    yield from _DOMAINS[:first]
+
+
+def _results(result: dict[str, Any]) -> dict[str, Any]:
+    """Return the columns of a summary that are the same in every repetition."""
+    solver = result["solver"] or {}
+    return {
+        "total_deviation_m3": result["total_deviation_m3"],
+        "final_cistern_m3": result["final_cistern_m3"],
+        "final_roof_m3": result["final_roof_m3"],
+        "pumped_m3": result["pumped_m3"],
+        "outflow_m3": result["outflow_m3"],
+        "drainage_m3": result["drainage_m3"],
+        "rain_m3": result["rain_m3"],
+        "evapotranspiration_m3": result["evapotranspiration_m3"],
+        "max_command_applied": result["max_command"],
+        "limited_steps": result["limited_steps"],
+        "solves": solver.get("solves"),
+        "fallbacks": solver.get("fallbacks"),
+        "frost_hours": result["frost_hours"],
+        "precipitation_in_frost_mm": result["precipitation_in_frost_mm"],
+        "filled_hours": result["filled_hours"],
+        "filled": "; ".join(
+            f"{quantity}: {', '.join(hours)}" for quantity, hours in result["filled"].items()
+        ),
+        "forecast_repeats_from": result["forecast_repeats_last_record_from"],
+    }
+
+
+def _timings(result: dict[str, Any]) -> dict[str, float]:
+    solver = result["solver"] or {}
+    return {
+        "wall_s": result["wall_s"],
+        **{key: solver[key] for key in ("mean_s", "p99_s") if key in solver},
+    }

@@ -1,0 +1,176 @@
+"""The directory of a study: what it was made from, what is finished, and the table."""
+
+from __future__ import annotations
+
+import csv
+import fcntl
+import json
+import shutil
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any, TextIO
+
+from greenroof_ros import summary
+from greenroof_ros.errors import ConfigurationError
+from greenroof_ros.run import CONTROLLERS
+from greenroof_ros.study.case_run import Outcome
+from greenroof_ros.study.grid import Case
+
+_OUTCOME = "outcome.json"
+
+
+class Store:
+    """Keeps each run's outcome as it comes, whole or not at all.
+
+    Attributes:
+        directory: of the study.
+    """
+
+    def __init__(self, directory: Path, grid: Path, cases: Sequence[Case], engine: str) -> None:
+        """Begin a study, or go on with one.
+
+        Raises:
+            ConfigurationError: the directory holds something else, another study, or this one as
+                other versions or another engine made it; or it cannot be written, or another
+                process works in it.
+        """
+        self.directory = directory
+        self._cases = cases
+        self._runs = directory / "runs"
+        identity = {
+            "engine": engine,
+            "versions": summary.versions(),
+            "runs": [case.identity for case in cases],
+        }
+        try:
+            self._open(grid, identity)
+        except OSError as error:
+            raise ConfigurationError(
+                f"cannot be written: {error.strerror}", key="--output", value=str(directory)
+            ) from error
+
+    def _open(self, grid: Path, identity: dict[str, Any]) -> None:
+        configuration = self.directory / "configuration"
+        file = configuration / "study.json"
+        if self.directory.exists() and any(self.directory.iterdir()) and not file.is_file():
+            raise ConfigurationError(
+                "exists, is not empty and no study; nothing is written over",
+                key="--output", value=str(self.directory),
+            )
+        configuration.mkdir(parents=True, exist_ok=True)
+        self._lock()
+        if file.is_file():
+            self._check(file, identity)
+        else:
+            shutil.copyfile(grid, configuration / "grid.yaml")
+            for case in self._cases:
+                for used in (case.site, case.weather):
+                    (configuration / used.name).write_bytes(used.content)
+            _write(file, json.dumps(identity, indent=2) + "\n")
+        self._runs.mkdir(exist_ok=True)
+        for cut_short in self._runs.glob("*.part"):
+            shutil.rmtree(cut_short)
+
+    def _lock(self) -> None:
+        """Keep other processes out for as long as this one lives."""
+        self._held: TextIO = (self.directory / ".lock").open("w")
+        try:
+            fcntl.flock(self._held, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except OSError:
+            raise ConfigurationError(
+                "is another process's work just now", key="--output", value=str(self.directory)
+            ) from None
+
+    def _check(self, file: Path, identity: dict[str, Any]) -> None:
+        """Refuse to mix what was begun with something else."""
+        try:
+            begun = json.loads(file.read_text(encoding="utf-8"))
+        except ValueError as error:
+            raise ConfigurationError(f"is not valid JSON: {error}", file=file) from error
+        for key, what in (
+            ("runs", "another grid, or other files"),
+            ("engine", "another engine"),
+            ("versions", "other versions"),
+        ):
+            if not isinstance(begun, dict) or begun.get(key) != identity[key]:
+                raise ConfigurationError(
+                    f"holds a study begun with {what}; go on with those, or give another directory",
+                    key="--output", value=str(self.directory),
+                )
+
+    def finished(self) -> dict[str, Outcome]:
+        """Return the outcomes that are there, without their files."""
+        found = {}
+        for case in self._cases:
+            file = self._runs / case.identity / _OUTCOME
+            if file.is_file():
+                content = json.loads(file.read_text(encoding="utf-8"))
+                found[case.identity] = Outcome(content["results"], content["timings"], {})
+        return found
+
+    def keep(self, case: Case, outcome: Outcome) -> None:
+        """Write an outcome; a process that is killed meanwhile leaves nothing of it.
+
+        Raises:
+            OSError: for instance on a full disk.
+        """
+        part = self._runs / f"{case.identity}.part"
+        about = json.dumps({"results": outcome.results, "timings": outcome.timings}, indent=2)
+        try:
+            for name, content in {**outcome.files, _OUTCOME: f"{about}\n".encode()}.items():
+                (part / name).parent.mkdir(parents=True, exist_ok=True)
+                (part / name).write_bytes(content)
+        except OSError as error:  # of a write it does not know where
+            raise OSError(error.errno, error.strerror, str(part)) from error
+        part.replace(self._runs / case.identity)
+
+    def write_tables(
+        self, outcomes: Mapping[str, Outcome], failures: Mapping[str, str]
+    ) -> list[dict[str, Any]]:
+        """Write ``results.csv``, and ``timings.csv`` apart, as times differ from run to run.
+
+        Args:
+            outcomes: of the finished runs, by identity.
+            failures: why the others are not, by identity; those in neither were not run.
+
+        Returns:
+            The rows of ``results.csv``.
+        """
+        parameters = list(dict.fromkeys(key for keys in CONTROLLERS.values() for key in keys))
+        rows, timings = [], []
+        for case in self._cases:
+            identity = case.identity
+            outcome = outcomes.get(identity)
+            status = "done" if outcome else "failed" if identity in failures else "not run"
+            rows.append({
+                "run": identity,
+                **case.columns(),
+                **{key: case.parameters.get(key) for key in parameters},
+                "status": status,
+                "error": failures.get(identity, ""),
+                **(outcome.results if outcome else {}),
+            })
+            if outcome:
+                timings.append({"run": identity, **outcome.timings})
+        _write_csv(self.directory / "results.csv", rows)
+        _write_csv(self.directory / "timings.csv", timings)
+        return rows
+
+
+def _write(path: Path, text: str) -> None:
+    """Write a file so that it is whole or as it was before."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    part = path.with_name(f".{path.name}.part")
+    part.write_text(text, encoding="utf-8")
+    part.replace(path)
+
+
+def _write_csv(path: Path, rows: Sequence[Mapping[str, Any]]) -> None:
+    """Write rows with the columns of all of them; floats with all their digits."""
+    columns = list(dict.fromkeys(column for row in rows for column in row))
+    part = path.with_name(f".{path.name}.part")
+    with part.open("w", newline="", encoding="utf-8") as stream:
+        writer = csv.DictWriter(stream, columns, lineterminator="\n")
+        writer.writeheader()
+        writer.writerows(rows)
+    part.replace(path)
