@@ -20,27 +20,31 @@ endif
 ifeq ($(ROS),sourced)
 VENV_OPTIONS := --system-site-packages
 RUN_EXTRAS :=
-TEST_EXTRAS := [test]
-BENCH_EXTRAS := [bench]
+STUDY_EXTRAS := [study]
+TEST_EXTRAS := [study,dask,test]
+BENCH_EXTRAS := [study,bench]
 else
 VENV_OPTIONS :=
 RUN_EXTRAS := [ros]
-TEST_EXTRAS := [ros,test]
-BENCH_EXTRAS := [ros,bench]
+STUDY_EXTRAS := [study]
+TEST_EXTRAS := [ros,study,dask,test]
+BENCH_EXTRAS := [ros,study,bench]
 endif
 
 # Stamp files: the environment was made; what a target needs was installed into it.
 MADE := $(VENV)/.made-$(ROS)
 FOR_RUN := $(VENV)/.for-run
+FOR_STUDY := $(VENV)/.for-study
 FOR_TEST := $(VENV)/.for-test
 FOR_BENCH := $(VENV)/.for-bench
 
 PIP_INSTALL = $(BIN)/python -m pip --disable-pip-version-check install --quiet --editable
 
-.PHONY: help run test lint bench clean
+.PHONY: help run study test lint bench clean
 
 help:
 	@echo "make run    the 12 h of the paper with the predictive controller, as a node graph"
+	@echo "make study  the 30 runs of the paper, and their report: no ROS"
 	@echo "make test   every test"
 	@echo "make lint   ruff and mypy"
 	@echo "make bench  the speed of graph and controller, as ratios"
@@ -48,6 +52,11 @@ help:
 
 run: $(FOR_RUN)
 	@$(BIN)/python -m greenroof_ros.bringup $(or $(ARGS),--controller mpc)
+
+study: $(FOR_STUDY)
+	@$(BIN)/python -m greenroof_ros.study
+	@rm -rf studies/paper/report
+	@$(BIN)/python -m greenroof_ros.report studies/paper
 
 test: $(FOR_TEST)
 	@$(BIN)/python -m pytest $(ARGS)
@@ -80,13 +89,17 @@ $(FOR_RUN): $(MADE) setup.py
 	$(PIP_INSTALL) '.$(RUN_EXTRAS)'
 	@touch $@
 
+$(FOR_STUDY): $(MADE) setup.py
+	$(PIP_INSTALL) '.$(STUDY_EXTRAS)'
+	@touch $@
+
 $(FOR_TEST): $(MADE) setup.py
 	$(PIP_INSTALL) '.$(TEST_EXTRAS)'
-	@touch $(FOR_RUN) $@
+	@touch $(FOR_RUN) $(FOR_STUDY) $@
 
 $(FOR_BENCH): $(MADE) setup.py
 	$(PIP_INSTALL) '.$(BENCH_EXTRAS)'
-	@touch $(FOR_RUN) $@
+	@touch $(FOR_RUN) $(FOR_STUDY) $@
 
 clean:
 	rm -rf $(VENV) build dist install log *.egg-info

@@ -42,6 +42,7 @@ setup(
     license_files=["LICENSE"],
     python_requires=">=3.10",
     packages=find_packages(include=[NAME, f"{NAME}.*"]),
+    package_data={f"{NAME}.report": ["template.html"]},
     data_files=[
         ("share/ament_index/resource_index/packages", [f"resource/{NAME}"]),
         (SHARE.as_posix(), ["package.xml"]),
@@ -72,7 +73,7 @@ setup(
         # Studies of many runs, and reports with figures; neither needs a ROS.
         "study": [
             "pebble>=5,<6",  # parallel processes, of which one may die without the others
-            "polars>=1,<3",  # trajectories as parquet
+            "polars>=1.33,<3",  # trajectories as parquet; from 1.33 on it takes metadata
             "rosbags>=0.10,<1",  # reads any bag, of whatever storage
             "altair>=6,<7",  # figures: one description for page, PNG and SVG
             "vl-convert-python>=1.8,<2",  # draws them without a browser; brings the page's scripts

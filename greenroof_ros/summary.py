@@ -74,7 +74,7 @@ def build(
 def versions() -> dict[str, str]:
     """Return the versions of what computes a run's numbers."""
     found = {"greenroof_ros": __version__, "python": platform.python_version()}
-    for package in ("numpy", "scipy", "osqp", "mcap", "rclpy"):
+    for package in ("numpy", "scipy", "osqp", "eto", "mcap", "rclpy"):
         try:
             found[package] = metadata.version(package)
         except metadata.PackageNotFoundError:

@@ -128,6 +128,28 @@ def measure_mpc(steps: int = 2000) -> float:
     return (time.perf_counter() - began) / steps
 
 
+def measure_study() -> float:
+    """Return the wall time of the paper's study over that of its MPC runs, were they all it is.
+
+    That is the time of one 12 h MPC run alone times their number, over the cores.
+    """
+    with tempfile.TemporaryDirectory() as directory:
+
+        def timed(module: str, *options: str) -> float:
+            began = time.perf_counter()
+            subprocess.run(
+                [sys.executable, "-m", f"greenroof_ros.{module}", "--output", *options],
+                cwd=directory, check=True, capture_output=True,
+            )
+            return time.perf_counter() - began
+
+        alone = [timed("simulate", f"run{number}") for number in range(3)]
+        mpc_runs = 15
+        return timed("study", "study") / (
+            statistics.median(alone) * mpc_runs / len(os.sched_getaffinity(0))
+        )
+
+
 def measure_do_mpc(steps: int = 30) -> float:
     """Return a step of do-mpc (s) on the same problem: smooth plant, horizon 10, same cost."""
     import casadi
@@ -190,7 +212,9 @@ def measure_do_mpc(steps: int = 30) -> float:
 
 def main() -> None:
     """Measure in rounds and print the table of the README."""
-    rows: dict[str, list[float]] = {"tick": [], "bare": [], "record": [], "do_mpc": []}
+    rows: dict[str, list[float]] = {
+        "tick": [], "bare": [], "record": [], "do_mpc": [], "study": []
+    }
     with own_domain() as domain:
         for number in range(ROUNDS):
             trip = measure_echo(domain)
@@ -203,6 +227,7 @@ def main() -> None:
             rows["bare"].append(bare / yardstick)
             rows["record"].append(recorded / bare)
             rows["do_mpc"].append(peer / step)
+            rows["study"].append(measure_study())
             print(
                 f"round {number + 1} of {ROUNDS}: echo {yardstick * 1e6:.0f} us, "
                 f"tick {recorded * 1e6:.0f} us, without recorder {bare * 1e6:.0f} us, "
@@ -215,6 +240,7 @@ def main() -> None:
         ("bare", "the same without the recorder"),
         ("record", "tick with / without recorder"),
         ("do_mpc", "do-mpc step / MPC step of `simulate`"),
+        ("study", "study of 30 runs / (one MPC run alone x 15 / cores)"),
     ):
         values = ", ".join(f"{value:.2f}" for value in rows[key])
         print(f"| {name} | {statistics.median(rows[key]):.2f} | {values} |")

@@ -17,10 +17,12 @@ import pytest
 from paper import paper_run
 
 from greenroof_ros.closed_loop import Tick, closed_loop
+from greenroof_ros.files import shared_directory
 from greenroof_ros.metrics import Metrics
 from greenroof_ros.run import make_controller
 
 DATA = Path(__file__).parent / "data"
+TOTALS = shared_directory() / "config" / "paper" / "totals.csv"
 VOLUME = 2e-5  # m3
 
 
@@ -31,15 +33,15 @@ def loop_of(initial: str, controller: str, parameter: str, metrics: Metrics) -> 
     return closed_loop(run, make_controller(controller, run.site, run.parameters), metrics)
 
 
-def rows_of(name: str) -> list[dict[str, str]]:
+def rows_of(path: Path) -> list[dict[str, str]]:
     """Read a file of reference figures."""
-    with (DATA / name).open() as file:
+    with path.open() as file:
         return list(csv.DictReader(file))
 
 
 @pytest.mark.parametrize(
     "row",
-    rows_of("totals.csv"),
+    rows_of(TOTALS),
     ids=lambda row: f"{row['initial']} {row['controller']} {row['parameter']}",
 )
 def test_each_of_the_papers_runs(row: dict[str, str]) -> None:
@@ -64,7 +66,7 @@ def test_each_of_the_papers_runs(row: dict[str, str]) -> None:
 def test_trajectory(controller: str, parameter: str, command: float) -> None:
     """State and command on the way, from low-low; 2e-5 m3 move the MPC's command by 2e-7."""
     ticks = list(loop_of("low-low", controller, parameter, Metrics()))
-    rows = rows_of(f"trajectory_low-low_{controller}_{parameter}.csv")
+    rows = rows_of(DATA / f"trajectory_low-low_{controller}_{parameter}.csv")
     found = [ticks[int(row["t_s"])] for row in rows]
     for field, column, tolerance in (
         ("x1", "cistern_m3", VOLUME),

@@ -17,7 +17,7 @@ import greenroof_ros
 
 CHECKOUT = Path(__file__).resolve().parents[1]
 NODES = ("plant", "weather", "mpc", "onoff", "recorder")
-COMMANDS = ("bringup", "simulate", "recover", "topics")
+COMMANDS = ("bringup", "simulate", "recover", "topics", "study", "report")
 SCRIPTS = sorted(NODES + COMMANDS)
 
 # The rosdep key of each Python requirement; None where rosdep has none and package.xml says so.
@@ -26,6 +26,7 @@ ROSDEP_KEYS = {
     "scipy": "python3-scipy",
     "osqp": None,
     "mcap": None,
+    "eto": None,
     "pyyaml": "python3-yaml",
     "rich": "python3-rich",
 }

@@ -1,0 +1,166 @@
+"""What every figure is made of: panels, colours that all can tell apart, and its files."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import altair as alt
+
+# Okabe and Ito's colours without yellow, which is too pale on white.
+COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#000000", "#E69F00", "#56B4E9")
+# Told apart without colour, too; their number and that of the colours have no common factor.
+_DASHES = ([1, 0], [8, 3], [2, 2], [10, 3, 2, 3], [5, 2, 1, 2, 1, 2])
+SHAPES = ("circle", "diamond", "square", "triangle-up", "cross", "triangle-down")
+_PANEL_WIDTH = 400
+CONFIG: dict[str, Any] = {
+    "font": "Arial, Helvetica, sans-serif",
+    "background": "white",
+    "view": {"stroke": "#cccccc"},
+    "axis": {
+        "labelFontSize": 11, "titleFontSize": 12, "titleFontWeight": "normal",
+        "labelColor": "#222222", "titleColor": "#222222", "gridColor": "#e6e6e6",
+    },
+    "legend": {
+        "orient": "bottom", "direction": "horizontal", "columns": 3, "labelFontSize": 11,
+        "titleFontSize": 11, "titleFontWeight": "normal", "titleOrient": "left",
+        "labelColor": "#222222", "titleColor": "#222222", "symbolStrokeWidth": 2,
+        "labelLimit": 240, "symbolOpacity": 1,
+    },
+    "title": {"anchor": "start", "fontSize": 13, "fontWeight": "bold", "color": "#222222"},
+}
+
+
+Rows = list[dict[str, Any]]
+Chart = alt.Chart | alt.LayerChart | alt.FacetChart
+
+
+@dataclass(frozen=True)
+class Panel:
+    """One view of a figure.
+
+    Attributes:
+        chart: without size and title.
+        title: of the panel.
+        height: of its plotting area (px).
+        hover: unseen points on the lines, for the pointer to find on the page.
+        toggle: the field whose legend switches series on and off on the page; empty for none.
+        zoom: whether the page lets a reader zoom along x.
+    """
+
+    chart: Chart
+    title: str
+    height: int = 190
+    hover: alt.Chart | None = None
+    toggle: str = ""
+    zoom: bool = False
+
+    def specification(self) -> dict[str, Any]:
+        """Return the specification for the page, without data and :data:`CONFIG`."""
+        chart = self.chart if self.hover is None else self.chart + self.hover
+        sized = chart.properties(width="container", height=self.height, title=self.title)
+        specification: dict[str, Any] = sized.to_dict()
+        del specification["config"]  # altair's own defaults
+        layers = specification.get("layer", [specification])
+        if self.toggle:
+            toggled = [
+                layer for layer in layers
+                if layer.get("encoding", {}).get("color", {}).get("field") == self.toggle
+            ]
+            for layer in toggled:
+                layer.setdefault("transform", []).append({"filter": {"param": "shown"}})
+            names = toggled[0]["encoding"]["color"]["scale"]["domain"]
+            shown = {
+                "name": "shown",
+                "select": {"type": "point", "fields": [self.toggle], "toggle": "true"},
+                "value": [{self.toggle: name} for name in names],
+                "bind": "legend",
+            }
+            toggled[0].setdefault("params", []).append(shown)
+        if self.zoom:
+            zoom = {
+                "name": "zoom",
+                # With shift only: a wheel without it must go on scrolling the page.
+                "select": {
+                    "type": "interval", "encodings": ["x"], "zoom": "wheel![event.shiftKey]",
+                },
+                "bind": "scales",
+            }
+            along = next(layer for layer in layers if "field" in layer["encoding"].get("x", {}))
+            along.setdefault("params", []).append(zoom)
+        return specification
+
+
+@dataclass(frozen=True)
+class Figure:
+    """A figure: its panels, their data, and how it is to be read.
+
+    Attributes:
+        name: of its files.
+        title: what it shows.
+        caption: how it is to be read.
+        panels: in reading order.
+        columns: how many panels go side by side.
+        data: the rows that the panels refer to by name.
+    """
+
+    name: str
+    title: str
+    caption: str
+    panels: tuple[Panel, ...]
+    columns: int
+    data: dict[str, Rows] = field(default_factory=dict)
+
+    @property
+    def page_columns(self) -> int:
+        """How many panels go side by side on the page, which has room for three."""
+        if self.columns <= 3:
+            return self.columns
+        return 2 if self.columns == 4 else 3
+
+    def save(self, directory: Path) -> None:
+        """Write the figure as SVG and as PNG."""
+        charts = [
+            panel.chart.properties(width=_PANEL_WIDTH, height=panel.height, title=panel.title)
+            for panel in self.panels
+        ]
+        whole = alt.concat(*charts, columns=self.columns).resolve_scale(
+            color="independent", shape="independent", strokeDash="independent"
+        )
+        whole = whole.properties(datasets=self.data, title=self.title).configure(**CONFIG)
+        whole.save(str(directory / f"{self.name}.svg"))
+        whole.save(str(directory / f"{self.name}.png"), scale_factor=2)
+
+
+def distinct(name: str, values: list[str], title: str) -> dict[str, Any]:
+    """Tell the series of a field apart by colour and by dashes."""
+    return {
+        "color": alt.Color(
+            f"{name}:N", title=title or None,
+            scale=alt.Scale(domain=values, range=cycle(COLOURS, values)),
+            legend=alt.Legend(symbolSize=600, symbolType="stroke"),
+        ),
+        "strokeDash": alt.StrokeDash(
+            f"{name}:N", title=title or None,
+            scale=alt.Scale(domain=values, range=cycle(_DASHES, values)),
+        ),
+    }
+
+
+def cycle(choices: Sequence[Any], values: Sequence[str]) -> list[Any]:
+    """Return a choice for each value, beginning anew where there are more values."""
+    return [choices[index % len(choices)] for index in range(len(values))]
+
+
+def hover_points(lines: alt.Chart) -> alt.Chart:
+    """Return unseen points on the lines, for the pointer to find."""
+    points: alt.Chart = lines.copy().mark_point(opacity=0, size=60, filled=True)
+    points.encoding.strokeDash = alt.Undefined
+    return points
+
+
+def short(value: float) -> float:
+    """Return a value with as many digits as a figure can show."""
+    return float(f"{value:.7g}")

@@ -1,0 +1,162 @@
+"""The figures of pumps and pipe: the pump curve, and the smooth model beside the exact one."""
+
+from __future__ import annotations
+
+import csv
+import io
+import math
+from pathlib import Path
+
+import altair as alt
+import numpy as np
+
+from greenroof_ros.errors import ConfigurationError
+from greenroof_ros.files import read_text
+from greenroof_ros.plant import maximum_pump_flow, pump_flow
+from greenroof_ros.pump_curve import fit_pump_curve
+from greenroof_ros.report.assessment import head_loss
+from greenroof_ros.report.drawing import Figure, Panel, Rows, distinct, short
+from greenroof_ros.site import Site
+from greenroof_ros.smooth_plant import linearise
+
+
+def read_pump_data(path: Path) -> list[tuple[float, float]]:
+    """Read the points of a pump's data sheet: lines of flow (m3/s) and head (m).
+
+    Raises:
+        ConfigurationError: the file is wrong, or no curve can be fitted to it.
+    """
+    rows = list(csv.reader(io.StringIO(read_text(path))))
+    header = [cell.strip() for cell in rows[0]]
+    if header != ["flow [m3/s]", "head [m]"]:
+        raise ConfigurationError(
+            "the first line must be 'flow [m3/s],head [m]'", file=path, line=1,
+            value=",".join(rows[0]),
+        )
+    points = []
+    for line, row in enumerate(rows[1:], start=2):
+        if not row:
+            continue
+        try:
+            flow, head = (float(cell) for cell in row)
+        except ValueError as error:
+            raise ConfigurationError(
+                "must be two numbers, flow (m3/s) and head (m)",
+                file=path, line=line, value=",".join(row),
+            ) from error
+        points.append((flow, head))
+    try:
+        fit_pump_curve([flow for flow, _ in points], [head for _, head in points])
+    except ValueError as error:
+        raise ConfigurationError(str(error), file=path) from error
+    return points
+
+
+def pump_curve(
+    site: Site, number: int, of: str, points: list[tuple[float, float]] | None
+) -> Figure:
+    """Return head over flow of pumps and pipe (paper: Fig. 2, Eqs. 3b-3d)."""
+    suction, outlet = site.suction_level, site.z_o
+    least, most = f"head loss, cistern at {suction:g} m", f"head loss, cistern at {outlet:g} m"
+    names = ["pump curve of the site", least, most]
+    largest = math.sqrt(site.c_hat / -site.a_hat)
+    if points:
+        largest = max(largest, *(flow for flow, _ in points))
+    flows = np.linspace(0, largest, 120)
+    heads = {names[0]: site.a_hat * flows**2 + site.c_hat}
+    for name, level in ((least, suction), (most, outlet)):
+        heads[name] = head_loss(site, np.full(len(flows), level * site.a1), flows)
+    caption = (
+        "Head over flow. Where the curve of the pumps (Eq. 3b) meets the head loss of the pipe "
+        "(Eq. 3c), the pumps work at command 1 (Eq. 3d): hollow circles, for a cistern at the "
+        "lowest level at which they may run and at its outlet's level. "
+    )
+    if points:
+        fit = fit_pump_curve([flow for flow, _ in points], [head for _, head in points])
+        names.append("fit to the data sheet")
+        heads[names[-1]] = fit.a_hat * flows**2 + fit.c_hat
+        caption += (
+            f"Crosses: points of the data sheet; fit: a_hat = {fit.a_hat:.4g} s2/m5, "
+            f"c_hat = {fit.c_hat:.4g} m."
+        )
+    else:
+        caption += "The points that the paper's curve was fitted to are not published as numbers."
+    rows = [
+        {"line": name, "flow": short(flow * 1000), "head": short(head)}
+        for name, line in heads.items()
+        for flow, head in zip(flows, line, strict=True)
+        if head >= -1e-9  # the curve's end is 0 but for a rounding
+    ]
+    working = []
+    for level in (suction, outlet):
+        flow = maximum_pump_flow(site, level * site.a1)
+        working.append({"flow": flow * 1000, "head": site.a_hat * flow**2 + site.c_hat})
+    data = f"pump-curve-{number}"
+    x = alt.X("flow:Q", title="flow (L/s)")
+    top = 1.05 * max(float(line.max()) for line in heads.values())
+    y = alt.Y("head:Q", title="head (m)", scale=alt.Scale(domain=[0, top], nice=False))
+    layers = [
+        alt.Chart(alt.NamedData(data)).mark_line(clip=True).encode(
+            x=x, y=y, tooltip=["line:N", "flow:Q", "head:Q"], **distinct("line", names, ""),
+        ),
+        alt.Chart(alt.InlineData(working)).mark_point(size=90, color="black").encode(
+            x=x, y=y,
+            tooltip=[alt.Tooltip("flow:Q", format=".4g"), alt.Tooltip("head:Q", format=".4g")],
+        ),
+    ]
+    if points:
+        measured = [{"flow": flow * 1000, "head": head} for flow, head in points]
+        layers.append(
+            alt.Chart(alt.InlineData(measured)).mark_point(shape="cross", size=60, color="black")
+            .encode(x=x, y=y, tooltip=["flow:Q", "head:Q"])
+        )
+    panel = Panel(alt.layer(*layers), "Head over flow", height=260, toggle="line")
+    return Figure(
+        f"pump-curve-{number}", f"Pumps and pipe{of}", caption, (panel,), 1, {data: rows}
+    )
+
+
+def pump_smoothing(site: Site, number: int, of: str) -> Figure:
+    """Return q_pump of the exact and of the smooth model (paper: Fig. 3, Eqs. 3a and 8)."""
+    command, names = 0.5, ["exact (Eq. 3a)", "smooth (Eq. 8)"]
+    switch, full = site.suction_level * site.a1, 4 / 3 * site.a1 * site.z_o
+    near = 8 * site.epsilon
+    sweeps = (
+        ("x1", 0.0, full, "Over the cistern's volume, x2 = 0"),
+        ("x1", max(0.0, switch - near), switch + near, "The same, about the suction limit"),
+        ("x2", 0.0, site.x2_star + near, f"Over the roof's volume, x1 = {full:.3g} m³"),
+    )
+    panels, data = [], {}
+    for index, (name, low, high, title) in enumerate(sweeps, start=1):
+        edge = switch if name == "x1" else site.x2_star
+        # Both sides of the switch, so that the exact model's jump is drawn upright.
+        grid = np.union1d(np.linspace(low, high, 241), [np.nextafter(edge, 0), edge])
+        rows: Rows = []
+        for value in grid[(grid >= low) & (grid <= high)].tolist():
+            x1, x2 = (value, 0.0) if name == "x1" else (full, value)
+            smooth = command * linearise(site, x1, x2, command, 0.0, 0.0).B[1] / site.tau
+            for line, flow in zip(
+                names, (pump_flow(site, x1, x2, command), smooth), strict=True
+            ):
+                # Not rounded: the two sides of the jump differ in the last digit only.
+                rows.append({"model": line, "x": value, "q": short(flow * 1000)})
+        dataset = f"pump-smoothing-{number}-{index}"
+        data[dataset] = rows
+        tank = "cistern" if name == "x1" else "green roof"
+        chart = alt.Chart(alt.NamedData(dataset)).mark_line().encode(
+            x=alt.X("x:Q", title=f"{tank}, {name} (m³)",
+                    scale=alt.Scale(domain=[low, high], nice=False)),
+            y=alt.Y("q:Q", title="pump flow (L/s)"),
+            tooltip=["model:N", alt.Tooltip("x:Q", format=".4g"), "q:Q"],
+            **distinct("model", names, ""),
+        )
+        panels.append(Panel(chart, title, toggle="model"))
+    caption = (
+        f"The pumps' flow at command {command:g} in the exact model, which the plant steps, and "
+        f"in the smooth one, which serves only to linearise (epsilon = {site.epsilon:g}). Where "
+        "they differ the predictive controller is mistaken about what its pumps do."
+    )
+    return Figure(
+        f"pump-smoothing-{number}", f"Exact and smooth pump flow{of}", caption, tuple(panels), 2,
+        data,
+    )

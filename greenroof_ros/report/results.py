@@ -1,0 +1,242 @@
+"""What the figures and tables show: results, and how they fall into settings and windows."""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from datetime import datetime
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from greenroof_ros.report.assessment import Assessment
+from greenroof_ros.report.runs import RunEntry
+from greenroof_ros.trajectory import Trajectory
+
+MOST_POINTS = 500
+"""of a drawn line; totals are of all samples"""
+_CONTROLLERS = {"mpc": "MPC", "onoff": "on/off"}
+
+
+class Curve(NamedTuple):
+    """A line as it is drawn: at most :data:`MOST_POINTS` points."""
+
+    time: NDArray[np.float64]
+    """s since the start"""
+    value: NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Result:
+    """A run, what it came to, and what of it is drawn.
+
+    Attributes:
+        entry: the run.
+        notes: what a reader should know of it.
+        start: time of the first sample.
+        assessment: what it came to.
+        curves: by the name of the trajectory's attribute.
+        frost: from and to (s since the start) of each time of frost.
+    """
+
+    entry: RunEntry
+    notes: tuple[str, ...]
+    start: datetime
+    assessment: Assessment
+    curves: dict[str, Curve]
+    frost: tuple[tuple[float, float], ...]
+
+    @property
+    def window(self) -> Window:
+        """What the run can be compared within."""
+        entry = self.entry
+        return Window(
+            entry.site_name, entry.weather, self.start, round(self.assessment.hours, 6),
+            entry.variant,
+        )
+
+
+class Window(NamedTuple):
+    """Runs of one site over one weather, which differ in controller and initial state only."""
+
+    site_name: str
+    weather: str
+    start: datetime
+    hours: float
+    variant: str
+
+    def __str__(self) -> str:
+        """As headings name it."""
+        return (
+            f"{Path(self.weather).stem}, {self.start.isoformat(' ', 'minutes')}, "
+            f"{self.hours:.4g} h, evapotranspiration {self.variant}"
+        )
+
+
+def thin(values: NDArray[np.float64], most: int = MOST_POINTS) -> NDArray[np.intp]:
+    """Return which samples to draw: the first, the last, and each bucket's least and largest.
+
+    Args:
+        values: shape (n,).
+        most: number of samples to keep, about; all are kept where there are no more.
+    """
+    count = len(values)
+    if count <= most:
+        return np.arange(count)
+    edges = np.linspace(0, count, (most - 2) // 2 + 1).astype(np.intp)
+    kept = {0, count - 1}
+    for low, high in itertools.pairwise(edges):
+        kept.add(int(low + np.argmin(values[low:high])))
+        kept.add(int(low + np.argmax(values[low:high])))
+    return np.array(sorted(kept), dtype=np.intp)
+
+
+def result(entry: RunEntry, notes: tuple[str, ...], trajectory: Trajectory,
+           assessment: Assessment) -> Result:
+    """Keep of a trajectory what is drawn."""
+    curves = {}
+    for name in ("command", "cistern", "roof", "precipitation", "evapotranspiration"):
+        values = getattr(trajectory, name)
+        if name not in ("cistern", "roof"):
+            # The run ends in its last sample: what would hold from then on never did.
+            values = np.append(values[:-1], values[-2])
+        index = thin(values)
+        curves[name] = Curve(trajectory.time[index], values[index])
+    frozen = np.concatenate([[0], trajectory.frost[:-1] > 0, [0]]).astype(int)
+    steps = np.diff(frozen)
+    begins = trajectory.time[np.flatnonzero(steps > 0)]
+    ends = trajectory.time[np.flatnonzero(steps < 0)]
+    frost = tuple(zip(begins.tolist(), ends.tolist(), strict=True))
+    return Result(entry, notes, trajectory.start, assessment, curves, frost)
+
+
+def controller_name(name: str) -> str:
+    """Return a controller's name for people."""
+    return " ".join(_CONTROLLERS.get(word, word) for word in name.split("_"))
+
+
+class Settings:
+    """How the runs of one controller are told apart: by the parameters that differ among them.
+
+    Attributes:
+        title: what a label gives, the parameter's name where there is just one.
+        labels: all labels, in the order of their values.
+        axis: the one numeric parameter that differs; empty if there is none, or more than one.
+        log: whether it spans so much that its axis is logarithmic.
+    """
+
+    def __init__(self, entries: Sequence[RunEntry]) -> None:
+        names = list(dict.fromkeys(name for entry in entries for name in entry.parameters))
+        differing = [
+            name for name in names if len({entry.parameters.get(name) for entry in entries}) > 1
+        ]
+        self._shown = differing or names[:1]
+        self.title = self._shown[0] if len(self._shown) == 1 else "setting"
+        numbers = [entry.parameters.get(self.title) for entry in entries]
+        floats = [number for number in numbers if isinstance(number, float)]
+        self.axis = self.title if len(differing) == 1 and len(floats) == len(numbers) else ""
+        self.log = bool(self.axis) and min(floats) > 0 and max(floats) / min(floats) > 20
+        keys = sorted({self._key(entry) for entry in entries})
+        self.labels = list(dict.fromkeys(label for _, label in keys))
+
+    def _key(self, entry: RunEntry) -> tuple[tuple[tuple[float, str], ...], str]:
+        order = []
+        for name in self._shown:
+            value = entry.parameters.get(name)
+            if isinstance(value, float):
+                order.append((value, ""))
+            else:
+                order.append((math.inf, str(value)))
+        return tuple(order), self.label(entry)
+
+    def label(self, entry: RunEntry) -> str:
+        """Return what tells a run from the controller's others."""
+        if not self._shown:
+            return entry.name
+        if len(self._shown) == 1:
+            return _text(entry.parameters.get(self.title))
+        return ", ".join(f"{name} {_text(entry.parameters.get(name))}" for name in self._shown)
+
+    def full_label(self, entry: RunEntry) -> str:
+        """Return the label with the parameter's name."""
+        label = self.label(entry)
+        return f"{self.title} {label}" if len(self._shown) == 1 else label
+
+
+def _text(value: float | str | None) -> str:
+    if not isinstance(value, float):
+        return value or "none"
+    # 0.00001 as people write it, not 1e-05.
+    short = float(f"{value:g}")
+    return np.format_float_positional(short, trim="-") if 1e-7 < abs(short) < 1e7 else f"{value:g}"
+
+
+class Report:
+    """All results, and how they fall into controllers, settings, windows and initial states.
+
+    Attributes:
+        results: every finished run.
+        controllers: names, the paper's first.
+        settings: of each controller.
+        windows: in the order of the runs.
+        initials: names of the initial states, in the order of the runs.
+    """
+
+    def __init__(self, results: Sequence[Result]) -> None:
+        self.results = list(results)
+        found = list(dict.fromkeys(one.entry.controller for one in results))
+        self.controllers = [name for name in _CONTROLLERS if name in found]
+        self.controllers += [name for name in found if name not in _CONTROLLERS]
+        self.settings = {
+            name: Settings([one.entry for one in results if one.entry.controller == name])
+            for name in self.controllers
+        }
+        self.windows = list(dict.fromkeys(one.window for one in results))
+        self.initials = list(dict.fromkeys(one.entry.initial for one in results))
+
+    def label(self, one: Result) -> str:
+        """Return controller and setting of a run."""
+        name = controller_name(one.entry.controller)
+        return f"{name} {self.settings[one.entry.controller].full_label(one.entry)}"
+
+    def title(self, text: str, window: Window) -> str:
+        """Return a figure's title, with the window where there are others."""
+        return f"{text}: {window}" if len(self.windows) > 1 else text
+
+    def of(self, window: Window, controller: str = "", initial: str = "") -> list[Result]:
+        """Return the runs of a window, and if given of a controller and an initial state."""
+        return [
+            one for one in self.results
+            if one.window == window
+            and controller in ("", one.entry.controller)
+            and initial in ("", one.entry.initial)
+        ]
+
+
+class Best(NamedTuple):
+    """The run of a controller with the least total deviation from an initial state."""
+
+    window: Window
+    initial: str
+    setting: str
+    run: Result
+
+
+def best_runs(report: Report) -> list[Best]:
+    """Return the best run of each controller in each window from each initial state."""
+    found = []
+    for window, initial, controller in itertools.product(
+        report.windows, report.initials, report.controllers
+    ):
+        runs = report.of(window, controller, initial)
+        if runs:
+            totals = [one.assessment.total_deviation_m3 for one in runs]
+            least = runs[totals.index(min(totals))]
+            alike = len(runs) > 1 and min(totals) == max(totals)
+            setting = report.settings[controller].full_label(least.entry)
+            found.append(Best(window, initial, "all alike" if alike else setting, least))
+    return found

@@ -1,0 +1,844 @@
+"""Reports: from studies, run directories and bags; the data of each figure; wrong inputs."""
+
+from __future__ import annotations
+
+import csv
+import dataclasses
+import json
+import os
+import shutil
+import struct
+import subprocess
+import sys
+from collections.abc import Callable, Sequence
+from datetime import datetime
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+import pytest
+from graph import bring_up, environment
+from hypothesis import given
+from hypothesis import strategies as st
+from paper import PAPER_SITE, exact_flows, paper_run, smooth_rates
+from rosbags.rosbag2 import StoragePlugin, Writer
+from rosbags.typesys import Stores, get_typestore
+
+from greenroof_ros.closed_loop import closed_loop
+from greenroof_ros.errors import ConfigurationError
+from greenroof_ros.metrics import Metrics
+from greenroof_ros.report.assessment import Assumptions, assess
+from greenroof_ros.report.drawing import Figure
+from greenroof_ros.report.figures import make_figures
+from greenroof_ros.report.page import render
+from greenroof_ros.report.results import MOST_POINTS, Report, result, thin
+from greenroof_ros.report.runs import RunEntry, find_runs
+from greenroof_ros.run import make_controller
+from greenroof_ros.trajectory import Trajectory, read_parquet
+
+CONFIG = Path(__file__).resolve().parent.parent / "config"
+START = datetime.fromisoformat("2021-07-07T02:00-05:00")
+START_NS = 1_625_641_200 * 10**9  # date -d 2021-07-07T02:00-05:00 +%s
+TYPES = get_typestore(Stores.ROS2_JAZZY)
+NAMES = [one.name for one in dataclasses.fields(Trajectory)][1:]
+HEADER = [
+    "run", "site", "weather", "start", "hours", "evapotranspiration", "controller", "initial",
+    "cistern_m3", "roof_m3", "weight", "max_command", "fraction", "status", "error",
+    "total_deviation_m3", "limited_steps", "filled_hours",
+]
+
+
+class Simulated(NamedTuple):
+    """A run done in this process."""
+
+    trajectory: Trajectory
+    metrics: Metrics
+    row: dict[str, Any]
+
+
+def simulate(controller: str, option: str, initial: str, hours: str = "0.2") -> Simulated:
+    """Do a run of the paper, shorter."""
+    key = {"mpc": "weight", "onoff": "fraction"}[controller]
+    run = paper_run(
+        "--controller", controller, f"--{key}", option, "--initial", initial, "--hours", hours
+    )
+    metrics = Metrics()
+    loop = closed_loop(run, make_controller(controller, run.site, run.parameters), metrics)
+    columns = np.array([
+        (tick.k, tick.x1, tick.x2, tick.precipitation, tick.evapotranspiration, tick.command,
+         tick.flows.pump, tick.flows.outflow, tick.flows.drainage, 0.0)
+        for tick in loop
+    ]).T.copy()
+    row = {
+        "site": "site.yaml", "weather": "toronto_2021-07.csv", "start": run.start.isoformat(),
+        "hours": hours, "evapotranspiration": "published", "controller": controller,
+        "initial": initial, "cistern_m3": run.x1, "roof_m3": run.x2, key: option,
+        "status": "done", "total_deviation_m3": metrics.total_deviation_m3,
+    }
+    return Simulated(Trajectory(run.start, *columns), metrics, row)
+
+
+def write_study(
+    directory: Path, runs: Sequence[tuple[dict[str, Any], Trajectory | None]],
+    header: Sequence[str] = HEADER,
+) -> Path:
+    """Write a study's directory; a run without a trajectory failed."""
+    configuration = directory / "configuration"
+    configuration.mkdir(parents=True)
+    shutil.copy(CONFIG / "site.yaml", configuration / "site.yaml")
+    (configuration / "study.json").write_text('{"versions": {"greenroof_ros": "0.2.0"}}')
+    with (directory / "results.csv").open("w", newline="") as stream:
+        writer = csv.DictWriter(stream, header, restval="")
+        writer.writeheader()
+        for number, (row, trajectory) in enumerate(runs, start=1):
+            name = f"{number:03}"
+            writer.writerow({"run": name, **row})
+            if trajectory is not None:
+                (directory / "runs" / name).mkdir(parents=True)
+                (directory / "runs" / name / "trajectory.parquet").write_bytes(
+                    trajectory.to_parquet()
+                )
+    return directory
+
+
+def report_of(path: Path) -> Report:
+    """Read and judge what is under a path."""
+    results = []
+    for entry in find_runs([path], None).runs:
+        trajectory, notes = entry.load()
+        judged = assess(entry.site, trajectory, Assumptions())
+        results.append(result(entry, (*entry.notes, *notes), trajectory, judged))
+    return Report(results)
+
+
+def drawn(report: Report, name: str) -> Figure:
+    """Return the figure of a name."""
+    return {figure.name: figure for figure in (make() for make in make_figures(report, None))}[name]
+
+
+def command(*arguments: str, cwd: Path) -> subprocess.CompletedProcess[str]:
+    """Run the report as a user would."""
+    return subprocess.run(
+        [sys.executable, "-m", "greenroof_ros.report", *arguments],
+        cwd=cwd, env=environment(0), capture_output=True, text=True, timeout=120, check=False,
+    )
+
+
+@pytest.fixture(scope="module")
+def simulated() -> list[Simulated]:
+    """Two settings of each controller from two initial states."""
+    return [
+        simulate(controller, option, initial)
+        for initial in ("low-low", "high-low")
+        for controller, options in (("mpc", ("0.00001", "0.001")), ("onoff", ("0.5", "2")))
+        for option in options
+    ]
+
+
+@pytest.fixture(scope="module")
+def study(simulated: list[Simulated], tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A study of them, and of a run that failed."""
+    failed = {
+        **simulated[0].row, "weight": "0.5", "status": "failed", "error": "solver: <gave up>",
+        "total_deviation_m3": "",
+    }
+    not_run = {**failed, "weight": "0.6", "status": "not run", "error": ""}
+    return write_study(
+        tmp_path_factory.mktemp("study") / "study",
+        [
+            *((one.row, one.trajectory) for one in simulated), (failed, None), (not_run, None),
+        ],
+    )
+
+
+# --- trajectories ------------------------------------------------------------------------------
+
+
+def test_parquet_keeps_every_bit(tmp_path: Path) -> None:
+    """Of random bit patterns, NaN and the sign of 0 among them."""
+    random = np.random.default_rng(1)
+    columns = random.integers(-(2**63), 2**63, size=(len(NAMES), 500)).view(np.float64)
+    columns[:, :3] = [-0.0, np.nan, np.inf]
+    written = Trajectory(START, *columns)
+    (tmp_path / "file").write_bytes(written.to_parquet())
+    found = read_parquet(tmp_path / "file")
+    assert found.start == START
+    assert found.start.isoformat() == START.isoformat()
+    for name in NAMES:
+        bits = (getattr(one, name).view(np.int64) for one in (found, written))
+        np.testing.assert_array_equal(*bits)
+
+
+@pytest.mark.parametrize("keep", [0, 3, 100, -1])
+def test_parquet_damaged(tmp_path: Path, keep: int) -> None:
+    """Empty, or cut anywhere."""
+    column = np.arange(100.0)
+    whole = Trajectory(START, *[column] * len(NAMES)).to_parquet()
+    (tmp_path / "file").write_bytes(whole[:keep])
+    with pytest.raises(ConfigurationError, match="file: is empty, cut short or no parquet"):
+        read_parquet(tmp_path / "file")
+
+
+def test_parquet_of_something_else(tmp_path: Path) -> None:
+    """Another table names the columns that it lacks; no start and no samples are refused, too."""
+    import polars
+
+    polars.DataFrame({"time_s": [1.0], "frost": [1]}).write_parquet(tmp_path / "other")
+    with pytest.raises(ConfigurationError, match=r"cistern_m3.*frost"):
+        read_parquet(tmp_path / "other")
+    whole = Trajectory(START, *[np.arange(2.0)] * len(NAMES)).to_parquet()
+    polars.read_parquet(whole).write_parquet(tmp_path / "no-start")
+    with pytest.raises(ConfigurationError, match="'start'"):
+        read_parquet(tmp_path / "no-start")
+    (tmp_path / "none").write_bytes(Trajectory(START, *[np.array([])] * len(NAMES)).to_parquet())
+    with pytest.raises(ConfigurationError, match="no samples"):
+        read_parquet(tmp_path / "none")
+    with pytest.raises(ConfigurationError, match="No such file"):
+        read_parquet(tmp_path / "nowhere")
+
+
+# --- drawing -----------------------------------------------------------------------------------
+
+
+@given(values=st.lists(st.floats(-1e6, 1e6), min_size=1, max_size=3000))
+def test_thinning_keeps_ends_and_extremes(values: list[float]) -> None:
+    """Whatever the line, its peaks are drawn, in order, and few points are."""
+    column = np.array(values)
+    kept = thin(column, 100)
+    assert len(kept) <= max(102, 0)
+    assert (np.diff(kept) > 0).all()
+    assert {0, len(values) - 1} <= set(kept.tolist())
+    assert column[kept].max() == column.max() and column[kept].min() == column.min()
+
+
+def test_thinning_keeps_one_spike_in_a_day() -> None:
+    """A pump that runs for a second is seen, at its second."""
+    column = np.zeros(86401)
+    column[54321] = 1.0
+    kept = thin(column)
+    assert len(kept) <= MOST_POINTS
+    assert 54321 in kept
+
+
+def test_pump_curve(study: Path) -> None:
+    """Curve and head loss by Table I's numbers; they meet where the quadratic has its root."""
+    figure = drawn(report_of(study), "pump-curve-1")
+    rows = figure.data["pump-curve-1"]
+    friction = (3.56 * 18.4 / 0.2 + 0.6) / (2 * 9.81 * (0.01 * np.pi) ** 2)
+    assert {row["line"] for row in rows} == {
+        "pump curve of the site", "head loss, cistern at 0.75 m", "head loss, cistern at 3 m"
+    }
+    for row in rows:
+        flow = row["flow"] / 1000
+        expected = {
+            "pump curve of the site": 55.2 - 5.78e5 * flow**2,
+            "head loss, cistern at 0.75 m": friction * flow**2 + 16 - 0.75,
+            "head loss, cistern at 3 m": friction * flow**2 + 16 - 3,
+        }[row["line"]]
+        assert row["head"] == pytest.approx(expected, rel=1e-5, abs=1e-4)
+    specification = figure.panels[0].specification()
+    points = sorted(
+        (row["flow"], row["head"])
+        for rows in specification["datasets"].values() for row in rows if len(row) == 2
+    )
+    roots = [np.roots([friction + 5.78e5, 0, 16 - level - 55.2]).max() for level in (0.75, 3)]
+    assert [flow / 1000 for flow, _ in points] == pytest.approx(roots, rel=1e-9)
+    assert [head for _, head in points] == pytest.approx(
+        [friction * flow**2 + 16 - level for flow, level in zip(roots, (0.75, 3), strict=True)]
+    )
+
+
+def test_pump_data_are_drawn_and_fitted(study: Path, tmp_path: Path) -> None:
+    """Two points fix the curve: 50 m at no flow and 46 m at 2 L/s give -1e6 and 50."""
+    (tmp_path / "pump.csv").write_text("flow [m3/s],head [m]\n0,50\n0.002,46\n")
+    figure = make_figures(report_of(study), tmp_path / "pump.csv")[0]()
+    assert "a_hat = -1e+06 s2/m5, c_hat = 50 m" in figure.caption
+    rows = [row for row in figure.data["pump-curve-1"] if row["line"] == "fit to the data sheet"]
+    for row in rows:
+        assert row["head"] == pytest.approx(50 - row["flow"] ** 2, abs=1e-4)
+
+
+def test_pump_smoothing(study: Path) -> None:
+    """Both models as the paper's text has them, and the exact one's jumps drawn upright."""
+    figure = drawn(report_of(study), "pump-smoothing-1")
+    for number, roof_sweep in ((1, False), (2, False), (3, True)):
+        rows = figure.data[f"pump-smoothing-1-{number}"]
+        for row in rows:
+            x1, x2 = (100.0, row["x"]) if roof_sweep else (row["x"], 0.0)
+            if row["model"].startswith("exact"):
+                expected = exact_flows(PAPER_SITE, x1, x2, 0.5)[1]
+            else:
+                pumping, resting = (
+                    smooth_rates(PAPER_SITE, x1, x2, u, 0.0, 0.0).real[1] for u in (0.5, 0.0)
+                )
+                expected = pumping - resting
+            assert row["q"] / 1000 == pytest.approx(expected, rel=1e-5, abs=1e-9)
+        exact = [row["q"] for row in rows if row["model"].startswith("exact")]
+        steps = np.abs(np.diff(exact))
+        places = [row["x"] for row in rows if row["model"].startswith("exact")]
+        assert np.diff(places)[steps.argmax()] < 1e-12
+
+
+def test_weather(study: Path) -> None:
+    """The file's own figures of the hour: 0 mm/h and 2.77537901 mm/day at 02:00."""
+    figure = drawn(report_of(study), "weather-1")
+    assert {row["v"] for row in figure.data["rain-1"]} == {0.0}
+    rows = figure.data["evapotranspiration-1"]
+    assert {row["variant"] for row in rows} == {"published"}
+    assert [row["v"] for row in rows] == pytest.approx([2.77537901] * len(rows), rel=1e-6)
+    # Local time as if it were UTC, for an axis that is the same in every reader's browser.
+    assert rows[0]["t"] == datetime.fromisoformat("2021-07-07T02:00+00:00").timestamp() * 1000
+
+
+def test_frost_is_shaded() -> None:
+    """From where it begins to where it ends."""
+    frost = np.array([0, 0, 1, 1, 0, 1, 1.0])
+    trajectory = Trajectory(START, np.arange(7.0), *[np.ones(7)] * 8, frost)
+    entry = RunEntry(
+        "1", "s", PAPER_SITE, "w", "v", "onoff", {}, "low", (), lambda: (trajectory, ())
+    )
+    judged = assess(PAPER_SITE, trajectory, Assumptions())
+    one = result(entry, (), trajectory, judged)
+    assert one.frost == ((2, 4), (5, 6))
+    report = Report([one])
+    assert "Grey: frost" in drawn(report, "weather-1").caption
+
+
+def test_lines_are_samples_of_the_runs(study: Path, simulated: list[Simulated]) -> None:
+    """Each drawn point is a sample of its run, and each run's largest command is drawn."""
+    figure = drawn(report_of(study), "trajectories-1-1")
+    assert len(figure.panels) == 6 and figure.columns == 2
+    for one in simulated[:4]:
+        controller = one.row["controller"]
+        label = one.row["weight" if controller == "mpc" else "fraction"]
+        for quantity in ("command", "cistern", "roof"):
+            rows = [
+                row for row in figure.data[f"{quantity}-1-1-{controller}"]
+                if row["setting"] == label
+            ]
+            values = getattr(one.trajectory, quantity)
+            if quantity == "command":
+                values = np.append(values[:-1], values[-2])  # the last is not applied, nor drawn
+            assert len(rows) > 100
+            ticks = [round(row["t"] * 3600) for row in rows]
+            assert [row["v"] for row in rows] == pytest.approx(values[ticks], rel=1e-6, abs=1e-12)
+            assert max(row["v"] for row in rows) == pytest.approx(values.max(), rel=1e-6)
+
+
+def test_totals_by_setting(study: Path, simulated: list[Simulated]) -> None:
+    """The simulation's own totals, at the parameter's value, by initial state."""
+    figure = drawn(report_of(study), "total-deviation-1")
+    found = {
+        (controller, row["x"], row["initial"]): row["v"]
+        for controller in ("mpc", "onoff")
+        for row in figure.data[f"total-deviation-1-{controller}"]
+    }
+    expected = {
+        (one.row["controller"], float(one.row.get("weight") or one.row["fraction"]),
+         one.row["initial"]): one.metrics.total_deviation_m3
+        for one in simulated
+    }
+    assert found == pytest.approx(expected, rel=1e-6)
+    # A fifth of an hour is not the paper's window.
+    assert not any(name.startswith("published") for name in figure.data)
+
+
+def test_published_totals_stand_beside_the_papers_window(tmp_path: Path) -> None:
+    """12 h from its start, its site, its evapotranspiration: and nowhere else."""
+    column = np.linspace(2.4, 3.5, 43201)
+    trajectory = Trajectory(
+        START, np.arange(43201.0), column + 55, column, *[np.zeros(43201)] * 7
+    )
+    row = simulate("onoff", "0.5", "low-low", "0.1").row
+    for variant, there in (("published", True), ("fao56", False)):
+        path = write_study(
+            tmp_path / variant,
+            [
+                ({**row, "evapotranspiration": variant, "fraction": fraction}, trajectory)
+                for fraction in ("0.2", "0.5")
+            ],
+        )
+        data = drawn(report_of(path), "total-deviation-1").data
+        assert ("published-1-onoff" in data) == there
+    found = {one["x"]: one["v"] for one in drawn(
+        report_of(tmp_path / "published"), "total-deviation-1").data["published-1-onoff"]}
+    assert found == {2: 9599.6557, 1.5: 9780.0045, 1: 9611.9628, 0.5: 9635.5272, 0.2: 9725.43}
+
+
+def test_balance_bars_add_up(study: Path, simulated: list[Simulated]) -> None:
+    """The bars of a run are the change of what the tank holds."""
+    data = drawn(report_of(study), "water-balance-1").data
+    for tank, column in (("cistern", "cistern"), ("roof", "roof")):
+        rows = data[f"balance-1-{tank}"]
+        sums: dict[str, float] = {}
+        for row in rows:
+            sums[row["run"]] = sums.get(row["run"], 0) + row["v"]
+        changes = [np.ptp(getattr(one.trajectory, column)[[0, -1]]) for one in simulated]
+        assert sorted(map(abs, sums.values())) == pytest.approx(sorted(changes), abs=1e-5)
+
+
+def test_any_controller_with_any_parameters(tmp_path: Path, simulated: list[Simulated]) -> None:
+    """Controllers and parameters that this package does not know yet, numbers and words."""
+    header = [name for name in HEADER if name not in ("weight", "max_command", "fraction")]
+    header[10:10] = ["horizon", "forecast", "threshold"]
+    rows = []
+    for name, parameters in (
+        ("planning_mpc", {"horizon": "10", "forecast": "perfect"}),
+        ("planning_mpc", {"horizon": "60", "forecast": "hourly"}),
+        ("anticipating_onoff", {"threshold": "0.5"}),
+        ("anticipating_onoff", {"threshold": "inf"}),
+        ("scenario_mpc", {}),
+        ("scenario_mpc", {}),
+    ):
+        row = {key: value for key, value in simulated[0].row.items() if key in header}
+        rows.append(({**row, "controller": name, **parameters}, simulated[0].trajectory))
+    report = report_of(write_study(tmp_path / "study", rows, header))
+    assert report.controllers == ["planning_mpc", "anticipating_onoff", "scenario_mpc"]
+    assert report.settings["planning_mpc"].labels == [
+        "horizon 10, forecast perfect", "horizon 60, forecast hourly"
+    ]
+    assert report.settings["anticipating_onoff"].labels == ["0.5", "none"]
+    assert report.settings["scenario_mpc"].labels == ["005", "006"]
+    for make in make_figures(report, None):
+        make().save(tmp_path)
+    assert len(list(tmp_path.glob("*.png"))) == len(make_figures(report, None))
+
+
+# --- the command -------------------------------------------------------------------------------
+
+
+def payload(page: Path) -> dict[str, Any]:
+    """Return the data that a page holds."""
+    text = page.read_text().partition('id="payload">')[2].partition("</script>")[0]
+    return json.loads(text)
+
+
+def test_study(study: Path, tmp_path: Path) -> None:
+    """A page, each figure twice, the failed run with its error, and where the page is."""
+    done = command(str(study), "--output", "report", cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    page = tmp_path / "report" / "report.html"
+    assert str(page) in done.stdout
+    assert "fraction 2" in done.stdout
+    text = page.read_text()
+    assert "solver: &lt;gave up&gt;" in text
+    assert "2 runs failed" in text
+    assert "<td>not run</td>" in text
+    assert "The command was above 1" in text
+    names = {path.stem for path in (tmp_path / "report" / "figures").iterdir()}
+    assert {"pump-curve-1", "weather-1", "total-deviation-1", "trajectories-1-2"} <= names
+    for name in names:
+        svg = (tmp_path / "report" / "figures" / f"{name}.svg").read_text()
+        png = (tmp_path / "report" / "figures" / f"{name}.png").read_bytes()
+        assert svg.startswith("<svg") and "<text" in svg
+        assert png.startswith(b"\x89PNG")
+        width, height = struct.unpack(">II", png[16:24])
+        assert width > 800 and height > 400
+    assert {panel["figure"] for panel in payload(page)["panels"]} == names
+
+
+def test_both_variants_stand_side_by_side(tmp_path: Path, simulated: list[Simulated]) -> None:
+    """With their difference in %, by hand: 3 % more."""
+    roof = simulated[0].trajectory.roof
+    target = PAPER_SITE.x2_star
+    further = dataclasses.replace(simulated[0].trajectory, roof=target + 1.03 * (roof - target))
+    path = write_study(
+        tmp_path / "study",
+        [
+            (simulated[0].row, simulated[0].trajectory),
+            ({**simulated[0].row, "evapotranspiration": "fao56"}, further),
+        ],
+    )
+    report = report_of(path)
+    assert [window.variant for window in report.windows] == ["published", "fao56"]
+    text = render(
+        report, [make() for make in make_figures(report, None)], find_runs([path], None),
+        Assumptions(),
+    )
+    table = text.partition("both kinds of evapotranspiration</h3>")[2].partition("</table>")[0]
+    assert f">{simulated[0].metrics.total_deviation_m3:.2f}<" in table
+    assert f">{1.03 * simulated[0].metrics.total_deviation_m3:.2f}<" in table
+    assert ">+3.00<" in table
+    assert {
+        row["variant"] for row in drawn(report, "weather-1").data["evapotranspiration-1"]
+    } == {"published", "fao56"}
+
+
+# --- bags --------------------------------------------------------------------------------------
+
+TOPICS = {
+    "/cistern/level": "cistern", "/roof/level": "roof", "/pump/command": "command",
+    "/pump/flow": "pump_flow", "/weather/precipitation": "precipitation",
+    "/weather/evapotranspiration": "evapotranspiration", "/cistern/outflow": "outflow",
+    "/roof/drainage": "drainage", "/weather/frost": "frost",
+}
+
+
+def write_bag(
+    directory: Path,
+    messages: dict[str, tuple[Sequence[int], Sequence[float]]],
+    storage: StoragePlugin = StoragePlugin.MCAP,
+    msgtype: str = "std_msgs/msg/Float64",
+) -> Path:
+    """Write a bag as somebody else would: stamps (ns since the start) and values of each topic."""
+    Message = TYPES.types[msgtype]
+    queue = []
+    with Writer(directory, version=9, storage_plugin=storage) as writer:
+        for topic, (stamps, values) in messages.items():
+            connection = writer.add_connection(topic, msgtype, typestore=TYPES)
+            queue += [
+                (stamp, connection, value) for stamp, value in zip(stamps, values, strict=True)
+            ]
+        for stamp, connection, value in sorted(queue, key=lambda item: item[0]):
+            writer.write(
+                connection, START_NS + int(stamp),
+                bytes(TYPES.serialize_cdr(Message(value), msgtype)),
+            )
+    return directory
+
+
+def messages_of(trajectory: Trajectory) -> dict[str, tuple[Sequence[int], Sequence[float]]]:
+    """Return the messages of a run, all of a tick at one time."""
+    area = {"cistern": 25.0, "roof": 68.8}
+    stamps = [round(time * 1e9) for time in trajectory.time]
+    return {
+        topic: (stamps, (getattr(trajectory, name) / area.get(name, 1.0)).tolist())
+        for topic, name in TOPICS.items()
+    }
+
+
+@pytest.mark.parametrize("storage", [StoragePlugin.MCAP, StoragePlugin.SQLITE3])
+def test_a_bag_gives_the_runs_numbers(
+    tmp_path: Path, simulated: list[Simulated], storage: StoragePlugin
+) -> None:
+    """Read from the bag alone, with the paper's site, which the report says."""
+    one = simulated[0]
+    write_bag(tmp_path / "bag", messages_of(one.trajectory), storage)
+    entry = find_runs([tmp_path / "bag"], None).runs[0]
+    trajectory, notes = entry.load()
+    for name in NAMES:
+        np.testing.assert_allclose(
+            getattr(trajectory, name), getattr(one.trajectory, name), rtol=1e-15, err_msg=name
+        )
+    assert trajectory.start == START
+    judged = assess(entry.site, trajectory, Assumptions())
+    assert judged.total_deviation_m3 == pytest.approx(one.metrics.total_deviation_m3, rel=1e-12)
+    assert judged.pumped_m3 == pytest.approx(one.metrics.pumped_m3, rel=1e-12)
+    assert (entry.name, entry.controller) == ("bag", "unknown")
+    assert notes == ()
+    assert any("the paper's, config/site.yaml" in note for note in entry.notes)
+
+
+def test_a_real_sites_bag(tmp_path: Path) -> None:
+    """Nothing is aligned: samples are the roof's, all else is the last value before, by hand."""
+    second = 10**9
+    write_bag(
+        tmp_path / "bag",
+        {
+            "/roof/level": ([0, 10 * second, 21 * second, 30 * second], [0.01, 0.02, 0.03, 0.04]),
+            "/cistern/level": ([4 * second, 21 * second], [2.0, 1.5]),
+            "/pump/command": ([5 * second, 29 * second], [0.0, 0.5]),
+            "/pump/flow": ([6 * second, 29 * second], [0.0, 0.004]),
+            "/weather/precipitation": ([20 * second], [1e-6]),
+        },
+    )
+    entry = find_runs([tmp_path / "bag"], None).runs[0]
+    trajectory, notes = entry.load()
+    assert trajectory.time.tolist() == [0, 11, 20]  # the one at 0 s is before the first command
+    assert trajectory.start.timestamp() == START_NS / 1e9 + 10
+    assert trajectory.roof.tolist() == [68.8 * level for level in (0.02, 0.03, 0.04)]
+    assert trajectory.cistern.tolist() == [50, 37.5, 37.5]
+    assert trajectory.command.tolist() == [0, 0, 0.5]
+    assert trajectory.pump_flow.tolist() == [0, 0, 0.004]
+    assert trajectory.precipitation.tolist() == [0, 1e-6, 1e-6]
+    assert trajectory.outflow.tolist() == [0, 0, 0]
+    assert {note.split()[0] for note in notes} == {
+        "/weather/evapotranspiration", "/cistern/outflow", "/roof/drainage", "/weather/frost"
+    }
+
+
+def test_a_run_of_the_graph(domain: int, tmp_path: Path) -> None:
+    """The bag of bringup gives the numbers of the summary, and its labels the run's."""
+    pytest.importorskip("rclpy", reason="the graph needs ROS 2")
+    summary = bring_up(domain, tmp_path, "--hours", "0.1", "--controller", "onoff")
+    entry = find_runs([tmp_path / "run"], None).runs[0]
+    trajectory, notes = entry.load()
+    judged = assess(entry.site, trajectory, Assumptions())
+    assert judged.total_deviation_m3 == pytest.approx(summary["total_deviation_m3"], rel=1e-12)
+    assert judged.pumped_m3 == pytest.approx(summary["pumped_m3"], rel=1e-12)
+    assert judged.roof_residual_m3 == pytest.approx(0, abs=1e-12)
+    assert (entry.controller, entry.initial) == ("onoff", "low-low")
+    assert entry.site_name == "run/configuration/site.yaml"
+    assert trajectory.start.isoformat() == summary["start"]
+    assert notes == () and entry.notes == ()
+    (tmp_path / "run" / "summary.json").unlink()  # as after a crash
+    crashed = find_runs([tmp_path / "run"], None).runs[0]
+    assert (crashed.controller, crashed.parameters) == (entry.controller, entry.parameters)
+    done = command("run", cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    assert (tmp_path / "run" / "report" / "report.html").is_file()
+    again = command("run", cwd=tmp_path)
+    assert again.returncode == 2 and "never written over" in again.stderr
+
+
+# --- wrong inputs ------------------------------------------------------------------------------
+
+
+def small_bag(directory: Path, **changes: Any) -> Path:
+    """A bag of three samples, with the values of some topics changed; None leaves one away."""
+    values: dict[str, Any] = {
+        "/roof/level": [0.03] * 3, "/cistern/level": [2.0] * 3, "/pump/command": [0.1] * 3,
+        "/pump/flow": [0.001] * 3, **{f"/{key.replace('_', '/')}": value
+                                      for key, value in changes.items()},
+    }
+    stamps = [0, 10**9, 2 * 10**9]
+    return write_bag(
+        directory,
+        {
+            topic: (stamps[: len(column)], column)
+            for topic, column in values.items() if column is not None
+        },
+    )
+
+
+def cut(file: Path, keep: int) -> None:
+    file.write_bytes(file.read_bytes()[:keep])
+
+
+def broken_bag(at: Path, how: Callable[[Path], Any]) -> None:
+    how(small_bag(at / "in"))
+
+
+def bad_study(at: Path, change: Callable[[str], str]) -> None:
+    one = simulate("onoff", "0.5", "low-low", "0.01")
+    write_study(at / "in", [(one.row, one.trajectory)])
+    file = at / "in" / "results.csv"
+    text = file.read_text()
+    assert change(text) != text
+    file.write_text(change(text))
+
+
+def bad_trajectory(at: Path, how: Callable[[Path], Any]) -> None:
+    bad_study(at, lambda text: text + "\n")
+    how(at / "in" / "runs" / "001" / "trajectory.parquet")
+
+
+WRONG: dict[str, tuple[Callable[[Path], Any], str, tuple[str, ...]]] = {
+    # name: what makes the input "in", further options, words of the message
+    "nothing-there": (lambda at: None, "", ("in: does not exist",)),
+    "a-file": (lambda at: (at / "in").write_text("x"), "", ("in: must be a directory",)),
+    "an-empty-directory": (lambda at: (at / "in").mkdir(), "", ("results.csv", "metadata.yaml")),
+    "no-metadata": (
+        lambda at: broken_bag(at, lambda bag: (bag / "metadata.yaml").unlink()), "",
+        ("no metadata.yaml", "python -m greenroof_ros.recover in"),
+    ),
+    "metadata-empty": (
+        lambda at: broken_bag(at, lambda bag: cut(bag / "metadata.yaml", 0)), "",
+        ("cannot be read as a bag",),
+    ),
+    "metadata-binary": (
+        lambda at: broken_bag(at, lambda bag: (bag / "metadata.yaml").write_bytes(b"\x80\xff")),
+        "", ("cannot be read as a bag",),
+    ),
+    "mcap-cut": (
+        lambda at: broken_bag(at, lambda bag: cut(bag / "in.mcap", 300)), "",
+        ("cannot be read as a bag", "python -m greenroof_ros.recover in"),
+    ),
+    "mcap-empty": (
+        lambda at: broken_bag(at, lambda bag: cut(bag / "in.mcap", 0)), "",
+        ("cannot be read as a bag", "recover"),
+    ),
+    "mcap-gone": (
+        lambda at: broken_bag(at, lambda bag: (bag / "in.mcap").unlink()), "",
+        ("cannot be read as a bag",),
+    ),
+    "foreign-topics": (
+        lambda at: write_bag(at / "in", {"/scan/range": ([0, 1], [0.5, 0.6])}), "",
+        ("/cistern/level", "/pump/flow", "its topics are: /scan/range"),
+    ),
+    "one-topic-missing": (
+        lambda at: small_bag(at / "in", pump_flow=None), "", ("has no /pump/flow",)
+    ),
+    "a-silent-topic": (
+        lambda at: small_bag(at / "in", pump_flow=[]), "", ("no message of /pump/flow",)
+    ),
+    "empty-bag": (
+        lambda at: small_bag(at / "in", roof_level=[], cistern_level=[], pump_flow=[],
+                             pump_command=[]),
+        "", ("no message of",),
+    ),
+    "one-sample": (
+        lambda at: small_bag(at / "in", roof_level=[0.03]), "", ("two samples", "not 1")
+    ),
+    "float32": (
+        lambda at: write_bag(
+            at / "in", {name: ([0, 1], [0.0, 0.0]) for name in list(TOPICS)[:4]},
+            msgtype="std_msgs/msg/Float32",
+        ),
+        "", ("std_msgs/msg/Float64", "not std_msgs/msg/Float32"),
+    ),
+    "cistern-in-mm": (
+        lambda at: small_bag(at / "in", cistern_level=[2000.0] * 3), "",
+        ("/cistern/level", "2000", "0 to 100 m", "unit"),
+    ),
+    "roof-in-mm": (
+        lambda at: small_bag(at / "in", roof_level=[35.0] * 3), "",
+        ("/roof/level", "35 m", "0.5 m", "unit"),
+    ),
+    "flow-in-litres": (
+        lambda at: small_bag(at / "in", pump_flow=[0.0, 8.3, 8.3]), "",
+        ("/pump/flow", "8.3", "m3/s", "2021-07-07T07:00:01", "unit"),
+    ),
+    "rain-in-mm-per-hour": (
+        lambda at: small_bag(at / "in", weather_precipitation=[0.0, 3.0, 0.2]), "",
+        ("/weather/precipitation", "m/s", "unit"),
+    ),
+    "not-a-number": (
+        lambda at: small_bag(at / "in", roof_level=[0.03, float("nan"), 0.03]), "",
+        ("/roof/level", "nan"),
+    ),
+    "infinite": (
+        lambda at: small_bag(at / "in", pump_command=[0.1, float("inf"), 0.1]), "",
+        ("/pump/command", "inf"),
+    ),
+    "negative": (
+        lambda at: small_bag(at / "in", pump_command=[0.1, -0.1, 0.1]), "", ("/pump/command",)
+    ),
+    "given-twice": (
+        lambda at: small_bag(at / "in"), "in", ("two runs are named in",)
+    ),
+    "no-such-site": (
+        lambda at: small_bag(at / "in"), "--site nowhere.yaml", ("nowhere.yaml", "No such file")
+    ),
+    "site-wrong": (
+        lambda at: (small_bag(at / "in"), (at / "site.yaml").write_text("a1: -25\n")),
+        "--site site.yaml", ("site.yaml", "a1"),
+    ),
+    "site-for-a-study": (
+        lambda at: bad_study(at, lambda text: text + "\n"), f"--site {CONFIG / 'site.yaml'}",
+        ("--site", "has its own sites"),
+    ),
+    "output-not-empty": (
+        lambda at: (small_bag(at / "in"), (at / "report").mkdir(), (at / "report/x").touch()), "",
+        ("--output", "not empty", "never written over"),
+    ),
+    "output-a-file": (
+        lambda at: (small_bag(at / "in"), (at / "report").touch()), "", ("--output", "report")
+    ),
+    "summary-broken": (
+        lambda at: (
+            small_bag(at / "in" / "bag"), (at / "in" / "configuration").mkdir(),
+            (at / "in" / "summary.json").write_text("{"),
+        ),
+        "", ("summary.json", "JSON"),
+    ),
+    "study-without-results": (
+        lambda at: (at / "in" / "runs" / "001").mkdir(parents=True), "",
+        ("a study without results.csv",),
+    ),
+    "results-empty": (
+        lambda at: bad_study(at, lambda text: ""), "", ("results.csv", "is empty")
+    ),
+    "results-header-only": (
+        lambda at: bad_study(at, lambda text: text.splitlines()[0] + "\n"), "",
+        ("results.csv", "no runs"),
+    ),
+    "results-of-something-else": (
+        lambda at: bad_study(at, lambda text: "a,b\n1,2\n"), "",
+        ("results.csv, line 1", "no column run, site"),
+    ),
+    "no-finished-run": (
+        lambda at: bad_study(at, lambda text: text.replace(",done,", ",failed,")), "",
+        ("no finished run; 1 failed or did not run",),
+    ),
+    "row-cut": (
+        lambda at: bad_study(at, lambda text: text[: len(text) // 2 + 60]), "",
+        ("results.csv, line 2", "cells"),
+    ),
+    "status-unknown": (
+        lambda at: bad_study(at, lambda text: text.replace(",done,", ",lost,")), "",
+        ("line 2", "status = 'lost'", "done, failed or not run"),
+    ),
+    "volume-a-word": (
+        lambda at: bad_study(at, lambda text: text.replace(",57.69", ",much57.69")), "",
+        ("line 2", "cistern_m3", "much57.69"),
+    ),
+    "run-outside": (
+        lambda at: bad_study(at, lambda text: text.replace("\n001,", "\n../001,")), "",
+        ("line 2", "run = '../001'"),
+    ),
+    "site-of-the-study-gone": (
+        lambda at: bad_study(at, lambda text: text.replace(",site.yaml,", ",other.yaml,"))
+        or None, "", ("other.yaml", "No such file"),
+    ),
+    "trajectory-gone": (
+        lambda at: bad_trajectory(at, lambda file: file.unlink()), "",
+        ("001/trajectory.parquet", "No such file"),
+    ),
+    "trajectory-cut": (
+        lambda at: bad_trajectory(at, lambda file: cut(file, 1000)), "",
+        ("001/trajectory.parquet", "cut short"),
+    ),
+    "no-pump-data": (
+        lambda at: small_bag(at / "in"), "--pump-data nowhere.csv", ("nowhere.csv", "No such file")
+    ),
+    "pump-data-header": (
+        lambda at: (small_bag(at / "in"), (at / "p.csv").write_text("q,h\n0,50\n")),
+        "--pump-data p.csv", ("p.csv, line 1", "flow [m3/s],head [m]"),
+    ),
+    "pump-data-word": (
+        lambda at: (
+            small_bag(at / "in"), (at / "p.csv").write_text("flow [m3/s],head [m]\n0,50\n1,x\n")
+        ),
+        "--pump-data p.csv", ("p.csv, line 3", "1,x"),
+    ),
+    "pump-data-swapped": (
+        lambda at: (
+            small_bag(at / "in"), (at / "p.csv").write_text("flow [m3/s],head [m]\n0,1\n1,2\n")
+        ),
+        "--pump-data p.csv", ("p.csv", "must fall"),
+    ),
+    "efficiency-zero": (lambda at: small_bag(at / "in"), "--efficiency 0", ("--efficiency",)),
+    "efficiency-in-percent": (lambda at: small_bag(at / "in"), "--efficiency 50", ("0.001 to 1",)),
+    "price-negative": (lambda at: small_bag(at / "in"), "--water-price=-1", ("--water-price",)),
+    "price-nan": (lambda at: small_bag(at / "in"), "--energy-price nan", ("--energy-price",)),
+    "band-a-word": (lambda at: small_bag(at / "in"), "--band wide", ("--band", "wide")),
+}
+
+
+@pytest.mark.parametrize("name", WRONG)
+def test_refused(tmp_path: Path, name: str) -> None:
+    """Exit code 2, one line that says what is wrong and where, no traceback, nothing written."""
+    prepare, options, words = WRONG[name]
+    prepare(tmp_path)
+    before = sorted(tmp_path.rglob("*"))
+    done = command("in", *options.split(), "--output", "report", cwd=tmp_path)
+    assert done.returncode == 2, done.stderr
+    assert "Traceback" not in done.stderr and done.stdout == ""
+    assert done.stderr.count("error:") == 1, done.stderr
+    message = done.stderr.partition("error:")[2].strip()
+    assert "\n" not in message
+    for word in words:
+        assert word in message
+    assert sorted(tmp_path.rglob("*")) == before
+
+
+@pytest.mark.parametrize("missing", ["altair", "vl_convert", "jinja2", "polars", "rosbags"])
+def test_without_the_extra(tmp_path: Path, missing: str) -> None:
+    """A plain installation is told what to install."""
+    if missing == "polars":
+        bad_study(tmp_path, lambda text: text + "\n")
+    else:
+        small_bag(tmp_path / "in")
+    code = (
+        f"import sys, runpy; sys.modules[{missing!r}] = None; "
+        "sys.argv = ['report', 'in', '--output', 'report']; "
+        "runpy.run_module('greenroof_ros.report', run_name='__main__')"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", code], cwd=tmp_path, env={**os.environ, **environment(0)},
+        capture_output=True, text=True, timeout=60, check=False,
+    )
+    assert done.returncode == 2, done.stderr
+    assert "pip install 'greenroof_ros[study]'" in done.stderr
+    assert "Traceback" not in done.stderr
