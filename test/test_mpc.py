@@ -44,8 +44,8 @@ def walk(weight: float, initial: str = "low-low", max_command: float = math.inf)
     x, w, u, cost = [], [], [], []
     for tick in closed_loop(run, controller, Metrics()):
         x.append((tick.x1, tick.x2))
-        rain = run.series.precipitation(tick.k)
-        w.append(np.transpose((rain, run.series.evapotranspiration(tick.k))))
+        rain = run.forecast.precipitation(tick.k)
+        w.append(np.transpose((rain, run.forecast.evapotranspiration(tick.k))))
         u.append(tick.command)
         cost.append(controller.cost)
     assert controller.fallbacks == 0
