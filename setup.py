@@ -9,7 +9,7 @@ NAME = "greenroof_ros"
 SHARE = Path("share") / NAME
 
 # Nodes: ``ros2 run greenroof_ros plant``, or just ``plant`` in a virtual environment.
-NODES = ("plant", "weather", "mpc", "onoff", "recorder")
+NODES = ("plant", "weather", "mpc", "onoff", "planning_mpc", "anticipating_onoff", "recorder")
 # Commands: they start the graph, or need no ROS at all.
 COMMANDS = ("bringup", "simulate", "recover", "topics", "study.__main__", "report.__main__")
 

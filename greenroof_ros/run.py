@@ -12,7 +12,7 @@ from pathlib import Path
 from greenroof_ros.controllers import Controller
 from greenroof_ros.errors import ConfigurationError
 from greenroof_ros.files import YamlMapping, number, read_yaml, shared_directory
-from greenroof_ros.forecast import Forecast, PerfectForecast
+from greenroof_ros.forecast import Forecast, make_forecast
 from greenroof_ros.site import Site, read_site
 from greenroof_ros.topics import read_topics
 from greenroof_ros.weather import Weather, WeatherSeries, read_weather
@@ -31,6 +31,14 @@ INITIAL_STATES = {
 CONTROLLERS = {
     "mpc": {"weight": (1e-9, 1e6), "max_command": (1e-9, math.inf)},
     "onoff": {"fraction": (1e-9, 1e6)},
+    "planning_mpc": {
+        "horizon": (0.1, 48.0),
+        "max_command": (1e-9, math.inf),
+        "power": (1.0, 2.0),
+        "energy_weight": (0.0, 1e9),
+        "start_weight": (0.0, 1e9),
+    },
+    "anticipating_onoff": {"horizon": (0.1, 48.0), "fraction": (1e-9, 1e6)},
 }
 # A year of seconds, as much as fits into memory and patience.
 _MOST_STEPS = 31_622_400
@@ -84,6 +92,17 @@ def make_controller(name: str, site: Site, parameters: dict[str, float]) -> Cont
         from greenroof_ros.controllers.mpc import Mpc
 
         return Mpc(site, parameters["weight"], parameters["max_command"])
+    if name == "planning_mpc":
+        from greenroof_ros.controllers.planning_mpc import PlanningMpc
+
+        return PlanningMpc(
+            site, parameters["horizon"], parameters["max_command"], parameters["power"],
+            parameters["energy_weight"], parameters["start_weight"],
+        )
+    if name == "anticipating_onoff":
+        from greenroof_ros.controllers.anticipating_onoff import AnticipatingOnOff
+
+        return AnticipatingOnOff(site, parameters["horizon"], parameters["fraction"])
     from greenroof_ros.controllers.onoff import OnOff
 
     return OnOff(site, parameters["fraction"])
@@ -101,7 +120,7 @@ class Run:
         forecast: what the controller is told of it.
         start: time of tick 0.
         steps: N; the states are x_0..x_N.
-        controller: ``mpc`` or ``onoff``.
+        controller: its name, one of :data:`CONTROLLERS`.
         parameters: the controller's.
         initial: name of the initial state, or ``custom``.
         x1: initial volume in the cistern (m3).
@@ -151,7 +170,9 @@ def add_run_arguments(parser: argparse.ArgumentParser) -> None:
     group = parser.add_argument_group("the run")
     group.add_argument(
         "--controller", choices=sorted(CONTROLLERS), default="mpc",
-        help="mpc sees the weather coming, onoff does not (default: %(default)s)",
+        help="mpc, the paper's, sees 10 s ahead and planning_mpc half a day; onoff, the paper's, "
+        "does not look ahead, and anticipating_onoff leaves room for what comes "
+        "(default: %(default)s)",
     )
     group.add_argument(
         "--initial", choices=list(INITIAL_STATES), default=None,
@@ -190,7 +211,7 @@ def add_run_arguments(parser: argparse.ArgumentParser) -> None:
     )
     group.add_argument(
         "--parameters", type=Path, metavar="FILE",
-        help="the controller's parameter file (default: config/mpc.yaml, config/onoff.yaml)",
+        help="the controller's parameter file (default: config/ and its name, .yaml)",
     )
     group.add_argument(
         "--weight", type=within(*CONTROLLERS["mpc"]["weight"]), metavar="LAMBDA",
@@ -199,7 +220,7 @@ def add_run_arguments(parser: argparse.ArgumentParser) -> None:
     )
     group.add_argument(
         "--fraction", type=within(*CONTROLLERS["onoff"]["fraction"]), metavar="V",
-        help="onoff: command when pumping, v in the paper, 0.2 to 2 there "
+        help="onoff, anticipating_onoff: command when pumping, v in the paper, 0.2 to 2 there "
         "(default: that of the parameter file)",
     )
 
@@ -237,10 +258,11 @@ def run_from_arguments(arguments: argparse.Namespace) -> Run:
         ConfigurationError: an option, or a file that it names, is wrong.
     """
     controller: str = arguments.controller
-    for option, owner in (("weight", "mpc"), ("fraction", "onoff")):
-        if getattr(arguments, option) is not None and controller != owner:
+    for option in ("weight", "fraction"):
+        if getattr(arguments, option) is not None and option not in CONTROLLERS[controller]:
+            owners = " and ".join(name for name in CONTROLLERS if option in CONTROLLERS[name])
             raise ConfigurationError(
-                f"is an option of {owner}; the controller is {controller}", key=f"--{option}"
+                f"is an option of {owners}; the controller is {controller}", key=f"--{option}"
             )
     shared = shared_directory()
     site_file: Path = arguments.site or shared / "config" / "site.yaml"
@@ -326,7 +348,8 @@ def build_run(
             would refuse.
     """
     first = read_start(start, weather.first.tzinfo)
-    series = WeatherSeries(weather, site, first, steps)
+    horizon = parameters.get("horizon", 0.0)
+    series = WeatherSeries(weather, site, first, steps, horizon)
     x1, x2 = volumes
     for topic, largest in (
         ("/cistern/level", site.cistern_level(x1)),
@@ -340,7 +363,7 @@ def build_run(
         site=site,
         weather=weather,
         series=series,
-        forecast=PerfectForecast(series, site.M),
+        forecast=make_forecast(weather, series, site, first, horizon),
         start=first,
         steps=steps,
         controller=controller,

@@ -76,6 +76,7 @@ def _write_configuration(configuration: Path, run: Run, nodes: dict[str, object]
         "weather": {
             **common, **span, "weather_file": str(weather_file),
             "evapotranspiration": run.weather.variant,
+            "horizon": run.parameters.get("horizon", 0.0),
         },
         run.controller: {**common, **run.parameters},
         "recorder": {

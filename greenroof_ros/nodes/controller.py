@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
-from typing import Any
+from typing import Any, Protocol
 
 from rcl_interfaces.msg import SetParametersResult
 from rclpy.node import Node
@@ -26,7 +27,7 @@ class ControllerNode:
         node: Node,
         role: str,
         controller: Controller,
-        tunable: str,
+        tunable: str = "",
     ) -> None:
         """Open the topics.
 
@@ -34,7 +35,8 @@ class ControllerNode:
             node: the rclpy node.
             role: the node's name in the contract.
             controller: decides the command.
-            tunable: the parameter, and attribute of the controller, that may change in a run.
+            tunable: the parameter, and attribute of the controller, that may change in a run;
+                empty if none may.
         """
         self._node = node
         self._controller = controller
@@ -84,3 +86,25 @@ class ControllerNode:
                 f"{parameter.name} is {parameter.value:g} from tick {self._tick} on"
             )
         return SetParametersResult(successful=True)
+
+
+class Solving(Protocol):
+    """A controller that has a solver."""
+
+    cost: float
+    status: int
+
+
+def publish_solver(part: ControllerNode, controller: Solving) -> None:
+    """Publish objective and solver status after each command: what an operator plots."""
+    publish_cost = part.link.publish_topic("/controller/cost")
+    publish_status = part.link.publish_topic("/controller/solver_status")
+    message = Float64()
+
+    def after_command(decided: bool) -> None:
+        message.data = controller.cost if decided else math.nan
+        publish_cost(message)
+        message.data = float(controller.status) if decided else 0.0
+        publish_status(message)
+
+    part.after_command = after_command

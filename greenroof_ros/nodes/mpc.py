@@ -6,12 +6,11 @@ import math
 import sys
 
 from rclpy.node import Node
-from std_msgs.msg import Float64
 
 from greenroof_ros.controllers.mpc import Mpc
 from greenroof_ros.lockstep import Link
 from greenroof_ros.node_process import run_node
-from greenroof_ros.nodes.controller import ControllerNode
+from greenroof_ros.nodes.controller import ControllerNode, publish_solver
 from greenroof_ros.parameters import declare, declare_site
 from greenroof_ros.run import CONTROLLERS
 
@@ -28,17 +27,7 @@ def build(node: Node) -> Link:
     )
     controller = Mpc(site, weight, max_command)
     part = ControllerNode(node, "mpc", controller, "weight")
-    publish_cost = part.link.publish_topic("/controller/cost")
-    publish_status = part.link.publish_topic("/controller/solver_status")
-    message = Float64()
-
-    def after_command(decided: bool) -> None:
-        message.data = controller.cost if decided else math.nan
-        publish_cost(message)
-        message.data = float(controller.status) if decided else 0.0
-        publish_status(message)
-
-    part.after_command = after_command
+    publish_solver(part, controller)
     return part.link
 
 

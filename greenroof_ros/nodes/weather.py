@@ -9,7 +9,7 @@ from rclpy.node import Node
 from std_msgs.msg import Float64, Float64MultiArray
 
 from greenroof_ros.files import shared_directory
-from greenroof_ros.forecast import PerfectForecast
+from greenroof_ros.forecast import make_forecast
 from greenroof_ros.lockstep import Link, LockstepError
 from greenroof_ros.node_process import run_node
 from greenroof_ros.parameters import declare, declare_site
@@ -33,8 +33,12 @@ class WeatherNode:
         )
         weather = read_weather(Path(file), site, variant or None)
         start = read_start(start_text, weather.first.tzinfo)
-        self._series = WeatherSeries(weather, site, start, self._steps)
-        self._forecast = PerfectForecast(self._series, site.M)
+        horizon = declare(
+            node, "horizon", 0.0,
+            "h that the forecasts reach, in steps that grow; 0: the M ticks that come", 0.0, 48.0,
+        )
+        self._series = WeatherSeries(weather, site, start, self._steps, horizon)
+        self._forecast = make_forecast(weather, self._series, site, start, horizon)
         self._start_ns = epoch_ns(start)
         self._tick_ns = round(site.tau * 1e9)
 

@@ -1,0 +1,46 @@
+"""The planning controller as a node; its objective and the solver's status are topics, too."""
+
+from __future__ import annotations
+
+import sys
+
+from rclpy.node import Node
+
+from greenroof_ros.controllers.planning_mpc import PlanningMpc
+from greenroof_ros.lockstep import Link
+from greenroof_ros.node_process import run_node
+from greenroof_ros.nodes.controller import ControllerNode, publish_solver
+from greenroof_ros.parameters import declare, declare_site
+from greenroof_ros.run import CONTROLLERS
+
+
+def build(node: Node) -> Link:
+    """Declare the parameters and put the controller into the graph."""
+    site = declare_site(node)
+    ranges = CONTROLLERS["planning_mpc"]
+    controller = PlanningMpc(
+        site,
+        declare(node, "horizon", 12.0, "how far it plans (h)", *ranges["horizon"]),
+        declare(node, "max_command", 1.0, "largest command (1)", *ranges["max_command"]),
+        declare(node, "power", 1.0, "of the deviation in the objective: 1 or 2", *ranges["power"]),
+        declare(
+            node, "energy_weight", 0.0, "a kWh's worth of deviation (m3 s)",
+            *ranges["energy_weight"],
+        ),
+        declare(
+            node, "start_weight", 0.0, "a pump start's worth of deviation (m3 s)",
+            *ranges["start_weight"],
+        ),
+    )
+    part = ControllerNode(node, "planning_mpc", controller)
+    publish_solver(part, controller)
+    return part.link
+
+
+def main(args: list[str] | None = None) -> None:
+    """Run the node."""
+    sys.exit(run_node("planning_mpc", build, args))
+
+
+if __name__ == "__main__":
+    main()
