@@ -9,9 +9,14 @@ NAME = "greenroof_ros"
 SHARE = Path("share") / NAME
 
 # Nodes: ``ros2 run greenroof_ros plant``, or just ``plant`` in a virtual environment.
-NODES = ("plant", "weather", "mpc", "onoff", "planning_mpc", "anticipating_onoff", "recorder")
+NODES = (
+    "plant", "weather", "mpc", "onoff", "planning_mpc", "anticipating_onoff", "scenario_mpc",
+    "recorder",
+)
 # Commands: they start the graph, or need no ROS at all.
-COMMANDS = ("bringup", "simulate", "recover", "topics", "study.__main__", "report.__main__")
+COMMANDS = (
+    "bringup", "simulate", "bound", "recover", "topics", "study.__main__", "report.__main__",
+)
 
 
 def version() -> str:
@@ -53,7 +58,7 @@ setup(
     # so, that has what is used; the upper limit is the next release that may change interfaces.
     install_requires=[
         "numpy>=1.22,<3",  # the model's Jacobians and the controller's matrices
-        "scipy>=1.8,<2",  # sparse matrices, the form in which OSQP takes its problem
+        "scipy>=1.8,<2",  # OSQP's sparse matrices; HiGHS, for the bound
         "osqp>=1.0.3,<2",  # solves the controller's program; 1.0.3 has SolverStatus
         "mcap>=1.5,<2",  # writes and reads bags; 1.5 has Writer.flush; brings zstandard
         "eto>=2.2,<3",  # FAO-56 Penman-Monteith; 2.2 has hours in any time zone and clouded nights

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from array import array
 from datetime import datetime
 from typing import Protocol
@@ -9,6 +10,13 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from greenroof_ros.errors import ConfigurationError
+from greenroof_ros.forecast_models import (
+    ForecastChoice,
+    ForecastModel,
+    PerfectModel,
+    make_model,
+)
 from greenroof_ros.look_ahead import growing_steps
 from greenroof_ros.site import Site
 from greenroof_ros.weather import Weather, WeatherSeries
@@ -19,6 +27,11 @@ _HOUR_S = 3600.0
 
 class Forecast(Protocol):
     """What was known at a tick about the steps that follow it; the first entry is now."""
+
+    @property
+    def repeats_from(self) -> datetime | None:
+        """The earliest time from which on a forecast only repeats its last hour, if one does."""
+        ...
 
     def precipitation(self, tick: int) -> array[float]:
         """Mean rain of each step (m/s), shape (steps,), or one member after the other."""
@@ -36,6 +49,7 @@ class PerfectForecast:
         """Take the run's weather and the look-ahead M (ticks)."""
         self._series = series
         self._look_ahead = look_ahead
+        self.repeats_from = series.repeats_from
 
     def precipitation(self, tick: int) -> array[float]:
         """Rain (m/s), shape (M,)."""
@@ -46,52 +60,22 @@ class PerfectForecast:
         return self._series.evapotranspiration[tick : tick + self._look_ahead]
 
 
-class ForecastModel(Protocol):
-    """Hourly forecasts: what is known in an hour about those that follow."""
-
-    @property
-    def members(self) -> int:
-        """How many forecasts of the rain there are; 1 unless it is an ensemble."""
-        ...
-
-    def known(self, hour: int, hours: int) -> tuple[Array, Array]:
-        """Return the forecast that is the newest in an hour of the records.
-
-        Args:
-            hour: index of the hour.
-            hours: how many to return, that one first; past the records the last is repeated.
-
-        Returns:
-            Rain (mm/h), shape (members, hours), and evapotranspiration (mm/day), shape (hours,).
-        """
-        ...
-
-
-class PerfectModel:
-    """Knows the records themselves."""
-
-    members = 1
-
-    def __init__(self, weather: Weather) -> None:
-        """Take the records."""
-        self._weather = weather
-
-    def known(self, hour: int, hours: int) -> tuple[Array, Array]:
-        """Return the records; see :class:`ForecastModel`."""
-        index = np.minimum(np.arange(hour, hour + hours), len(self._weather.precipitation) - 1)
-        return self._weather.precipitation[index][None, :], self._weather.evapotranspiration[index]
-
-
 class SteppedForecast:
-    """Means of an hourly forecast over steps that grow.
+    """Means of an hourly forecast over steps.
 
     The present hour is not forecast but observed: its rates are those of the records.
     """
 
     def __init__(
-        self, model: ForecastModel, weather: Weather, site: Site, start: datetime, edges: Array
+        self,
+        model: ForecastModel,
+        weather: Weather,
+        site: Site,
+        start: datetime,
+        edges: Array,
+        steps: int,
     ) -> None:
-        """Prepare for a run.
+        """Prepare for a run, and ask for all that it needs, so that nothing is missing later.
 
         Args:
             model: hourly forecasts.
@@ -99,18 +83,23 @@ class SteppedForecast:
             site: tick, and the bed's area, over which a depth is a volume.
             start: time of tick 0.
             edges: ends of the steps, in seconds from now, the first 0, shape (steps + 1,).
+            steps: N of the run (ticks).
+
+        Raises:
+            ConfigurationError: there is no forecast for a part of the run.
         """
         self._model = model
         self._weather = weather
         self._site = site
         self._offset = (start - weather.first).total_seconds()
+        self._until = self._offset + steps * site.tau
         self._edges = edges
         self._lengths = np.diff(edges)
-        self._hours = int(edges[-1] // _HOUR_S) + 2
         self._hour = -1
-        self._rates = self._sums = np.empty(0)
+        self._rates = self._sums = np.empty((0, 0))
         self._tick = -1
         self._means: tuple[array[float], array[float]] = (array("d"), array("d"))
+        self.repeats_from = self._ask_for_all()
 
     def precipitation(self, tick: int) -> array[float]:
         """Return mean rain (m/s), shape (members * steps,), one member after the other."""
@@ -130,7 +119,9 @@ class SteppedForecast:
                 self._hour = hour
                 self._take_hour(hour)
             ends = time - hour * _HOUR_S + self._edges
-            index = (ends // _HOUR_S).astype(np.intp)
+            # The end of the run's last window may be that of the last hour.
+            last = self._rates.shape[1] - 1
+            index = np.minimum(ends // _HOUR_S, last).astype(np.intp)
             into = ends - index * _HOUR_S
             sums = self._sums[:, index] + self._rates[:, index] * into
             means = np.diff(sums) / self._lengths
@@ -140,9 +131,25 @@ class SteppedForecast:
             )
         return self._means
 
+    def _ask_for_all(self) -> datetime | None:
+        """Ask for every hour's forecast, and return the earliest time from which one repeats."""
+        found = []
+        for hour in range(int(self._offset // _HOUR_S), int(self._until // _HOUR_S) + 1):
+            hours = self._hours(hour)
+            self._model.known(hour, hours)
+            repeats_from = self._model.repeats_from(hour, hours)
+            if repeats_from is not None:
+                found.append(repeats_from)
+        return min(found, default=None)
+
+    def _hours(self, hour: int) -> int:
+        """Return how many hours the ticks in an hour need, that one included."""
+        last_tick = min((hour + 1) * _HOUR_S, self._until)
+        return math.ceil((last_tick + float(self._edges[-1])) / _HOUR_S) - hour
+
     def _take_hour(self, hour: int) -> None:
         """Take the newest forecast: rates in SI units and their sums from the hour's start on."""
-        rain, evapotranspiration = self._model.known(hour, self._hours)
+        rain, evapotranspiration = self._model.known(hour, self._hours(hour))
         present = min(hour, len(self._weather.precipitation) - 1)
         rates = np.vstack([rain, evapotranspiration])
         rates[:-1, 0] = self._weather.precipitation[present]
@@ -155,7 +162,13 @@ class SteppedForecast:
 
 
 def make_forecast(
-    weather: Weather, series: WeatherSeries, site: Site, start: datetime, horizon: float
+    weather: Weather,
+    series: WeatherSeries,
+    site: Site,
+    start: datetime,
+    horizon: float,
+    choice: ForecastChoice,
+    members: int = 1,
 ) -> Forecast:
     """Return what a controller is told.
 
@@ -165,7 +178,22 @@ def make_forecast(
         site: gives tick and look-ahead.
         start: time of tick 0.
         horizon: 0 for the M ticks that come, one by one; otherwise hours, in steps that grow.
+        choice: which forecasts.
+        members: how many the controller takes, one after the other; 1 is the first of an ensemble.
+
+    Raises:
+        ConfigurationError: a file of forecasts is wrong, there is none for a part of the run, or
+            they have not as many members.
     """
-    if not horizon:
+    model = make_model(choice, weather, members > 1)
+    if model.members != members:
+        raise ConfigurationError(
+            f"must be that of the forecast, {model.members} ({choice}); give --forecast ensemble "
+            "and --forecast-members",
+            key="members", value=members,
+        )
+    if not horizon and isinstance(model, PerfectModel):
         return PerfectForecast(series, site.M)
-    return SteppedForecast(PerfectModel(weather), weather, site, start, growing_steps(horizon))
+    edges = growing_steps(horizon) if horizon else site.tau * np.arange(site.M + 1.0)
+    steps = len(series.precipitation) - site.M
+    return SteppedForecast(model, weather, site, start, edges, steps)

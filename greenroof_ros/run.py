@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from datetime import datetime, timedelta, tzinfo
 from pathlib import Path
 
@@ -13,8 +13,9 @@ from greenroof_ros.controllers import Controller
 from greenroof_ros.errors import ConfigurationError
 from greenroof_ros.files import YamlMapping, number, read_yaml, shared_directory
 from greenroof_ros.forecast import Forecast, make_forecast
+from greenroof_ros.forecast_models import MODELS, OPTIONS, ForecastChoice, choose
 from greenroof_ros.site import Site, read_site
-from greenroof_ros.topics import read_topics
+from greenroof_ros.topics import Topic, read_topics
 from greenroof_ros.weather import Weather, WeatherSeries, read_weather
 from greenroof_ros.weather_csv import parse_time
 
@@ -39,6 +40,13 @@ CONTROLLERS = {
         "start_weight": (0.0, 1e9),
     },
     "anticipating_onoff": {"horizon": (0.1, 48.0), "fraction": (1e-9, 1e6)},
+    "scenario_mpc": {
+        "horizon": (0.1, 48.0),
+        "max_command": (1e-9, math.inf),
+        "members": (1, 100),
+        "level": (0.0, 0.99),
+        "recourse": (0.0, 48.0),
+    },
 }
 # A year of seconds, as much as fits into memory and patience.
 _MOST_STEPS = 31_622_400
@@ -94,10 +102,21 @@ def make_controller(name: str, site: Site, parameters: dict[str, float]) -> Cont
         return Mpc(site, parameters["weight"], parameters["max_command"])
     if name == "planning_mpc":
         from greenroof_ros.controllers.planning_mpc import PlanningMpc
+        from greenroof_ros.controllers.planning_program import Prices
 
         return PlanningMpc(
             site, parameters["horizon"], parameters["max_command"], parameters["power"],
-            parameters["energy_weight"], parameters["start_weight"],
+            Prices(parameters["energy_weight"], parameters["start_weight"]),
+        )
+    if name == "scenario_mpc":
+        from greenroof_ros.controllers.planning_mpc import PlanningMpc
+        from greenroof_ros.controllers.planning_program import Ensemble
+
+        return PlanningMpc(
+            site, parameters["horizon"], parameters["max_command"],
+            ensemble=Ensemble(
+                int(parameters["members"]), parameters["level"], parameters["recourse"] * 3600
+            ),
         )
     if name == "anticipating_onoff":
         from greenroof_ros.controllers.anticipating_onoff import AnticipatingOnOff
@@ -125,6 +144,7 @@ class Run:
         initial: name of the initial state, or ``custom``.
         x1: initial volume in the cistern (m3).
         x2: initial volume on the roof (m3).
+        forecast_choice: which forecasts those are.
     """
 
     site_file: Path
@@ -139,6 +159,7 @@ class Run:
     initial: str
     x1: float
     x2: float
+    forecast_choice: ForecastChoice = field(default_factory=ForecastChoice)
 
     @property
     def start_ns(self) -> int:
@@ -162,6 +183,19 @@ def within(low: float, high: float) -> Callable[[str], float]:
         return value
 
     parse.__name__ = f"number from {low:g} to {high:g}"  # argparse puts it into its message
+    return parse
+
+
+def whole(low: int, high: int) -> Callable[[str], int]:
+    """Return what parses an option that must be a whole number from low to high."""
+
+    def parse(text: str) -> int:
+        value = int(text)
+        if not low <= value <= high:
+            raise ValueError
+        return value
+
+    parse.__name__ = f"whole number from {low} to {high}"  # argparse puts it into its message
     return parse
 
 
@@ -223,6 +257,36 @@ def add_run_arguments(parser: argparse.ArgumentParser) -> None:
         help="onoff, anticipating_onoff: command when pumping, v in the paper, 0.2 to 2 there "
         "(default: that of the parameter file)",
     )
+    _add_forecast_arguments(group)
+
+
+def _add_forecast_arguments(group: argparse._ArgumentGroup) -> None:
+    """Add the options that decide what the controller is told of the weather to come."""
+    default = ForecastChoice()
+    group.add_argument(
+        "--forecast", default=default.model, metavar=f"{{{','.join(MODELS)},FILE.csv}}",
+        help="what the controller is told: the weather that comes; that it goes on as it is; the "
+        "weather with errors that grow with the lead, or an ensemble of such; or archived "
+        "forecasts. All but perfect are issued every 6 hours (default: %(default)s)",
+    )
+    group.add_argument(
+        "--forecast-size", type=within(*OPTIONS["size"]), metavar="S",
+        help="errors, ensemble: size of the errors; 0.25 is small, 0.5 medium, 1 large "
+        f"(default: {default.size:g})",
+    )
+    group.add_argument(
+        "--forecast-seed", type=whole(*_whole_range("seed")), metavar="N",
+        help=f"errors, ensemble: seed of the errors (default: {default.seed})",
+    )
+    group.add_argument(
+        "--forecast-members", type=whole(*_whole_range("members")), metavar="M",
+        help=f"ensemble: number of its members (default: {default.members})",
+    )
+
+
+def _whole_range(option: str) -> tuple[int, int]:
+    low, high = OPTIONS[option]
+    return int(low), int(high)
 
 
 def _speed(text: str) -> float:
@@ -294,7 +358,28 @@ def run_from_arguments(arguments: argparse.Namespace) -> Run:
     return build_run(
         site_file, site, weather, arguments.start or DEFAULT_START,
         count_ticks(site, arguments.hours, "--hours"), controller, parameters, initial, volumes,
+        _forecast_choice(arguments),
     )
+
+
+def _forecast_choice(arguments: argparse.Namespace) -> ForecastChoice:
+    """Return the forecasts that a command line asks for."""
+    try:
+        choice = choose(arguments.forecast)
+    except ValueError as error:
+        raise ConfigurationError(
+            str(error), key="--forecast", value=arguments.forecast
+        ) from error
+    given = {option: getattr(arguments, f"forecast_{option}") for option in OPTIONS}
+    given = {option: value for option, value in given.items() if value is not None}
+    for option in given:
+        if option not in choice.options():
+            owners = " and ".join(name for name in MODELS if option in MODELS[name])
+            raise ConfigurationError(
+                f"is an option of {owners}; the forecast is {choice}",
+                key=f"--forecast-{option}",
+            )
+    return replace(choice, **given)
 
 
 def count_ticks(site: Site, hours: float | None, key: str) -> int:
@@ -329,6 +414,7 @@ def build_run(
     parameters: dict[str, float],
     initial: str,
     volumes: tuple[float, float],
+    choice: ForecastChoice,
 ) -> Run:
     """Put a run together and check it.
 
@@ -342,28 +428,32 @@ def build_run(
         parameters: its parameters, all of them.
         initial: name of the initial state.
         volumes: of the initial state, in cistern and roof (m3).
+        choice: which forecasts the controller is given.
 
     Raises:
-        ConfigurationError: the weather does not cover the run, or it has values that the nodes
-            would refuse.
+        ConfigurationError: weather or forecasts do not cover the run, or it has values that the
+            nodes would refuse.
     """
     first = read_start(start, weather.first.tzinfo)
     horizon = parameters.get("horizon", 0.0)
     series = WeatherSeries(weather, site, first, steps, horizon)
     x1, x2 = volumes
-    for topic, largest in (
+    topics = read_topics()
+    for name, largest in (
         ("/cistern/level", site.cistern_level(x1)),
         ("/roof/level", site.roof_level(x2)),
         ("/weather/precipitation", max(series.precipitation)),
         ("/weather/evapotranspiration", max(series.evapotranspiration)),
     ):
-        _check_range(topic, largest)
+        _check_range(topics[name], largest)
     return Run(
         site_file=site_file,
         site=site,
         weather=weather,
         series=series,
-        forecast=make_forecast(weather, series, site, first, horizon),
+        forecast=make_forecast(
+            weather, series, site, first, horizon, choice, int(parameters.get("members", 1))
+        ),
         start=first,
         steps=steps,
         controller=controller,
@@ -371,15 +461,15 @@ def build_run(
         initial=initial,
         x1=x1,
         x2=x2,
+        forecast_choice=choice,
     )
 
 
-def _check_range(name: str, largest: float) -> None:
+def _check_range(topic: Topic, largest: float) -> None:
     """Refuse a run whose values the nodes would refuse: both engines give the same numbers."""
-    topic = read_topics()[name]
     if largest > topic.high:
         raise ConfigurationError(
-            f"the run has {largest:g} {topic.unit} on {name}, where at most {topic.high:g} "
+            f"the run has {largest:g} {topic.unit} on {topic.name}, where at most {topic.high:g} "
             "is accepted (msg_defs/topics.yaml); is a unit wrong?"
         )
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import shutil
+from dataclasses import replace
 from datetime import datetime
 from pathlib import Path
 
@@ -69,6 +70,11 @@ def _write_configuration(configuration: Path, run: Run, nodes: dict[str, object]
     weather_file = configuration / "weather.csv"
     shutil.copyfile(run.site_file, site_file)
     shutil.copyfile(run.weather.file, weather_file)
+    choice = run.forecast_choice
+    if choice.file is not None:
+        forecast_file = configuration / "forecast.csv"
+        shutil.copyfile(choice.file, forecast_file)
+        choice = replace(choice, file=forecast_file)
     common = {"site_file": str(site_file)}
     span = {"start": run.start.isoformat(), "steps": run.steps}
     parameters = {
@@ -77,8 +83,18 @@ def _write_configuration(configuration: Path, run: Run, nodes: dict[str, object]
             **common, **span, "weather_file": str(weather_file),
             "evapotranspiration": run.weather.variant,
             "horizon": run.parameters.get("horizon", 0.0),
+            "members": int(run.parameters.get("members", 1)),
+            "forecast": str(choice),
+            **{f"forecast_{name}": value for name, value in choice.options().items()},
         },
-        run.controller: {**common, **run.parameters},
+        # ROS 2 tells 10 from 10.0.
+        run.controller: {
+            **common,
+            **{
+                name: int(value) if name == "members" else value
+                for name, value in run.parameters.items()
+            },
+        },
         "recorder": {
             **({"peer_limit": nodes["peer_limit"]} if nodes else {}),
             "directory": str(configuration.parent / "bag"),

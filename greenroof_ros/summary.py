@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import functools
+import hashlib
 import json
 import math
 import platform
@@ -15,6 +17,7 @@ from rich.console import Console
 from rich.table import Table
 
 from greenroof_ros import __version__
+from greenroof_ros.forecast_models import PERFECT
 from greenroof_ros.metrics import Metrics
 from greenroof_ros.run import Run
 
@@ -41,7 +44,8 @@ def build(
         incidents: parameters changed during the run, with their tick.
     """
     sums = asdict(metrics) if isinstance(metrics, Metrics) else dict(metrics)
-    repeats_from = run.series.repeats_from
+    repeats_from = run.forecast.repeats_from
+    choice = run.forecast_choice
     return {
         "controller": run.controller,
         # JSON has no infinity: null stands for "no bound".
@@ -55,6 +59,11 @@ def build(
         "site": str(run.site_file),
         "weather": str(run.weather.file),
         "evapotranspiration_variant": run.weather.variant,
+        "forecast": {
+            "model": choice.model,
+            **choice.options(),
+            **({"file": str(choice.file)} if choice.file is not None else {}),
+        },
         "forecast_repeats_last_record_from": repeats_from.isoformat() if repeats_from else None,
         "filled": run.series.filled,
         "filled_hours": run.series.filled_hours,
@@ -73,13 +82,27 @@ def build(
 
 def versions() -> dict[str, str]:
     """Return the versions of what computes a run's numbers."""
-    found = {"greenroof_ros": __version__, "python": platform.python_version()}
+    found = {
+        "greenroof_ros": __version__,
+        "source": _source(),
+        "python": platform.python_version(),
+    }
     for package in ("numpy", "scipy", "osqp", "eto", "mcap", "rclpy"):
         try:
             found[package] = metadata.version(package)
         except metadata.PackageNotFoundError:
             continue  # rclpy, where there is no ROS
     return found
+
+
+@functools.cache
+def _source() -> str:
+    """Twelve digits that tell this package's code from any other; a version has many commits."""
+    digest = hashlib.sha256()
+    package = Path(__file__).parent
+    for file in sorted(package.rglob("*.py")):
+        digest.update(file.relative_to(package).as_posix().encode() + file.read_bytes())
+    return digest.hexdigest()[:12]
 
 
 def write(summary: Mapping[str, Any], path: Path) -> None:
@@ -147,6 +170,12 @@ def table(summary: Mapping[str, Any]) -> Table:
         )
     for quantity, hours in summary["filled"].items():
         rows.append(("FILLED", quantity, ", ".join(hours)))
+    forecast = dict(summary["forecast"])
+    model = forecast.pop("model")
+    if model != PERFECT:
+        rows.append(
+            ("forecast", model, ", ".join(f"{key} {value}" for key, value in forecast.items()))
+        )
     repeats_from = summary["forecast_repeats_last_record_from"]
     if repeats_from:
         rows.append(

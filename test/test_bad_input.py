@@ -68,6 +68,35 @@ OPTIONS: dict[str, tuple[str, tuple[str, ...]]] = {
     "no-such-weather": ("--weather nowhere.csv", ("nowhere.csv", "No such file")),
     "output-not-empty": ("--output full", ("--output", "full", "never written over")),
     "output-unwritable": ("--output /proc/greenroof", ("--output", "/proc/greenroof")),
+    "forecast-unknown": (
+        "--forecast perfekt", ("--forecast = 'perfekt'", "perfect, persistence, errors, ensemble")
+    ),
+    "forecast-file-by-name": ("--forecast file", ("--forecast = 'file'", "FILE.csv")),
+    "forecast-no-such-file": ("--forecast nowhere.csv", ("nowhere.csv", "No such file")),
+    "forecast-seed-for-perfect": (
+        "--forecast-seed 1", ("--forecast-seed", "errors and ensemble", "is perfect")
+    ),
+    "forecast-size-for-persistence": (
+        "--forecast persistence --forecast-size 1", ("--forecast-size", "is persistence")
+    ),
+    "forecast-members-for-errors": (
+        "--forecast errors --forecast-members 3", ("--forecast-members", "of ensemble", "is errors")
+    ),
+    "forecast-size-for-file": (
+        "--forecast a.csv --forecast-size 1", ("--forecast-size", "errors and ensemble", "a.csv")
+    ),
+    "forecast-size-negative": (
+        "--forecast errors --forecast-size=-1", ("--forecast-size", "from 0 to 10")
+    ),
+    "forecast-size-nan": ("--forecast errors --forecast-size nan", ("--forecast-size", "nan")),
+    "forecast-seed-broken": (
+        "--forecast errors --forecast-seed 1.5", ("--forecast-seed", "whole number from 0")
+    ),
+    "forecast-seed-negative": ("--forecast errors --forecast-seed=-1", ("--forecast-seed",)),
+    "forecast-members-none": (
+        "--forecast ensemble --forecast-members 0", ("--forecast-members", "1 to 100")
+    ),
+    "forecast-members-many": ("--forecast ensemble --forecast-members 101", ("1 to 100",)),
     "output-is-a-file": ("--output file.txt", ("--output", "file.txt")),
 }
 SITES: dict[str, tuple[bytes, tuple[str, ...]]] = {
@@ -140,10 +169,100 @@ WEATHERS: dict[str, tuple[bytes, tuple[str, ...]]] = {
     "cell-missing": (weather(HOURS[0], "2021-07-07T01:00-05:00,0.0"), ("line 3", "3 cells")),
     "shorter-than-the-run": (weather(*HOURS), ("2021-07-07T08:00-05:00", "12 hours")),
 }
+FORECAST_HEADER = "issued,time,precipitation [mm/h],evapotranspiration [mm/day]"
+MEMBERS = "issued,time,member,precipitation [mm/h]"
+ISSUED = "2021-07-07T00:00-05:00"
+
+
+def forecasts(*lines: str, header: str = FORECAST_HEADER, issued: str = ISSUED) -> bytes:
+    """Return a file of forecasts; a line begins with its time."""
+    return "\n".join([header, *(f"{issued},{line}" for line in lines), ""]).encode()
+
+
+FORECASTS: dict[str, tuple[bytes, tuple[str, ...]]] = {
+    "empty": (b"", ("empty",)),
+    "comments-only": (b"# nothing\n", ("comments only",)),
+    "header-only": (forecasts(), ("no records",)),
+    "binary": (bytes(range(128, 256)), ("UTF-8",)),
+    "weather": (weather(*HOURS), ("line 1", "'time'", "'issued'")),
+    "wrong-unit": (
+        forecasts(HOURS[0], header=FORECAST_HEADER.replace("mm/h", "mm")),
+        ("line 1", "'precipitation [mm]'", "'precipitation [mm/h]'"),
+    ),
+    "wrong-unit-of-evapotranspiration": (
+        forecasts(HOURS[0], header=FORECAST_HEADER.replace("mm/day", "mm/h")),
+        ("line 1", "'evapotranspiration [mm/h]'", "'evapotranspiration [mm/day]'"),
+    ),
+    "no-rain": (forecasts(header="issued,time"), ("line 1", "'precipitation [mm/h]'")),
+    "further-column": (
+        forecasts(HOURS[0], header=FORECAST_HEADER + ",snow [cm]"), ("snow", "one column too many")
+    ),
+    "member-last": (
+        forecasts(HOURS[0], header=FORECAST_HEADER + ",member"), ("line 1", "'member'")
+    ),
+    "cell-missing": (forecasts(HOURS[0], HOURS[1][:-4]), ("line 3", "4 cells", "not 3")),
+    "quote-open": (forecasts(HOURS[0], '2021-07-07T01:00-05:00,0.0,"2'), ("line 3", "CSV")),
+    "no-number": (
+        forecasts(HOURS[0], HOUR.format(1, "M")), ("line 3", "precipitation [mm/h] = 'M'", "500")
+    ),
+    "negative": (forecasts(HOUR.format(0, -0.1)), ("line 2", "'-0.1'", "0 to 500 mm/h")),
+    "nan": (forecasts(HOUR.format(0, "nan")), ("line 2", "'nan'")),
+    "absurd-rain": (forecasts(HOUR.format(0, 501)), ("line 2", "'501'", "0 to 500 mm/h")),
+    "absurd-evapotranspiration": (
+        forecasts(HOURS[0].replace("2.0", "51")),
+        ("line 2", "evapotranspiration [mm/day] = '51'", "0 to 50 mm/day"),
+    ),
+    "gap": (forecasts(HOURS[0], HOURS[2]), ("line 3", "time =", "must be 2021-07-07T01:00-05:00")),
+    "hour-twice": (forecasts(HOURS[0], HOURS[0]), ("line 3", "must be 2021-07-07T01:00-05:00")),
+    "late-first": (forecasts(HOURS[1]), ("line 2", "must be 2021-07-07T00:00-05:00")),
+    "no-offset": (forecasts(HOURS[0].replace("-05:00", "")), ("line 2", "time =", "offset")),
+    "issued-no-time": (forecasts(HOURS[0], issued="noon"), ("line 2", "issued = 'noon'")),
+    "unsorted-issues": (
+        forecasts(HOURS[0]) + forecasts(HOURS[0], issued="2021-07-06T23:00-05:00", header="#"),
+        ("line 4", "issued = '2021-07-06T23:00-05:00'", "order of time"),
+    ),
+    "half-hour": (
+        forecasts("2021-07-07T00:30-05:00,0.0,2.0", issued="2021-07-07T00:30-05:00"),
+        ("line 2", "issued = '2021-07-07T00:30-05:00'", "whole number of hours from"),
+    ),
+    "member-no-number": (
+        forecasts("2021-07-07T00:00-05:00,one,0.0", header=MEMBERS), ("line 2", "member = 'one'")
+    ),
+    "member-negative": (
+        forecasts("2021-07-07T00:00-05:00,-1,0.0", header=MEMBERS),
+        ("line 2", "member = '-1'", "whole number from 0 to 99"),
+    ),
+    "member-left-out": (
+        forecasts(
+            "2021-07-07T00:00-05:00,0,0.0", "2021-07-07T00:00-05:00,2,0.0", header=MEMBERS
+        ),
+        ("line 2", "members 0, 2", "0 to 1"),
+    ),
+    "member-of-one-issue": (
+        forecasts("2021-07-07T00:00-05:00,0,0.0", header=MEMBERS)
+        + forecasts(
+            "2021-07-07T01:00-05:00,0,0.0", "2021-07-07T01:00-05:00,1,0.0",
+            header="#", issued="2021-07-07T01:00-05:00",
+        ),
+        ("line 4", "2021-07-07T01:00-05:00 has members 0, 1", "0 to 0"),
+    ),
+    "member-cut-short": (
+        forecasts(
+            "2021-07-07T00:00-05:00,0,0.0", "2021-07-07T01:00-05:00,0,0.0",
+            "2021-07-07T00:00-05:00,1,0.0", header=MEMBERS,
+        ),
+        ("line 2", "member 1 has 1, member 0 has 2"),
+    ),
+    "run-before-the-first-issue": (
+        forecasts("2021-07-07T03:00-05:00,0.0,2.0", issued="2021-07-07T03:00-05:00"),
+        ("from 2021-07-07T03:00-05:00 on", "2021-07-07T02:00-05:00"),
+    ),
+}
 CASES = [
     *((f"option-{name}", case[0], None, case[1]) for name, case in OPTIONS.items()),
     *((f"site-{name}", "--site FILE", *case) for name, case in SITES.items()),
     *((f"weather-{name}", "--weather FILE", *case) for name, case in WEATHERS.items()),
+    *((f"forecast-{name}", "--forecast FILE.csv", *case) for name, case in FORECASTS.items()),
 ]
 
 
@@ -164,7 +283,7 @@ def test_refused(
     (tmp_path / "full" / "something").touch()
     (tmp_path / "file.txt").touch()
     if content is not None:
-        (tmp_path / "FILE").write_bytes(content)
+        (tmp_path / options.split()[-1]).write_bytes(content)
     before = sorted(tmp_path.rglob("*"))
     done = subprocess.run(
         [sys.executable, "-m", f"greenroof_ros.{command}", *options.split()],

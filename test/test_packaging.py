@@ -16,8 +16,11 @@ import yaml
 import greenroof_ros
 
 CHECKOUT = Path(__file__).resolve().parents[1]
-NODES = ("plant", "weather", "mpc", "onoff", "recorder")
-COMMANDS = ("bringup", "simulate", "recover", "topics", "study", "report")
+NODES = (
+    "plant", "weather", "mpc", "onoff", "planning_mpc", "anticipating_onoff", "scenario_mpc",
+    "recorder",
+)
+COMMANDS = ("bringup", "simulate", "bound", "recover", "topics", "study", "report")
 SCRIPTS = sorted(NODES + COMMANDS)
 
 # The rosdep key of each Python requirement; None where rosdep has none and package.xml says so.

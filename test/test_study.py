@@ -16,6 +16,7 @@ import pytest
 from graph import Process, wait_for_ticks
 
 from greenroof_ros.files import shared_directory
+from greenroof_ros.report.runs import find_runs
 from greenroof_ros.study.grid import read_grid
 
 CONFIG = shared_directory() / "config"
@@ -205,11 +206,80 @@ def test_engines_give_the_same_table(tmp_path: Path) -> None:
         assert (graph / "runs" / row["run"] / "bag" / "bag_0.mcap").is_file()
 
 
+def archive(directory: Path) -> None:
+    """Write a file of forecasts of which nothing will come true."""
+    lines = ["issued,time,precipitation [mm/h]"]
+    lines += [f"2021-07-07T05:00Z,2021-07-07T{hour:02}:00Z,4.0" for hour in range(5, 22)]
+    (directory / "archive.csv").write_text("\n".join(lines) + "\n")
+
+
+FORECASTS = "forecast: [perfect, {model: errors, size: 0.5, seed: [1, 2]}, archive.csv]\n"
+PLANNED = f"""
+site: {CONFIG / "site.yaml"}
+weather: {{file: {WEATHER}, start: 2021-07-07T00:50, hours: 0.25}}
+initial: low-low
+controllers: {{planning_mpc: }}
+"""
+
+
+def test_forecasts(tmp_path: Path) -> None:
+    """Lists multiply; a window's own come before those of all; each run says which it had."""
+    archive(tmp_path)
+    result = study(tmp_path, grid(tmp_path, PLANNED + FORECASTS), "--output", "out")
+    assert result.returncode == 0, result.stderr
+    assert "errors size 0.5 seed 1" in " ".join(result.stdout.split())
+    rows = rows_of(tmp_path / "out" / "results.csv")
+    columns = ("forecast", "forecast_size", "forecast_seed", "forecast_members")
+    assert [tuple(row[column] for column in columns) for row in rows] == [
+        ("perfect", "", "", ""),
+        ("errors", "0.5", "1", ""),
+        ("errors", "0.5", "2", ""),
+        ("archive.csv", "", "", ""),
+    ]
+    header = list(rows[0])
+    assert header.index("evapotranspiration") + 1 == header.index("forecast")
+    assert header.index("forecast_members") + 1 == header.index("controller")
+    assert len({row["run"] for row in rows}) == 4
+    # Rain is coming by the file alone, so that less is pumped.
+    pumped = [float(row["pumped_m3"]) for row in rows]
+    assert pumped[3] < min(pumped[:3])
+    kept = tmp_path / "out" / "configuration" / "archive.csv"
+    assert kept.read_bytes() == (tmp_path / "archive.csv").read_bytes()
+    report = [run.forecast for run in find_runs([tmp_path / "out"], None).runs]
+    assert report == ["", "errors size 0.5 seed 1", "errors size 0.5 seed 2", "archive.csv"]
+
+    own = PLANNED.replace("hours: 0.25", "hours: 0.25, forecast: persistence") + FORECASTS
+    assert [str(case.forecast) for case in read_grid(tmp_path / grid(tmp_path, own))] == [
+        "persistence"
+    ]
+    before = [case.identity for case in read_grid(tmp_path / grid(tmp_path, PLANNED + FORECASTS))]
+    archived = tmp_path / "archive.csv"
+    archived.write_text(archived.read_text().replace("4.0", "5.0"))
+    after = [case.identity for case in read_grid(tmp_path / "grid.yaml")]
+    assert after[:3] == before[:3] and after[3] != before[3]
+
+
+def test_forecasts_by_both_engines(tmp_path: Path) -> None:
+    """The graph is told the same."""
+    archive(tmp_path)
+    name = grid(tmp_path, PLANNED + "forecast: [archive.csv, {model: ensemble, members: 3}]\n")
+    for engine in ("inprocess", "ros"):
+        result = study(tmp_path, name, "--output", engine, "--engine", engine)
+        assert result.returncode == 0, result.stderr
+    loop, graph = (tmp_path / engine / "results.csv" for engine in ("inprocess", "ros"))
+    assert loop.read_bytes() == graph.read_bytes()
+    # As the page does, of a bag with its summary and of a study alike.
+    bags = [tmp_path / "ros" / "runs" / row["run"] for row in rows_of(graph)]
+    labels = [run.forecast for run in find_runs(bags, None).runs]
+    assert labels == ["archive.csv", "ensemble size 0.5 seed 0 members 3"]
+
+
 def test_dask(tmp_path: Path) -> None:
     """The same table from a cluster of two workers; exit code 2 where nobody answers."""
     from distributed import LocalCluster
 
-    name = grid(tmp_path)
+    archive(tmp_path)
+    name = grid(tmp_path, GRID.replace("02:00", "01:00") + "forecast: archive.csv\n")
     assert study(tmp_path, name, "--output", "here").returncode == 0
     with LocalCluster(
         n_workers=2, threads_per_worker=1, host="127.0.0.1", dashboard_address=None
@@ -283,6 +353,32 @@ WRONG = {
     "text-value": (edited("0.1]", "small]"), "line 11: weight: must be a number, or a list"),
     "nan": (edited("0.1]", ".nan]"), "line 11: weight: must not be nan"),
     "no-values": (edited("[1.0e-3, 0.1]", "[]"), "line 11: weight: is empty"),
+    "forecast": (
+        GRID + "forecast: perfekt\n",
+        "line 14: forecast = 'perfekt': 'perfekt' must be one of perfect, persistence, errors, ens",
+    ),
+    "forecast-model": (GRID + "forecast: {size: 0.5}\n", "line 14: forecast: None must be one of"),
+    "forecast-key": (
+        GRID + "forecast: {model: errors, sise: 0.5}\n", "line 14: sise: is not known here; there"
+    ),
+    "forecast-option": (
+        GRID + "forecast: {model: errors, members: 3}\n",
+        "line 14: members: is not known here; there are model, size, seed",
+    ),
+    "forecast-size": (
+        GRID + "forecast: {model: errors, size: [0.5, -1]}\n", "size: -1.0 must be from 0.0 to 10"
+    ),
+    "forecast-seed": (
+        GRID + "forecast: {model: errors, seed: 1.5}\n", "seed = 1.5: must be a whole number, or"
+    ),
+    "forecast-members": (
+        GRID + "forecast: {model: ensemble, members: [0]}\n", "members: 0 must be from 1 to 100"
+    ),
+    "forecast-file": (GRID + "forecast: absent.csv\n", "absent.csv: cannot be read: No such file"),
+    "forecast-none": (GRID + "forecast: []\n", "line 14: forecast: is empty"),
+    "forecast-twice": (
+        GRID + "forecast: [errors, {model: errors, seed: 0}]\n", "forecast errors"
+    ),
     "twice": (edited("0.1]", "0.001]"), "is the same run twice: mpc {'weight': 0.001"),
 }
 

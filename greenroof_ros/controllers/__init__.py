@@ -32,6 +32,8 @@ class Controller(Protocol):
     def statistics(self) -> dict[str, float] | None:
         """Return what its solver did: ``solves``, ``fallbacks``, ``mean_s`` and ``p99_s``.
 
+        The times are those of a tick, whether something was solved in it or not.
+
         None where it has no solver.
         """
         ...

@@ -67,7 +67,7 @@ class AnticipatingOnOff:
                 f"but there are {len(self._lengths)} steps to the horizon; give weather and "
                 "controller the same"
             )
-        if roof_level >= site.z_veg or cistern_level < site.suction_level:
+        if not (roof_level < site.z_veg and cistern_level >= site.suction_level):
             return 0.0
         rates = np.asarray(precipitation) * site.a2 - np.asarray(evapotranspiration)
         sums = np.cumsum(rates * self._lengths)

@@ -91,8 +91,15 @@ class ControllerNode:
 class Solving(Protocol):
     """A controller that has a solver."""
 
-    cost: float
-    status: int
+    @property
+    def cost(self) -> float:
+        """Objective of the last program; NaN if it was not solved."""
+        ...
+
+    @property
+    def status(self) -> int:
+        """The solver's status value of the last program."""
+        ...
 
 
 def publish_solver(part: ControllerNode, controller: Solving) -> None:

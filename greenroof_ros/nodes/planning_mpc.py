@@ -7,6 +7,7 @@ import sys
 from rclpy.node import Node
 
 from greenroof_ros.controllers.planning_mpc import PlanningMpc
+from greenroof_ros.controllers.planning_program import Prices
 from greenroof_ros.lockstep import Link
 from greenroof_ros.node_process import run_node
 from greenroof_ros.nodes.controller import ControllerNode, publish_solver
@@ -23,13 +24,15 @@ def build(node: Node) -> Link:
         declare(node, "horizon", 12.0, "how far it plans (h)", *ranges["horizon"]),
         declare(node, "max_command", 1.0, "largest command (1)", *ranges["max_command"]),
         declare(node, "power", 1.0, "of the deviation in the objective: 1 or 2", *ranges["power"]),
-        declare(
-            node, "energy_weight", 0.0, "a kWh's worth of deviation (m3 s)",
-            *ranges["energy_weight"],
-        ),
-        declare(
-            node, "start_weight", 0.0, "a pump start's worth of deviation (m3 s)",
-            *ranges["start_weight"],
+        Prices(
+            declare(
+                node, "energy_weight", 0.0, "a kWh's worth of deviation (m3 s)",
+                *ranges["energy_weight"],
+            ),
+            declare(
+                node, "start_weight", 0.0, "a pump start's worth of deviation (m3 s)",
+                *ranges["start_weight"],
+            ),
         ),
     )
     part = ControllerNode(node, "planning_mpc", controller)

@@ -3,18 +3,47 @@
 from __future__ import annotations
 
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 from rclpy.node import Node
 from std_msgs.msg import Float64, Float64MultiArray
 
+from greenroof_ros.errors import ConfigurationError
 from greenroof_ros.files import shared_directory
 from greenroof_ros.forecast import make_forecast
+from greenroof_ros.forecast_models import MODELS, OPTIONS, ForecastChoice, choose
 from greenroof_ros.lockstep import Link, LockstepError
 from greenroof_ros.node_process import run_node
 from greenroof_ros.parameters import declare, declare_site
 from greenroof_ros.run import DEFAULT_START, epoch_ns, read_start
 from greenroof_ros.weather import WeatherSeries, read_weather
+
+
+def _declare_forecast(node: Node) -> ForecastChoice:
+    """Declare the parameters that choose the forecasts, and return the choice."""
+    default = ForecastChoice()
+    text = declare(node, "forecast", str(default), f"{', '.join(MODELS)}, or a FILE.csv")
+    try:
+        choice = choose(text)
+    except ValueError as error:
+        key = f"parameter forecast of {node.get_name()}"
+        raise ConfigurationError(str(error), key=key, value=text) from error
+    return replace(
+        choice,
+        size=declare(
+            node, "forecast_size", default.size,
+            "errors, ensemble: 0.25 small, 0.5 medium, 1 large", *OPTIONS["size"],
+        ),
+        seed=declare(
+            node, "forecast_seed", default.seed, "errors, ensemble: of the errors",
+            *OPTIONS["seed"],
+        ),
+        members=declare(
+            node, "forecast_members", default.members, "ensemble: number of its members",
+            *OPTIONS["members"],
+        ),
+    )
 
 
 class WeatherNode:
@@ -37,8 +66,13 @@ class WeatherNode:
             node, "horizon", 0.0,
             "h that the forecasts reach, in steps that grow; 0: the M ticks that come", 0.0, 48.0,
         )
+        members = declare(
+            node, "members", 1, "of an ensemble that the controller takes; 1: the first", 1, 100
+        )
         self._series = WeatherSeries(weather, site, start, self._steps, horizon)
-        self._forecast = make_forecast(weather, self._series, site, start, horizon)
+        self._forecast = make_forecast(
+            weather, self._series, site, start, horizon, _declare_forecast(node), members
+        )
         self._start_ns = epoch_ns(start)
         self._tick_ns = round(site.tau * 1e9)
 

@@ -16,6 +16,7 @@ import vl_convert
 from markupsafe import Markup
 
 from greenroof_ros import summary
+from greenroof_ros.forecast_models import PERFECT
 from greenroof_ros.report.assessment import Assumptions
 from greenroof_ros.report.drawing import CONFIG, Figure, Rows
 from greenroof_ros.report.results import Report, Result, best_runs, controller_name
@@ -151,6 +152,10 @@ def _named(report: Report) -> list[_Column]:
         )
     if len({window.variant for window in report.windows}) > 1:
         columns.append(_Column("evapotranspiration", lambda one: _word(one.entry.variant)))
+    if len({window.forecast for window in report.windows}) > 1:
+        columns.append(
+            _Column("forecast", lambda one: _word(one.entry.forecast or PERFECT))
+        )
     return [
         *columns,
         _Column("from", lambda one: _word(one.entry.initial)),

@@ -56,24 +56,27 @@ class Result:
         entry = self.entry
         return Window(
             entry.site_name, entry.weather, self.start, round(self.assessment.hours, 6),
-            entry.variant,
+            entry.variant, entry.forecast,
         )
 
 
 class Window(NamedTuple):
-    """Runs of one site over one weather, which differ in controller and initial state only."""
+    """Runs of one site, weather and forecast, which differ in controller and initial state only."""
 
     site_name: str
     weather: str
     start: datetime
     hours: float
     variant: str
+    forecast: str
+    """empty where it was perfect"""
 
     def __str__(self) -> str:
         """As headings name it."""
+        forecast = f", forecast {self.forecast}" if self.forecast else ""
         return (
             f"{Path(self.weather).stem}, {self.start.isoformat(' ', 'minutes')}, "
-            f"{self.hours:.4g} h, evapotranspiration {self.variant}"
+            f"{self.hours:.4g} h, evapotranspiration {self.variant}{forecast}"
         )
 
 

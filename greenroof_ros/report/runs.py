@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 
 from greenroof_ros.errors import ConfigurationError
 from greenroof_ros.files import YamlMapping, read_text, read_yaml, shared_directory
+from greenroof_ros.forecast_models import OPTIONS, PERFECT
 from greenroof_ros.site import Site, read_site
 from greenroof_ros.topics import read_topics
 from greenroof_ros.trajectory import Trajectory, read_parquet
@@ -62,6 +63,8 @@ class RunEntry:
         initial: name of the initial state, or its volumes.
         notes: what a reader should know of it.
         load: reads the trajectory, and returns it with further notes.
+        forecast: what the controller was told of the weather to come; empty where that was what
+            came, or nobody wrote it down.
     """
 
     name: str
@@ -74,6 +77,7 @@ class RunEntry:
     initial: str
     notes: tuple[str, ...]
     load: Callable[[], tuple[Trajectory, tuple[str, ...]]]
+    forecast: str = ""
 
 
 @dataclass(frozen=True)
@@ -176,13 +180,16 @@ def _read_study(path: Path, prefix: str, sources: Sources) -> None:
             _cell(file, line, row, "cistern_m3"),
             _cell(file, line, row, "roof_m3"),
         )
+        forecast = _forecast_label(
+            row.get("forecast"), {option: row.get(f"forecast_{option}") for option in OPTIONS}
+        )
         if row["status"] in ("failed", "not run"):
             setting = ", ".join(f"{key} {value}" for key, value in parameters.items())
             what = ", ".join(
                 part
                 for part in (
                     row["site"], row["weather"], row.get("start", ""), row["evapotranspiration"],
-                    row["controller"], setting, initial,
+                    forecast, row["controller"], setting, initial,
                 )
                 if part
             )
@@ -207,6 +214,7 @@ def _read_study(path: Path, prefix: str, sources: Sources) -> None:
                 initial=initial,
                 notes=_study_notes(file, line, row),
                 load=partial(_load_parquet, path / "runs" / name / "trajectory.parquet"),
+                forecast=forecast,
             )
         )
     if not sources.runs and not sources.failed:
@@ -246,8 +254,7 @@ def _study_notes(file: Path, line: int, row: Mapping[str, str]) -> tuple[str, ..
         notes.append(f"the controller's solver found no answer in {fallbacks:g} ticks")
     if row.get("forecast_repeats_from"):
         notes.append(
-            "the forecast repeats the weather's last record from "
-            f"{row['forecast_repeats_from']} on"
+            f"the forecast repeats its last record from {row['forecast_repeats_from']} on"
         )
     limited = _cell(file, line, row, "limited_steps")
     if limited:
@@ -269,6 +276,15 @@ def _parameters(cells: Mapping[str, object]) -> Parameters:
         if math.isfinite(value):
             parameters[key] = value
     return parameters
+
+
+def _forecast_label(name: str | None, options: Mapping[str, object]) -> str:
+    """Return a name for forecasts with those of their options that are there; none if perfect."""
+    if not name or name == PERFECT:
+        return ""
+    given = {option: options.get(option) for option in OPTIONS}
+    texts = [f"{option} {value}" for option, value in given.items() if value not in (None, "")]
+    return " ".join([Path(name).name, *texts])
 
 
 def _initial_label(name: str, cistern: float, roof: float) -> str:
@@ -306,6 +322,7 @@ def _bag_entry(path: Path, site_file: Path | None, given: Site | None) -> RunEnt
         notes.append("no site file came with the bag: the site is the paper's, config/site.yaml")
     about = _about(run)
     initial: dict[str, Any] = about.get("initial") or {}
+    forecast: dict[str, Any] = about.get("forecast") or {}
     if about.get("limited_steps"):
         notes.append(
             f"a tank ran empty in {about['limited_steps']} ticks, and what left it was limited"
@@ -331,6 +348,7 @@ def _bag_entry(path: Path, site_file: Path | None, given: Site | None) -> RunEnt
         ),
         notes=tuple(notes),
         load=partial(_load_bag, bag, site, zone, mend),
+        forecast=_forecast_label(forecast.get("file") or forecast.get("model"), forecast),
     )
 
 
@@ -365,6 +383,10 @@ def _about(run: Path) -> dict[str, Any]:
         },
         "weather": weather.get("weather_file"),
         "evapotranspiration_variant": weather.get("evapotranspiration"),
+        "forecast": {
+            "model": weather.get("forecast"),
+            **{option: weather.get(f"forecast_{option}") for option in OPTIONS},
+        },
     }
     if "cistern" in plant and "roof" in plant:
         about["initial"] = {"cistern_m3": plant["cistern"], "roof_m3": plant["roof"]}

@@ -16,6 +16,7 @@ from rich.table import Table
 from greenroof_ros.command_line import EXIT_DONE, EXIT_FAILED, command
 from greenroof_ros.errors import ConfigurationError
 from greenroof_ros.files import shared_directory
+from greenroof_ros.forecast_models import OPTIONS, PERFECT
 from greenroof_ros.study.case_run import ENGINES, Outcome
 from greenroof_ros.study.grid import Case, read_grid
 from greenroof_ros.study.store import Store
@@ -144,7 +145,16 @@ def _run(
 
 
 def _name(case: Case) -> str:
-    return f"{_setting(case.controller, case.parameters)}, {case.initial}, from {case.start}"
+    return (
+        f"{_setting(case.controller, case.parameters)}, {case.initial}, from {case.start}, "
+        f"forecast {_forecast(case.columns())}"
+    )
+
+
+def _forecast(row: Mapping[str, Any]) -> str:
+    """Name the forecasts of a row of the table, or of a case."""
+    options = {name: row[f"forecast_{name}"] for name in OPTIONS}
+    return _setting(row["forecast"], options)
 
 
 def _setting(controller: str, parameters: Mapping[str, Any]) -> str:
@@ -159,32 +169,37 @@ def _setting(controller: str, parameters: Mapping[str, Any]) -> str:
 
 
 def _show(rows: Sequence[Mapping[str, Any]], directory: Path) -> None:
-    """Print the total deviations, a setting a line and an initial state a column."""
+    """Print the total deviations, setting and forecast a line and an initial state a column."""
     console = Console()
     first, last = list(rows[0]).index("roof_m3") + 1, list(rows[0]).index("status")
     parameters = list(rows[0])[first:last]
-    windows: dict[tuple[Any, ...], dict[str, dict[str, str]]] = {}
+    windows: dict[tuple[Any, ...], dict[tuple[str, str], dict[str, str]]] = {}
     initials = list(dict.fromkeys(row["initial"] for row in rows))
+    told = any(row["forecast"] != PERFECT for row in rows)
     for row in rows:
         window = tuple(
             row[key] for key in ("site", "weather", "start", "hours", "evapotranspiration")
         )
         setting = _setting(row["controller"], {key: row[key] for key in parameters})
+        line = setting, _forecast(row)
         text = row["status"].upper()
         if row["status"] == "done":
             text = f"{row['total_deviation_m3']:.2f}"
-        windows.setdefault(window, {}).setdefault(setting, {})[row["initial"]] = text
-    for (site, weather, start, hours, variant), settings in windows.items():
+        windows.setdefault(window, {}).setdefault(line, {})[row["initial"]] = text
+    for (site, weather, start, hours, variant), lines in windows.items():
         table = Table(
             title=f"Total deviation (m3, summed over the ticks): {weather}, {hours:g} h from "
             f"{start}, evapotranspiration {variant}, {site}",
             title_justify="left",
         )
         table.add_column("controller")
+        if told:
+            table.add_column("forecast")
         for initial in initials:
             table.add_column(initial, justify="right")
-        for setting, totals in settings.items():
-            table.add_row(setting, *(totals.get(initial, "") for initial in initials))
+        for (setting, forecast), totals in lines.items():
+            columns = (setting, forecast) if told else (setting,)
+            table.add_row(*columns, *(totals.get(initial, "") for initial in initials))
         console.print(table)
     for column, what in (
         ("filled_hours", "had missing hours of weather filled in (column filled)"),

@@ -10,7 +10,7 @@ import tempfile
 import time
 from array import array
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -19,6 +19,7 @@ import yaml
 
 from greenroof_ros import summary
 from greenroof_ros.closed_loop import closed_loop
+from greenroof_ros.forecast_models import ForecastChoice
 from greenroof_ros.metrics import Metrics
 from greenroof_ros.report.runs import find_runs
 from greenroof_ros.run import Run, build_run, count_ticks, make_controller
@@ -57,7 +58,7 @@ def run_case(case: Case, engine: str) -> Outcome:
     """
     with tempfile.TemporaryDirectory(prefix="greenroof_ros-") as name:
         directory = Path(name)
-        for file in (case.site, case.weather):
+        for file in case.files:
             (directory / file.name).write_bytes(file.content)
         if engine == "ros":
             return _run_graph(case, directory)
@@ -71,7 +72,15 @@ def _build(case: Case, directory: Path) -> Run:
     return build_run(
         site_file, site, weather, case.start, count_ticks(site, case.hours, "hours"),
         case.controller, case.parameters, case.initial, (case.cistern, case.roof),
+        _choice(case, directory),
     )
+
+
+def _choice(case: Case, directory: Path) -> ForecastChoice:
+    """Return the case's choice of forecasts, a file of them where it lies."""
+    if case.forecast_file is None:
+        return case.forecast
+    return replace(case.forecast, file=directory / case.forecast_file.name)
 
 
 def _run_in_process(run: Run) -> Outcome:
@@ -107,7 +116,10 @@ def _run_graph(case: Case, directory: Path) -> Outcome:
         "--evapotranspiration", case.evapotranspiration, "--start", case.start,
         "--hours", repr(case.hours), "--controller", case.controller,
         "--parameters", str(parameters), "--cistern", repr(case.cistern), "--roof", repr(case.roof),
+        "--forecast", str(_choice(case, directory)),
     ]
+    for name, value in case.forecast.options().items():
+        command += [f"--forecast-{name}", repr(value)]
     for domain in _domains(case):
         process = subprocess.run(
             command, env={**os.environ, "ROS_DOMAIN_ID": str(domain)}, capture_output=True,

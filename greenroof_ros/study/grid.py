@@ -7,12 +7,14 @@ import itertools
 import json
 import math
 from collections.abc import Iterator
-from dataclasses import dataclass
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 from greenroof_ros.errors import ConfigurationError
 from greenroof_ros.files import YamlMapping, read_yaml, shared_directory
+from greenroof_ros.forecast_models import OPTIONS, PERFECT, ForecastChoice, choose
 from greenroof_ros.run import (
     CONTROLLERS,
     INITIAL_STATES,
@@ -25,7 +27,7 @@ from greenroof_ros.site import Site, read_site
 from greenroof_ros.weather import read_weather
 
 _KEYS = ("site", "weather", "initial", "controllers")
-_WINDOW_KEYS = ("file", "start", "hours", "evapotranspiration")
+_WINDOW_KEYS = ("file", "start", "hours", "evapotranspiration", "forecast")
 
 
 @dataclass(frozen=True)
@@ -47,6 +49,8 @@ class Case:
         start: time of tick 0, ISO 8601 with its offset from UTC.
         hours: length (h).
         evapotranspiration: variant.
+        forecast: which forecasts; a file of them by its name.
+        forecast_file: that file; None where there is none.
         controller: its name.
         parameters: all of the controller's.
         initial: name of the initial state.
@@ -59,11 +63,19 @@ class Case:
     start: str
     hours: float
     evapotranspiration: str
+    forecast: ForecastChoice
+    forecast_file: InputFile | None
     controller: str
     parameters: dict[str, float]
     initial: str
     cistern: float
     roof: float
+
+    @property
+    def files(self) -> tuple[InputFile, ...]:
+        """What it reads."""
+        files = (self.site, self.weather, self.forecast_file)
+        return tuple(file for file in files if file is not None)
 
     @property
     def identity(self) -> str:
@@ -72,6 +84,10 @@ class Case:
             **self.columns(),
             "site": hashlib.sha256(self.site.content).hexdigest(),
             "weather": hashlib.sha256(self.weather.content).hexdigest(),
+            "forecast_file": (
+                hashlib.sha256(self.forecast_file.content).hexdigest()
+                if self.forecast_file is not None else ""
+            ),
             "parameters": sorted(self.parameters.items()),
         }
         return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()[:12]
@@ -84,6 +100,8 @@ class Case:
             "start": self.start,
             "hours": self.hours,
             "evapotranspiration": self.evapotranspiration,
+            "forecast": str(self.forecast),
+            **{f"forecast_{name}": self.forecast.options().get(name) for name in OPTIONS},
             "controller": self.controller,
             "initial": self.initial,
             "cistern_m3": self.cistern,
@@ -95,8 +113,8 @@ def read_grid(path: Path) -> list[Case]:
     """Read a grid such as ``config/study.yaml`` and check every run of it.
 
     Returns:
-        The runs, in the order of the file: windows, variants, initial states, controllers with
-        their parameters.
+        The runs, in the order of the file: windows, variants, forecasts, initial states,
+        controllers with their parameters.
 
     Raises:
         ConfigurationError: the grid, or a file that it names, is wrong; nothing has run yet.
@@ -108,7 +126,7 @@ def read_grid(path: Path) -> list[Case]:
         if case.identity in seen:
             raise ConfigurationError(
                 f"is the same run twice: {case.controller} {case.parameters}, {case.initial}, "
-                f"from {case.start}",
+                f"from {case.start}, forecast {case.forecast}",
                 file=path,
             )
         seen.add(case.identity)
@@ -121,7 +139,7 @@ class _Grid:
     def __init__(self, path: Path) -> None:
         self._path = path
         self._mapping = read_yaml(path)
-        self._keys(self._mapping, _KEYS)
+        self._keys(self._mapping, (*_KEYS, "forecast"))
         for key in _KEYS:
             if not self._mapping.get(key):
                 raise ConfigurationError("is missing or empty", file=path, key=key)
@@ -134,11 +152,12 @@ class _Grid:
             path = self._path.parent / site_file
             site = read_site(path)
             for window in self._windows():
-                for start, variant in itertools.product(
+                for start, hours, variant in itertools.product(
                     self._list(window, "start", str),
+                    self._list(window, "hours", float, [None]),
                     self._list(window, "evapotranspiration", str, [None]),
                 ):
-                    yield from self._runs(path, site, window, start, variant, controllers)
+                    yield from self._runs(path, site, window, start, hours, variant, controllers)
 
     def _runs(
         self,
@@ -146,20 +165,32 @@ class _Grid:
         site: Site,
         window: YamlMapping,
         start: str,
+        hours: float | None,
         variant: str | None,
         controllers: list[tuple[str, dict[str, float]]],
     ) -> Iterator[Case]:
         """Yield the runs of one site in one window."""
-        (file,) = self._list(window, "file", str)
-        (hours,) = self._list(window, "hours", float, [None])
-        steps = count_ticks(site, hours, "hours")
-        weather = read_weather(self._path.parent / file, site, variant)
-        for initial, volumes in self._initial_states(site):
-            # The same for each controller: one check is enough.
-            name, parameters = controllers[0]
-            run = build_run(
-                site_file, site, weather, start, steps, name, parameters, initial, volumes
-            )
+        file = self._one(window, "file", str)
+        with self._at(window, "hours"):
+            steps = count_ticks(site, hours, "hours")
+        with self._at(window, "evapotranspiration"):
+            weather = read_weather(self._path.parent / file, site, variant)
+        # What one controller can run with, the others that are told as much can.
+        told = {
+            (parameters.get("horizon"), parameters.get("members")): (name, parameters)
+            for name, parameters in controllers
+        }
+        given = window if "forecast" in window else self._mapping
+        for choice, (initial, volumes) in itertools.product(
+            list(self._forecasts(given)), list(self._initial_states(site))
+        ):
+            for name, parameters in told.values():
+                with self._at(window, "start"):
+                    run = build_run(
+                        site_file, site, weather, start, steps, name, parameters, initial, volumes,
+                        choice,
+                    )
+            forecast_file = None if choice.file is None else self._input(choice.file)
             for name, parameters in controllers:
                 yield Case(
                     site=self._input(site_file),
@@ -167,12 +198,49 @@ class _Grid:
                     start=run.start.isoformat(),
                     hours=run.steps * site.tau / 3600,
                     evapotranspiration=weather.variant,
+                    forecast=(
+                        choice if forecast_file is None
+                        else replace(choice, file=Path(forecast_file.name))
+                    ),
+                    forecast_file=forecast_file,
                     controller=name,
                     parameters=parameters,
                     initial=initial,
                     cistern=run.x1,
                     roof=run.x2,
                 )
+
+    def _forecasts(self, mapping: YamlMapping) -> Iterator[ForecastChoice]:
+        """Yield each kind of forecast under ``forecast:`` with each combination of its options."""
+        forecasts = mapping.get("forecast", PERFECT)
+        if forecasts == []:
+            raise self._refuse(mapping, "forecast", "is empty")
+        for forecast in forecasts if isinstance(forecasts, list) else [forecasts]:
+            options = forecast if isinstance(forecast, YamlMapping) else YamlMapping()
+            text = options.get("model") if options else forecast
+            try:
+                choice = choose(str(text))
+            except ValueError as error:
+                raise self._refuse(
+                    mapping, "forecast",
+                    f"{text!r} {error}, or {{model: errors, size: 0.5, seed: [1, 2]}}",
+                ) from error
+            if choice.file is not None:
+                choice = replace(choice, file=self._path.parent / choice.file)
+            if options:
+                self._keys(options, ("model", *choice.options()))
+            names = [name for name in choice.options() if name in options]
+            for values in itertools.product(*(self._option(options, name) for name in names)):
+                yield replace(choice, **dict(zip(names, values, strict=True)))
+
+    def _option(self, mapping: YamlMapping, name: str) -> list[Any]:
+        """Return the values of an option of a forecast."""
+        low, high = OPTIONS[name]
+        values = self._list(mapping, name, float if name == "size" else int)
+        for value in values:
+            if not low <= value <= high:
+                raise self._refuse(mapping, name, f"{value} must be from {low} to {high}")
+        return values
 
     def _input(self, path: Path) -> InputFile:
         """Return a file's content under a name that no other file of the study has."""
@@ -213,13 +281,13 @@ class _Grid:
                     raise self._refuse(
                         self._mapping, "initial", f"a state has no {', '.join(sorted(lacking))}"
                     )
-                (name,) = self._list(state, "name", str)
-                volumes = tuple(self._list(state, key, float)[0] for key in ("cistern", "roof"))
+                name = self._one(state, "name", str)
+                volumes = tuple(self._one(state, key, float) for key in ("cistern", "roof"))
                 if min(volumes) < 0:
                     raise self._refuse(self._mapping, "initial", "volumes must not be negative")
             else:
                 name = state
-                if name not in INITIAL_STATES:
+                if not isinstance(name, str) or name not in INITIAL_STATES:
                     raise self._refuse(
                         self._mapping, "initial",
                         f"{name!r} must be one of {', '.join(INITIAL_STATES)}, or "
@@ -261,10 +329,25 @@ class _Grid:
             for combination in itertools.product(*choices):
                 yield name, {**defaults, **dict(zip(given, combination, strict=True))}
 
+    @contextmanager
+    def _at(self, mapping: YamlMapping, key: str) -> Iterator[None]:
+        """Say in which line of the grid a mistake is that shows elsewhere."""
+        try:
+            yield
+        except ConfigurationError as error:
+            line = mapping.lines.get(key, min(mapping.lines.values()))
+            raise ConfigurationError(str(error), file=self._path, line=line) from error
+
+    def _one(self, mapping: YamlMapping, key: str, kind: type) -> Any:
+        """Return a value that must be one, not a list."""
+        if isinstance(mapping[key], list):
+            raise self._refuse(mapping, key, "must be one value, not a list")
+        return self._list(mapping, key, kind)[0]
+
     def _list(
         self, mapping: YamlMapping, key: str, kind: type, default: list[Any] | None = None
     ) -> list[Any]:
-        """Return a value as a list of a kind, str or float; one value is a list of one."""
+        """Return a value as a list of a kind, str, float or int; one value is a list of one."""
         if key not in mapping and default is not None:
             return default
         value = mapping[key]
@@ -275,6 +358,8 @@ class _Grid:
             is_number = isinstance(each, (int, float)) and not isinstance(each, bool)
             if kind is float and not is_number:
                 raise self._refuse(mapping, key, "must be a number, or a list of them")
+            if kind is int and not (is_number and isinstance(each, int)):
+                raise self._refuse(mapping, key, "must be a whole number, or a list of them")
             if kind is float and math.isnan(each):
                 raise self._refuse(mapping, key, "must not be nan")
             if kind is str and not isinstance(each, str):

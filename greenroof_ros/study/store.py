@@ -64,7 +64,7 @@ class Store:
         else:
             shutil.copyfile(grid, configuration / "grid.yaml")
             for case in self._cases:
-                for used in (case.site, case.weather):
+                for used in case.files:
                     (configuration / used.name).write_bytes(used.content)
             _write(file, json.dumps(identity, indent=2) + "\n")
         self._runs.mkdir(exist_ok=True)
@@ -102,10 +102,13 @@ class Store:
         """Return the outcomes that are there, without their files."""
         found = {}
         for case in self._cases:
-            file = self._runs / case.identity / _OUTCOME
-            if file.is_file():
-                content = json.loads(file.read_text(encoding="utf-8"))
+            directory = self._runs / case.identity
+            try:
+                content = json.loads((directory / _OUTCOME).read_text(encoding="utf-8"))
                 found[case.identity] = Outcome(content["results"], content["timings"], {})
+            except (OSError, ValueError, KeyError, TypeError):
+                # Not there, or damaged, as after a power cut: it is made again.
+                shutil.rmtree(directory, ignore_errors=True)
         return found
 
     def keep(self, case: Case, outcome: Outcome) -> None:

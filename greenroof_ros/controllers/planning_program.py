@@ -1,0 +1,284 @@
+"""The program that the planning controllers solve: volumes to pump over steps that grow."""
+
+from __future__ import annotations
+
+import math
+from typing import Any, NamedTuple
+
+import numpy as np
+import osqp
+import scipy.sparse
+from numpy.typing import NDArray
+
+from greenroof_ros.plant import maximum_pump_flow
+from greenroof_ros.site import Site
+
+# The solver gets near, its polishing does the rest. The program is scaled here: with the solver's
+# own scaling some programs take ten times the iterations, and rho goes round in circles. The
+# adaptation of rho is counted in iterations, since by the clock two equal runs would differ.
+_SOLVER_SETTINGS = {
+    "eps_abs": 3e-5,
+    "eps_rel": 3e-5,
+    "rho": 0.1,
+    "adaptive_rho": 1,
+    "adaptive_rho_interval": 50,
+    "check_termination": 10,
+    "scaling": 0,
+    "polishing": True,
+    "warm_starting": True,
+    "verbose": False,
+}
+# An ensemble's program is some ten times larger and takes ten times the iterations. What it decides
+# is good to 0.01 m3, a 0.2 mm of a forecast that errs by millimetres.
+_ENSEMBLE_SETTINGS = {
+    "eps_abs": 1e-3, "eps_rel": 1e-3, "rho": 0.03, "adaptive_rho": 0, "polishing": False,
+}
+# Weights of the rows of what the pumps can do, of the volumes, and of the excess over the value at
+# risk; those of the least iterations.
+_CAPACITY, _VOLUME, _EXCESS = 5.0, 2.0, 8.0
+_USABLE = (osqp.SolverStatus.OSQP_SOLVED, osqp.SolverStatus.OSQP_SOLVED_INACCURATE)
+_JOULES_PER_KWH = 3.6e6
+_WATER = 1000.0  # kg/m3
+
+Array = NDArray[np.float64]
+Matrix = Any  # scipy's sparse matrices have no types
+
+
+class Prices(NamedTuple):
+    """What counts beside the deviation."""
+
+    energy: float = 0.0
+    """of a kWh of hydraulic energy, as deviation (m3 s)"""
+    start: float = 0.0
+    """of a pump start at full flow, as deviation (m3 s)"""
+
+
+class Ensemble(NamedTuple):
+    """How a program looks at several forecasts at once."""
+
+    members: int = 1
+    """how many"""
+    level: float = 0.0
+    """of the conditional value-at-risk: 0 is the mean of all, 0.9 that of the worst tenth"""
+    recourse: float = 0.0
+    """until then (s) one plan serves all members; later each has its own"""
+
+
+class PlanningProgram:
+    """The program of :class:`greenroof_ros.controllers.planning_mpc.PlanningMpc`, set up once.
+
+    Attributes:
+        status: OSQP's status value of the last program, 1 = solved.
+        cost: its objective, a mean deviation over the horizon (m3); NaN if it was not solved.
+    """
+
+    def __init__(
+        self,
+        site: Site,
+        edges: Array,
+        max_command: float,
+        power: float,
+        prices: Prices,
+        ensemble: Ensemble,
+        max_iterations: int,
+    ) -> None:
+        """Set the solver up.
+
+        Args:
+            site: the parameters of Table I.
+            edges: ends of the steps (s from now), the first 0, shape (n + 1,).
+            max_command: upper bound of the commands (1).
+            power: of the deviation, 1 or 2.
+            prices: of energy and starts.
+            ensemble: of the forecasts.
+            max_iterations: OSQP's limit.
+        """
+        self.status = 0
+        self.cost = math.nan
+        self._max_command = max_command
+        self._members = ensemble.members
+        self._lengths = np.diff(edges)
+        # A step's deviation is scaled so that seconds and hours are alike to the solver.
+        self._weights = self._lengths / self._lengths.mean()
+        self._starts = prices.start > 0
+        self._common = int(np.count_nonzero(edges[1:] <= ensemble.recourse))
+        self._risk = ensemble.members > 1 and ensemble.level > 0
+        self._full = maximum_pump_flow(site, site.a1 * site.z_o)
+        n = len(self._lengths)
+        self._infinite = np.full(n, np.inf)
+        self._between = scipy.sparse.diags(
+            [np.full(n, 0.5), np.full(n - 1, 0.5)], [0, -1], format="csc"
+        )
+        rows = self._rows()
+        hessian, linear = self._objective(site, power, prices, float(edges[-1]))
+        matrix = scipy.sparse.block_diag([rows] * ensemble.members, format="csc")
+        cost = np.tile(linear, ensemble.members) / ensemble.members
+        quadratic = [scipy.sparse.csc_matrix(hessian / ensemble.members)] * ensemble.members
+        self._columns = len(linear)
+        # From the variables, in which the common volumes are there once, to those of all members.
+        self._spread = self._shared()
+        if self._risk:
+            # CVaR = min over t of t + sum_m max(0, D_m - t) / ((1 - level) members), where D_m is
+            # the mean deviation of a member (Rockafellar and Uryasev 2000).
+            deviations = np.tile(linear, ensemble.members)
+            matrix = self._with_excess(matrix, deviations)
+            cost = np.concatenate([
+                np.zeros_like(cost), [1.0],
+                np.full(ensemble.members, 1 / ((1 - ensemble.level) * ensemble.members)),
+            ])
+            quadratic.append(scipy.sparse.csc_matrix((ensemble.members + 1,) * 2))
+            self._spread = scipy.sparse.block_diag(
+                [self._spread, scipy.sparse.identity(ensemble.members + 1)], format="csc"
+            )
+        spread = self._spread
+        zero = np.zeros((ensemble.members, n))
+        lower, upper = self._bounds(zero, zero, self._full, 0.0)
+        self._solver = osqp.OSQP()
+        self._solver.setup(
+            P=scipy.sparse.triu(
+                spread.T @ scipy.sparse.block_diag(quadratic) @ spread, format="csc"
+            ),
+            q=spread.T @ cost,
+            A=scipy.sparse.csc_matrix(matrix @ spread),
+            l=lower,
+            u=upper,
+            max_iter=max_iterations,
+            **{**_SOLVER_SETTINGS, **(_ENSEMBLE_SETTINGS if ensemble.members > 1 else {})},
+        )
+
+    def solve(
+        self, mean: Array, most: Array, full: float, flow: float, guess: Array | None
+    ) -> Array | None:
+        """Return the volumes pumped until the end of each step (m3), shape (members, n).
+
+        Args:
+            mean: of the roof's deviation in each step without pumping (m3), shape (members, n).
+            most: upper bound of the volumes (m3), shape (members, n).
+            full: the pumps' flow at command 1 (m3/s).
+            flow: what is pumped now (m3/s).
+            guess: of the answer.
+
+        Returns:
+            None where the solver found none; ``status`` says why.
+        """
+        lower, upper = self._bounds(mean, most, full, flow)
+        self._solver.update(l=lower, u=upper)
+        if guess is not None:
+            first = np.asarray(self._spread.argmax(axis=0)).ravel()
+            self._solver.warm_start(x=self._variables(guess, mean, flow)[first])
+        result = self._solver.solve(raise_error=False)
+        self.status = int(result.info.status_val)
+        self.cost = math.nan
+        variables = self._spread @ result.x
+        blocks = variables[: self._members * self._columns].reshape(self._members, -1)
+        volumes = blocks[:, : len(self._lengths)]
+        if self.status not in _USABLE or not np.isfinite(volumes).all():
+            return None
+        self.cost = float(result.info.obj_val)
+        # The solver ends within its tolerance of the constraints, on either side.
+        return np.asarray(np.maximum.accumulate(np.clip(volumes, 0.0, most), axis=1))
+
+    def _rows(self) -> Matrix:
+        """Return the constraints of one member: on volumes, scaled deviations, and rises."""
+        n = len(self._lengths)
+        eye = scipy.sparse.identity(n, format="csc")
+        none = scipy.sparse.csc_matrix((n, n))
+        step = self._step()
+        scaled = scipy.sparse.diags([self._weights], [0]) @ self._between
+        rows = [[_CAPACITY * step, none], [scaled, -eye], [scaled, eye], [_VOLUME * eye, none]]
+        if self._starts:
+            # Each rise of the flow (share of the full one), of the first step from what flows now.
+            flow = scipy.sparse.diags([1 / self._lengths], [0]) @ step / self._full
+            rise = flow - scipy.sparse.diags([np.ones(n - 1)], [-1]) @ flow
+            rows = [[*row, none] for row in rows] + [[-rise, none, eye], [none, none, eye]]
+        return scipy.sparse.bmat(rows, format="csc")
+
+    def _step(self) -> Matrix:
+        n = len(self._lengths)
+        return scipy.sparse.diags([np.ones(n), -np.ones(n - 1)], [0, -1], format="csc")
+
+    def _objective(
+        self, site: Site, power: float, prices: Prices, seconds: float
+    ) -> tuple[Matrix, Array]:
+        """Return Hessian and linear part for one member; all is mean deviation (m3)."""
+        n = len(self._lengths)
+        price = prices.energy / seconds * _WATER * site.g / _JOULES_PER_KWH  # per m3 and m
+        volume = np.zeros(n)
+        volume[-1] = price * (site.d - site.z_o)
+        # Friction goes with the cube of the flow; here with its square, exact at full flow.
+        friction = 2 * price * site.pipe_resistance * self._full
+        step = self._step()
+        hessian = [step.T @ scipy.sparse.diags([friction / self._lengths], [0]) @ step]
+        if power == 2.0:
+            hessian.append(scipy.sparse.diags([2 / self._weights / n], [0]))
+            linear = [volume, np.zeros(n)]
+        else:
+            hessian.append(scipy.sparse.csc_matrix((n, n)))
+            linear = [volume, np.full(n, 1 / n)]
+        if self._starts:
+            hessian.append(scipy.sparse.csc_matrix((n, n)))
+            linear.append(np.full(n, prices.start / seconds))
+        return scipy.sparse.block_diag(hessian, format="csc"), np.concatenate(linear)
+
+    def _shared(self) -> Matrix:
+        """Return what copies the first member's common volumes to all members."""
+        size = self._members * self._columns
+        source = np.arange(size)
+        for member in range(1, self._members):
+            first = member * self._columns
+            source[first : first + self._common] = np.arange(self._common)
+        kept, column = np.unique(source, return_inverse=True)
+        return scipy.sparse.csc_matrix(
+            (np.ones(size), (np.arange(size), column)), shape=(size, len(kept))
+        )
+
+    def _with_excess(self, matrix: Matrix, deviations: Array) -> Matrix:
+        """Add t and each member's excess over it, with their rows."""
+        members, columns = self._members, self._columns
+        own = scipy.sparse.csc_matrix(
+            scipy.sparse.kron(scipy.sparse.identity(members), np.ones((1, columns)))
+        ).multiply(deviations[None, :])
+        ones, eye = np.ones((members, 1)), scipy.sparse.identity(members)
+        nothing = scipy.sparse.csc_matrix((members, members * columns))
+        return scipy.sparse.bmat(
+            [
+                [matrix, scipy.sparse.csc_matrix((matrix.shape[0], members + 1))],
+                [_EXCESS * own, _EXCESS * scipy.sparse.hstack([-ones, -eye])],
+                [nothing, scipy.sparse.hstack([0 * ones, eye])],
+            ],
+            format="csc",
+        )
+
+    def _bounds(self, mean: Array, most: Array, full: float, flow: float) -> tuple[Array, Array]:
+        """Return the bounds of all rows."""
+        n = len(self._lengths)
+        zero = np.zeros(n)
+        capacity = _CAPACITY * self._lengths * full * self._max_command
+        lower, upper = [], []
+        for free, bound in zip(self._weights * mean, _VOLUME * most, strict=True):
+            lower += [zero, -self._infinite, -free, zero]
+            upper += [capacity, -free, self._infinite, bound]
+            if self._starts:
+                now = np.zeros(n)
+                now[0] = -flow / self._full
+                lower += [now, zero]
+                upper += [self._infinite, self._infinite]
+        if self._risk:
+            nothing, any_ = np.zeros(self._members), np.full(self._members, np.inf)
+            lower += [-any_, nothing]
+            upper += [nothing, any_]
+        return np.concatenate(lower), np.concatenate(upper)
+
+    def _variables(self, volumes: Array, mean: Array, flow: float) -> Array:
+        """Return all variables at some volumes; the risk's begin anew."""
+        deviation = self._weights * np.abs(mean + volumes @ self._between.T)
+        parts = [volumes, deviation]
+        if self._starts:
+            flows = np.diff(volumes, prepend=0.0, axis=1) / self._lengths / self._full
+            parts.append(np.maximum(np.diff(flows, prepend=flow / self._full, axis=1), 0.0))
+        variables = np.hstack(parts).ravel()
+        if self._risk:
+            each = deviation.mean(axis=1)
+            worst = float(np.median(each))
+            variables = np.concatenate([variables, [worst], np.maximum(each - worst, 0.0)])
+        return variables

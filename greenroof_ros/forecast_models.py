@@ -1,0 +1,578 @@
+"""Hourly forecasts as weather services make them: issued at times, good for hours, and wrong.
+
+A forecast is issued every 6 hours, at 00, 06, 12 and 18 UTC. It is known from its time of issue on
+and the newest until the next. Where records do not begin on a whole hour of UTC, an issue counts
+from the first hour of the records that begins after it. The present hour is observed, not forecast:
+:class:`greenroof_ros.forecast.SteppedForecast` sees to that. The issue that is the newest where the
+records begin was made before them; it counts as made at its own time, and the first record stands
+for the hours before it. Only a perfect forecast and a file have no such issues: the one knows all,
+and the other has the times of its own.
+"""
+
+from __future__ import annotations
+
+import bisect
+import csv
+import itertools
+import math
+from dataclasses import dataclass, field
+from datetime import datetime
+from pathlib import Path
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from greenroof_ros.errors import ConfigurationError
+from greenroof_ros.files import read_text
+from greenroof_ros.records import EVAPOTRANSPIRATION, HOUR, PRECIPITATION, QUANTITIES, name_hours
+from greenroof_ros.weather import Weather
+from greenroof_ros.weather_csv import parse_time
+
+Array = NDArray[np.float64]
+
+PERFECT = "perfect"
+FILE = "file"
+# Each model and those of OPTIONS that it has; a file is named by its path.
+MODELS: dict[str, tuple[str, ...]] = {
+    PERFECT: (),
+    "persistence": (),
+    "errors": ("size", "seed"),
+    "ensemble": ("size", "seed", "members"),
+}
+# Range of each option; all but the size are whole numbers.
+OPTIONS = {"size": (0.0, 10.0), "seed": (0, 2**31 - 1), "members": (1, 100)}
+
+_EPOCH = datetime.fromisoformat("1970-01-01T00:00+00:00")
+_ISSUE_HOURS = 6
+# Errors of size 1 have this standard deviation of the timing (h) at this lead (h), where that of
+# the amount's logarithm is 1.
+_TIMING_H, _LEAD_H = 4.0, 12.0
+# Evapotranspiration follows the sun, and is known better than rain by far.
+_EVAPOTRANSPIRATION_SHARE = 0.25
+
+
+@dataclass(frozen=True)
+class ForecastChoice:
+    """Which forecasts a run's controller is given.
+
+    Attributes:
+        model: one of :data:`MODELS`, or ``file``.
+        size: of the errors (1): 0 none, 0.25 small, 0.5 medium, 1 large.
+        seed: of the errors.
+        members: of the ensemble.
+        file: with the forecasts; None where there is none.
+    """
+
+    model: str = PERFECT
+    size: float = 0.5
+    seed: int = 0
+    members: int = 10
+    file: Path | None = None
+
+    def __str__(self) -> str:
+        """The model's name or the file's path, as the option ``--forecast`` takes it."""
+        return self.model if self.file is None else str(self.file)
+
+    def options(self) -> dict[str, float]:
+        """Return those of :data:`OPTIONS` that the model has, with their values."""
+        return {name: getattr(self, name) for name in MODELS.get(self.model, ())}
+
+
+def choose(text: str) -> ForecastChoice:
+    """Return the choice of a model by its name, or of a file by its path.
+
+    Raises:
+        ValueError: it is neither; the message says what it must be.
+    """
+    if text.endswith(".csv"):
+        return ForecastChoice(FILE, file=Path(text))
+    if text not in MODELS:
+        raise ValueError(f"must be one of {', '.join(MODELS)}, or a FILE.csv")
+    return ForecastChoice(text)
+
+
+class ForecastModel(Protocol):
+    """Hourly forecasts: what is known in an hour about those that follow."""
+
+    @property
+    def members(self) -> int:
+        """How many forecasts of the rain there are; 1 unless it is an ensemble."""
+        ...
+
+    def known(self, hour: int, hours: int) -> tuple[Array, Array]:
+        """Return the forecast that is the newest in an hour of the records.
+
+        Args:
+            hour: index of the hour.
+            hours: how many to return, that one first.
+
+        Returns:
+            Rain (mm/h), shape (members, hours), and evapotranspiration (mm/day), shape (hours,).
+
+        Raises:
+            ConfigurationError: there is no forecast, or a record that it is made of is missing.
+        """
+        ...
+
+    def repeats_from(self, hour: int, hours: int) -> datetime | None:
+        """Return from when on these hours are only the last one repeated; None if none are."""
+        ...
+
+
+def make_model(choice: ForecastChoice, weather: Weather, all_members: bool) -> ForecastModel:
+    """Make the chosen model.
+
+    Args:
+        choice: which.
+        weather: the records that come true.
+        all_members: of an ensemble; otherwise its member 0 only.
+
+    Raises:
+        ConfigurationError: the file of forecasts is wrong.
+    """
+    if choice.file is not None:
+        return FileModel(choice.file, weather, all_members)
+    if choice.model == "persistence":
+        return PersistenceModel(weather)
+    members = choice.members if all_members and choice.model == "ensemble" else 1
+    if choice.model == PERFECT or (choice.size == 0 and members == 1):
+        return PerfectModel(weather)
+    return ErrorModel(weather, choice.seed, choice.size, members)
+
+
+class PerfectModel:
+    """Knows the records themselves."""
+
+    members = 1
+
+    def __init__(self, weather: Weather) -> None:
+        """Take the records."""
+        self._weather = weather
+
+    def known(self, hour: int, hours: int) -> tuple[Array, Array]:
+        """Return the records; see :class:`ForecastModel`."""
+        index = np.minimum(np.arange(hour, hour + hours), len(self._weather.precipitation) - 1)
+        return self._weather.precipitation[index][None, :], self._weather.evapotranspiration[index]
+
+    def repeats_from(self, hour: int, hours: int) -> datetime | None:
+        """Return the end of the records, if the hours are past it."""
+        past = hour + hours > len(self._weather.precipitation)
+        return self._weather.end if past else None
+
+
+class PersistenceModel:
+    """Says that it will go on as it is.
+
+    The rain is for all hours that of the hour of issue. Evapotranspiration follows the day: it is
+    that of the same hour of the last day that is known at the issue, or where the records do not
+    have it, that of the hour of issue.
+    """
+
+    members = 1
+
+    def __init__(self, weather: Weather) -> None:
+        """Take the records, of which none after the hour of issue is looked at."""
+        self._weather = weather
+
+    def known(self, hour: int, hours: int) -> tuple[Array, Array]:
+        """Return the forecast; see :class:`ForecastModel`."""
+        weather = self._weather
+        issued = max(_newest_issue(weather.first, hour)[1], 0)
+        lead = hour - issued + np.arange(hours)
+        before = issued + lead - 24 * -(-lead // 24)
+        now = _taken(weather, EVAPOTRANSPIRATION, np.array([issued]))
+        evapotranspiration = np.where(
+            before < 0, now, weather.evapotranspiration[np.maximum(before, 0)]
+        )
+        evapotranspiration = np.where(np.isnan(evapotranspiration), now, evapotranspiration)
+        rain = np.full((1, hours), _taken(weather, PRECIPITATION, np.array([issued])))
+        return rain, evapotranspiration
+
+    def repeats_from(self, hour: int, hours: int) -> None:
+        """It needs no record of what is to come."""
+
+
+class ErrorModel:
+    """Knows the records, but with errors of time and amount that grow with the lead.
+
+    With the lead l (h) from the issue to an hour's start, the hour's rain is multiplied by
+    exp(s z - s^2 / 2), s = size sqrt(l / 12), the mean of which is 1. Before that everything is
+    moved by 4 h x size sqrt(l / 12) z', later where z' > 0: what has fallen from the issue to the
+    lead l is what the records have until l less that. So no water is made or lost; and nothing from
+    before the issue comes after it. Evapotranspiration is not moved, and its factor is that of a
+    quarter of the size, with z''.
+
+    The standard normal z, z' and z'' are drawn once per issue and member, from the seed, the
+    member's number and the time of issue alone: the same seed gives the same forecasts, whoever
+    asks, when, and in whichever order. Member 0 of an ensemble is the single forecast of the same
+    seed. Its members differ in the rain only. More than :data:`greenroof_ros.records.QUANTITIES`
+    believes is never forecast.
+    """
+
+    def __init__(self, weather: Weather, seed: int, size: float, members: int = 1) -> None:
+        """Take the records, the seed, the size of the errors (1) and the number of members."""
+        self._weather = weather
+        self._seed = seed
+        self._size = size
+        self.members = members
+
+    def known(self, hour: int, hours: int) -> tuple[Array, Array]:
+        """Return the forecast; see :class:`ForecastModel`."""
+        issue, issued = _newest_issue(self._weather.first, hour)
+        ends = np.arange(hour - issued, hour - issued + hours + 1)
+        lead = ends[:-1]
+        draws = [self._draw(issue, member) for member in range(self.members)]
+        rain = np.stack([
+            self._moved(issued, ends, late) * _factor(self._size, lead, amount)
+            for amount, late, _ in draws
+        ])
+        evapotranspiration = _taken(self._weather, EVAPOTRANSPIRATION, issued + lead) * _factor(
+            _EVAPOTRANSPIRATION_SHARE * self._size, lead, draws[0][2]
+        )
+        return (
+            np.minimum(rain, QUANTITIES[PRECIPITATION][2]),
+            np.minimum(evapotranspiration, QUANTITIES[EVAPOTRANSPIRATION][2]),
+        )
+
+    def repeats_from(self, hour: int, hours: int) -> datetime | None:
+        """Return the end of the records, if the hours, as they are moved, are past it."""
+        issue, issued = _newest_issue(self._weather.first, hour)
+        end = np.array([float(hour - issued + hours)])
+        furthest = max(
+            float(self._read(end, self._draw(issue, member)[1])[0])
+            for member in range(self.members)
+        )
+        past = issued + max(furthest, float(end[0])) > len(self._weather.precipitation)
+        return self._weather.end if past else None
+
+    def _draw(self, issue: int, member: int) -> tuple[float, float, float]:
+        """Return z, z' and z'' of an issue (h since 1970) and a member."""
+        normal = np.random.default_rng([self._seed, member, issue]).standard_normal(3)
+        return float(normal[0]), float(normal[1]), float(normal[2])
+
+    def _read(self, ends: NDArray[np.float64], late: float) -> Array:
+        """Return until when (h since the issue) the records have fallen at these leads (h)."""
+        moved: Array = ends - _TIMING_H * self._size * np.sqrt(ends / _LEAD_H) * late
+        return np.maximum(moved, 0.0)
+
+    def _moved(self, issued: int, ends: NDArray[np.intp], late: float) -> Array:
+        """Return the rain between these leads (mm/h), moved in time; shape (ends - 1,)."""
+        if not self._size:  # bit for bit: sums and their differences would round
+            return _taken(self._weather, PRECIPITATION, issued + ends[:-1])
+        read = self._read(ends.astype(np.float64), late)
+        low, high = math.floor(read[0]), math.ceil(read[-1])
+        rain = _taken(self._weather, PRECIPITATION, issued + np.arange(low, high))
+        fallen = np.concatenate(([0.0], np.cumsum(rain)))
+        at_ends = np.interp(read, np.arange(low, high + 1), fallen)
+        return np.maximum(np.diff(at_ends), 0.0)  # interpolation rounds, too
+
+
+class FileModel:
+    """Forecasts from a file; see :func:`read_forecasts`.
+
+    The newest is the last that was issued at or before the hour. Past its end its last hour is
+    repeated. Without a column of evapotranspiration that of the records counts as known.
+    """
+
+    def __init__(self, file: Path, weather: Weather, all_members: bool) -> None:
+        """Read the file.
+
+        Args:
+            file: with the forecasts.
+            weather: the records that come true.
+            all_members: of each issue; otherwise its member 0 only.
+
+        Raises:
+            ConfigurationError: it is wrong, or its hours are not those of the records.
+        """
+        self._file = file
+        self._weather = weather
+        self._issues = read_forecasts(file)
+        for issue in self._issues:
+            if (issue.issued - weather.first) % HOUR:
+                raise ConfigurationError(
+                    f"must be a whole number of hours from {_minutes(weather.first)}, where "
+                    f"{weather.file} begins",
+                    file=file, line=issue.line, key="issued", value=_minutes(issue.issued),
+                )
+        self._hours = [(issue.issued - weather.first) // HOUR for issue in self._issues]
+        self.members = len(self._issues[0].rain) if all_members else 1
+
+    def known(self, hour: int, hours: int) -> tuple[Array, Array]:
+        """Return the forecast; see :class:`ForecastModel`."""
+        issue, lead = self._newest(hour)
+        index = np.minimum(np.arange(lead, lead + hours), issue.hours - 1)
+        rain = issue.rain[: self.members, index]
+        if issue.evapotranspiration is not None:
+            return rain, issue.evapotranspiration[index]
+        return rain, _taken(self._weather, EVAPOTRANSPIRATION, np.arange(hour, hour + hours))
+
+    def repeats_from(self, hour: int, hours: int) -> datetime | None:
+        """Return the end of the issue, or of records that it needs, if the hours are past it."""
+        issue, lead = self._newest(hour)
+        if lead + hours > issue.hours:
+            return issue.issued + issue.hours * HOUR
+        needed = issue.evapotranspiration is None
+        past = needed and hour + hours > len(self._weather.precipitation)
+        return self._weather.end if past else None
+
+    def _newest(self, hour: int) -> tuple[_Issue, int]:
+        """Return the newest issue in an hour, and how long ago it was made (h)."""
+        number = bisect.bisect_right(self._hours, hour) - 1
+        if number < 0:
+            raise ConfigurationError(
+                f"holds forecasts from {_minutes(self._issues[0].issued)} on, but the run needs "
+                f"one at {_minutes(self._weather.first + hour * HOUR)}",
+                file=self._file,
+            )
+        return self._issues[number], hour - self._hours[number]
+
+
+def _newest_issue(first: datetime, hour: int) -> tuple[int, int]:
+    """Return when the newest forecast in an hour of the records was made.
+
+    Args:
+        first: start of hour 0.
+        hour: index of the hour.
+
+    Returns:
+        Hours since 1970, and the index of the first hour of the records from then on, which is
+        negative for one made before them.
+    """
+    since_1970 = (first - _EPOCH) // HOUR
+    issue = (since_1970 + hour) // _ISSUE_HOURS * _ISSUE_HOURS
+    return issue, issue - since_1970
+
+
+def _taken(weather: Weather, quantity: str, hours: NDArray[np.intp]) -> Array:
+    """Return records; the first stands for those before it, and the last for those after it.
+
+    Raises:
+        ConfigurationError: one of them is missing.
+    """
+    series: Array = getattr(weather, quantity)
+    index = np.clip(hours, 0, len(series) - 1)
+    values = series[index]
+    if np.isnan(values).any():
+        missing = np.unique(index[np.isnan(values)])
+        raise ConfigurationError(
+            f"{quantity} is missing at {', '.join(name_hours(weather.first, missing))}, of which "
+            "the run's forecasts are made; choose another window or another kind of forecast",
+            file=weather.file,
+        )
+    return values
+
+
+def _factor(size: float, lead: NDArray[np.intp], normal: float) -> Array:
+    """Return what an amount is multiplied by at some leads (h); its mean over all draws is 1."""
+    spread = size * np.sqrt(lead / _LEAD_H)
+    factor: Array = np.exp(spread * normal - spread**2 / 2)
+    return factor
+
+
+def _minutes(time: datetime) -> str:
+    return time.isoformat(timespec="minutes")
+
+
+# --- files of forecasts ------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class _Issue:
+    """A forecast of a file.
+
+    Attributes:
+        issued: when; its first hour starts then.
+        line: of the file, its first.
+        rain: mm/h, shape (members, hours).
+        evapotranspiration: mm/day, shape (hours,); None where the file has none.
+    """
+
+    issued: datetime
+    line: int
+    rain: Array
+    evapotranspiration: Array | None
+
+    @property
+    def hours(self) -> int:
+        """How many it has."""
+        return len(self.rain[0])
+
+
+@dataclass
+class _Draft:
+    """An issue while it is read: the rows of numbers of each of its members."""
+
+    issued: datetime
+    line: int
+    members: dict[int, list[list[float]]] = field(default_factory=dict)
+
+
+_UNITS = {quantity: f"{quantity} [{QUANTITIES[quantity][0]}]" for quantity in QUANTITIES}
+
+
+def read_forecasts(path: Path) -> list[_Issue]:
+    """Read a file of forecasts, one issue after the other.
+
+    Lines that start with ``#`` are comments. The first other line is the header: ``issued``,
+    ``time``, then ``member`` if there is more than one forecast per issue, ``precipitation
+    [mm/h]``, and ``evapotranspiration [mm/day]`` if the file has it (member 0's counts). Each
+    further line is the hour that starts at its ``time``, as forecast at ``issued`` (ISO 8601 with
+    the offset from UTC): of each issue and member hour after hour, the first that which starts with
+    the issue. All issues have the members 0, 1, 2 and so on, and all members of an issue the same
+    hours.
+
+    Raises:
+        ConfigurationError: the file breaks any of this; the message names the line and value.
+    """
+    lines = [
+        (number, line)
+        for number, line in enumerate(read_text(path).splitlines(), start=1)
+        if line.strip() and not line.lstrip().startswith("#")
+    ]
+    if not lines:
+        raise ConfigurationError("holds comments only; a header and records must follow", file=path)
+    header = _header(path, *lines[0])
+    drafts: list[_Draft] = []
+    for line, text in lines[1:]:
+        _add(path, line, dict(zip(header, _cells(path, line, text, len(header)), strict=True)),
+             drafts)
+    if not drafts:
+        raise ConfigurationError("has a header but no records", file=path)
+    has_evapotranspiration = _UNITS[EVAPOTRANSPIRATION] in header
+    return [
+        _finish(path, draft, len(drafts[0].members), has_evapotranspiration) for draft in drafts
+    ]
+
+
+def _cells(path: Path, line: int, text: str, count: int) -> list[str]:
+    """Split a line of CSV, which must have a number of cells; 0 stands for any."""
+    try:
+        cells = [cell.strip() for cell in next(csv.reader([text], strict=True))]
+    except csv.Error as error:
+        raise ConfigurationError(f"is not valid CSV: {error}", file=path, line=line) from error
+    if count and len(cells) != count:
+        raise ConfigurationError(
+            f"must have {count} cells as the header has, not {len(cells)}", file=path, line=line
+        )
+    return cells
+
+
+def _header(path: Path, line: int, text: str) -> list[str]:
+    """Return the names of the columns."""
+    cells = _cells(path, line, text, 0)
+    expected = ["issued", "time", "member", _UNITS[PRECIPITATION], _UNITS[EVAPOTRANSPIRATION]]
+    if "member" not in cells:
+        expected.remove("member")
+    if len(cells) < len(expected):
+        del expected[-1]
+    for cell, due in itertools.zip_longest(cells, expected):
+        if due is None:
+            raise ConfigurationError(
+                f"is one column too many; they are {', '.join(expected)}",
+                file=path, line=line, value=cell,
+            )
+        if cell != due:
+            raise ConfigurationError(
+                f"the column must be '{due}'; they are {', '.join(expected)}",
+                file=path, line=line, value=cell or "",
+            )
+    return cells
+
+
+def _add(path: Path, line: int, row: dict[str, str], drafts: list[_Draft]) -> None:
+    """Add a line to its issue, the last of the drafts or a new one."""
+    issued, time = _time(path, line, row, "issued"), _time(path, line, row, "time")
+    if not drafts or issued > drafts[-1].issued:
+        drafts.append(_Draft(issued, line))
+    draft = drafts[-1]
+    if issued < draft.issued:
+        raise ConfigurationError(
+            f"must not be before {_minutes(draft.issued)}, as above: the issues must be in the "
+            "order of time",
+            file=path, line=line, key="issued", value=row["issued"],
+        )
+    rows = draft.members.setdefault(_member(path, line, row), [])
+    due = issued + len(rows) * HOUR
+    if time != due:
+        raise ConfigurationError(
+            f"must be {_minutes(due.astimezone(time.tzinfo))}: each forecast must be hour after "
+            "hour from its issue on, without gap or repetition",
+            file=path, line=line, key="time", value=row["time"],
+        )
+    rows.append([
+        _number(path, line, row, quantity)
+        for quantity in (PRECIPITATION, EVAPOTRANSPIRATION) if _UNITS[quantity] in row
+    ])
+
+
+def _time(path: Path, line: int, row: dict[str, str], key: str) -> datetime:
+    """Return a time with its offset from UTC."""
+    try:
+        time = parse_time(row[key])
+    except ValueError:
+        time = None
+    if time is None or time.utcoffset() is None:
+        raise ConfigurationError(
+            "must be a time with its offset from UTC, such as 2021-07-07T02:00-05:00, "
+            "1971 to 2037",
+            file=path, line=line, key=key, value=row[key],
+        )
+    return time
+
+
+def _member(path: Path, line: int, row: dict[str, str]) -> int:
+    """Return a line's member, 0 where the file has but one."""
+    text = row.get("member", "0")
+    most = int(OPTIONS["members"][1]) - 1
+    if not (text.isascii() and text.isdecimal() and int(text) <= most):
+        raise ConfigurationError(
+            f"must be a whole number from 0 to {most}",
+            file=path, line=line, key="member", value=text,
+        )
+    return int(text)
+
+
+def _number(path: Path, line: int, row: dict[str, str], quantity: str) -> float:
+    """Return a number that can be believed."""
+    unit, least, largest = QUANTITIES[quantity]
+    text = row[_UNITS[quantity]]
+    try:
+        value = float(text)
+    except ValueError:
+        value = math.nan
+    if not least <= value <= largest:
+        raise ConfigurationError(
+            f"must be a number from {least:g} to {largest:g} {unit}",
+            file=path, line=line, key=_UNITS[quantity], value=text,
+        )
+    return value
+
+
+def _finish(path: Path, draft: _Draft, members: int, has_evapotranspiration: bool) -> _Issue:
+    """Return a whole issue.
+
+    Raises:
+        ConfigurationError: it lacks members that the first issue has, or has others, or hours.
+    """
+    found = sorted(draft.members)
+    if found != list(range(members)):
+        raise ConfigurationError(
+            f"the issue of {_minutes(draft.issued)} has members {', '.join(map(str, found))}, but "
+            f"must have 0 to {members - 1}: without gap, and as many as the first issue",
+            file=path, line=draft.line,
+        )
+    hours = [len(draft.members[member]) for member in found]
+    if min(hours) != max(hours):
+        raise ConfigurationError(
+            f"the issue of {_minutes(draft.issued)} must have as many hours of each member; "
+            f"member {hours.index(min(hours))} has {min(hours)}, "
+            f"member {hours.index(max(hours))} has {max(hours)}",
+            file=path, line=draft.line,
+        )
+    values = np.array([draft.members[member] for member in found])
+    return _Issue(
+        draft.issued, draft.line, values[:, :, 0],
+        values[0, :, 1] if has_evapotranspiration else None,
+    )

@@ -1,0 +1,49 @@
+"""The planning controller over an ensemble of forecasts, as a node."""
+
+from __future__ import annotations
+
+import sys
+
+from rclpy.node import Node
+
+from greenroof_ros.controllers.planning_mpc import PlanningMpc
+from greenroof_ros.controllers.planning_program import Ensemble
+from greenroof_ros.lockstep import Link
+from greenroof_ros.node_process import run_node
+from greenroof_ros.nodes.controller import ControllerNode, publish_solver
+from greenroof_ros.parameters import declare, declare_site
+from greenroof_ros.run import CONTROLLERS
+
+
+def build(node: Node) -> Link:
+    """Declare the parameters and put the controller into the graph."""
+    site = declare_site(node)
+    ranges = CONTROLLERS["scenario_mpc"]
+    controller = PlanningMpc(
+        site,
+        declare(node, "horizon", 12.0, "how far it plans (h)", *ranges["horizon"]),
+        declare(node, "max_command", 1.0, "largest command (1)", *ranges["max_command"]),
+        ensemble=Ensemble(
+            declare(node, "members", 10, "of the ensemble", *ranges["members"]),
+            declare(
+                node, "level", 0.8, "of the conditional value-at-risk; 0 is the mean of all",
+                *ranges["level"],
+            ),
+            3600 * declare(
+                node, "recourse", 6.0, "until then one plan serves all members (h)",
+                *ranges["recourse"],
+            ),
+        ),
+    )
+    part = ControllerNode(node, "scenario_mpc", controller)
+    publish_solver(part, controller)
+    return part.link
+
+
+def main(args: list[str] | None = None) -> None:
+    """Run the node."""
+    sys.exit(run_node("scenario_mpc", build, args))
+
+
+if __name__ == "__main__":
+    main()
