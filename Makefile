@@ -54,9 +54,8 @@ run: $(FOR_RUN)
 	@$(BIN)/python -m greenroof_ros.bringup $(or $(ARGS),--controller mpc)
 
 study: $(FOR_STUDY)
-	@$(BIN)/python -m greenroof_ros.study
-	@rm -rf studies/paper/report
-	@$(BIN)/python -m greenroof_ros.report studies/paper
+	@$(BIN)/python -m greenroof_ros.study; code=$$?; rm -rf studies/paper/report; \
+	    $(BIN)/python -m greenroof_ros.report studies/paper && exit $$code
 
 test: $(FOR_TEST)
 	@$(BIN)/python -m pytest $(ARGS)

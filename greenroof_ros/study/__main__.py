@@ -17,7 +17,7 @@ from greenroof_ros.command_line import EXIT_DONE, EXIT_FAILED, command
 from greenroof_ros.errors import ConfigurationError
 from greenroof_ros.files import shared_directory
 from greenroof_ros.forecast_models import OPTIONS, PERFECT
-from greenroof_ros.study.case_run import ENGINES, Outcome
+from greenroof_ros.study.case_run import ENGINES, Outcome, bound_case, run_case
 from greenroof_ros.study.grid import Case, read_grid
 from greenroof_ros.study.store import Store
 from greenroof_ros.study.workers import Submit, cluster, processes
@@ -102,7 +102,7 @@ def main() -> int:
             with workers as submit:
                 _run(open_cases, arguments.engine, submit, store, outcomes, failures, console)
     finally:
-        rows = store.write_tables(outcomes, failures)
+        rows = store.write_tables(outcomes, failures, store.bounds())
     _show(rows, store.directory)
     return EXIT_FAILED if failures else EXIT_DONE
 
@@ -126,10 +126,26 @@ def _run(
     ) as progress:
         task = progress.add_task("study", total=len(ordered))
         progress.refresh()
-        pending: dict[Future[Outcome], Case] = {submit(case, engine): case for case in ordered}
-        while pending:
-            done, _ = wait(pending, timeout=_REFRESH_S, return_when=FIRST_COMPLETED)
-            for future in done:
+        bounds = store.bounds()
+        problems = {case.problem: case for case in cases if case.problem not in bounds}
+        bounding: dict[Future[float], str] = {
+            submit(bound_case, case): problem for problem, case in problems.items()
+        }
+        pending: dict[Future[Outcome], Case] = {
+            submit(run_case, case, engine): case for case in ordered
+        }
+        while pending or bounding:
+            open_tasks: list[Future[Any]] = [*pending, *bounding]
+            done, _ = wait(open_tasks, timeout=_REFRESH_S, return_when=FIRST_COMPLETED)
+            for future in done & bounding.keys():
+                problem = bounding.pop(future)
+                try:
+                    bounds[problem] = future.result()
+                except Exception as error:  # the runs do not need it
+                    progress.print(f"no bound: {_name(problems[problem])}: {error}", markup=False)
+                else:
+                    store.keep_bounds(bounds)
+            for future in done & pending.keys():
                 case = pending.pop(future)
                 try:
                     outcome = future.result()

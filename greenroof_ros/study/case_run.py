@@ -10,6 +10,7 @@ import tempfile
 import time
 from array import array
 from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -18,6 +19,7 @@ import numpy as np
 import yaml
 
 from greenroof_ros import summary
+from greenroof_ros.bound import clairvoyant_bound
 from greenroof_ros.closed_loop import closed_loop
 from greenroof_ros.forecast_models import ForecastChoice
 from greenroof_ros.metrics import Metrics
@@ -56,13 +58,29 @@ def run_case(case: Case, engine: str) -> Outcome:
         ConfigurationError: the run is wrong, or the engine is not there.
         RuntimeError: the graph failed; the message has its last words.
     """
+    with _laid_out(case) as directory:
+        if engine == "ros":
+            return _run_graph(case, directory)
+        return _run_in_process(_build(case, directory))
+
+
+def bound_case(case: Case) -> float:
+    """Return the least total deviation (m3) that any controller could reach in a case.
+
+    That is, one whose commands are at most 1; see :func:`greenroof_ros.bound.clairvoyant_bound`.
+    """
+    with _laid_out(case) as directory:
+        return clairvoyant_bound(_build(case, directory)).bound_m3
+
+
+@contextmanager
+def _laid_out(case: Case) -> Iterator[Path]:
+    """Give the case's files a directory, while it runs."""
     with tempfile.TemporaryDirectory(prefix="greenroof_ros-") as name:
         directory = Path(name)
         for file in case.files:
             (directory / file.name).write_bytes(file.content)
-        if engine == "ros":
-            return _run_graph(case, directory)
-        return _run_in_process(_build(case, directory))
+        yield directory
 
 
 def _build(case: Case, directory: Path) -> Run:

@@ -92,6 +92,13 @@ class Case:
         }
         return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()[:12]
 
+    @property
+    def problem(self) -> str:
+        """Identity of what every controller is given alike: site, weather, initial state."""
+        return replace(
+            self, controller="", parameters={}, forecast=ForecastChoice(), forecast_file=None
+        ).identity
+
     def columns(self) -> dict[str, Any]:
         """Return what the table says of the case itself, without its parameters."""
         return {

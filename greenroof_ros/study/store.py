@@ -37,6 +37,7 @@ class Store:
         self.directory = directory
         self._cases = cases
         self._runs = directory / "runs"
+        self._bounds = directory / "bounds.json"
         identity = {
             "engine": engine,
             "versions": summary.versions(),
@@ -127,24 +128,47 @@ class Store:
             raise OSError(error.errno, error.strerror, str(part)) from error
         part.replace(self._runs / case.identity)
 
+    def bounds(self) -> dict[str, float]:
+        """Return the least possible total deviations (m3) that are known, by problem."""
+        try:
+            found: dict[str, float] = json.loads(self._bounds.read_text(encoding="utf-8"))
+        except (OSError, ValueError):
+            return {}
+        return found
+
+    def keep_bounds(self, bounds: Mapping[str, float]) -> None:
+        """Write them down."""
+        _write(self._bounds, json.dumps(bounds, indent=2) + "\n")
+
     def write_tables(
-        self, outcomes: Mapping[str, Outcome], failures: Mapping[str, str]
+        self,
+        outcomes: Mapping[str, Outcome],
+        failures: Mapping[str, str],
+        bounds: Mapping[str, float],
     ) -> list[dict[str, Any]]:
         """Write ``results.csv``, and ``timings.csv`` apart, as times differ from run to run.
 
         Args:
             outcomes: of the finished runs, by identity.
+            bounds: least possible total deviations (m3), by problem.
             failures: why the others are not, by identity; those in neither were not run.
 
         Returns:
             The rows of ``results.csv``.
         """
-        parameters = list(dict.fromkeys(key for keys in CONTROLLERS.values() for key in keys))
+        used = {case.controller for case in self._cases}
+        parameters = list(dict.fromkeys(
+            key for name, keys in CONTROLLERS.items() if name in used for key in keys
+        ))
         rows, timings = [], []
         for case in self._cases:
             identity = case.identity
             outcome = outcomes.get(identity)
             status = "done" if outcome else "failed" if identity in failures else "not run"
+            bound = bounds.get(case.problem)
+            ratio = None
+            if outcome and bound:
+                ratio = outcome.results["total_deviation_m3"] / bound
             rows.append({
                 "run": identity,
                 **case.columns(),
@@ -152,6 +176,8 @@ class Store:
                 "status": status,
                 "error": failures.get(identity, ""),
                 **(outcome.results if outcome else {}),
+                "bound_m3": bound,
+                "ratio_to_bound": ratio,
             })
             if outcome:
                 timings.append({"run": identity, **outcome.timings})

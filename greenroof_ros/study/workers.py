@@ -1,35 +1,29 @@
-"""Who runs the cases: processes of this machine, or a Dask cluster."""
+"""Who does the work: processes of this machine, or a Dask cluster."""
 
 from __future__ import annotations
 
 import multiprocessing
 import tempfile
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import Future
 from contextlib import contextmanager
-from typing import Protocol
+from typing import Any
 
 from greenroof_ros import summary
 from greenroof_ros.errors import ConfigurationError
-from greenroof_ros.study.case_run import Outcome, run_case
-from greenroof_ros.study.grid import Case
 
 # What a worker would otherwise import anew.
 _PRELOADED = ["greenroof_ros.study.case_run", "greenroof_ros.controllers.mpc", "polars"]
 _CONNECT_S = 10
 
 
-class Submit(Protocol):
-    """Hands a case over, and returns its outcome to come."""
-
-    def __call__(self, case: Case, engine: str) -> Future[Outcome]:
-        """Return at once."""
-        ...
+# Hands a function and its arguments over, and returns the result to come.
+Submit = Callable[..., Future[Any]]
 
 
 @contextmanager
 def processes(jobs: int) -> Iterator[Submit]:
-    """Run cases in parallel processes; one that is killed fails its own case alone.
+    """Work in parallel processes; one that is killed fails its own task alone.
 
     Args:
         jobs: how many at a time.
@@ -49,7 +43,7 @@ def processes(jobs: int) -> Iterator[Submit]:
             max_workers=jobs, context=context, initializer=_use_scratch, initargs=(scratch,)
         )
         try:
-            yield lambda case, engine: pool.schedule(run_case, args=(case, engine))
+            yield lambda function, *arguments: pool.schedule(function, args=arguments)
         finally:
             pool.stop()
             pool.join()
@@ -62,7 +56,7 @@ def _use_scratch(directory: str) -> None:
 
 @contextmanager
 def cluster(address: str) -> Iterator[Submit]:
-    """Run cases on the workers of a Dask scheduler.
+    """Work on the workers of a Dask scheduler.
 
     Args:
         address: such as ``tcp://10.0.0.1:8786``.
@@ -86,10 +80,10 @@ def cluster(address: str) -> Iterator[Submit]:
     with client:
         _check_versions(client.run(summary.versions))
         executor = client.get_executor(pure=False, retries=0)
-        pending: list[Future[Outcome]] = []
+        pending: list[Future[Any]] = []
 
-        def submit(case: Case, engine: str) -> Future[Outcome]:
-            pending.append(executor.submit(run_case, case, engine))
+        def submit(function: Callable[..., Any], *arguments: Any) -> Future[Any]:
+            pending.append(executor.submit(function, *arguments))
             return pending[-1]
 
         try:
