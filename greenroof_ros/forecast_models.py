@@ -15,6 +15,7 @@ import bisect
 import csv
 import itertools
 import math
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from datetime import datetime
 from pathlib import Path
@@ -205,9 +206,13 @@ class ErrorModel:
 
     The standard normal z, z' and z'' are drawn once per issue and member, from the seed, the
     member's number and the time of issue alone: the same seed gives the same forecasts, whoever
-    asks, when, and in whichever order. Member 0 of an ensemble is the single forecast of the same
-    seed. Its members differ in the rain only. More than :data:`greenroof_ros.records.QUANTITIES`
-    believes is never forecast.
+    asks, when, and in whichever order. More than :data:`greenroof_ros.records.QUANTITIES` believes
+    is never forecast.
+
+    Member 0 of an ensemble is the single forecast of the same seed. The others are that forecast
+    with such errors once more: they lie about what was forecast, as an ensemble's do, and not about
+    what comes, whose mean would give it away. What comes differs from the forecast as they do.
+    Members differ in the rain only.
     """
 
     def __init__(self, weather: Weather, seed: int, size: float, members: int = 1) -> None:
@@ -223,9 +228,16 @@ class ErrorModel:
         ends = np.arange(hour - issued, hour - issued + hours + 1)
         lead = ends[:-1]
         draws = [self._draw(issue, member) for member in range(self.members)]
+
+        def records(leads: NDArray[np.intp]) -> Array:
+            return _taken(self._weather, PRECIPITATION, issued + leads)
+
+        def forecast(leads: NDArray[np.intp]) -> Array:
+            return self._disturbed(records, np.append(leads, leads[-1] + 1), draws[0])
+
         rain = np.stack([
-            self._moved(issued, ends, late) * _factor(self._size, lead, amount)
-            for amount, late, _ in draws
+            self._disturbed(forecast if member else records, ends, draw)
+            for member, draw in enumerate(draws)
         ])
         evapotranspiration = _taken(self._weather, EVAPOTRANSPIRATION, issued + lead) * _factor(
             _EVAPOTRANSPIRATION_SHARE * self._size, lead, draws[0][2]
@@ -238,12 +250,14 @@ class ErrorModel:
     def repeats_from(self, hour: int, hours: int) -> datetime | None:
         """Return the end of the records, if the hours, as they are moved, are past it."""
         issue, issued = _newest_issue(self._weather.first, hour)
-        end = np.array([float(hour - issued + hours)])
-        furthest = max(
-            float(self._read(end, self._draw(issue, member)[1])[0])
-            for member in range(self.members)
-        )
-        past = issued + max(furthest, float(end[0])) > len(self._weather.precipitation)
+        end = float(hour - issued + hours)
+        furthest = end
+        for member in range(self.members):
+            read = self._read(np.array([end]), self._draw(issue, member)[1])
+            if member:
+                read = self._read(np.ceil(read), self._draw(issue, 0)[1])
+            furthest = max(furthest, float(read[0]))
+        past = issued + furthest > len(self._weather.precipitation)
         return self._weather.end if past else None
 
     def _draw(self, issue: int, member: int) -> tuple[float, float, float]:
@@ -256,16 +270,22 @@ class ErrorModel:
         moved: Array = ends - _TIMING_H * self._size * np.sqrt(ends / _LEAD_H) * late
         return np.maximum(moved, 0.0)
 
-    def _moved(self, issued: int, ends: NDArray[np.intp], late: float) -> Array:
-        """Return the rain between these leads (mm/h), moved in time; shape (ends - 1,)."""
+    def _disturbed(
+        self,
+        source: Callable[[NDArray[np.intp]], Array],
+        ends: NDArray[np.intp],
+        draw: tuple[float, float, float],
+    ) -> Array:
+        """Return a source's rain (mm/h) between these leads with errors, shape (ends - 1,)."""
+        amount, late, _ = draw
         if not self._size:  # bit for bit: sums and their differences would round
-            return _taken(self._weather, PRECIPITATION, issued + ends[:-1])
+            return source(ends[:-1])
         read = self._read(ends.astype(np.float64), late)
-        low, high = math.floor(read[0]), math.ceil(read[-1])
-        rain = _taken(self._weather, PRECIPITATION, issued + np.arange(low, high))
-        fallen = np.concatenate(([0.0], np.cumsum(rain)))
+        low, high = math.floor(read[0]), max(math.ceil(read[-1]), math.floor(read[0]) + 1)
+        fallen = np.concatenate(([0.0], np.cumsum(source(np.arange(low, high)))))
         at_ends = np.interp(read, np.arange(low, high + 1), fallen)
-        return np.maximum(np.diff(at_ends), 0.0)  # interpolation rounds, too
+        moved = np.maximum(np.diff(at_ends), 0.0)  # interpolation rounds, too
+        return moved * _factor(self._size, ends[:-1], amount)
 
 
 class FileModel:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import os
 import random
+import re
 import signal
 import subprocess
 import sys
@@ -169,8 +170,11 @@ def test_a_killed_worker_fails_its_run_alone(tmp_path: Path) -> None:
 
 def test_interrupted(tmp_path: Path) -> None:
     """Ctrl-C: nothing is left behind, what is finished is in the table, the rest can follow."""
+    scratch = tmp_path / "scratch"
+    scratch.mkdir()
     process = subprocess.Popen(
         [sys.executable, "-m", "greenroof_ros.study"], cwd=tmp_path,
+        env={**os.environ, "TMPDIR": str(scratch)},
         stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True, start_new_session=True,
     )
     runs = tmp_path / "studies" / "paper" / "runs"
@@ -187,6 +191,7 @@ def test_interrupted(tmp_path: Path) -> None:
     while any(Path(f"/proc/{child}").exists() for child in group):
         assert time.monotonic() < until
         time.sleep(0.05)
+    assert not list(scratch.iterdir())
     status = [row["status"] for row in rows_of(runs.parent / "results.csv")]
     assert status.count("done") >= 2
     assert status.count("done") + status.count("not run") == 30
@@ -336,9 +341,14 @@ WRONG = {
     "no-site-file": (edited("site.yaml", "absent.yaml"), "absent.yaml: cannot be read"),
     "no-weather-file": (edited("toronto", "absent"), "cannot be read: No such file"),
     "no-start": (edited("    start: 2021-07-07T02:00\n", ""), "start: is missing in a window"),
-    "start": (edited("2021-07-07T02:00", "noon"), "start = 'noon': must be a time such as"),
+    "start": (edited("2021-07-07T02:00", "noon"), "line 5: start = 'noon': must be a time such as"),
     "uncovered": (edited("2021-07-07T02:00", "2022-07-07T02:00"), "but the run is from 2022-07-07"),
-    "hours": (edited("0.25", "0"), "hours = 0.0: must be a whole number of ticks"),
+    "hours": (edited("0.25", "0"), "line 6: hours = 0.0: must be a whole number of ticks"),
+    "hours-list": (edited("0.25", "[0.25, -1]"), "line 6: hours = -1.0: must be a whole number"),
+    "files": (edited(str(WEATHER), f"[{WEATHER}, b.csv]"), "line 4: file: must be one value, not"),
+    "names": (edited("name: dry", "name: [a, b]"), "name: must be one value, not a list"),
+    "volumes": (edited("cistern: 40.0", "cistern: [40, 41]"), "cistern: must be one value, not a"),
+    "state-list": (edited("[low-low,", "[[low-low],"), "initial: ['low-low'] must be one of low-l"),
     "hours-text": (edited("0.25", "long"), "line 6: hours = 'long': must be a number"),
     "variant": (edited("published, fao56", "hargreaves"), "'hargreaves': must be fao56, or publ"),
     "window": (edited("    hours", "    length"), "line 6: length: is not known here; there are f"),
@@ -440,6 +450,59 @@ def test_what_was_begun_is_not_mixed_with_something_else(tmp_path: Path) -> None
     assert result.returncode == 2
     assert "exists, is not empty and no study" in result.stderr
     assert [path.name for path in (tmp_path / "mine").iterdir()] == ["thesis.txt"]
+
+
+def test_damaged_outcomes_are_made_again(tmp_path: Path) -> None:
+    """As a power cut leaves them: empty, gone, something else."""
+    name = grid(tmp_path)
+    assert study(tmp_path, name, "--output", "out").returncode == 0
+    table = tmp_path / "out" / "results.csv"
+    before = table.read_bytes()
+    runs = sorted((tmp_path / "out" / "runs").iterdir())
+    (runs[0] / "outcome.json").write_text("")
+    (runs[1] / "outcome.json").unlink()
+    (runs[2] / "outcome.json").write_text("[1, 2]")
+    (tmp_path / "out" / "bounds.json").write_text("{")
+    result = study(tmp_path, name, "--output", "out")
+    assert result.returncode == 0, result.stderr
+    assert "9 of 12 runs are there already" in result.stderr
+    assert table.read_bytes() == before
+
+
+def test_bound_beside_each_run(papers: Path) -> None:
+    """The least possible total from low-low is about 4,422 m3; no run is below its own."""
+    rows = rows_of(papers / "results.csv")
+    bounds = {row["initial"]: float(row["bound_m3"]) for row in rows}
+    assert bounds["low-low"] == pytest.approx(4422, abs=1)
+    for row in rows:
+        ratio = float(row["total_deviation_m3"]) / bounds[row["initial"]]
+        assert float(row["ratio_to_bound"]) == ratio
+        assert ratio > 1 - 1e-9
+
+
+def test_readme_shows_both_kinds_of_evapotranspiration(tmp_path: Path) -> None:
+    """The README's table is what the grid beside it gives, to the digit shown."""
+    result = study(tmp_path, str(CONFIG / "study_evapotranspiration.yaml"), "--output", "out")
+    assert result.returncode == 0, result.stderr
+    totals = {
+        (
+            row["controller"], float(row["weight"] or row["fraction"]), row["initial"],
+            row["evapotranspiration"],
+        ): float(row["total_deviation_m3"])
+        for row in rows_of(tmp_path / "out" / "results.csv")
+    }
+    readme = (Path(__file__).resolve().parent.parent / "README.md").read_text()
+    shown = re.findall(
+        r"^\| (MPC|on/off) ([\d.]+) \| (\d+) \| (\d+) \| (\d+) \| (\d+) \|$", readme, re.MULTILINE
+    )
+    assert len(shown) == 10
+    for controller, parameter, *figures in shown:
+        name = {"MPC": "mpc", "on/off": "onoff"}[controller]
+        expected = [
+            f"{totals[name, float(parameter), initial, variant]:.0f}"
+            for initial in ("low-low", "high-low") for variant in ("published", "fao56")
+        ]
+        assert figures == expected
 
 
 def test_ros_in_a_domain_in_use(tmp_path: Path) -> None:

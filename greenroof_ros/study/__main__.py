@@ -69,6 +69,10 @@ def _parser() -> argparse.ArgumentParser:
         help="hand the runs to a Dask cluster, such as tcp://10.0.0.1:8786, instead of processes "
         "of this machine; its workers need greenroof_ros[dask,study]",
     )
+    parser.add_argument(
+        "--no-trajectories", action="store_true",
+        help="keep the table only, of thousands of runs; a report then has no curves",
+    )
     return parser
 
 
@@ -83,7 +87,10 @@ def main() -> int:
     grid: Path = arguments.grid or shared_directory() / "config" / "study.yaml"
     name = "paper" if arguments.grid is None else grid.stem
     cases = read_grid(grid)
-    store = Store(arguments.output or Path("studies") / name, grid, cases, arguments.engine)
+    store = Store(
+        arguments.output or Path("studies") / name, grid, cases, arguments.engine,
+        trajectories=not arguments.no_trajectories,
+    )
     outcomes = store.finished()
     open_cases = [case for case in cases if case.identity not in outcomes]
     failures: dict[str, str] = {}

@@ -26,8 +26,23 @@ class Store:
         directory: of the study.
     """
 
-    def __init__(self, directory: Path, grid: Path, cases: Sequence[Case], engine: str) -> None:
+    def __init__(
+        self,
+        directory: Path,
+        grid: Path,
+        cases: Sequence[Case],
+        engine: str,
+        *,
+        trajectories: bool,
+    ) -> None:
         """Begin a study, or go on with one.
+
+        Args:
+            directory: of the study, new, empty or its own.
+            grid: its file.
+            cases: its runs.
+            engine: which makes them.
+            trajectories: whether to keep what happened in each run, not only what it came to.
 
         Raises:
             ConfigurationError: the directory holds something else, another study, or this one as
@@ -36,6 +51,7 @@ class Store:
         """
         self.directory = directory
         self._cases = cases
+        self._trajectories = trajectories
         self._runs = directory / "runs"
         self._bounds = directory / "bounds.json"
         identity = {
@@ -121,7 +137,8 @@ class Store:
         part = self._runs / f"{case.identity}.part"
         about = json.dumps({"results": outcome.results, "timings": outcome.timings}, indent=2)
         try:
-            for name, content in {**outcome.files, _OUTCOME: f"{about}\n".encode()}.items():
+            files = outcome.files if self._trajectories else {}
+            for name, content in {**files, _OUTCOME: f"{about}\n".encode()}.items():
                 (part / name).parent.mkdir(parents=True, exist_ok=True)
                 (part / name).write_bytes(content)
         except OSError as error:  # of a write it does not know where
