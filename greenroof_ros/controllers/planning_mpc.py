@@ -202,12 +202,14 @@ class PlanningMpc:
         # What is above the suction level now, or stays under the outlet until then.
         collected = (rain * self._lengths).sum(axis=1, keepdims=True) * site.a_in
         there = np.minimum(x1 + collected, max(x1, site.a1 * site.z_o))
-        most = np.minimum(missing, np.maximum(there - site.a1 * site.suction_level, 0.0))
+        full = maximum_pump_flow(site, x1)
+        # The last tick that pumps begins at the suction level or above it, and ends below.
+        above = np.maximum(there - site.a1 * site.suction_level + site.tau * full, 0.0)
         self.solves += 1
         pumped = self._program.solve(
             (before[:, :-1] + before[:, 1:]) / 2,
-            most,
-            maximum_pump_flow(site, x1),
+            np.minimum(missing, above),
+            full,
             self._flow,
             self._moved_on(),
         )
