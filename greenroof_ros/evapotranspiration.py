@@ -40,8 +40,8 @@ def hourly(
     extraterrestrial radiation Ra. At night the ratio Rs/Rso that stands for the clouds is that of
     two to three hours before sunset. Below 0 (dew) it is 0.
 
-    Where FAO-56 leaves a choice the package takes: Rs/Rso is at least 0.3 (ASCE-EWRI 2005), hours at
-    sunrise and sunset count with their sunlit part, and the soil heat flux is that of the day,
+    Where FAO-56 leaves a choice the package takes: Rs/Rso is at least 0.3 (ASCE-EWRI 2005), hours
+    at sunrise and sunset count with their sunlit part, and the soil heat flux is that of the day,
     0.1 Rn, where Rn > 0 and that of the night, 0.5 Rn, elsewhere.
 
     Args:
