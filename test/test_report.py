@@ -24,6 +24,7 @@ from paper import PAPER_SITE, exact_flows, paper_run, smooth_rates
 from rosbags.rosbag2 import StoragePlugin, Writer
 from rosbags.typesys import Stores, get_typestore
 
+from greenroof_ros.bound import clairvoyant_bound
 from greenroof_ros.closed_loop import closed_loop
 from greenroof_ros.errors import ConfigurationError
 from greenroof_ros.metrics import Metrics
@@ -33,6 +34,7 @@ from greenroof_ros.report.figures import make_figures
 from greenroof_ros.report.page import render
 from greenroof_ros.report.results import MOST_POINTS, Report, result, thin
 from greenroof_ros.report.runs import RunEntry, find_runs
+from greenroof_ros.report.seeds import apart, spreads
 from greenroof_ros.run import make_controller
 from greenroof_ros.trajectory import Trajectory, read_parquet
 
@@ -44,7 +46,8 @@ NAMES = [one.name for one in dataclasses.fields(Trajectory)][1:]
 HEADER = [
     "run", "site", "weather", "start", "hours", "evapotranspiration", "controller", "initial",
     "cistern_m3", "roof_m3", "weight", "max_command", "fraction", "status", "error",
-    "total_deviation_m3", "limited_steps", "filled_hours",
+    "total_deviation_m3", "limited_steps", "fallbacks", "filled_hours", "filled",
+    "forecast_repeats_from", "bound_m3",
 ]
 
 
@@ -104,11 +107,18 @@ def write_study(
 def report_of(path: Path) -> Report:
     """Read and judge what is under a path."""
     results = []
-    for entry in find_runs([path], None).runs:
+    alone, seeded = apart(find_runs([path], None).runs)
+    for entry in alone:
         trajectory, notes = entry.load()
         judged = assess(entry.site, trajectory, Assumptions())
         results.append(result(entry, (*entry.notes, *notes), trajectory, judged))
-    return Report(results)
+    return Report(results, seeded)
+
+
+def page_of(path: Path) -> str:
+    """Return the text of the page on what is under a path, without figures and blanks."""
+    html = render(report_of(path), [], find_runs([path], None), Assumptions())
+    return " ".join(html.partition("<main>")[2].partition("</main>")[0].split())
 
 
 def drawn(report: Report, name: str) -> Figure:
@@ -404,6 +414,188 @@ def test_any_controller_with_any_parameters(tmp_path: Path, simulated: list[Simu
     assert len(list(tmp_path.glob("*.png"))) == len(make_figures(report, None))
 
 
+def test_figure_numbers_are_the_papers(study: Path) -> None:
+    """Deviation is its fifth figure, after schematic, two of the pump, and weather."""
+    assert "(paper: Fig. 5)" in drawn(report_of(study), "total-deviation-1").caption
+    assert "(Fig. 5)" in " ".join((Metrics.__doc__ or "").split())
+
+
+def test_a_studys_notes_name_the_hours(tmp_path: Path, simulated: list[Simulated]) -> None:
+    """Those that were filled; and what the table knows beyond them."""
+    named = "dew point: 2021-07-20T12:00-05:00 to 2021-07-21T03:00-05:00 (16 hours)"
+    row = {**simulated[0].row, "filled_hours": "16", "filled": named, "fallbacks": "2",
+           "forecast_repeats_from": "2021-07-31T23:00-05:00"}
+    text = page_of(write_study(tmp_path / "study", [(row, simulated[0].trajectory)]))
+    assert f"16 hours of its weather were missing and filled in: {named}." in text
+    assert "The controller&#39;s solver found no answer in 2 ticks." in text
+    assert "The forecast repeats its last record from 2021-07-31T23:00-05:00 on." in text
+
+
+def test_the_least_possible(tmp_path: Path, simulated: list[Simulated]) -> None:
+    """A line for each initial state in the figure, and a column in the tables."""
+    runs = [
+        ({**one.row, "bound_m3": {"low-low": 200.0, "high-low": 100.0}[one.row["initial"]]},
+         one.trajectory)
+        for one in simulated
+    ]
+    # Two of the rows do not know it.
+    runs[0][0]["bound_m3"] = runs[7][0]["bound_m3"] = ""
+    path = write_study(tmp_path / "study", runs)
+    report = report_of(path)
+    figure = drawn(report, "total-deviation-1")
+    assert {row["initial"]: row["v"] for row in figure.data["bound-1"]} == {
+        "low-low": 200, "high-low": 100
+    }
+    for panel in figure.panels:
+        rules = [
+            layer for layer in panel.specification()["layer"] if layer["mark"]["type"] == "rule"
+        ]
+        assert [rule["data"]["name"] for rule in rules] == ["bound-1"]
+    assert "bound-1" not in drawn(report, "energy-1").data
+    text = page_of(path)
+    assert text.count("over the least possible (1)</button>") == 2
+    assert f">{simulated[1].metrics.total_deviation_m3 / 200:.4f}<" in text
+    assert ">unknown<" in text
+    assert "<strong>Least possible</strong>" in text
+
+
+# --- many seeds --------------------------------------------------------------------------------
+
+ERRORS = ["forecast", "forecast_size", "forecast_seed", "forecast_members"]
+SEEDED = [*HEADER[:6], *ERRORS, *HEADER[6:]]
+
+
+def seeded_rows(row: dict[str, Any]) -> list[dict[str, Any]]:
+    """Return 2 windows x 2 initial states x 3 settings x 2 sizes x 25 seeds of made-up totals.
+
+    The totals of seed n = 1..25 are the base + n m3, times the size's 1 or 2.
+    """
+    rows = []
+    for start, hours in (("2021-07-07T02:00:00-05:00", "12.0"), ("2021-07-20T02:00-05:00", "24")):
+        for initial, bound in (("low-low", 500), ("high-low", 400)):
+            for name, key, value, base in (
+                ("mpc", "weight", "0.01", 900), ("onoff", "fraction", "0.5", 1000),
+                ("onoff", "fraction", "2", 2000),
+            ):
+                for size in (0.5, 1.0):
+                    rows += [
+                        {**row, "start": start, "hours": hours, "initial": initial,
+                         "controller": name, "weight": "", "fraction": "", key: value,
+                         "forecast": "ensemble", "forecast_size": size, "forecast_seed": seed,
+                         "forecast_members": 10, "fallbacks": seed, "bound_m3": bound,
+                         "total_deviation_m3": (base + seed) * 2 * size}
+                        for seed in range(1, 26)
+                    ]
+    return rows
+
+
+@pytest.fixture(scope="module")
+def seeds(simulated: list[Simulated], tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A study of forecast errors: a table without a single trajectory."""
+    return write_study(
+        tmp_path_factory.mktemp("seeds") / "study",
+        [(row, None) for row in seeded_rows(simulated[0].row)], SEEDED,
+    )
+
+
+def test_seeds_belong_together(seeds: Path) -> None:
+    """Mean of 25 seeds, mean of the worst two, worst: by hand; the worst tenth is rounded down."""
+    report = report_of(seeds)
+    assert report.results == [] and len(report.seeded) == 600
+    found = spreads(report)
+    assert len(found) == 2 * 2 * 3 * 2
+    one = next(one for one in found if one.setting == "fraction 2" and one.size == 1)
+    assert one.place.start == "2021-07-07 02:00-05:00"
+    assert len(one.totals) == 25
+    assert (one.mean, one.worst_tenth, one.worst) == (2 * 2013, 2 * 2024.5, 2 * 2025)
+    assert one.bound_m3 == 500
+    assert [(one.controller, one.setting, one.size) for one in found[:6]] == [
+        (name, setting, size)
+        for name, setting in (
+            ("mpc", "weight 0.01"), ("onoff", "fraction 0.5"), ("onoff", "fraction 2")
+        )
+        for size in (0.5, 1)
+    ]
+
+
+def test_seeds_figure(seeds: Path, tmp_path: Path) -> None:
+    """One for the study, a panel for each window and initial state; none for each seed."""
+    report = report_of(seeds)
+    figures = [make() for make in make_figures(report, None)]
+    assert [figure.name for figure in figures] == [
+        "pump-curve-1", "pump-smoothing-1", "forecast-errors"
+    ]
+    figure = figures[-1]
+    assert figure.title == "Deviation under forecast errors"
+    assert [panel.title for panel in figure.panels] == [
+        [f"{window}", f"from {initial}"]
+        for window in ("2021-07-07 02:00-05:00, 12 h", "2021-07-20 02:00-05:00, 24 h")
+        for initial in ("low-low", "high-low")
+    ]
+    rows = figure.data["forecast-errors-2"]
+    assert {
+        row["amount"]: row["v"] for row in rows
+        if row["series"] == "on/off fraction 0.5" and row["size"] == 0.5
+    } == {"mean": 1013, "mean of the worst tenth": 1024.5}
+    colour = figure.panels[0].specification()["layer"][-1]["encoding"]["color"]["scale"]
+    # Colour is the controller's, whatever its setting.
+    assert colour["domain"] == ["MPC weight 0.01", "on/off fraction 0.5", "on/off fraction 2"]
+    assert colour["range"][0] != colour["range"][1] == colour["range"][2]
+    figure.save(tmp_path)
+    assert (tmp_path / "forecast-errors.png").stat().st_size > 10_000
+
+
+def test_seeds_page(seeds: Path, tmp_path: Path) -> None:
+    """Quick, without a trajectory: the table, and what the page leaves out."""
+    done = command(str(seeds), "--output", "report", cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    assert "their forecasts' errors: 600" in done.stdout
+    text = page_of(seeds)
+    table = text.partition("over their seeds</h3>")[2].partition("</table>")[0]
+    assert table.count("<tr>") == 1 + 24
+    row = next(row for row in table.split("<tr>") if "onoff 000002" in row)
+    cells = [cell.partition("<")[0] for cell in row.split('">')[1:]]
+    assert cells == [
+        "on/off", "fraction 0.5", "2021-07-07 02:00-05:00", "12", "low-low", "0.5", "25",
+        "1013.00", "1024.50", "1025.00", "2.0260", "2.0490", "2.0500",
+    ]
+    assert "What each run came to" not in text
+    assert "judged together, by results.csv" in text
+    # 25 different numbers of ticks are one note.
+    assert text.count("found no answer in") == 1
+    page = (tmp_path / "report" / "report.html").read_text()
+    assert "report on 600 runs" in page
+    assert (
+        "toronto_2021-07, 2021-07-20 02:00-05:00, 24 h, evapotranspiration published, forecast "
+        "ensemble members 10 size 1, 25 seeds"
+    ) in page
+
+
+def test_seeds_beside_other_runs(tmp_path: Path, simulated: list[Simulated]) -> None:
+    """A perfect forecast and a single seed stay as they were, and their tables leave none out."""
+    one = simulated[0]
+    errors = {"forecast": "errors", "forecast_size": "0.5", "forecast_members": ""}
+    path = write_study(
+        tmp_path / "study",
+        [
+            (one.row, one.trajectory),
+            ({**one.row, **errors, "forecast_size": "1.0", "forecast_seed": "7"}, one.trajectory),
+            *(({**one.row, **errors, "forecast_seed": seed}, None) for seed in ("1", "2")),
+        ],
+        SEEDED,
+    )
+    report = report_of(path)
+    assert [window.forecast for window in report.windows] == ["", "errors size 1.0 seed 7"]
+    assert [entry.name for entry in report.seeded] == ["003", "004"]
+    assert [len(one.totals) for one in spreads(report)] == [2]
+    names = [make().name for make in make_figures(report, None)]
+    assert names.count("forecast-errors") == 1 and "trajectories-2-1" in names
+    assert "trajectories-3-1" not in names
+    text = page_of(path)
+    assert "What each run came to" in text
+    assert "over the least" not in text
+
+
 # --- the command -------------------------------------------------------------------------------
 
 
@@ -425,6 +617,9 @@ def test_study(study: Path, tmp_path: Path) -> None:
     assert "2 runs failed" in text
     assert "<td>not run</td>" in text
     assert "The command was above 1" in text
+    assert "no real pump can follow it." in text and "better than" not in text
+    assert text.count("potable water saved (m³)</button>") == 2
+    assert "over the least possible" not in text
     names = {path.stem for path in (tmp_path / "report" / "figures").iterdir()}
     assert {"pump-curve-1", "weather-1", "total-deviation-1", "trajectories-1-2"} <= names
     for name in names:
@@ -530,7 +725,7 @@ def test_a_bag_gives_the_runs_numbers(
 
 
 def test_a_real_sites_bag(tmp_path: Path) -> None:
-    """Nothing is aligned: samples are the roof's, all else is the last value before, by hand."""
+    """Nothing is aligned: each stamp is a sample, all else is the last value before, by hand."""
     second = 10**9
     write_bag(
         tmp_path / "bag",
@@ -544,17 +739,234 @@ def test_a_real_sites_bag(tmp_path: Path) -> None:
     )
     entry = find_runs([tmp_path / "bag"], None).runs[0]
     trajectory, notes = entry.load()
-    assert trajectory.time.tolist() == [0, 11, 20]  # the one at 0 s is before the first command
-    assert trajectory.start.timestamp() == START_NS / 1e9 + 10
-    assert trajectory.roof.tolist() == [68.8 * level for level in (0.02, 0.03, 0.04)]
-    assert trajectory.cistern.tolist() == [50, 37.5, 37.5]
-    assert trajectory.command.tolist() == [0, 0, 0.5]
-    assert trajectory.pump_flow.tolist() == [0, 0, 0.004]
-    assert trajectory.precipitation.tolist() == [0, 1e-6, 1e-6]
-    assert trajectory.outflow.tolist() == [0, 0, 0]
+    # At 0, 4 and 5 s there is no flow yet.
+    assert trajectory.start.timestamp() == START_NS / 1e9 + 6
+    assert (trajectory.time + 6).tolist() == [6, 10, 20, 21, 29, 30]
+    assert trajectory.roof.tolist() == [
+        68.8 * level for level in (0.01, 0.02, 0.02, 0.03, 0.03, 0.04)
+    ]
+    assert trajectory.cistern.tolist() == [50, 50, 50, 37.5, 37.5, 37.5]
+    assert trajectory.command.tolist() == [0, 0, 0, 0, 0.5, 0.5]
+    assert trajectory.pump_flow.tolist() == [0, 0, 0, 0, 0.004, 0.004]
+    assert trajectory.precipitation.tolist() == [0, 0, 1e-6, 1e-6, 1e-6, 1e-6]
+    assert trajectory.outflow.tolist() == [0] * 6
     assert {note.split()[0] for note in notes} == {
         "/weather/evapotranspiration", "/cistern/outflow", "/roof/drainage", "/weather/frost"
     }
+
+
+MINUTE = 60 * 10**9
+
+
+def site_bag(directory: Path, **changes: tuple[Sequence[int], Sequence[float]]) -> Path:
+    """An hour of a real site: levels each minute, a flow of 1 L/s in seconds 70 to 89."""
+    seconds, minutes = range(3600), [minute * MINUTE for minute in range(60)]
+    flow = [0.001 * (70 <= second < 90) for second in seconds]
+    return write_bag(directory, {
+        "/roof/level": (minutes, [0.03] * 60), "/cistern/level": (minutes, [2.0] * 60),
+        "/pump/command": ([second * 10**9 for second in seconds], [0.1 * (q > 0) for q in flow]),
+        "/pump/flow": ([second * 10**9 for second in seconds], flow),
+        **{f"/{key.replace('_', '/')}": value for key, value in changes.items()},
+    })
+
+
+def test_pulses_between_the_levels_count(tmp_path: Path) -> None:
+    """20 s of 1 L/s lie between two levels; the deviation is an integral over time all the same."""
+    trajectory, _ = find_runs([site_bag(tmp_path / "bag")], None).runs[0].load()
+    judged = assess(PAPER_SITE, trajectory, Assumptions())
+    assert judged.pumped_m3 == pytest.approx(0.02, rel=1e-9)
+    assert (judged.pump_starts, judged.pump_hours) == (1, pytest.approx(20 / 3600))
+    assert judged.total_deviation_m3 == pytest.approx(3600 * 68.8 * (0.0457 - 0.03), rel=1e-9)
+
+
+def test_a_hole_is_not_filled_with_flow(tmp_path: Path) -> None:
+    """The recorder stood still for two hours while the pump ran; 9 minutes are no hole."""
+    stamps = [0, MINUTE, 2 * MINUTE, 11 * MINUTE, 12 * MINUTE, 132 * MINUTE, 133 * MINUTE]
+    count = len(stamps)
+    write_bag(tmp_path / "bag", {
+        "/roof/level": (stamps, [0.03] * count), "/cistern/level": (stamps, [2.0] * count),
+        "/pump/command": (stamps, [0.1] * count), "/pump/flow": (stamps, [0.001] * count),
+        "/weather/precipitation": (stamps, [1e-6] * count),
+    })
+    trajectory, notes = find_runs([tmp_path / "bag"], None).runs[0].load()
+    assert trajectory.pump_flow.tolist() == [0.001] * 4 + [0] + [0.001] * 2
+    assert trajectory.command.tolist() == [0.1] * 4 + [0] + [0.1] * 2
+    assert trajectory.precipitation.tolist() == [1e-6] * 4 + [0] + [1e-6] * 2
+    judged = assess(PAPER_SITE, trajectory, Assumptions())
+    assert judged.pumped_m3 == pytest.approx(0.001 * 13 * 60)
+    assert judged.total_deviation_m3 == pytest.approx((133 * 60 + 1) * 68.8 * 0.0157)
+    [note] = [note for note in notes if "no message came" in note]
+    assert "2021-07-07T07:12:00+00:00 to 2021-07-07T09:12:00+00:00 (2 h)" in note
+
+
+def test_regular_samples_have_no_holes(tmp_path: Path) -> None:
+    """A value each quarter of an hour is how the site measures, not a hole."""
+    stamps = [15 * MINUTE * number for number in range(8)]
+    values = {"/roof/level": 0.03, "/cistern/level": 2.0, "/pump/command": 0.1,
+              "/pump/flow": 0.001}
+    write_bag(tmp_path / "bag", {key: (stamps, [value] * 8) for key, value in values.items()})
+    trajectory, notes = find_runs([tmp_path / "bag"], None).runs[0].load()
+    assert trajectory.pump_flow.tolist() == [0.001] * 8
+    assert not any("no message came" in note for note in notes)
+
+
+def test_stray_values_are_left_out(tmp_path: Path) -> None:
+    """A NaN and a spike among 3600 values: the value before holds on, and a note counts them."""
+    stamps = [second * 10**9 for second in range(3600)]
+    levels = [0.03] * 3600
+    levels[100], levels[200] = float("nan"), 35.0
+    site_bag(tmp_path / "bag", roof_level=(stamps, levels))
+    trajectory, notes = find_runs([tmp_path / "bag"], None).runs[0].load()
+    assert set(trajectory.roof.tolist()) == {68.8 * 0.03}
+    assert any("2 of 3600 values of /roof/level are not finite" in note for note in notes)
+
+
+def test_a_wrong_unit_is_no_stray(tmp_path: Path) -> None:
+    """A pump in L/s that runs for 20 s of an hour, less than a hundredth of it, is refused."""
+    stamps = [second * 10**9 for second in range(3600)]
+    flow = [1.0 * (70 <= second < 90) for second in range(3600)]
+    site_bag(tmp_path / "bag", pump_flow=(stamps, flow))
+    with pytest.raises(ConfigurationError, match=r"/pump/flow: .*is a unit wrong"):
+        find_runs([tmp_path / "bag"], None).runs[0].load()
+
+
+def test_limits_are_those_of_the_site(tmp_path: Path) -> None:
+    """Three times what the pumps give at the outlet's level, by hand, and all else just below."""
+    full = np.roots([
+        (3.56 * 18.4 / 0.2 + 0.6) / (2 * 9.81 * (0.01 * np.pi) ** 2) + 5.78e5, 0, 16 - 3 - 55.2
+    ]).max()
+    highest = {
+        "roof_level": 1.0, "cistern_level": 9.0, "pump_flow": 3 * full,
+        "weather_precipitation": 0.5 / 3600, "weather_evapotranspiration": 0.05 / 86400 * 68.8,
+    }
+    for name, value in highest.items():
+        fine = small_bag(tmp_path / name, **{name: [value * (1 - 1e-6)] * 3})
+        find_runs([fine], None).runs[0].load()
+        wrong = small_bag(tmp_path / f"{name}-wrong", **{name: [value * (1 + 1e-6)] * 3})
+        with pytest.raises(ConfigurationError, match="is a unit wrong"):
+            find_runs([wrong], None).runs[0].load()
+
+
+def own_run(directory: Path, one: Simulated) -> Path:
+    """Write what bringup leaves of a run that was simulated."""
+    write_bag(directory / "bag", messages_of(one.trajectory))
+    (directory / "configuration").mkdir()
+    shutil.copy(CONFIG / "site.yaml", directory / "configuration")
+    shutil.copy(
+        CONFIG / "weather" / "toronto_2021-07.csv", directory / "configuration" / "weather.csv"
+    )
+    (directory / "summary.json").write_text(json.dumps({
+        "controller": one.row["controller"], "parameters": {"fraction": 2.0},
+        "initial": {"name": "low-low", "cistern_m3": 57.69, "roof_m3": 2.42},
+        "start": START.isoformat(), "evapotranspiration_variant": "published",
+        "solver": {"fallbacks": 3}, "limited_steps": 4,
+        "forecast_repeats_last_record_from": "2021-07-31T23:00-05:00",
+        "filled": {"dew point": ["2021-07-20T13:00-05:00"]},
+    }))
+    return directory
+
+
+def test_a_run_directorys_notes_and_bound(tmp_path: Path, simulated: list[Simulated]) -> None:
+    """As a study's: fallbacks, repeated forecasts, filled hours; and the least possible."""
+    one = simulated[3]
+    report = report_of(own_run(tmp_path / "run", one))
+    for note in (
+        "the controller's solver found no answer in 3 ticks",
+        "the forecast repeats its last record from 2021-07-31T23:00-05:00 on",
+        "a tank ran empty in 4 ticks, and what left it was limited",
+        "dew point was missing and filled in: 2021-07-20T13:00-05:00",
+    ):
+        assert note in report.results[0].notes
+    expected = clairvoyant_bound(paper_run("--initial", "low-low", "--hours", "0.2")).bound_m3
+    assert report.results[0].bound_m3 == pytest.approx(expected, rel=1e-9)
+    assert report.results[0].ratio_to_bound == pytest.approx(
+        one.metrics.total_deviation_m3 / expected, rel=1e-9
+    )
+
+
+def test_no_bound_for_other_weather(tmp_path: Path, simulated: list[Simulated]) -> None:
+    """Where the rain in the bag is not that of the file, nobody knows what was possible."""
+    wet = dataclasses.replace(
+        simulated[3].trajectory, precipitation=simulated[3].trajectory.precipitation + 1e-7
+    )
+    report = report_of(own_run(tmp_path / "run", simulated[3]._replace(trajectory=wet)))
+    assert report.results[0].bound_m3 is None
+    assert "over the least possible" not in page_of(tmp_path / "run")
+
+
+def test_own_runs_may_be_beyond_a_sites(tmp_path: Path, simulated: list[Simulated]) -> None:
+    """On/off of fraction 5 pumps five times the full flow, from a cistern that holds 15 m."""
+    one = simulated[3].trajectory
+    pumped = dataclasses.replace(
+        one, command=np.full(len(one.time), 5.0), pump_flow=np.full(len(one.time), 0.04),
+        cistern=one.cistern + 325,
+    )
+    report = report_of(own_run(tmp_path / "run", simulated[3]._replace(trajectory=pumped)))
+    assert report.results[0].assessment.largest_command == 5
+
+
+FOREIGN = {
+    "cut": "{", "a-list": "[1]", "empty": "", "another-tools": '{"name": "x"}',
+    "a-number": '{"controller": 5}', "bytes": "\x00", "deep": "[" * 100_000,
+    "initial-a-word": '{"controller": "mpc", "initial": "low"}',
+    "initial-of-words": '{"controller": "mpc", "initial": {"cistern_m3": "a", "roof_m3": "b"}}',
+    "parameters-a-list": '{"controller": "mpc", "parameters": [1]}',
+    "filled-a-number": '{"controller": "mpc", "filled": {"rain": 3}}',
+    "start-a-number": '{"controller": "mpc", "start": 5}',
+    "forecast-a-word": '{"controller": "mpc", "forecast": "perfect"}',
+    "solver-a-word": '{"controller": "mpc", "solver": "osqp"}',
+    "limited-a-word": '{"controller": "mpc", "limited_steps": "many"}',
+}
+
+
+@pytest.mark.parametrize("name", FOREIGN)
+@pytest.mark.parametrize("file", ["summary.json", "configuration/parameters.yaml"])
+def test_foreign_labels_leave_the_numbers(tmp_path: Path, name: str, file: str) -> None:
+    """What lies beside a good bag is no reason to refuse it: the directory's name is its label."""
+    small_bag(tmp_path / "run" / "bag")
+    (tmp_path / "run" / "configuration").mkdir()
+    (tmp_path / "run" / file).write_text(FOREIGN[name])
+    report = report_of(tmp_path / "run")
+    one = report.results[0]
+    assert (one.entry.name, one.entry.controller, one.entry.initial) == (
+        "run", "unknown", "as recorded"
+    )
+    assert any(note.startswith(f"{file} beside the bag is damaged or foreign")
+               for note in one.notes)
+    assert one.assessment.pumped_m3 == pytest.approx(0.002)
+
+
+def test_a_damaged_summary_leaves_the_parameters(tmp_path: Path) -> None:
+    """Of the nodes, as after a crash while it was written."""
+    small_bag(tmp_path / "run" / "bag")
+    (tmp_path / "run" / "configuration").mkdir()
+    (tmp_path / "run" / "summary.json").write_text('{"controller": "mp')
+    (tmp_path / "run" / "configuration" / "parameters.yaml").write_text(
+        "/**/recorder: {ros__parameters: {controller: onoff}}\n"
+        "/**/onoff: {ros__parameters: {fraction: 0.5, site_file: x}}\n"
+        "/**/plant: {ros__parameters: {start: '2021-07-07T02:00-05:00', cistern: 50, roof: 2}}\n"
+    )
+    entry = find_runs([tmp_path / "run"], None).runs[0]
+    assert (entry.controller, entry.parameters) == ("onoff", {"fraction": 0.5})
+    assert entry.initial == "50 / 2 m3"
+    assert any(note.startswith("summary.json beside the bag") for note in entry.notes)
+
+
+def test_names_tell_paths_apart(tmp_path: Path, study: Path) -> None:
+    """By as much of the end of each path as it takes, and no more."""
+    paths = [tmp_path / place for place in ("mon/bag", "tue/bag", "x/a/deep", "y/a/deep", "one")]
+    for path in paths:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        small_bag(path)
+    names = [run.name for run in find_runs(paths, None).runs]
+    assert names == ["mon/bag", "tue/bag", "x/a/deep", "y/a/deep", "one"]
+    twice = tmp_path / "again" / study.name
+    shutil.copytree(study, twice)
+    names = [run.name for run in find_runs([study, twice], None).runs]
+    assert names[0] == f"{study.parent.name}/study/001"
+    assert names[-1] == "again/study/008"
+    with pytest.raises(ConfigurationError, match="two runs are named"):
+        find_runs([paths[0], paths[1], tmp_path / "mon" / ".." / "mon" / "bag"], None)
 
 
 def test_a_run_of_the_graph(domain: int, tmp_path: Path) -> None:
@@ -571,6 +983,9 @@ def test_a_run_of_the_graph(domain: int, tmp_path: Path) -> None:
     assert entry.site_name == "run/configuration/site.yaml"
     assert trajectory.start.isoformat() == summary["start"]
     assert notes == () and entry.notes == ()
+    assert entry.bound(trajectory) == pytest.approx(
+        clairvoyant_bound(paper_run("--hours", "0.1")).bound_m3, rel=1e-9
+    )
     (tmp_path / "run" / "summary.json").unlink()  # as after a crash
     crashed = find_runs([tmp_path / "run"], None).runs[0]
     assert (crashed.controller, crashed.parameters) == (entry.controller, entry.parameters)
@@ -668,7 +1083,9 @@ WRONG: dict[str, tuple[Callable[[Path], Any], str, tuple[str, ...]]] = {
         "", ("no message of",),
     ),
     "one-sample": (
-        lambda at: small_bag(at / "in", roof_level=[0.03]), "", ("two samples", "not 1")
+        lambda at: small_bag(at / "in", roof_level=[0.03], cistern_level=[2.0],
+                             pump_command=[0.1], pump_flow=[0.001]),
+        "", ("two samples", "not 1"),
     ),
     "float32": (
         lambda at: write_bag(
@@ -679,7 +1096,27 @@ WRONG: dict[str, tuple[Callable[[Path], Any], str, tuple[str, ...]]] = {
     ),
     "cistern-in-mm": (
         lambda at: small_bag(at / "in", cistern_level=[2000.0] * 3), "",
-        ("/cistern/level", "2000", "0 to 100 m", "unit"),
+        ("/cistern/level", "2000", "0 to 9 m", "outlet", "unit"),
+    ),
+    "cistern-in-cm": (
+        lambda at: small_bag(at / "in", cistern_level=[80.0] * 3), "",
+        ("/cistern/level", "80 m", "unit"),
+    ),
+    "a-weak-flow-in-litres": (
+        lambda at: small_bag(at / "in", pump_flow=[0.0, 0.5, 0.5]), "",
+        ("/pump/flow", "0.5", "three times what the pumps can give", "unit"),
+    ),
+    "flow-in-mm-per-hour": (
+        lambda at: small_bag(at / "in", pump_flow=[0.0, 0.05, 0.05]), "",
+        ("/pump/flow", "0.05", "unit"),
+    ),
+    "evapotranspiration-in-mm-per-hour": (
+        lambda at: small_bag(at / "in", weather_evapotranspiration=[0.1, 0.2, 0.3]), "",
+        ("/weather/evapotranspiration", "50 mm/day", "unit"),
+    ),
+    "drizzle-in-mm-per-hour": (
+        lambda at: small_bag(at / "in", weather_precipitation=[0.0, 0.0, 0.0002]), "",
+        ("/weather/precipitation", "500 mm/h", "unit"),
     ),
     "roof-in-mm": (
         lambda at: small_bag(at / "in", roof_level=[35.0] * 3), "",
@@ -724,13 +1161,6 @@ WRONG: dict[str, tuple[Callable[[Path], Any], str, tuple[str, ...]]] = {
     ),
     "output-a-file": (
         lambda at: (small_bag(at / "in"), (at / "report").touch()), "", ("--output", "report")
-    ),
-    "summary-broken": (
-        lambda at: (
-            small_bag(at / "in" / "bag"), (at / "in" / "configuration").mkdir(),
-            (at / "in" / "summary.json").write_text("{"),
-        ),
-        "", ("summary.json", "JSON"),
     ),
     "study-without-results": (
         lambda at: (at / "in" / "runs" / "001").mkdir(parents=True), "",

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 import pytest
 from graph import environment
-from test_report import START, simulate, write_study
+from test_report import SEEDED, START, seeded_rows, simulate, write_study
 
 from greenroof_ros.trajectory import Trajectory
 
@@ -71,9 +71,23 @@ def page_file(tmp_path_factory: pytest.TempPathFactory) -> Path:
                 noise[5:8] *= 1e-2
                 columns = [np.arange(float(SAMPLES)), 50 + noise[0], 3 + noise[1], *noise[2:8]]
                 about = {**row, "initial": initial, "controller": controller, "fraction": "",
-                         "hours": "12", key: value}
+                         "hours": "12", "bound_m3": 30_000.0, key: value}
                 runs.append((about, Trajectory(START, *columns, np.zeros(SAMPLES))))
     write_study(directory / "study", runs)
+    return reported(directory)
+
+
+@pytest.fixture(scope="module")
+def seeds_file(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The report on 600 runs under forecast errors."""
+    directory = tmp_path_factory.mktemp("seeds")
+    row = simulate("onoff", "0.5", "low-low", "0.01").row
+    write_study(directory / "study", [(one, None) for one in seeded_rows(row)], SEEDED)
+    return reported(directory)
+
+
+def reported(directory: Path) -> Path:
+    """Make the report on a study."""
     done = subprocess.run(
         [sys.executable, "-m", "greenroof_ros.report", "study", "--output", "report"],
         cwd=directory, env=environment(0), capture_output=True, text=True, timeout=300,
@@ -155,8 +169,10 @@ def test_every_figure_has_its_series(page: Any) -> None:
         for number in (1, 2):
             assert sum(series(f"{figure}-1-panel-{number}", "symbol")) == 15
     for number in (1, 2):
-        # The runs' marks, and those of the authors' code.
+        # The runs' marks, and those of the authors' code; a line of the least possible for each
+        # initial state.
         assert sum(series(f"total-deviation-1-panel-{number}", "symbol")) == 30
+        assert sum(series(f"total-deviation-1-panel-{number}", "rule")) == 3
     assert sum(series("water-balance-1-panel-1", "rect")) == 30 * 3
     assert sum(series("water-balance-1-panel-2", "rect")) == 30 * 4
     assert len(series("pump-curve-1-panel-1", "line")) == 3
@@ -294,6 +310,34 @@ def test_widths(browser: Any, page: Any, page_file: Path) -> None:
         assert overflow(narrow) == 0
     finally:
         narrow.close()
+
+
+def test_many_seeds(browser: Any, seeds_file: Path) -> None:
+    """A panel for each window and initial state: mean and worst tenth; the legend switches both."""
+    assert seeds_file.stat().st_size < 5_000_000
+    page = opened(browser, seeds_file, 1280)
+    try:
+        assert page.said == []
+        assert page.asked == [seeds_file.as_uri()]
+        assert page.locator("#forecast-errors canvas").count() == 4
+        first, second = (f"forecast-errors-panel-{number}" for number in (1, 2))
+
+        def marks(panel: str, kind: str) -> int:
+            return page.evaluate(
+                f"marks('{panel}', '{kind}').reduce((sum, one) => sum + one.items.length, 0)"
+            )
+
+        # 3 settings, 2 sizes, mean and worst tenth; a line has an item for each of its points.
+        assert marks(first, "symbol") == marks(first, "line") == 12
+        assert marks(first, "rule") == 1
+        click_legend(page, first, "on/off fraction 2")
+        assert marks(first, "symbol") == marks(second, "symbol") == 8
+        click_legend(page, first, "on/off fraction 2")
+        assert marks(first, "symbol") == 12
+        assert page.locator("table.sortable").count() == 1
+        assert overflow(page) == 0
+    finally:
+        page.close()
 
 
 def test_printed_as_lines(page: Any) -> None:

@@ -15,6 +15,7 @@ from greenroof_ros.errors import ConfigurationError
 from greenroof_ros.report.assessment import Assumptions, assess
 from greenroof_ros.report.results import Report, best_runs, controller_name, result
 from greenroof_ros.report.runs import find_runs
+from greenroof_ros.report.seeds import apart
 from greenroof_ros.run import within
 
 _DEFAULTS = Assumptions()
@@ -30,8 +31,7 @@ def _parser() -> argparse.ArgumentParser:
         "balance, energy and pump starts, on one page that needs nothing but a browser.",
         epilog="The output holds report.html, and each figure as SVG and PNG in figures/. A bag "
         "needs /cistern/level, /roof/level, /pump/command and /pump/flow (msg_defs/topics.yaml); "
-        "what else is missing counts as 0, and the report says so. Of a bag from a real site the "
-        "samples are its messages of /roof/level.",
+        "what else is missing counts as 0, and the report says so.",
     )
     parser.add_argument(
         "paths", type=Path, nargs="+", metavar="PATH",
@@ -114,13 +114,14 @@ def main() -> int:
         console=Console(stderr=True), transient=True,
     ) as progress:
         results = []
-        for entry in progress.track(sources.runs, description="reading runs"):
+        alone, seeded = apart(sources.runs)
+        for entry in progress.track(alone, description="reading runs"):
             trajectory, notes = entry.load()
             assessment = assess(entry.site, trajectory, assumptions)
             results.append(
                 result(entry, (*entry.notes, *notes), trajectory, assessment)
             )
-        report = Report(results)
+        report = Report(results, seeded)
         makers = figures.make_figures(report, arguments.pump_data)
         try:
             (output / "figures").mkdir(parents=True)
@@ -140,6 +141,11 @@ def main() -> int:
         console.print(table)
     if len(report.windows) > _MOST_TABLES:
         console.print(f"and {len(report.windows) - _MOST_TABLES} more windows in the report")
+    if report.seeded:
+        console.print(
+            f"runs with many seeds of their forecasts' errors: {len(report.seeded)}; the report "
+            "has their mean and their worst tenth"
+        )
     if sources.failed:
         console.print(
             f"runs that failed or did not run: {len(sources.failed)}; the report lists them",

@@ -45,8 +45,8 @@ class Assessment:
     Attributes:
         hours: from the first sample to the last (h).
         total_deviation_m3: the sum of |x2 - x2*| dt / tau over all samples, the last one with
-            dt = tau. For samples a tick apart that is the paper's sum over j = 0..N (Figs. 6 and
-            7); times tau it is the integral over time (m3 s), whatever the sampling.
+            dt = tau. For samples a tick apart that is the paper's sum over j = 0..N (Fig.
+            5); times tau it is the integral over time (m3 s), whatever the sampling.
         band_hours: within the band about the target (h).
         rain_cistern_m3: rain through the cistern's inlet.
         rain_roof_m3: rain on the roof.

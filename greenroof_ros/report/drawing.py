@@ -43,7 +43,7 @@ class Panel:
 
     Attributes:
         chart: without size and title.
-        title: of the panel.
+        title: of the panel, line by line.
         height: of its plotting area (px).
         hover: unseen points on the lines, for the pointer to find on the page.
         toggle: the field whose legend switches series on and off on the page; empty for none.
@@ -51,7 +51,7 @@ class Panel:
     """
 
     chart: Chart
-    title: str
+    title: str | list[str]
     height: int = 190
     hover: alt.Chart | None = None
     toggle: str = ""

@@ -28,6 +28,7 @@ from greenroof_ros.report.drawing import (
 )
 from greenroof_ros.report.pump_figures import pump_curve, pump_smoothing, read_pump_data
 from greenroof_ros.report.results import Report, Result, Window, controller_name
+from greenroof_ros.report.seed_figures import forecast_errors
 from greenroof_ros.site import Site, read_site
 
 _GREY = "#555555"
@@ -56,7 +57,7 @@ def make_figures(report: Report, pump_data: Path | None) -> list[Callable[[], Fi
         ConfigurationError: their file is wrong.
     """
     points = read_pump_data(pump_data) if pump_data is not None else None
-    sites = {one.entry.site_name: one.entry.site for one in report.results}
+    sites = {entry.site_name: entry.site for entry in report.entries}
     makers: list[Callable[[], Figure]] = []
     for number, (name, site) in enumerate(sites.items(), start=1):
         of = f" of {name}" if len(sites) > 1 else ""
@@ -75,6 +76,8 @@ def make_figures(report: Report, pump_data: Path | None) -> list[Callable[[], Fi
                 makers.append(partial(trajectories, report, window, number, initial))
     for number, window in enumerate(report.windows, start=1):
         makers.append(partial(balance, report, window, number))
+    if report.seeded:
+        makers.append(partial(forecast_errors, report))
     return makers
 
 
@@ -82,7 +85,7 @@ def make_figures(report: Report, pump_data: Path | None) -> list[Callable[[], Fi
 
 
 def weather(report: Report, window: Window, number: int) -> Figure:
-    """Return rain and evapotranspiration over time (paper: Fig. 5)."""
+    """Return rain and evapotranspiration over time (paper: Fig. 4)."""
     variants = [one for one in report.windows if one[:4] == window[:4]]
     first = {one.variant: report.of(one)[0] for one in variants}
     run = first[window.variant]
@@ -168,7 +171,7 @@ QUANTITIES = (
     Quantity(
         "total-deviation", "Total deviation", "total |x2 - x2*| (m³)",
         "The sum of |x2 - x2*| over the ticks: how far the roof was from its target, the whole "
-        "time (paper: Fig. 6). Less is better.",
+        "time (paper: Fig. 5). Less is better.",
         lambda one: one.total_deviation_m3,
     ),
     Quantity(
@@ -192,11 +195,12 @@ QUANTITIES = (
 def by_setting(report: Report, window: Window, number: int, quantity: Quantity) -> Figure:
     """Return a quantity over each controller's settings, marked by initial state."""
     published = published_totals(report, window) if quantity is QUANTITIES[0] else []
+    bounds = least_totals(report, window) if quantity is QUANTITIES[0] else []
     values = [quantity.value(one.assessment) for one in report.of(window)]
     # Where all are 0 any axis does.
-    top = max([*values, *(row["v"] for row in published)]) or 1.0
+    top = max([*values, *(row["v"] for row in (*published, *bounds))]) or 1.0
     panels = []
-    data: dict[str, Rows] = {}
+    data: dict[str, Rows] = {f"bound-{number}": bounds} if bounds else {}
     for controller in report.controllers:
         runs = report.of(window, controller)
         if not runs:
@@ -248,6 +252,8 @@ def by_setting(report: Report, window: Window, number: int, quantity: Quantity) 
                 x=x, y=y, color=colour, shape=shape, size=size, tooltip=tooltip
             ),
         ]
+        if bounds:
+            layers += _bound_layers(f"bound-{number}", y, colour)
         theirs = [row for row in published if row["controller"] == controller]
         if theirs:
             data[f"published-{number}-{controller}"] = theirs
@@ -268,6 +274,11 @@ def by_setting(report: Report, window: Window, number: int, quantity: Quantity) 
             " Large hollow marks: the paper's values, recomputed with the code that its authors "
             "published, as the paper gives them in a figure only."
         )
+    if bounds:
+        caption += (
+            " Dashed, 'least': the least that any controller with commands up to 1 could reach "
+            "from the initial state of the same colour."
+        )
     title = report.title(quantity.title, window)
     if published:
         title += " (large hollow marks: the authors' code)"
@@ -275,6 +286,37 @@ def by_setting(report: Report, window: Window, number: int, quantity: Quantity) 
         f"{quantity.name}-{number}", title, caption,
         tuple(panels), len(panels), data,
     )
+
+
+def least_totals(report: Report, window: Window) -> Rows:
+    """Return the least possible total deviation from each initial state where it is known."""
+    known = {
+        one.entry.initial: one.bound_m3
+        for one in report.of(window) if one.bound_m3 is not None
+    }
+    return [
+        {"initial": name, "v": short(bound), "text": "least",
+         # As with the marks: it shows where another lies on it.
+         "width": 4.0 if name == report.initials[0] else 1.5}
+        for name, bound in known.items()
+    ]
+
+
+def _bound_layers(data: str, y: alt.Y, colour: alt.Color) -> list[alt.Chart]:
+    """Return the lines of the least possible, each with its name in the left corner."""
+    base = alt.Chart(alt.NamedData(data))
+    return [
+        base.mark_rule(strokeDash=[6, 3]).encode(
+            y=y, color=colour, strokeWidth=alt.StrokeWidth("width:Q", scale=None),
+            tooltip=[
+                alt.Tooltip("initial:N", title="from"),
+                alt.Tooltip("v:Q", title="least possible (m³)", format=".6~g"),
+            ],
+        ),
+        base.mark_text(align="left", baseline="bottom", dx=4, dy=-1, fontSize=10).encode(
+            x=alt.value(0), y=y, color=colour, text="text:N",
+        ),
+    ]
 
 
 def published_totals(report: Report, window: Window) -> Rows:
@@ -305,7 +347,7 @@ def published_totals(report: Report, window: Window) -> Rows:
 
 
 def trajectories(report: Report, window: Window, number: int, initial: str) -> Figure:
-    """Return command and volumes over time, controller beside controller (paper: Figs. 7-10)."""
+    """Return command and volumes over time, controller beside controller (paper: Figs. 6-9)."""
     runs = report.of(window, initial=initial)
     site = runs[0].entry.site
     controllers = [name for name in report.controllers if report.of(window, name, initial)]

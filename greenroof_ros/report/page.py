@@ -6,9 +6,11 @@ import importlib.resources
 import inspect
 import json
 import re
+import sys
 from collections.abc import Callable, Sequence
 from dataclasses import asdict
 from importlib import metadata
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import jinja2
@@ -20,7 +22,8 @@ from greenroof_ros.forecast_models import PERFECT
 from greenroof_ros.report.assessment import Assumptions
 from greenroof_ros.report.drawing import CONFIG, Figure, Rows
 from greenroof_ros.report.results import Report, Result, best_runs, controller_name
-from greenroof_ros.report.runs import Sources
+from greenroof_ros.report.runs import RunEntry, Sources
+from greenroof_ros.report.seeds import Spread, spreads
 from greenroof_ros.site import Site
 
 
@@ -76,11 +79,17 @@ def render(
         figures=figures,
         controllers=[controller_name(name) for name in report.controllers],
         failed=sources.failed,
-        best=_best_table(report),
-        tables=[*_variants(report), *_tables(report, assumptions)],
+        tables=[
+            *_seeded(report),
+            *([_best_table(report)] if report.results else []),
+            *_variants(report),
+            *(_tables(report, assumptions) if report.results else []),
+        ],
         notes=_notes(report),
+        bounds=any(one.bound_m3 for one in report.results)
+        or any(one.bound_m3 for one in spreads(report)),
         assumptions=assumptions,
-        windows=[str(window) for window in report.windows],
+        windows=[*map(str, report.windows), *_seeded_windows(report)],
         sites=_sites(report),
         configuration=sources.configuration,
         versions=_versions(),
@@ -170,11 +179,11 @@ def _tables(report: Report, assumptions: Assumptions) -> list[Table]:
     performance = [
         _Column("total deviation (m³)", lambda one: _number(
             one.assessment.total_deviation_m3, ".2f")),
+        *_ratio(report),
         _Column("near target (h)", lambda one: _number(one.assessment.band_hours, ".2f")),
         _Column("near target (%)", lambda one: _number(
             100 * one.assessment.band_hours / one.assessment.hours, ".1f")),
-        _Column("pumped (m³)", lambda one: _number(
-            one.assessment.pumped_m3)),
+        _Column("potable water saved (m³)", lambda one: _number(one.assessment.pumped_m3)),
         _Column(f"value as mains water ({money})", lambda one: _number(one.assessment.water_value)),
         _Column("energy (Wh)", lambda one: _number(1000 * one.assessment.energy_kwh)),
         _Column(f"cost of energy ({money})", lambda one: _number(one.assessment.energy_cost)),
@@ -217,25 +226,98 @@ def _tables(report: Report, assumptions: Assumptions) -> list[Table]:
     ]
 
 
+def _ratio(report: Report) -> list[_Column]:
+    """Return the column of deviations over the least possible, where any is known."""
+    if all(one.ratio_to_bound is None for one in report.results):
+        return []
+    return [_Column("over the least possible (1)", lambda one: _share(one.ratio_to_bound))]
+
+
+def _share(value: float | None) -> Cell:
+    """Return a cell of a ratio; the unknown ones come last."""
+    return Cell("unknown", sys.float_info.max) if value is None else _number(value, ".4f")
+
+
 def _best_table(report: Report) -> Table:
     """Return the best run of each controller."""
     rows = []
+    ratio = _ratio(report)
     for window, initial, setting, run in best_runs(report):
         rows.append([
             _word(run.entry.name), _word(str(window)), _word(initial),
             _word(controller_name(run.entry.controller)),
             _word(setting),
             _number(run.assessment.total_deviation_m3, ".2f"),
+            *(column.cell(run) for column in ratio),
             _number(run.assessment.pumped_m3),
             _number(run.assessment.largest_command, ".6g", run.assessment.largest_command > 1),
         ])
     header = ["run", "window", "from", "controller", "best setting", "total deviation (m³)",
-              "pumped (m³)", "largest command (1)"]
+              *(column.header for column in ratio), "potable water saved (m³)",
+              "largest command (1)"]
     if len(report.windows) == 1:
         del header[1]
         for row in rows:
             del row[1]
     return Table("Least total deviation of each controller", header, rows)
+
+
+def _seeded(report: Report) -> list[Table]:
+    """Return what runs under forecast errors come to over their seeds, where there are many."""
+    found = spreads(report)
+    if not found:
+        return []
+    places = [one.place for one in found]
+    # None that is the same for all.
+    where = [
+        (header, name)
+        for header, name in (
+            ("site", "site_name"), ("weather", "weather"), ("start", "start"),
+            ("hours (h)", "hours"), ("evapotranspiration", "variant"), ("forecast", "model"),
+        )
+        if len({getattr(place, name) for place in places}) > 1
+    ]
+
+    known = any(one.bound_m3 for one in found)
+
+    def cell(value: float | str) -> Cell:
+        return _word(value) if isinstance(value, str) else _number(value)
+
+    def row(rank: int, one: Spread) -> list[Cell]:
+        totals = (one.mean, one.worst_tenth, one.worst)
+        return [
+            _word(controller_name(one.controller)),
+            Cell(one.setting, f"{one.controller} {rank:06}"),
+            *(cell(getattr(one.place, name)) for _, name in where),
+            _word(one.place.initial),
+            _number(one.size),
+            _number(len(one.totals), "d"),
+            *(_number(total, ".2f") for total in totals),
+            *(_share(total / one.bound_m3 if one.bound_m3 else None)
+              for total in totals if known),
+        ]
+
+    amounts = ("mean", "worst tenth", "worst")
+    return [Table(
+        "Total deviation under forecast errors, over their seeds",
+        ["controller", "setting", *(header for header, _ in where), "from", "size of the errors",
+         "seeds", *(f"{amount} (m³)" for amount in amounts),
+         *(f"{amount} over the least (1)" for amount in amounts if known)],
+        [row(rank, one) for rank, one in enumerate(found)],
+    )]
+
+
+def _seeded_windows(report: Report) -> list[str]:
+    """Name the windows of the seeded runs, each with its number of seeds."""
+    seeds: dict[str, set[str]] = {}
+    for entry in report.seeded:
+        assert entry.seeded is not None
+        of = entry.seeded
+        seeds.setdefault(
+            f"{Path(entry.weather).stem}, {of.start}, {of.hours:.4g} h, evapotranspiration "
+            f"{entry.variant}, forecast {of.model} size {of.size:g}", set(),
+        ).add(of.seed)
+    return [f"{window}, {len(found)} seeds" for window, found in seeds.items()]
 
 
 def _variants(report: Report) -> list[Table]:
@@ -274,21 +356,32 @@ def _notes(report: Report) -> list[tuple[str, list[str]]]:
     """Return what a reader should know, each with the runs that it is about."""
     found: dict[str, list[str]] = {}
 
-    def note(text: str, one: Result) -> None:
-        found.setdefault(text, []).append(one.entry.name)
+    def note(text: str, entry: RunEntry) -> None:
+        found.setdefault(text, []).append(entry.name)
 
     for one in report.results:
         if one.assessment.beyond_hours > 0:
             note(
-                "The command was above 1, which asks for more than the pumps have: a real pump "
-                "gives full flow at most, so that these results are better than it can do.", one,
+                "The command was above 1, which asks for more than the pumps have: no real pump "
+                "can follow it.", one.entry,
             )
         if one.assessment.frost_hours > 0:
             pumped = one.assessment.frost_pumped_m3 > 0
             note("There was frost, and in it something was pumped." if pumped
-                 else "There was frost; nothing was pumped in it.", one)
+                 else "There was frost; nothing was pumped in it.", one.entry)
         for text in one.notes:
-            note(f"{text[0].upper()}{text[1:]}.", one)
+            note(f"{text[0].upper()}{text[1:]}.", one.entry)
+    for entry in report.seeded:
+        note(
+            "These runs differ only in the seed of their forecasts' errors from others. They are "
+            "judged together, by results.csv: the tables of single runs, with energy, pump starts "
+            "and water balance, and the figures of weather, trajectories and balances leave them "
+            "out, and these notes say nothing of their commands and frost.", entry,
+        )
+        for text in entry.notes:
+            # Of hundreds of runs each would have a note of its own.
+            text = re.sub(r" in [\d.e+]+ ticks", " in some ticks", text)
+            note(f"{text[0].upper()}{text[1:]}.", entry)
     return list(found.items())
 
 
@@ -297,7 +390,7 @@ def _sites(report: Report) -> list[tuple[str, list[tuple[str, str, str]]]]:
     meaning = dict(
         re.findall(r"^    (\w+): (.+(?:\n {8}.+)*)", inspect.getdoc(Site) or "", re.MULTILINE)
     )
-    sites = {one.entry.site_name: one.entry.site for one in report.results}
+    sites = {entry.site_name: entry.site for entry in report.entries}
     return [
         (
             name,

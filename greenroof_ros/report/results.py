@@ -41,6 +41,8 @@ class Result:
         assessment: what it came to.
         curves: by the name of the trajectory's attribute.
         frost: from and to (s since the start) of each time of frost.
+        bound_m3: the least total deviation that a controller with commands up to 1 could reach;
+            None if unknown.
     """
 
     entry: RunEntry
@@ -49,6 +51,12 @@ class Result:
     assessment: Assessment
     curves: dict[str, Curve]
     frost: tuple[tuple[float, float], ...]
+    bound_m3: float | None = None
+
+    @property
+    def ratio_to_bound(self) -> float | None:
+        """Total deviation over the least that was possible (1); None if that is unknown, or 0."""
+        return self.assessment.total_deviation_m3 / self.bound_m3 if self.bound_m3 else None
 
     @property
     def window(self) -> Window:
@@ -114,7 +122,9 @@ def result(entry: RunEntry, notes: tuple[str, ...], trajectory: Trajectory,
     begins = trajectory.time[np.flatnonzero(steps > 0)]
     ends = trajectory.time[np.flatnonzero(steps < 0)]
     frost = tuple(zip(begins.tolist(), ends.tolist(), strict=True))
-    return Result(entry, notes, trajectory.start, assessment, curves, frost)
+    return Result(
+        entry, notes, trajectory.start, assessment, curves, frost, entry.bound(trajectory)
+    )
 
 
 def controller_name(name: str) -> str:
@@ -182,20 +192,25 @@ class Report:
     """All results, and how they fall into controllers, settings, windows and initial states.
 
     Attributes:
-        results: every finished run.
+        results: every finished run but the seeded ones.
+        seeded: runs of which only what the study's table says is known, as they differ from others
+            in the seed of their forecasts' errors alone.
+        entries: of all of them.
         controllers: names, the paper's first.
         settings: of each controller.
-        windows: in the order of the runs.
-        initials: names of the initial states, in the order of the runs.
+        windows: of the results, in their order.
+        initials: names of the results' initial states, in their order.
     """
 
-    def __init__(self, results: Sequence[Result]) -> None:
+    def __init__(self, results: Sequence[Result], seeded: Sequence[RunEntry] = ()) -> None:
         self.results = list(results)
-        found = list(dict.fromkeys(one.entry.controller for one in results))
+        self.seeded = list(seeded)
+        self.entries = [*(one.entry for one in results), *seeded]
+        found = list(dict.fromkeys(entry.controller for entry in self.entries))
         self.controllers = [name for name in _CONTROLLERS if name in found]
         self.controllers += [name for name in found if name not in _CONTROLLERS]
         self.settings = {
-            name: Settings([one.entry for one in results if one.entry.controller == name])
+            name: Settings([entry for entry in self.entries if entry.controller == name])
             for name in self.controllers
         }
         self.windows = list(dict.fromkeys(one.window for one in results))

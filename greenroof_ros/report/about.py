@@ -1,0 +1,190 @@
+"""What a run wrote about itself beside its bag: labels and notes, no numbers."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from datetime import datetime, tzinfo
+from pathlib import Path
+from typing import Any
+
+from greenroof_ros.errors import ConfigurationError
+from greenroof_ros.files import YamlMapping, read_text, read_yaml
+from greenroof_ros.forecast_models import OPTIONS, PERFECT
+
+Parameters = dict[str, "float | str"]
+
+
+@dataclass(frozen=True)
+class About:
+    """What a run wrote about itself; as it is here where it wrote nothing.
+
+    Attributes:
+        controller: its name.
+        parameters: the controller's; no entry where there is no bound.
+        initial: name of the initial state, or its volumes.
+        weather: name of the weather.
+        variant: of the evapotranspiration.
+        forecast: what the controller was told of the weather to come; empty if that was what came.
+        zone: offset from UTC; None where nobody wrote it down.
+        own: whether this package wrote it.
+        notes: what a reader should know of the run.
+    """
+
+    controller: str = "unknown"
+    parameters: Parameters = field(default_factory=dict)
+    initial: str = "as recorded"
+    weather: str = "as recorded"
+    variant: str = "unknown"
+    forecast: str = ""
+    zone: tzinfo | None = None
+    own: bool = False
+    notes: tuple[str, ...] = ()
+
+
+def read_about(run: Path) -> About:
+    """Read a run's summary, or if there is none that is whole, the parameters of its nodes.
+
+    Labels hang on these files, no numbers: one that is damaged or foreign leaves a note.
+    """
+    notes: list[str] = []
+    for name, read in (
+        ("summary.json", _summary), ("configuration/parameters.yaml", _node_parameters)
+    ):
+        if not (run / name).is_file():
+            continue
+        try:
+            about = _understand(read(run / name))
+        except Exception as error:  # a foreign file can be wrong in any way
+            reason = "it lacks what a run writes about itself"
+            if isinstance(error, ConfigurationError):
+                reason = str(error).removeprefix(f"{run / name}").lstrip(":, ")
+            notes.append(f"{name} beside the bag is damaged or foreign, and not used: {reason}")
+            continue
+        return replace(about, notes=(*notes, *about.notes))
+    return About(notes=tuple(notes))
+
+
+def _summary(file: Path) -> dict[str, Any]:
+    try:
+        content = json.loads(read_text(file))
+    except ValueError as error:
+        raise ConfigurationError(f"is not valid JSON: {error}", file=file) from error
+    if not isinstance(content, dict):
+        raise ConfigurationError("must hold one object", file=file)
+    return content
+
+
+def _node_parameters(file: Path) -> dict[str, Any]:
+    """Return the parameters of a run's nodes in the form of a summary."""
+    nodes: dict[str, YamlMapping] = {}
+    for key, section in read_yaml(file).items():
+        values = section.get("ros__parameters") if isinstance(section, YamlMapping) else None
+        if not isinstance(values, YamlMapping):
+            raise ConfigurationError("must hold 'ros__parameters:'", file=file, key=key)
+        nodes[key.removeprefix("/**/")] = values
+    empty = YamlMapping()
+    plant, weather = nodes.get("plant", empty), nodes.get("weather", empty)
+    controller = nodes.get("recorder", empty).get("controller")
+    about: dict[str, Any] = {
+        "controller": controller,
+        "parameters": {
+            key: value
+            for key, value in nodes.get(str(controller), empty).items() if key != "site_file"
+        },
+        "weather": weather.get("weather_file"),
+        "evapotranspiration_variant": weather.get("evapotranspiration"),
+        "forecast": {
+            "model": weather.get("forecast"),
+            **{option: weather.get(f"forecast_{option}") for option in OPTIONS},
+        },
+    }
+    if "cistern" in plant and "roof" in plant:
+        about["initial"] = {"cistern_m3": plant["cistern"], "roof_m3": plant["roof"]}
+    if "start" in plant:
+        about["start"] = plant["start"]
+    return about
+
+
+def _understand(content: dict[str, Any]) -> About:
+    """Return what a summary says.
+
+    Raises:
+        Exception: of many kinds, where it is no summary.
+    """
+    if not isinstance(content["controller"], str):
+        raise TypeError
+    initial, forecast = content.get("initial"), content.get("forecast") or {}
+    notes = [
+        f"{quantity} was missing and filled in: {', '.join(hours)}"
+        for quantity, hours in (content.get("filled") or {}).items()
+    ]
+    notes += run_notes(
+        (content.get("solver") or {}).get("fallbacks") or 0,
+        content.get("forecast_repeats_last_record_from"),
+        content.get("limited_steps") or 0,
+    )
+    return About(
+        controller=content["controller"],
+        parameters=parameters(content.get("parameters") or {}),
+        initial=(
+            initial_label(initial.get("name", ""), initial["cistern_m3"], initial["roof_m3"])
+            if initial else About.initial
+        ),
+        weather=Path(content.get("weather") or About.weather).name,
+        variant=str(content.get("evapotranspiration_variant") or About.variant),
+        forecast=forecast_label(forecast.get("file") or forecast.get("model"), forecast),
+        zone=datetime.fromisoformat(content["start"]).tzinfo if "start" in content else None,
+        own=True,
+        notes=tuple(notes),
+    )
+
+
+def run_notes(fallbacks: float, repeats_from: str | None, limited: float) -> list[str]:
+    """Say what happened in a run that its trajectory does not show.
+
+    Args:
+        fallbacks: ticks in which the controller's solver found no answer.
+        repeats_from: time from which on the forecast repeats its last record.
+        limited: ticks in which a tank held less than was asked of it.
+    """
+    notes = []
+    if fallbacks:
+        notes.append(f"the controller's solver found no answer in {fallbacks:g} ticks")
+    if repeats_from:
+        notes.append(f"the forecast repeats its last record from {repeats_from} on")
+    if limited:
+        notes.append(f"a tank ran empty in {limited:g} ticks, and what left it was limited")
+    return notes
+
+
+def parameters(cells: Mapping[str, object]) -> Parameters:
+    """Return the parameters that are there and mean something: no blank, no infinite bound."""
+    found: Parameters = {}
+    for key, cell in cells.items():
+        if cell is None or cell == "":
+            continue
+        try:
+            value = float(str(cell))
+        except ValueError:
+            found[key] = str(cell)
+            continue
+        if math.isfinite(value):
+            found[key] = value
+    return found
+
+
+def forecast_label(name: str | None, options: Mapping[str, object]) -> str:
+    """Return a name for forecasts with those of their options that are there; none if perfect."""
+    if not name or name == PERFECT:
+        return ""
+    given = {option: options.get(option) for option in OPTIONS}
+    texts = [f"{option} {value}" for option, value in given.items() if value not in (None, "")]
+    return " ".join([Path(name).name, *texts])
+
+
+def initial_label(name: str, cistern: float, roof: float) -> str:
+    """Return a name for an initial state, its volumes (m3) where it has none."""
+    return f"{cistern:.4g} / {roof:.4g} m3" if name in ("", "custom") else name

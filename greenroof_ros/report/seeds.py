@@ -1,0 +1,130 @@
+"""Runs under forecast errors of many seeds: what they come to on average, and in the worst tenth.
+
+They are judged by the study's table alone: to read and to draw each of hundreds of trajectories
+would take minutes, and show nothing that these numbers do not.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from greenroof_ros.report.results import Report
+from greenroof_ros.report.runs import RunEntry
+
+
+class Place(NamedTuple):
+    """What runs under errors of several sizes can be compared within."""
+
+    site_name: str
+    weather: str
+    start: str
+    hours: float
+    variant: str
+    model: str
+    """of the forecasts"""
+    initial: str
+
+
+@dataclass(frozen=True)
+class Spread:
+    """What the runs of a controller with one setting come to over the seeds.
+
+    Attributes:
+        place: where and whence.
+        controller: its name.
+        setting: what tells it from the controller's others.
+        size: of the errors (1).
+        totals: total deviation of each run (m3), the worst first.
+        bound_m3: the least that any controller could reach; None if unknown.
+    """
+
+    place: Place
+    controller: str
+    setting: str
+    size: float
+    totals: tuple[float, ...]
+    bound_m3: float | None
+
+    @property
+    def mean(self) -> float:
+        """Mean total deviation (m3)."""
+        return float(np.mean(self.totals))
+
+    @property
+    def worst_tenth(self) -> float:
+        """Mean total deviation (m3) of the worst tenth of the runs, rounded down; one at least."""
+        return float(np.mean(self.totals[: max(1, len(self.totals) // 10)]))
+
+    @property
+    def worst(self) -> float:
+        """Largest total deviation (m3)."""
+        return self.totals[0]
+
+
+def place(entry: RunEntry) -> Place:
+    """Return where a run under random errors belongs, whatever their size and seed."""
+    assert entry.seeded is not None
+    return Place(
+        entry.site_name, entry.weather, entry.seeded.start, entry.seeded.hours, entry.variant,
+        entry.seeded.model, entry.initial,
+    )
+
+
+def apart(entries: Sequence[RunEntry]) -> tuple[list[RunEntry], list[RunEntry]]:
+    """Return the runs that stand alone, and those of windows with more than one seed."""
+    seeds: dict[tuple[Place, float], set[str]] = {}
+
+    def window(entry: RunEntry) -> tuple[Place, float] | None:
+        if entry.seeded is None:
+            return None
+        # A window is for all initial states.
+        return place(entry)._replace(initial=""), entry.seeded.size
+
+    for entry in entries:
+        key = window(entry)
+        if entry.seeded is not None and key is not None:
+            seeds.setdefault(key, set()).add(entry.seeded.seed)
+    several = {key for key, found in seeds.items() if len(found) > 1}
+    return (
+        [entry for entry in entries if window(entry) not in several],
+        [entry for entry in entries if window(entry) in several],
+    )
+
+
+def spreads(report: Report) -> list[Spread]:
+    """Return what the seeded runs come to, controller by controller, the smallest errors first."""
+    groups: dict[tuple[object, ...], list[RunEntry]] = {}
+    for entry in report.seeded:
+        assert entry.seeded is not None
+        key = (
+            place(entry), entry.controller, tuple(entry.parameters.items()), entry.seeded.size,
+        )
+        groups.setdefault(key, []).append(entry)
+    places = list(dict.fromkeys(map(place, report.seeded)))
+
+    def order(entries: list[RunEntry]) -> tuple[int, int, int, float]:
+        first = entries[0]
+        assert first.seeded is not None
+        settings = report.settings[first.controller]
+        return (
+            places.index(place(first)), report.controllers.index(first.controller),
+            settings.labels.index(settings.label(first)), first.seeded.size,
+        )
+
+    return [_spread(report, entries) for entries in sorted(groups.values(), key=order)]
+
+
+def _spread(report: Report, entries: Sequence[RunEntry]) -> Spread:
+    """Sum up the runs that differ in the seed alone."""
+    first = entries[0]
+    known = [entry.seeded for entry in entries if entry.seeded is not None]
+    totals = sorted((one.total_deviation_m3 for one in known), reverse=True)
+    setting = report.settings[first.controller].full_label(first) if first.parameters else ""
+    bound = next((one.bound_m3 for one in known if one.bound_m3 is not None), None)
+    return Spread(
+        place(first), first.controller, setting, known[0].size, tuple(totals), bound
+    )
