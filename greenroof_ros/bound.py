@@ -10,7 +10,7 @@ import threading
 from array import array
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -23,6 +23,7 @@ from scipy.sparse import diags, hstack, identity
 from greenroof_ros.closed_loop import closed_loop
 from greenroof_ros.command_line import EXIT_DONE, EXIT_FAILED, command
 from greenroof_ros.errors import ConfigurationError
+from greenroof_ros.imperfections import Imperfections
 from greenroof_ros.metrics import Metrics
 from greenroof_ros.plant import drainage_flow, maximum_pump_flow
 from greenroof_ros.run import Run, add_run_arguments, run_from_arguments, within
@@ -127,6 +128,8 @@ def clairvoyant_bound(run: Run, max_command: float = 1.0, block: int = 60) -> Bo
     Raises:
         NoBoundError: the solver found no optimum.
     """
+    # Of the site as it is, whatever its sensor reads.
+    run = replace(run, imperfections=Imperfections())
     limits = _limits(run, max_command)
     edges = np.arange(0, run.steps + 1, block)
     deviation, cost, message = _solve(run, limits, edges)

@@ -249,6 +249,8 @@ def main() -> int:
     arguments = _parser().parse_args()
     signals = _Signals()
     run = run_from_arguments(arguments)
+    if arguments.pump == "external":
+        run.imperfections.refuse_external_pump()
     try:
         directory, final = _run_graph(run, arguments, signals)
     except _Interrupted:

@@ -6,6 +6,7 @@ from collections.abc import Iterator
 from typing import NamedTuple
 
 from greenroof_ros.controllers import Controller
+from greenroof_ros.imperfections import Pump, RoofSensor
 from greenroof_ros.metrics import Metrics
 from greenroof_ros.plant import Flows, Plant
 from greenroof_ros.run import Run
@@ -23,7 +24,7 @@ class Tick(NamedTuple):
     cistern_level: float
     """m"""
     roof_level: float
-    """m"""
+    """m, as the sensor reads it"""
     precipitation: float
     """m/s"""
     evapotranspiration: float
@@ -40,8 +41,10 @@ def closed_loop(run: Run, controller: Controller, metrics: Metrics) -> Iterator[
     """Run the ticks 0..N, adding to ``metrics``; a tick is yielded before its step is taken."""
     site, series = run.site, run.series
     plant = Plant(site, run.x1, run.x2)
+    sensor, pump = RoofSensor(run.imperfections), Pump(run.imperfections, site.tau)
     for k in range(run.steps + 1):
         cistern_level, roof_level = plant.levels()
+        roof_level = sensor.reading(k, roof_level)
         precipitation = series.precipitation[k]
         evapotranspiration = series.evapotranspiration[k]
         frost = series.frost[k]
@@ -53,7 +56,8 @@ def closed_loop(run: Run, controller: Controller, metrics: Metrics) -> Iterator[
                 run.forecast.precipitation(k),
                 run.forecast.evapotranspiration(k),
             )
-        flows = plant.flows(precipitation, evapotranspiration, plant.pump_flow(command))
+        pumped = pump.flow(plant, command, frost > 0)
+        flows = plant.flows(precipitation, evapotranspiration, pumped)
         metrics.observe(site, plant.x1, plant.x2)
         yield Tick(
             k, plant.x1, plant.x2, cistern_level, roof_level,

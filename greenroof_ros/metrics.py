@@ -7,13 +7,16 @@ from dataclasses import dataclass
 from greenroof_ros.plant import Flows
 from greenroof_ros.site import Site
 
+_WATER_DENSITY = 1000.0  # kg/m3
+_JOULES_PER_KWH = 3.6e6
+
 
 @dataclass
 class Metrics:
     """Sums over a run, in the paper's metric and as a water balance.
 
     Attributes:
-        total_deviation_m3: sum over the ticks j = 0..N of |x_{j,2} - x2*| (Figs. 6 and 7).
+        total_deviation_m3: sum over the ticks j = 0..N of |x_{j,2} - x2*| (Fig. 5).
         final_cistern_m3: the last x1.
         final_roof_m3: the last x2.
         pumped_m3: from the cistern to the roof.
@@ -23,6 +26,9 @@ class Metrics:
         evapotranspiration_m3: off the roof.
         max_command: largest command applied (1).
         limited_steps: ticks in which a tank held less than was asked of it.
+        pump_starts: how often the flow delivered went from 0 to more; one at tick 0 counts.
+        energy_kwh: put into the water, the sum of rho g q L(x, q) tau with L of Eq. (3c) (kWh);
+            what the pumps draw is this over their efficiency.
     """
 
     total_deviation_m3: float = 0.0
@@ -35,6 +41,12 @@ class Metrics:
     evapotranspiration_m3: float = 0.0
     max_command: float = 0.0
     limited_steps: int = 0
+    pump_starts: int = 0
+    energy_kwh: float = 0.0
+
+    def __post_init__(self) -> None:
+        """Begin with pumps that stand still."""
+        self._pumping = False  # no field: it is no result
 
     def observe(self, site: Site, x1: float, x2: float) -> None:
         """Take the state of a tick (m3), for each tick 0..N."""
@@ -43,7 +55,7 @@ class Metrics:
         self.final_roof_m3 = x2
 
     def step(self, site: Site, command: float, precipitation: float, flows: Flows) -> None:
-        """Take what happens between a tick and the next, for each tick 0..N-1.
+        """Take what happens between a tick and the next, for each tick 0..N-1, once observed.
 
         Args:
             site: the parameters of Table I.
@@ -59,3 +71,10 @@ class Metrics:
         self.evapotranspiration_m3 += tau * flows.evapotranspiration
         self.max_command = max(self.max_command, command)
         self.limited_steps += flows.limited
+        pumping = flows.pump > 0
+        self.pump_starts += pumping and not self._pumping
+        self._pumping = pumping
+        if pumping:
+            head = site.pipe_resistance * flows.pump**2 + site.d - self.final_cistern_m3 / site.a1
+            joules = _WATER_DENSITY * site.g * flows.pump * head * tau
+            self.energy_kwh += joules / _JOULES_PER_KWH

@@ -14,6 +14,7 @@ from greenroof_ros.errors import ConfigurationError
 from greenroof_ros.files import YamlMapping, number, read_yaml, shared_directory
 from greenroof_ros.forecast import Forecast, make_forecast
 from greenroof_ros.forecast_models import MODELS, OPTIONS, ForecastChoice, choose
+from greenroof_ros.imperfections import RANGES, Imperfections
 from greenroof_ros.site import Site, read_site
 from greenroof_ros.topics import Topic, read_topics
 from greenroof_ros.weather import Weather, WeatherSeries, read_weather
@@ -145,6 +146,7 @@ class Run:
         x1: initial volume in the cistern (m3).
         x2: initial volume on the roof (m3).
         forecast_choice: which forecasts those are.
+        imperfections: of level sensor and pumps.
     """
 
     site_file: Path
@@ -160,6 +162,7 @@ class Run:
     x1: float
     x2: float
     forecast_choice: ForecastChoice = field(default_factory=ForecastChoice)
+    imperfections: Imperfections = field(default_factory=Imperfections)
 
     @property
     def start_ns(self) -> int:
@@ -258,6 +261,7 @@ def add_run_arguments(parser: argparse.ArgumentParser) -> None:
         "(default: that of the parameter file)",
     )
     _add_forecast_arguments(group)
+    _add_imperfection_arguments(parser)
 
 
 def _add_forecast_arguments(group: argparse._ArgumentGroup) -> None:
@@ -281,6 +285,33 @@ def _add_forecast_arguments(group: argparse._ArgumentGroup) -> None:
     group.add_argument(
         "--forecast-members", type=whole(*_whole_range("members")), metavar="M",
         help=f"ensemble: number of its members (default: {default.members})",
+    )
+
+
+def _add_imperfection_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the options that make the site less perfect than the paper's."""
+    group = parser.add_argument_group("imperfections of a real site (default: none)")
+    group.add_argument(
+        "--roof-noise", type=within(*RANGES["roof_noise"]), default=0.0, metavar="M",
+        help="standard deviation of the roof's level sensor (m), independent each tick",
+    )
+    group.add_argument(
+        "--roof-offset", type=within(*RANGES["roof_offset"]), default=0.0, metavar="M",
+        help="what that sensor reads above the true level (m)",
+    )
+    low, high = RANGES["noise_seed"]
+    group.add_argument(
+        "--noise-seed", type=whole(int(low), int(high)), default=0, metavar="N",
+        help="seed of the noise (default: %(default)s)",
+    )
+    group.add_argument(
+        "--minimum-on", type=within(*RANGES["minimum_on"]), default=0.0, metavar="S",
+        help="once on, the pumps stay on for so long (s), but not in frost, on a full roof or in "
+        "an empty cistern",
+    )
+    group.add_argument(
+        "--minimum-off", type=within(*RANGES["minimum_off"]), default=0.0, metavar="S",
+        help="once off, the pumps stay off for so long (s)",
     )
 
 
@@ -359,6 +390,7 @@ def run_from_arguments(arguments: argparse.Namespace) -> Run:
         site_file, site, weather, arguments.start or DEFAULT_START,
         count_ticks(site, arguments.hours, "--hours"), controller, parameters, initial, volumes,
         _forecast_choice(arguments),
+        Imperfections(**{name: getattr(arguments, name) for name in RANGES}),
     )
 
 
@@ -415,6 +447,7 @@ def build_run(
     initial: str,
     volumes: tuple[float, float],
     choice: ForecastChoice,
+    imperfections: Imperfections | None = None,
 ) -> Run:
     """Put a run together and check it.
 
@@ -429,6 +462,7 @@ def build_run(
         initial: name of the initial state.
         volumes: of the initial state, in cistern and roof (m3).
         choice: which forecasts the controller is given.
+        imperfections: of level sensor and pumps; none unless given.
 
     Raises:
         ConfigurationError: weather or forecasts do not cover the run, or it has values that the
@@ -462,6 +496,7 @@ def build_run(
         x1=x1,
         x2=x2,
         forecast_choice=choice,
+        imperfections=imperfections or Imperfections(),
     )
 
 

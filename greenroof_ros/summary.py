@@ -18,6 +18,7 @@ from rich.table import Table
 
 from greenroof_ros import __version__
 from greenroof_ros.forecast_models import PERFECT
+from greenroof_ros.imperfections import Imperfections
 from greenroof_ros.metrics import Metrics
 from greenroof_ros.run import Run
 
@@ -65,6 +66,7 @@ def build(
             **({"file": str(choice.file)} if choice.file is not None else {}),
         },
         "forecast_repeats_last_record_from": repeats_from.isoformat() if repeats_from else None,
+        "imperfections": run.imperfections.values(),
         "filled": run.series.filled,
         "filled_hours": run.series.filled_hours,
         "frost_hours": run.series.frost_hours,
@@ -133,6 +135,7 @@ def table(summary: Mapping[str, Any]) -> Table:
         ),
         ("total deviation", f"{summary['total_deviation_m3']:.2f}", "m3, summed over the ticks"),
         ("pumped", f"{summary['pumped_m3']:.4f}", "m3"),
+        ("pump starts", str(summary["pump_starts"]), f"{summary['energy_kwh']:.4f} kWh into water"),
         ("outflow", f"{summary['outflow_m3']:.4f}", "m3 to the sewer"),
         ("drainage", f"{summary['drainage_m3']:.4f}", "m3 off the roof"),
         ("rain", f"{summary['rain_m3']:.4f}", "m3 into both"),
@@ -180,6 +183,13 @@ def table(summary: Mapping[str, Any]) -> Table:
     if repeats_from:
         rows.append(
             ("forecast", "repeats", f"its last record from {repeats_from}")
+        )
+    if not Imperfections(**summary["imperfections"]).none:
+        rows.append(
+            (
+                "imperfections", "",
+                ", ".join(f"{key} {value:g}" for key, value in summary["imperfections"].items()),
+            )
         )
     if summary["messages"]:
         rows.append(

@@ -19,6 +19,8 @@ import pytest
 from graph import bag_file, bring_up, environment
 from mcap.reader import make_reader
 
+from greenroof_ros.files import shared_directory
+
 pytest.importorskip("rclpy", reason="the graph needs ROS 2")
 
 # Of the authors' published code, under GNU Octave: see test/data.
@@ -55,6 +57,31 @@ OPTIONS: dict[str, tuple[str, ...]] = {
 }
 
 
+def assert_same(directory: Path, graph: str) -> list[dict[str, str]]:
+    """A run of the graph has each bit of run.csv, and its summary each figure of inprocess/'s.
+
+    Returns:
+        The rows of run.csv.
+    """
+    with (directory / "run.csv").open(newline="") as stream:
+        rows = list(csv.DictReader(stream))
+    values = bag_values(directory / graph)
+    for topic, column in COLUMNS.items():
+        assert values[topic] == [struct.pack("<d", float(row[column])) for row in rows], topic
+    summary, inprocess = (
+        json.loads((directory / run / "summary.json").read_text()) for run in (graph, "inprocess")
+    )
+    differing = {
+        key
+        for key in summary
+        if summary[key] != inprocess[key]
+        and key not in ("wall_s", "times_real_time", "solver", "messages", "versions")
+    }
+    assert not differing
+    assert summary.keys() == inprocess.keys()
+    return rows
+
+
 @pytest.mark.parametrize("controller", OPTIONS)
 def test_same_bits_as_simulate(domain: int, tmp_path: Path, controller: str) -> None:
     """Twelve hours of graph and of simulate: equal in every bit of every value.
@@ -71,21 +98,7 @@ def test_same_bits_as_simulate(domain: int, tmp_path: Path, controller: str) -> 
         ],
         cwd=tmp_path, env=environment(domain), check=True, capture_output=True,
     )
-    with (tmp_path / "run.csv").open(newline="") as stream:
-        rows = list(csv.DictReader(stream))
-    assert len(rows) == 43_201
-    values = bag_values(tmp_path / "first")
-    for topic, column in COLUMNS.items():
-        assert values[topic] == [struct.pack("<d", float(row[column])) for row in rows], topic
-    inprocess = json.loads((tmp_path / "inprocess" / "summary.json").read_text())
-    differing = {
-        key
-        for key in summary
-        if summary[key] != inprocess[key]
-        and key not in ("wall_s", "times_real_time", "solver", "messages", "versions")
-    }
-    assert not differing
-    assert summary.keys() == inprocess.keys()
+    assert len(assert_same(tmp_path, "first")) == 43_201
     if controller not in PUBLISHED_M3:
         return
     assert summary["total_deviation_m3"] == pytest.approx(PUBLISHED_M3[controller], rel=2e-4)
@@ -95,6 +108,44 @@ def test_same_bits_as_simulate(domain: int, tmp_path: Path, controller: str) -> 
         for run in ("first", "second")
     }
     assert len(digests) == 1
+
+
+@pytest.mark.parametrize(
+    "controller", ["--controller onoff --fraction 0.1", "--controller planning_mpc"]
+)
+def test_same_bits_on_an_imperfect_site(domain: int, tmp_path: Path, controller: str) -> None:
+    """A sensor with noise and offset, pumps with minimum times, and frost that stops them."""
+    packaged = shared_directory() / "config" / "weather" / "toronto_2021-07.csv"
+    lines = [line for line in packaged.read_text().splitlines() if not line.startswith("#")]
+    columns = lines[0].split(",")
+    for index, line in enumerate(lines):
+        if line.startswith("2021-07-07T03:00"):
+            cells = line.split(",")
+            cells[columns.index("temperature [degC]")] = "-1.0"
+            cells[columns.index("dew point [degC]")] = "-1.0"
+            lines[index] = ",".join(cells)
+    (tmp_path / "weather.csv").write_text("\n".join(lines) + "\n")
+    words = [
+        *controller.split(), "--weather", "weather.csv", "--start", "2021-07-07T02:59",
+        "--hours", "0.05", "--roof-noise", "0.0005", "--roof-offset=-1e-3", "--noise-seed", "8",
+        "--minimum-on", "50", "--minimum-off", "20",
+    ]
+    bring_up(domain, tmp_path, *words)
+    subprocess.run(
+        [
+            sys.executable, "-m", "greenroof_ros.simulate", "--trajectory", "run.csv",
+            "--output", "inprocess", *words,
+        ],
+        cwd=tmp_path, env=environment(domain), check=True, capture_output=True,
+    )
+    rows = assert_same(tmp_path, "run")
+    assert len(rows) == 181
+    flows = [float(row["pump_flow_m3_per_s"]) for row in rows]
+    assert max(flows[:60]) > 0 and max(flows[60:]) == 0  # it freezes from 03:00 on
+    if "onoff" in controller:
+        assert flows[59] > 0
+    errors = [float(row["roof_level_m"]) - float(row["roof_m3"]) / 68.8 for row in rows]
+    assert sum(errors) / 181 == pytest.approx(-1e-3, abs=2e-4)
 
 
 def _spin() -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from datetime import datetime
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -15,7 +16,7 @@ from paper import PAPER_SITE, exact_flows, paper_run, sites
 from greenroof_ros.closed_loop import closed_loop
 from greenroof_ros.forecast import PerfectForecast
 from greenroof_ros.metrics import Metrics
-from greenroof_ros.plant import Plant
+from greenroof_ros.plant import Flows, Plant
 from greenroof_ros.records import Records
 from greenroof_ros.run import Run, make_controller
 from greenroof_ros.site import Site
@@ -96,7 +97,26 @@ def assert_balance(run: Run) -> Metrics:
     assert (metrics.final_cistern_m3, metrics.final_roof_m3) == (ticks[-1].x1, ticks[-1].x2)
     assert min(min(tick.x1, tick.x2) for tick in ticks) >= 0
     assert metrics.limited_steps == sum(tick.flows.limited for tick in ticks[:-1])
+    running = [False, *(tick.flows.pump > 0 for tick in ticks[:-1])]
+    assert metrics.pump_starts == sum(now and not before for before, now in pairwise(running))
+    assert (metrics.energy_kwh > 0) == (metrics.pumped_m3 > 0)
     return metrics
+
+
+def test_energy_and_starts_by_hand() -> None:
+    """At 3 m the pumps lift 0.00842205 m3/s over L = phi = 55.2 - 5.78e5 0.00842205^2 = 14.2 m.
+
+    Half of it needs 13 m and a quarter of the 1.2 m of friction, with 9810 N/m3.
+    """
+    metrics = Metrics()
+    full = 0.00842205211502804
+    head = 55.2 - 5.78e5 * full**2
+    for flow in (full, full, 0.0, full / 2, 0.0, 0.0, full):
+        metrics.observe(PAPER_SITE, 75.0, 1.0)
+        metrics.step(PAPER_SITE, 1.0, 0.0, Flows(0.0, flow, 0.0, 0.0, False))
+    joules = 9810 * (3 * full * head + full / 2 * (13 + (head - 13) / 4))
+    assert metrics.energy_kwh == pytest.approx(joules / 3.6e6, rel=1e-9)
+    assert metrics.pump_starts == 3
 
 
 @pytest.mark.parametrize("options", [("mpc", "low-low"), ("mpc", "high-low"), ("onoff", "low-low")])

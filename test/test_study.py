@@ -19,6 +19,7 @@ from graph import Process, wait_for_ticks
 from greenroof_ros.files import shared_directory
 from greenroof_ros.report.runs import find_runs
 from greenroof_ros.study.grid import read_grid
+from greenroof_ros.trajectory import read_parquet
 
 CONFIG = shared_directory() / "config"
 WEATHER = CONFIG / "weather" / "toronto_2021-07.csv"
@@ -279,6 +280,55 @@ def test_forecasts_by_both_engines(tmp_path: Path) -> None:
     assert labels == ["archive.csv", "ensemble size 0.5 seed 0 members 3"]
 
 
+IMPERFECT = """
+imperfections:
+  - {}
+  - {roof_noise: 0.0005, roof_offset: [-1.0e-5, 0.002], noise_seed: [1, 2], minimum_on: 60,
+     minimum_off: 90}
+"""
+
+
+def test_imperfections_by_both_engines(tmp_path: Path) -> None:
+    """Lists multiply; the same table by both; what a trajectory has of the roof is the truth."""
+    text = PLANNED.replace("planning_mpc:", "onoff: {fraction: 0.3}") + IMPERFECT
+    for engine in ("inprocess", "ros"):
+        result = study(tmp_path, grid(tmp_path, text), "--output", engine, "--engine", engine)
+        assert result.returncode == 0, result.stderr
+    loop, graph = (tmp_path / engine / "results.csv" for engine in ("inprocess", "ros"))
+    assert loop.read_bytes() == graph.read_bytes()
+    rows = rows_of(loop)
+    names = ["roof_noise", "roof_offset", "noise_seed", "minimum_on", "minimum_off"]
+    assert [tuple(float(row[name]) for name in names) for row in rows] == [
+        (0, 0, 0, 0, 0),
+        (0.0005, -1e-5, 1, 60, 90),
+        (0.0005, -1e-5, 2, 60, 90),
+        (0.0005, 0.002, 1, 60, 90),
+        (0.0005, 0.002, 2, 60, 90),
+    ]
+    header = list(rows[0])
+    first = header.index("forecast_members") + 1
+    assert header[first : header.index("controller")] == names
+    assert len({row["run"] for row in rows}) == 5
+    # A sensor that reads too little is overruled by Eq. (3a); one that reads too much is believed.
+    assert len({row["final_roof_m3"] for row in rows}) == 3
+    assert len({row["bound_m3"] for row in rows}) == 1
+    assert all(int(row["pump_starts"]) >= 1 and float(row["energy_kwh"]) > 0 for row in rows)
+    for row in rows:
+        name = Path("runs") / row["run"] / "trajectory.parquet"
+        true, replayed = (
+            read_parquet(tmp_path / engine / name).roof for engine in ("inprocess", "ros")
+        )
+        if row["roof_noise"] == "0.0":
+            assert replayed == pytest.approx(true, rel=1e-12)
+        else:
+            assert replayed.tobytes() == true.tobytes()
+
+    plain = read_grid(tmp_path / grid(tmp_path, PLANNED))
+    told = read_grid(tmp_path / grid(tmp_path, PLANNED + IMPERFECT))
+    assert len({case.identity for case in (*plain, *told)}) == 6
+    assert not set(names) & plain[0].columns().keys()
+
+
 def test_dask(tmp_path: Path) -> None:
     """The same table from a cluster of two workers; exit code 2 where nobody answers."""
     from distributed import LocalCluster
@@ -388,6 +438,24 @@ WRONG = {
     "forecast-none": (GRID + "forecast: []\n", "line 14: forecast: is empty"),
     "forecast-twice": (
         GRID + "forecast: [errors, {model: errors, seed: 0}]\n", "forecast errors"
+    ),
+    "imperfections": (
+        GRID + "imperfections: 0.0005\n", "line 14: imperfections = 0.0005: must be {roof_noise: "
+    ),
+    "imperfections-none": (
+        GRID + "imperfections: []\n", "line 14: imperfections: must be {roof_noise: 0.0005, roof_o"
+    ),
+    "imperfections-key": (
+        GRID + "imperfections: {noise: 0.1}\n", "line 14: noise: is not known here; there are roof"
+    ),
+    "imperfections-range": (
+        GRID + "imperfections: {minimum_on: [60, -1]}\n", "minimum_on: -1.0 must be from 0.0 to 86"
+    ),
+    "imperfections-seed": (
+        GRID + "imperfections: {noise_seed: 0.5}\n", "noise_seed = 0.5: must be a whole number"
+    ),
+    "imperfections-twice": (
+        GRID + "imperfections: [{}, {roof_noise: 0}]\n", "forecast perfect, {'roof_noise': 0.0, "
     ),
     "twice": (edited("0.1]", "0.001]"), "is the same run twice: mpc {'weight': 0.001"),
 }

@@ -14,6 +14,7 @@ from rclpy.node import Node
 from rosgraph_msgs.msg import Clock
 from std_msgs.msg import Float64
 
+from greenroof_ros.imperfections import RANGES, FrostTicks, Imperfections, Pump, RoofSensor
 from greenroof_ros.lockstep import LISTEN_S, Link, LockstepError
 from greenroof_ros.metrics import Metrics
 from greenroof_ros.node_process import run_node
@@ -23,6 +24,22 @@ from greenroof_ros.run import DEFAULT_START, epoch_ns, initial_state, read_start
 
 # How far the plant may run ahead of what the recorder has safely written (ticks).
 _AHEAD = 32
+
+
+def _declare_imperfections(node: Node) -> Imperfections:
+    """Declare the imperfections of the site, each a parameter, and return them."""
+    descriptions = {
+        "roof_noise": "standard deviation of the roof's level sensor (m)",
+        "roof_offset": "what that sensor reads above the true level (m)",
+        "noise_seed": "of the noise",
+        "minimum_on": "once on, the pumps stay on for so long (s)",
+        "minimum_off": "once off, the pumps stay off for so long (s)",
+    }
+    perfect = Imperfections().values()
+    return Imperfections(**{
+        name: declare(node, name, perfect[name], descriptions[name], low=low, high=high)
+        for name, (low, high) in RANGES.items()
+    })
 
 
 class PlantNode:
@@ -46,6 +63,15 @@ class PlantNode:
             )
             == "external"
         )
+        imperfections = _declare_imperfections(node)
+        if self._external:
+            imperfections.refuse_external_pump()
+        self._frost = FrostTicks(
+            declare(
+                node, "frost", "", "ticks at which frost begins and ends, in turn, as 0,3600: it "
+                "ends the minimum time on",
+            )
+        )
         self._record = declare(node, "record", False, "wait for a recorder")
         self._limit = declare(
             node, "peer_limit", 5.0, "longest wait for another node (s of wall time)",
@@ -58,6 +84,8 @@ class PlantNode:
         self._node = node
         self._site = site
         self._plant = Plant(site, x1, x2)
+        self._sensor = RoofSensor(imperfections)
+        self._pump = Pump(imperfections, site.tau)
         self._metrics = Metrics()
         self._start_ns = epoch_ns(read_start(start))
         self._tick_ns = round(site.tau * 1e9)
@@ -105,12 +133,17 @@ class PlantNode:
         due = self._began + self._tick * self._site.tau / self._speed
         return max(0.0, due - time.monotonic())
 
+    def _levels(self) -> tuple[float, float]:
+        """Return what the sensors of cistern and roof read in the present tick (m)."""
+        cistern, roof = self._plant.levels()
+        return cistern, self._sensor.reading(self._tick, roof)
+
     def _publish_tick(self) -> None:
         """Publish the time and the levels of the present tick."""
         now = self._start_ns + self._tick * self._tick_ns
         self._clock.clock.sec, self._clock.clock.nanosec = divmod(now, 1_000_000_000)
         self._publish_clock(self._clock)
-        cistern, roof = self._plant.levels()
+        cistern, roof = self._levels()
         self._level.data = cistern
         self._publish_cistern(self._level)
         self._level.data = roof
@@ -124,7 +157,10 @@ class PlantNode:
             self._began = time.monotonic()  # before that the others were still joining
         rain = self._rain.value
         self._command = command = self._command_input.value
-        pump = self._flow.value if self._external else self._plant.pump_flow(command)
+        if self._external:
+            pump = self._flow.value
+        else:
+            pump = self._pump.flow(self._plant, command, self._tick in self._frost)
         flows = self._plant.flows(rain, self._evapotranspiration.value, pump)
         self._metrics.observe(self._site, self._plant.x1, self._plant.x2)
         if self._tick == self._steps:
@@ -187,7 +223,7 @@ class PlantNode:
         return LISTEN_S
 
     def _progress(self) -> dict[str, float]:
-        cistern, roof = self._plant.levels()
+        cistern, roof = self._levels()
         return {
             "tick": self._tick,
             "cistern_level": cistern,

@@ -126,6 +126,12 @@ def _understand(content: dict[str, Any]) -> About:
         content.get("forecast_repeats_last_record_from"),
         content.get("limited_steps") or 0,
     )
+    site = content.get("imperfections") or {}
+    if site.get("roof_noise") or site.get("roof_offset"):
+        notes.append(
+            f"the roof's level is what a sensor reads, with a noise of {site['roof_noise']:g} m and "
+            f"{site['roof_offset']:g} m too much; the summary's deviation is of the true one"
+        )
     return About(
         controller=content["controller"],
         parameters=parameters(content.get("parameters") or {}),

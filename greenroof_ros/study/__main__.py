@@ -17,6 +17,7 @@ from greenroof_ros.command_line import EXIT_DONE, EXIT_FAILED, command
 from greenroof_ros.errors import ConfigurationError
 from greenroof_ros.files import shared_directory
 from greenroof_ros.forecast_models import OPTIONS, PERFECT
+from greenroof_ros.imperfections import RANGES
 from greenroof_ros.study.case_run import ENGINES, Outcome, bound_case, run_case
 from greenroof_ros.study.grid import Case, read_grid
 from greenroof_ros.study.store import Store
@@ -168,10 +169,9 @@ def _run(
 
 
 def _name(case: Case) -> str:
-    return (
-        f"{_setting(case.controller, case.parameters)}, {case.initial}, from {case.start}, "
-        f"forecast {_forecast(case.columns())}"
-    )
+    imperfections = case.imperfections.values() if case.imperfections is not None else {}
+    setting = _setting(_setting(case.controller, case.parameters), imperfections)
+    return f"{setting}, {case.initial}, from {case.start}, forecast {_forecast(case.columns())}"
 
 
 def _forecast(row: Mapping[str, Any]) -> str:
@@ -204,6 +204,7 @@ def _show(rows: Sequence[Mapping[str, Any]], directory: Path) -> None:
             row[key] for key in ("site", "weather", "start", "hours", "evapotranspiration")
         )
         setting = _setting(row["controller"], {key: row[key] for key in parameters})
+        setting = _setting(setting, {key: row[key] for key in RANGES if row.get(key)})
         line = setting, _forecast(row)
         text = row["status"].upper()
         if row["status"] == "done":

@@ -9,7 +9,7 @@ import sys
 import tempfile
 import time
 from array import array
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -17,6 +17,7 @@ from typing import Any
 
 import numpy as np
 import yaml
+from numpy.typing import NDArray
 
 from greenroof_ros import summary
 from greenroof_ros.bound import clairvoyant_bound
@@ -90,7 +91,7 @@ def _build(case: Case, directory: Path) -> Run:
     return build_run(
         site_file, site, weather, case.start, count_ticks(site, case.hours, "hours"),
         case.controller, case.parameters, case.initial, (case.cistern, case.roof),
-        _choice(case, directory),
+        _choice(case, directory), case.imperfections,
     )
 
 
@@ -138,6 +139,12 @@ def _run_graph(case: Case, directory: Path) -> Outcome:
     ]
     for name, value in case.forecast.options().items():
         command += [f"--forecast-{name}", repr(value)]
+    if case.imperfections is not None:
+        # In one word, as -1e-05 alone would be taken for an option.
+        command += [
+            f"--{name.replace('_', '-')}={value!r}"
+            for name, value in case.imperfections.values().items()
+        ]
     for domain in _domains(case):
         process = subprocess.run(
             command, env={**os.environ, "ROS_DOMAIN_ID": str(domain)}, capture_output=True,
@@ -151,12 +158,49 @@ def _run_graph(case: Case, directory: Path) -> Outcome:
         raise RuntimeError("no ROS domain from 1 to 101 is free")
     result = json.loads((output / "summary.json").read_text(encoding="utf-8"))
     trajectory, _ = find_runs([output], None).runs[0].load()
+    if case.imperfections is not None and not case.imperfections.exact_sensor:
+        roof = _true_roof(_build(case, directory), trajectory.command)
+        trajectory = replace(trajectory, roof=roof)
     kept = ("summary.json", "bag/metadata.yaml", "bag/bag_0.mcap")
     files = {name: (output / name).read_bytes() for name in kept}
     return Outcome(
         _results(result), _timings(result),
         {"trajectory.parquet": trajectory.to_parquet(), **files},
     )
+
+
+class _Recorded:
+    """A controller that commands once more what a bag has.
+
+    Attributes:
+        tick: the present one.
+    """
+
+    def __init__(self, commands: Sequence[float]) -> None:
+        self.tick = 0
+        self._commands = commands
+
+    def command(
+        self,
+        cistern_level: float,
+        roof_level: float,
+        precipitation: Sequence[float],
+        evapotranspiration: Sequence[float],
+    ) -> float:
+        return self._commands[self.tick]
+
+    def statistics(self) -> None:
+        """It has no solver."""
+
+
+def _true_roof(run: Run, commands: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the volume on the roof (m3), shape (N+1,), where a bag has what a sensor read."""
+    recorded = _Recorded(commands.tolist())
+    roof = np.empty(run.steps + 1)
+    for tick in closed_loop(run, recorded, Metrics()):
+        roof[tick.k] = tick.x2
+        recorded.tick = tick.k + 1
+    return roof
 
 
 def _domains(case: Case) -> Iterator[int]:
@@ -178,6 +222,8 @@ def _results(result: dict[str, Any]) -> dict[str, Any]:
         "drainage_m3": result["drainage_m3"],
         "rain_m3": result["rain_m3"],
         "evapotranspiration_m3": result["evapotranspiration_m3"],
+        "pump_starts": result["pump_starts"],
+        "energy_kwh": result["energy_kwh"],
         "max_command_applied": result["max_command"],
         "limited_steps": result["limited_steps"],
         "solves": solver.get("solves"),

@@ -15,6 +15,7 @@ from typing import Any
 from greenroof_ros.errors import ConfigurationError
 from greenroof_ros.files import YamlMapping, read_yaml, shared_directory
 from greenroof_ros.forecast_models import OPTIONS, PERFECT, ForecastChoice, choose
+from greenroof_ros.imperfections import RANGES, Imperfections
 from greenroof_ros.run import (
     CONTROLLERS,
     INITIAL_STATES,
@@ -27,6 +28,7 @@ from greenroof_ros.site import Site, read_site
 from greenroof_ros.weather import read_weather
 
 _KEYS = ("site", "weather", "initial", "controllers")
+_OPTIONAL_KEYS = ("forecast", "imperfections")
 _WINDOW_KEYS = ("file", "start", "hours", "evapotranspiration", "forecast")
 
 
@@ -56,6 +58,7 @@ class Case:
         initial: name of the initial state.
         cistern: initial volume (m3).
         roof: initial volume (m3).
+        imperfections: of level sensor and pumps; None where the grid does not speak of them.
     """
 
     site: InputFile
@@ -70,6 +73,7 @@ class Case:
     initial: str
     cistern: float
     roof: float
+    imperfections: Imperfections | None = None
 
     @property
     def files(self) -> tuple[InputFile, ...]:
@@ -96,7 +100,8 @@ class Case:
     def problem(self) -> str:
         """Identity of what every controller is given alike: site, weather, initial state."""
         return replace(
-            self, controller="", parameters={}, forecast=ForecastChoice(), forecast_file=None
+            self, controller="", parameters={}, forecast=ForecastChoice(), forecast_file=None,
+            imperfections=None,
         ).identity
 
     def columns(self) -> dict[str, Any]:
@@ -109,6 +114,7 @@ class Case:
             "evapotranspiration": self.evapotranspiration,
             "forecast": str(self.forecast),
             **{f"forecast_{name}": self.forecast.options().get(name) for name in OPTIONS},
+            **(self.imperfections.values() if self.imperfections is not None else {}),
             "controller": self.controller,
             "initial": self.initial,
             "cistern_m3": self.cistern,
@@ -121,7 +127,7 @@ def read_grid(path: Path) -> list[Case]:
 
     Returns:
         The runs, in the order of the file: windows, variants, forecasts, initial states,
-        controllers with their parameters.
+        imperfections, controllers with their parameters.
 
     Raises:
         ConfigurationError: the grid, or a file that it names, is wrong; nothing has run yet.
@@ -133,7 +139,8 @@ def read_grid(path: Path) -> list[Case]:
         if case.identity in seen:
             raise ConfigurationError(
                 f"is the same run twice: {case.controller} {case.parameters}, {case.initial}, "
-                f"from {case.start}, forecast {case.forecast}",
+                f"from {case.start}, forecast {case.forecast}"
+                + (f", {case.imperfections.values()}" if case.imperfections is not None else ""),
                 file=path,
             )
         seen.add(case.identity)
@@ -146,7 +153,7 @@ class _Grid:
     def __init__(self, path: Path) -> None:
         self._path = path
         self._mapping = read_yaml(path)
-        self._keys(self._mapping, (*_KEYS, "forecast"))
+        self._keys(self._mapping, (*_KEYS, *_OPTIONAL_KEYS))
         for key in _KEYS:
             if not self._mapping.get(key):
                 raise ConfigurationError("is missing or empty", file=path, key=key)
@@ -198,7 +205,9 @@ class _Grid:
                         choice,
                     )
             forecast_file = None if choice.file is None else self._input(choice.file)
-            for name, parameters in controllers:
+            for imperfections, (name, parameters) in itertools.product(
+                list(self._imperfections()), controllers
+            ):
                 yield Case(
                     site=self._input(site_file),
                     weather=self._input(weather.file),
@@ -215,6 +224,7 @@ class _Grid:
                     initial=initial,
                     cistern=run.x1,
                     roof=run.x2,
+                    imperfections=imperfections,
                 )
 
     def _forecasts(self, mapping: YamlMapping) -> Iterator[ForecastChoice]:
@@ -237,17 +247,44 @@ class _Grid:
             if options:
                 self._keys(options, ("model", *choice.options()))
             names = [name for name in choice.options() if name in options]
-            for values in itertools.product(*(self._option(options, name) for name in names)):
-                yield replace(choice, **dict(zip(names, values, strict=True)))
+            for values in self._combinations(options, {name: OPTIONS[name] for name in names}):
+                yield replace(choice, **values)
 
-    def _option(self, mapping: YamlMapping, name: str) -> list[Any]:
-        """Return the values of an option of a forecast."""
-        low, high = OPTIONS[name]
-        values = self._list(mapping, name, float if name == "size" else int)
-        for value in values:
-            if not low <= value <= high:
-                raise self._refuse(mapping, name, f"{value} must be from {low} to {high}")
-        return values
+    def _imperfections(self) -> Iterator[Imperfections | None]:
+        """Yield each combination of what is under ``imperfections:``; None without it."""
+        if "imperfections" not in self._mapping:
+            yield None
+            return
+        given = self._mapping["imperfections"]
+        mappings = given if isinstance(given, list) else [given]
+        if not mappings or not all(isinstance(each, YamlMapping) for each in mappings):
+            raise self._refuse(
+                self._mapping, "imperfections",
+                "must be {roof_noise: 0.0005, roof_offset: [0, 0.002]} and the like, or a list of "
+                "such",
+            )
+        for mapping in mappings:
+            self._keys(mapping, tuple(RANGES))
+            names = [name for name in RANGES if name in mapping]
+            for values in self._combinations(mapping, {name: RANGES[name] for name in names}):
+                yield Imperfections(**values)
+
+    def _combinations(
+        self, mapping: YamlMapping, ranges: dict[str, tuple[float, float]]
+    ) -> Iterator[dict[str, Any]]:
+        """Yield every combination of the values of some options, each with its range.
+
+        An option is a whole number where its range has whole ends.
+        """
+        choices = []
+        for name, (low, high) in ranges.items():
+            values = self._list(mapping, name, type(low))
+            for value in values:
+                if not low <= value <= high:
+                    raise self._refuse(mapping, name, f"{value} must be from {low} to {high}")
+            choices.append(values)
+        for combination in itertools.product(*choices):
+            yield dict(zip(ranges, combination, strict=True))
 
     def _input(self, path: Path) -> InputFile:
         """Return a file's content under a name that no other file of the study has."""
