@@ -129,8 +129,8 @@ def _understand(content: dict[str, Any]) -> About:
     site = content.get("imperfections") or {}
     if site.get("roof_noise") or site.get("roof_offset"):
         notes.append(
-            f"the roof's level is what a sensor reads, with a noise of {site['roof_noise']:g} m and "
-            f"{site['roof_offset']:g} m too much; the summary's deviation is of the true one"
+            f"the roof's level is what a sensor reads, with a noise of {site['roof_noise']:g} m "
+            f"and {site['roof_offset']:g} m too much; the summary's deviation is of the true one"
         )
     return About(
         controller=content["controller"],
