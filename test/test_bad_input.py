@@ -266,39 +266,42 @@ CASES = [
 ]
 
 
-@pytest.mark.parametrize("command", ["simulate", "bringup"])
 @pytest.mark.parametrize(
     ("options", "content", "words"), [case[1:] for case in CASES], ids=[case[0] for case in CASES]
 )
 def test_refused(
     domain: int,
     tmp_path: Path,
-    command: str,
     options: str,
     content: bytes | None,
     words: tuple[str, ...],
 ) -> None:
-    """The command says what is wrong, where, and what would be right."""
+    """Both commands, one beside the other, say what is wrong, where, and what would be right."""
     (tmp_path / "full").mkdir()
     (tmp_path / "full" / "something").touch()
     (tmp_path / "file.txt").touch()
     if content is not None:
         (tmp_path / options.split()[-1]).write_bytes(content)
     before = sorted(tmp_path.rglob("*"))
-    done = subprocess.run(
-        [sys.executable, "-m", f"greenroof_ros.{command}", *options.split()],
-        cwd=tmp_path, env=environment(domain), capture_output=True, text=True, timeout=60,
-        check=False,
-    )
-    assert done.returncode == 2, done.stderr
-    assert done.stdout == ""
-    assert done.stderr.count("error:") == 1, done.stderr
-    assert "Traceback" not in done.stderr
-    message = done.stderr.partition("error:")[2]
-    for word in words:
-        assert word in message
-    if content is not None:
-        assert "FILE" in message
+    started = [
+        subprocess.Popen(
+            [sys.executable, "-m", f"greenroof_ros.{command}", *options.split()],
+            cwd=tmp_path, env=environment(domain), text=True,
+            stdout=subprocess.PIPE, stderr=subprocess.PIPE,
+        )
+        for command in ("simulate", "bringup")
+    ]
+    for process in started:
+        printed, errors = process.communicate(timeout=60)
+        assert process.returncode == 2, errors
+        assert printed == ""
+        assert errors.count("error:") == 1, errors
+        assert "Traceback" not in errors
+        message = errors.partition("error:")[2]
+        for word in words:
+            assert word in message
+        if content is not None:
+            assert "FILE" in message
     assert sorted(tmp_path.rglob("*")) == before
 
 
