@@ -131,12 +131,14 @@ def children(process: int) -> Iterator[int]:
 
 
 def workers(process: int) -> list[int]:
-    """Return the processes that are on a run: they have a temporary directory's files read."""
+    """Return the processes that are on a run: a second's work of the fork server's children."""
+    starters = Path(f"/proc/{process}/task/{process}/children").read_text().split()
     busy = []
-    for child in children(process):
-        ticks = Path(f"/proc/{child}/stat").read_text().rsplit(")", 1)[1].split()
-        if int(ticks[11]) > 50:  # half a second of its own; the fork server has less
-            busy.append(child)
+    for starter in starters:
+        for child in children(int(starter)):
+            ticks = Path(f"/proc/{child}/stat").read_text().rsplit(")", 1)[1].split()
+            if int(ticks[11]) > 100:
+                busy.append(child)
     return busy
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 import os
 from collections.abc import Mapping, Sequence
-from concurrent.futures import FIRST_COMPLETED, Future, wait
+from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, Future, wait
 from pathlib import Path
 from typing import Any
 
@@ -99,7 +99,9 @@ def main() -> int:
     if outcomes:
         console.print(f"{len(outcomes)} of {len(cases)} runs are there already")
     try:
-        if open_cases:
+        bounds = store.bounds()
+        problems = {case.problem: case for case in cases if case.problem not in bounds}
+        if open_cases or problems:
             cores = len(os.sched_getaffinity(0))
             if arguments.engine == "ros":
                 cores = max(1, cores // _CORES_PER_GRAPH)
@@ -108,7 +110,13 @@ def main() -> int:
                 else processes(arguments.jobs or cores)
             )
             with workers as submit:
-                _run(open_cases, arguments.engine, submit, store, outcomes, failures, console)
+                _run(
+                    open_cases, problems, arguments.engine, submit, store, outcomes, failures,
+                    console,
+                )
+    except BrokenExecutor:
+        console.print("error: the process that starts the others was killed; begin again")
+        return EXIT_FAILED
     finally:
         rows = store.write_tables(outcomes, failures, store.bounds())
     _show(rows, store.directory)
@@ -117,6 +125,7 @@ def main() -> int:
 
 def _run(
     cases: Sequence[Case],
+    problems: Mapping[str, Case],
     engine: str,
     submit: Submit,
     store: Store,
@@ -124,7 +133,7 @@ def _run(
     failures: dict[str, str],
     console: Console,
 ) -> None:
-    """Run cases, keeping each outcome as it comes."""
+    """Run cases, and bound the problems, keeping each outcome as it comes."""
     # The longest first, so that no core is idle at the end while another has a long one left.
     ordered = sorted(cases, key=lambda case: (case.controller == "onoff", -case.hours))
     with Progress(
@@ -135,7 +144,6 @@ def _run(
         task = progress.add_task("study", total=len(ordered))
         progress.refresh()
         bounds = store.bounds()
-        problems = {case.problem: case for case in cases if case.problem not in bounds}
         bounding: dict[Future[float], str] = {
             submit(bound_case, case): problem for problem, case in problems.items()
         }
