@@ -113,7 +113,7 @@ class WeatherSeries:
             forecast window reaches past the end of the file; None if none does.
         filled: hours of the run's days and the day before that were missing and filled, named, by
             quantity.
-        filled_hours: their number, of all quantities together.
+        filled_hours: their number; an hour counts once, however many quantities it lacked.
         frost_hours: of the run (h); None where the file has no temperature.
         precipitation_in_frost: depth (mm) in them, snow perhaps, which the model takes as rain.
     """
@@ -172,9 +172,10 @@ class WeatherSeries:
             for quantity, marks in weather.records.filled.items()
             if marks[days.start : days.stop].any()
         }
-        self.filled_hours = sum(
-            int(marks[days.start : days.stop].sum()) for marks in weather.records.filled.values()
-        )
+        filled = np.zeros(last + 1, dtype=np.bool_)
+        for marks in weather.records.filled.values():
+            filled |= marks
+        self.filled_hours = int(filled[days.start : days.stop].sum())
 
 
 def _check_known(weather: Weather, hours: NDArray[np.int64]) -> None:

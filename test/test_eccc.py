@@ -226,6 +226,9 @@ def test_july_2021() -> None:
     }
     series = run(weather, "2021-07-01T00:00-05:00", 744)
     assert series.frost_hours == 0
+    # Rows with an M at any of the quantities used, by grep: 25 from the 20th to the 21st, 6 on the
+    # 30th, 2 on the 31st.
+    assert series.filled_hours == 33
     assert series.filled["station pressure"] == [
         "2021-07-20T13:00-05:00 to 2021-07-20T17:00-05:00 (5 hours)", "2021-07-21T11:00-05:00"
     ]
