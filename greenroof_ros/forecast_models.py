@@ -12,7 +12,6 @@ and the other has the times of its own.
 from __future__ import annotations
 
 import bisect
-import csv
 import itertools
 import math
 from collections.abc import Callable
@@ -28,7 +27,7 @@ from greenroof_ros.errors import ConfigurationError
 from greenroof_ros.files import read_text
 from greenroof_ros.records import EVAPOTRANSPIRATION, HOUR, PRECIPITATION, QUANTITIES, name_hours
 from greenroof_ros.weather import Weather
-from greenroof_ros.weather_csv import parse_time
+from greenroof_ros.weather_csv import cells_of, numbered_lines, parse_time
 
 Array = NDArray[np.float64]
 
@@ -446,11 +445,7 @@ def read_forecasts(path: Path) -> list[_Issue]:
     Raises:
         ConfigurationError: the file breaks any of this; the message names the line and value.
     """
-    lines = [
-        (number, line)
-        for number, line in enumerate(read_text(path).splitlines(), start=1)
-        if line.strip() and not line.lstrip().startswith("#")
-    ]
+    lines = numbered_lines(read_text(path))
     if not lines:
         raise ConfigurationError("holds comments only; a header and records must follow", file=path)
     header = _header(path, *lines[0])
@@ -468,10 +463,7 @@ def read_forecasts(path: Path) -> list[_Issue]:
 
 def _cells(path: Path, line: int, text: str, count: int) -> list[str]:
     """Split a line of CSV, which must have a number of cells; 0 stands for any."""
-    try:
-        cells = [cell.strip() for cell in next(csv.reader([text], strict=True))]
-    except csv.Error as error:
-        raise ConfigurationError(f"is not valid CSV: {error}", file=path, line=line) from error
+    cells = [cell.strip() for cell in cells_of(path, line, text)]
     if count and len(cells) != count:
         raise ConfigurationError(
             f"must have {count} cells as the header has, not {len(cells)}", file=path, line=line

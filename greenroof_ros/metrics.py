@@ -4,11 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from greenroof_ros.plant import Flows
+from greenroof_ros.plant import JOULES_PER_KWH, WATER_DENSITY, Flows, head_loss
 from greenroof_ros.site import Site
-
-_WATER_DENSITY = 1000.0  # kg/m3
-_JOULES_PER_KWH = 3.6e6
 
 
 @dataclass
@@ -75,6 +72,6 @@ class Metrics:
         self.pump_starts += pumping and not self._pumping
         self._pumping = pumping
         if pumping:
-            head = site.pipe_resistance * flows.pump**2 + site.d - self.final_cistern_m3 / site.a1
-            joules = _WATER_DENSITY * site.g * flows.pump * head * tau
-            self.energy_kwh += joules / _JOULES_PER_KWH
+            head = head_loss(site, self.final_cistern_m3, flows.pump)
+            joules = WATER_DENSITY * site.g * flows.pump * head * tau
+            self.energy_kwh += joules / JOULES_PER_KWH

@@ -3,9 +3,18 @@
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
+from typing import NamedTuple, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
 
 from greenroof_ros.site import Site
+
+WATER_DENSITY = 1000.0
+"""kg/m3"""
+JOULES_PER_KWH = 3.6e6
+
+Amount = TypeVar("Amount", float, NDArray[np.float64])
 
 
 def outlet_flow(site: Site, x1: float) -> float:
@@ -28,6 +37,14 @@ def pump_flow(site: Site, x1: float, x2: float, command: float) -> float:
     if x2 / site.a2 >= site.z_veg or x1 / site.a1 < site.suction_level:
         return 0.0
     return command * maximum_pump_flow(site, x1)
+
+
+def head_loss(site: Site, x1: Amount, flow: Amount) -> Amount:
+    """L (m): the head that a flow (m3/s) takes from a cistern holding x1 (m3), Eq. (3c).
+
+    Numbers or arrays.
+    """
+    return site.pipe_resistance * flow**2 + site.d - x1 / site.a1
 
 
 def drainage_flow(site: Site, x2: float) -> float:

@@ -176,29 +176,22 @@ def epoch_ns(time: datetime) -> int:
     return (time - epoch) // timedelta(microseconds=1) * 1000
 
 
-def within(low: float, high: float) -> Callable[[str], float]:
-    """Return what parses an option that must be a number from low to high."""
+def within(
+    low: float, high: float, kind: Callable[[str], float] = float
+) -> Callable[[str], float]:
+    """Return what parses an option that must be a number, with ``int`` a whole one, in a range."""
 
     def parse(text: str) -> float:
-        value = float(text)
+        value = kind(text)
         if not low <= value <= high:
             raise ValueError
         return value
 
-    parse.__name__ = f"number from {low:g} to {high:g}"  # argparse puts it into its message
-    return parse
-
-
-def whole(low: int, high: int) -> Callable[[str], int]:
-    """Return what parses an option that must be a whole number from low to high."""
-
-    def parse(text: str) -> int:
-        value = int(text)
-        if not low <= value <= high:
-            raise ValueError
-        return value
-
-    parse.__name__ = f"whole number from {low} to {high}"  # argparse puts it into its message
+    # argparse puts it into its message
+    parse.__name__ = (
+        f"whole number from {low} to {high}" if kind is int
+        else f"number from {low:g} to {high:g}"
+    )
     return parse
 
 
@@ -279,11 +272,11 @@ def _add_forecast_arguments(group: argparse._ArgumentGroup) -> None:
         f"(default: {default.size:g})",
     )
     group.add_argument(
-        "--forecast-seed", type=whole(*_whole_range("seed")), metavar="N",
+        "--forecast-seed", type=within(*_whole_range("seed"), int), metavar="N",
         help=f"errors, ensemble: seed of the errors (default: {default.seed})",
     )
     group.add_argument(
-        "--forecast-members", type=whole(*_whole_range("members")), metavar="M",
+        "--forecast-members", type=within(*_whole_range("members"), int), metavar="M",
         help=f"ensemble: number of its members (default: {default.members})",
     )
 
@@ -301,7 +294,7 @@ def _add_imperfection_arguments(parser: argparse.ArgumentParser) -> None:
     )
     low, high = RANGES["noise_seed"]
     group.add_argument(
-        "--noise-seed", type=whole(int(low), int(high)), default=0, metavar="N",
+        "--noise-seed", type=within(int(low), int(high), int), default=0, metavar="N",
         help="seed of the noise (default: %(default)s)",
     )
     group.add_argument(

@@ -72,7 +72,16 @@ def _read_header(path: Path, line: int, header: list[str]) -> tuple[dict[str, in
     return columns, variant
 
 
-def _cells(path: Path, line: int, text: str) -> list[str]:
+def numbered_lines(text: str) -> list[tuple[int, str]]:
+    """Return the lines that say something, with their numbers: neither empty nor a comment."""
+    return [
+        (number, line)
+        for number, line in enumerate(text.splitlines(), start=1)
+        if line.strip() and not line.lstrip().startswith("#")
+    ]
+
+
+def cells_of(path: Path, line: int, text: str) -> list[str]:
     """Split a line of CSV; a quoted cell ends in its line."""
     try:
         return next(csv.reader([text], strict=True))
@@ -92,12 +101,8 @@ def parse(path: Path, text: str) -> Records:
     Raises:
         ConfigurationError: the file breaks any of this; the message names the line and value.
     """
-    numbered = [
-        (number, line)
-        for number, line in enumerate(text.splitlines(), start=1)
-        if line.strip() and not line.lstrip().startswith("#")
-    ]
-    rows = [_cells(path, line, text) for line, text in numbered]
+    numbered = numbered_lines(text)
+    rows = [cells_of(path, line, text) for line, text in numbered]
     if not rows:
         raise ConfigurationError("holds comments only; a header and records must follow", file=path)
     columns, variant = _read_header(path, numbered[0][0], rows[0])

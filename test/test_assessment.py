@@ -13,7 +13,8 @@ from paper import PAPER_SITE, paper_run, site_with
 
 from greenroof_ros.closed_loop import closed_loop
 from greenroof_ros.metrics import Metrics
-from greenroof_ros.report.assessment import Assumptions, assess, head_loss
+from greenroof_ros.plant import head_loss
+from greenroof_ros.report.assessment import Assumptions, assess
 from greenroof_ros.run import make_controller
 from greenroof_ros.trajectory import Trajectory
 

@@ -478,7 +478,7 @@ def test_wrong_grid(tmp_path: Path, name: str) -> None:
     ("options", "expected"),
     [
         (["absent.yaml"], "absent.yaml: cannot be read"),
-        (["--jobs", "0"], "argument --jobs: invalid whole number from 1 value: '0'"),
+        (["--jobs", "0"], "argument --jobs: invalid whole number from 1 to 1024 value: '0'"),
         (["--engine", "gazebo"], "argument --engine: invalid choice: 'gazebo'"),
         (["--scheduler", "tcp://127.0.0.1:9", "--jobs", "2"], "--jobs: is not an option with"),
         (["--output", "/proc/study"], "--output = '/proc/study': cannot be written"),

@@ -10,7 +10,7 @@ import osqp
 import scipy.sparse
 from numpy.typing import NDArray
 
-from greenroof_ros.plant import maximum_pump_flow
+from greenroof_ros.plant import JOULES_PER_KWH, WATER_DENSITY, maximum_pump_flow
 from greenroof_ros.site import Site
 
 # The solver gets near, its polishing does the rest. The program is scaled here: with the solver's
@@ -37,8 +37,6 @@ _ENSEMBLE_SETTINGS = {
 # risk; those of the least iterations.
 _CAPACITY, _VOLUME, _EXCESS = 5.0, 2.0, 8.0
 _USABLE = (osqp.SolverStatus.OSQP_SOLVED, osqp.SolverStatus.OSQP_SOLVED_INACCURATE)
-_JOULES_PER_KWH = 3.6e6
-_WATER = 1000.0  # kg/m3
 
 Array = NDArray[np.float64]
 Matrix = Any  # scipy's sparse matrices have no types
@@ -202,7 +200,7 @@ class PlanningProgram:
     ) -> tuple[Matrix, Array]:
         """Return Hessian and linear part for one member; all is mean deviation (m3)."""
         n = len(self._lengths)
-        price = prices.energy / seconds * _WATER * site.g / _JOULES_PER_KWH  # per m3 and m
+        price = prices.energy / seconds * WATER_DENSITY * site.g / JOULES_PER_KWH  # per m3 and m
         volume = np.zeros(n)
         volume[-1] = price * (site.d - site.z_o)
         # Friction goes with the cube of the flow; here with its square, exact at full flow.

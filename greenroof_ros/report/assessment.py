@@ -11,12 +11,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from greenroof_ros.plant import JOULES_PER_KWH, WATER_DENSITY, head_loss
 from greenroof_ros.site import Site
 from greenroof_ros.trajectory import Trajectory
-
-WATER_DENSITY = 1000.0
-"""kg/m3"""
-_JOULES_PER_KWH = 3.6e6
 
 
 @dataclass(frozen=True)
@@ -98,13 +95,6 @@ class Assessment:
     frost_pumped_m3: float
 
 
-def head_loss(
-    site: Site, cistern: NDArray[np.float64], flow: NDArray[np.float64]
-) -> NDArray[np.float64]:
-    """L(x, y): the head (m) that a flow (m3/s) takes from a cistern of x1 (m3), Eq. (3c)."""
-    return site.pipe_resistance * flow**2 + site.d - cistern / site.a1
-
-
 def assess(site: Site, trajectory: Trajectory, assumptions: Assumptions) -> Assessment:
     """Judge a run.
 
@@ -136,7 +126,7 @@ def assess(site: Site, trajectory: Trajectory, assumptions: Assumptions) -> Asse
     cistern_change = float(trajectory.cistern[-1] - trajectory.cistern[0])
     roof_change = float(trajectory.roof[-1] - trajectory.roof[0])
     power = WATER_DENSITY * site.g * flow * head_loss(site, trajectory.cistern[now], flow)
-    energy = float(np.sum(power * dt)) / assumptions.efficiency / _JOULES_PER_KWH
+    energy = float(np.sum(power * dt)) / assumptions.efficiency / JOULES_PER_KWH
     running = flow > 0
     starts = np.count_nonzero(running[1:] & ~running[:-1]) + int(running[0])
     deviations = np.sum(deviation[now] * dt) / site.tau + deviation[-1]

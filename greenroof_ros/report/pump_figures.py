@@ -12,9 +12,8 @@ import numpy as np
 
 from greenroof_ros.errors import ConfigurationError
 from greenroof_ros.files import read_text
-from greenroof_ros.plant import maximum_pump_flow, pump_flow
+from greenroof_ros.plant import head_loss, maximum_pump_flow, pump_flow
 from greenroof_ros.pump_curve import fit_pump_curve
-from greenroof_ros.report.assessment import head_loss
 from greenroof_ros.report.drawing import Figure, Panel, Rows, distinct, short
 from greenroof_ros.site import Site
 from greenroof_ros.smooth_plant import linearise

@@ -18,6 +18,7 @@ from greenroof_ros.errors import ConfigurationError
 from greenroof_ros.files import shared_directory
 from greenroof_ros.forecast_models import OPTIONS, PERFECT
 from greenroof_ros.imperfections import RANGES
+from greenroof_ros.run import within
 from greenroof_ros.study.case_run import ENGINES, Outcome, bound_case, run_case
 from greenroof_ros.study.grid import Case, read_grid
 from greenroof_ros.study.store import Store
@@ -26,16 +27,6 @@ from greenroof_ros.study.workers import Submit, cluster, processes
 # A graph is five processes; two cores are busy with one.
 _CORES_PER_GRAPH = 2
 _REFRESH_S = 0.5
-
-
-def _count(text: str) -> int:
-    value = int(text)
-    if value < 1:
-        raise ValueError
-    return value
-
-
-_count.__name__ = "whole number from 1"
 
 
 def _parser() -> argparse.ArgumentParser:
@@ -62,7 +53,7 @@ def _parser() -> argparse.ArgumentParser:
         "for the same table (default: %(default)s)",
     )
     parser.add_argument(
-        "--jobs", type=_count, metavar="N",
+        "--jobs", type=within(1, 1024, int), metavar="N",
         help="runs at a time (default: one a core; with --engine ros, one every two cores)",
     )
     parser.add_argument(
@@ -111,8 +102,8 @@ def main() -> int:
             )
             with workers as submit:
                 _run(
-                    open_cases, problems, arguments.engine, submit, store, outcomes, failures,
-                    console,
+                    open_cases, problems, bounds, arguments.engine, submit, store, outcomes,
+                    failures, console,
                 )
     except BrokenExecutor:
         console.print("error: the process that starts the others was killed; begin again")
@@ -126,6 +117,7 @@ def main() -> int:
 def _run(
     cases: Sequence[Case],
     problems: Mapping[str, Case],
+    bounds: dict[str, float],
     engine: str,
     submit: Submit,
     store: Store,
@@ -143,7 +135,6 @@ def _run(
     ) as progress:
         task = progress.add_task("study", total=len(ordered))
         progress.refresh()
-        bounds = store.bounds()
         bounding: dict[Future[float], str] = {
             submit(bound_case, case): problem for problem, case in problems.items()
         }
