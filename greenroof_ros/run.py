@@ -29,6 +29,8 @@ INITIAL_STATES = {
     "high-high": (1.3, 1.3),
 }
 
+# How far the controllers that plan trust the level sensor (s) and the forecast (h).
+_TRUST = {"smoothing": (0.0, 3600.0), "patience": (0.0, 1e6)}
 # The parameters of each controller, in its YAML file and of its node, with their range.
 CONTROLLERS = {
     "mpc": {"weight": (1e-9, 1e6), "max_command": (1e-9, math.inf)},
@@ -39,14 +41,16 @@ CONTROLLERS = {
         "power": (1.0, 2.0),
         "energy_weight": (0.0, 1e9),
         "start_weight": (0.0, 1e9),
+        **_TRUST,
     },
-    "anticipating_onoff": {"horizon": (0.1, 48.0), "fraction": (1e-9, 1e6)},
+    "anticipating_onoff": {"horizon": (0.1, 48.0), "fraction": (1e-9, 1e6), **_TRUST},
     "scenario_mpc": {
         "horizon": (0.1, 48.0),
         "max_command": (1e-9, math.inf),
         "members": (1, 100),
         "level": (0.0, 0.99),
         "recourse": (0.0, 48.0),
+        **_TRUST,
     },
 }
 # A year of seconds, as much as fits into memory and patience.
@@ -108,6 +112,8 @@ def make_controller(name: str, site: Site, parameters: dict[str, float]) -> Cont
         return PlanningMpc(
             site, parameters["horizon"], parameters["max_command"], parameters["power"],
             Prices(parameters["energy_weight"], parameters["start_weight"]),
+            smoothing=parameters["smoothing"],
+            patience=parameters["patience"],
         )
     if name == "scenario_mpc":
         from greenroof_ros.controllers.planning_mpc import PlanningMpc
@@ -118,11 +124,16 @@ def make_controller(name: str, site: Site, parameters: dict[str, float]) -> Cont
             ensemble=Ensemble(
                 int(parameters["members"]), parameters["level"], parameters["recourse"] * 3600
             ),
+            smoothing=parameters["smoothing"],
+            patience=parameters["patience"],
         )
     if name == "anticipating_onoff":
         from greenroof_ros.controllers.anticipating_onoff import AnticipatingOnOff
 
-        return AnticipatingOnOff(site, parameters["horizon"], parameters["fraction"])
+        return AnticipatingOnOff(
+            site, parameters["horizon"], parameters["fraction"],
+            parameters["smoothing"], parameters["patience"],
+        )
     from greenroof_ros.controllers.onoff import OnOff
 
     return OnOff(site, parameters["fraction"])

@@ -596,6 +596,26 @@ def test_seeds_beside_other_runs(tmp_path: Path, simulated: list[Simulated]) -> 
     assert "over the least" not in text
 
 
+def test_imperfect_sites_stand_apart(tmp_path: Path, simulated: list[Simulated]) -> None:
+    """Runs with an imperfect sensor or pump are not compared with those without, and are named."""
+    one = simulated[0]
+    noisy = {"roof_noise": "0.0005", "roof_offset": "0.0", "noise_seed": "3"}
+    path = write_study(
+        tmp_path / "study",
+        [
+            (one.row, one.trajectory),
+            ({**one.row, **noisy, "minimum_on": "0.0"}, one.trajectory),
+            ({**one.row, "noise_seed": "3", "minimum_on": "60.0"}, one.trajectory),
+        ],
+        [*HEADER[:6], "roof_noise", "roof_offset", "noise_seed", "minimum_on", *HEADER[6:]],
+    )
+    named = ["", "roof noise 0.0005 m, seed 3", "minimum on 60 s"]
+    assert [window.imperfections for window in report_of(path).windows] == named
+    text = page_of(path)
+    assert "evapotranspiration published, roof noise 0.0005 m, seed 3" in text
+    assert "imperfections" in text
+
+
 # --- the command -------------------------------------------------------------------------------
 
 

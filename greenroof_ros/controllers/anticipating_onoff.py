@@ -2,13 +2,20 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 
 import numpy as np
+from numpy.typing import NDArray
 
+from greenroof_ros.controllers.roof_estimate import RoofEstimate
+from greenroof_ros.controllers.stop_loss import StopLoss
 from greenroof_ros.errors import ConfigurationError
 from greenroof_ros.look_ahead import growing_steps
+from greenroof_ros.plant import pump_flow
 from greenroof_ros.site import Site
+
+Array = NDArray[np.float64]
 
 
 class AnticipatingOnOff:
@@ -37,17 +44,37 @@ class AnticipatingOnOff:
 
     For a microcontroller: from the hourly forecast add up rain times the bed's area less
     evapotranspiration, sort the sums, take the one in the middle, once a minute. The level to
-    switch at is the target less that volume over the bed's area.
+    switch at is the target less that volume over the bed's area. Two lines of arithmetic more a
+    tick make it fit for a real site: :class:`~greenroof_ros.controllers.roof_estimate.RoofEstimate`
+    smooths the level's readings, :class:`~greenroof_ros.controllers.stop_loss.StopLoss` limits what
+    a forecast of rain that never comes can do.
 
     Attributes:
         fraction: v, the command when pumping (share of the maximum flow).
     """
 
-    def __init__(self, site: Site, horizon: float, fraction: float) -> None:
-        """Take the site, how far to look ahead (h), and v."""
+    def __init__(
+        self,
+        site: Site,
+        horizon: float,
+        fraction: float,
+        smoothing: float = 0.0,
+        patience: float = math.inf,
+    ) -> None:
+        """Take the site and the parameters.
+
+        Args:
+            site: the parameters of Table I.
+            horizon: how far to look ahead (h).
+            fraction: v.
+            smoothing: over how long (s) readings of the roof's level are averaged.
+            patience: what waiting for rain may cost (h of an empty roof).
+        """
         self._site = site
         self.fraction = fraction
         self._lengths = np.diff(growing_steps(horizon))
+        self._estimate = RoofEstimate(site, smoothing)
+        self._stop_loss = StopLoss(site, patience)
 
     def command(
         self,
@@ -67,20 +94,30 @@ class AnticipatingOnOff:
                 f"but there are {len(self._lengths)} steps to the horizon; give weather and "
                 "controller the same"
             )
-        if not (roof_level < site.z_veg and cistern_level >= site.suction_level):
+        rain, evaporated = np.asarray(precipitation), np.asarray(evapotranspiration)
+        x1 = site.cistern_volume(cistern_level)
+        if not math.isfinite(x1 + roof_level + float(rain.sum() + evaporated.sum())):
             return 0.0
-        rates = np.asarray(precipitation) * site.a2 - np.asarray(evapotranspiration)
-        sums = np.cumsum(rates * self._lengths)
+        x2 = self._estimate.correct(roof_level)
+        room = 0.0 if self._stop_loss.judge(x2) else self._room(rain, evaporated)
+        dry = x2 < site.x2_star - room and cistern_level >= site.suction_level
+        command = self.fraction if dry else 0.0
+        pumped = pump_flow(site, x1, x2, command)
+        self._stop_loss.move(x1, x2, self.fraction, pumped)
+        self._estimate.predict(x2, float(rain[0]), float(evaporated[0]), pumped)
+        return command
+
+    def _room(self, rain: Array, evaporated: Array) -> float:
+        """Return m, what to leave room for (m3)."""
+        inflow = (rain * self._site.a2 - evaporated) * self._lengths
         # Half-way through each step, since there the sum is the step's mean.
-        room = max(0.0, _median(sums - rates * self._lengths / 2, self._lengths))
-        return self.fraction if roof_level < site.z_veg - site.roof_level(room) else 0.0
+        return max(0.0, _median(np.cumsum(inflow) - inflow / 2, self._lengths))
 
     def statistics(self) -> None:
         """It has no solver."""
 
 
-def _median(values: np.ndarray[tuple[int], np.dtype[np.float64]],
-            weights: np.ndarray[tuple[int], np.dtype[np.float64]]) -> float:
+def _median(values: Array, weights: Array) -> float:
     """Return the value below which half of the weights lie."""
     order = np.argsort(values, kind="stable")
     reached = np.cumsum(weights[order])

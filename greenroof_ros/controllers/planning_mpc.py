@@ -11,6 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from greenroof_ros.controllers.planning_program import Ensemble, PlanningProgram, Prices
+from greenroof_ros.controllers.roof_estimate import RoofEstimate
+from greenroof_ros.controllers.stop_loss import StopLoss
 from greenroof_ros.errors import ConfigurationError
 from greenroof_ros.look_ahead import growing_steps
 from greenroof_ros.plant import maximum_pump_flow
@@ -58,6 +60,10 @@ class PlanningMpc:
     solver's first guess. Where the solver finds no solution the last plan, which was good for the
     whole horizon, is followed on; ``fallbacks`` counts it.
 
+    The roof's level is not taken as read, and forecasts of rain not for ever: see
+    :class:`~greenroof_ros.controllers.roof_estimate.RoofEstimate` and
+    :class:`~greenroof_ros.controllers.stop_loss.StopLoss`.
+
     Attributes:
         solves: how many programs were solved, or tried.
         fallbacks: how many of them had no solution.
@@ -72,6 +78,8 @@ class PlanningMpc:
         power: float = 1.0,
         prices: Prices | None = None,
         ensemble: Ensemble | None = None,
+        smoothing: float = 0.0,
+        patience: float = math.inf,
         max_iterations: int = 10000,
     ) -> None:
         """Set the program up once; every decision only updates it.
@@ -84,6 +92,8 @@ class PlanningMpc:
                 controller.
             prices: of energy and starts; none if not given.
             ensemble: of the forecasts; a single one if not given.
+            smoothing: over how long (s) readings of the roof's level are averaged.
+            patience: what waiting for rain may cost (h of an empty roof).
             max_iterations: OSQP's limit.
 
         Raises:
@@ -101,6 +111,8 @@ class PlanningMpc:
             site, self._edges, max_command, power, prices or Prices(), ensemble or Ensemble(),
             max_iterations,
         )
+        self._estimate = RoofEstimate(site, smoothing)
+        self._stop_loss = StopLoss(site, patience)
         self.solves = 0
         self.fallbacks = 0
         self.solve_seconds: list[float] = []
@@ -140,26 +152,30 @@ class PlanningMpc:
                 f"but the plan has {steps} steps and {self._members} members; give weather and "
                 "controller the same horizon and members"
             )
-        x1, x2 = site.cistern_volume(cistern_level), site.roof_volume(roof_level)
-        rain = np.asarray(precipitation).reshape(self._members, steps)
+        rain = np.array(precipitation).reshape(self._members, steps)
         evaporated = np.asarray(evapotranspiration)
-        inflow = np.cumsum((rain * site.a2 - evaporated) * self._lengths, axis=1)
-        if not math.isfinite(x1 + x2 + float(inflow.sum())):
+        x1 = site.cistern_volume(cistern_level)
+        if not math.isfinite(x1 + roof_level + float(rain.sum() + evaporated.sum())):
             # Nothing can be planned on it, and OSQP would not refuse it.
             self._flow, self._expected = 0.0, math.nan
             return 0.0
+        x2 = self._estimate.correct(roof_level)
+        if self._stop_loss.judge(x2):
+            rain[:, 1:] = 0.0
+        inflow = np.cumsum((rain * site.a2 - evaporated) * self._lengths, axis=1)
         if self._must_decide(x2, inflow, float(rain.max()), float(evaporated.max())):
             self._decide(x1, x2, inflow, rain)
         self._inflow = inflow
         full = maximum_pump_flow(site, x1)
         share = self._planned_flow() / full if full > 0 else 0.0
-        dry = roof_level < site.z_veg and cistern_level >= site.suction_level
+        dry = x2 < site.x2_star and cistern_level >= site.suction_level
         if not dry or share < _LEAST_COMMAND:
             share = 0.0
         share = min(share, self._max_command)
         self._flow = share * full
-        self._expected = x2 + site.tau * (
-            precipitation[0] * site.a2 - evapotranspiration[0] + self._flow
+        self._stop_loss.move(x1, x2, min(self._max_command, 1.0), self._flow)
+        self._expected = self._estimate.predict(
+            x2, float(rain[0, 0]), float(evaporated[0]), self._flow
         )
         self._age += site.tau
         self.solve_seconds.append(time.perf_counter() - started)
@@ -215,7 +231,11 @@ class PlanningMpc:
         )
         if pumped is None:
             self.fallbacks += 1
-            _log.warning("OSQP's status is %d; following the last plan", self.status)
+            if self.fallbacks == 1:
+                _log.warning(
+                    "OSQP's status is %d; following the last plan; further ones are only counted",
+                    self.status,
+                )
             return
         self._pumped = np.hstack([start, pumped])
         self._age = 0.0

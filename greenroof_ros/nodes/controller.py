@@ -13,6 +13,8 @@ from std_msgs.msg import Float64
 
 from greenroof_ros.controllers import Controller
 from greenroof_ros.lockstep import Link
+from greenroof_ros.parameters import declare
+from greenroof_ros.run import CONTROLLERS
 
 
 class ControllerNode:
@@ -86,6 +88,20 @@ class ControllerNode:
                 f"{parameter.name} is {parameter.value:g} from tick {self._tick} on"
             )
         return SetParametersResult(successful=True)
+
+
+def declare_trust(node: Node, role: str) -> tuple[float, float]:
+    """Declare and return a planning controller's ``smoothing`` (s) and ``patience`` (h)."""
+    ranges = CONTROLLERS[role]
+    smoothing = declare(
+        node, "smoothing", 300.0, "over how long readings of the roof are averaged (s)",
+        *ranges["smoothing"],
+    )
+    patience = declare(
+        node, "patience", 1.0, "what waiting for rain may cost (h of an empty roof)",
+        *ranges["patience"],
+    )
+    return smoothing, patience
 
 
 class Solving(Protocol):

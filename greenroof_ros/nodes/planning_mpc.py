@@ -10,7 +10,7 @@ from greenroof_ros.controllers.planning_mpc import PlanningMpc
 from greenroof_ros.controllers.planning_program import Prices
 from greenroof_ros.lockstep import Link
 from greenroof_ros.node_process import run_node
-from greenroof_ros.nodes.controller import ControllerNode, publish_solver
+from greenroof_ros.nodes.controller import ControllerNode, declare_trust, publish_solver
 from greenroof_ros.parameters import declare, declare_site
 from greenroof_ros.run import CONTROLLERS
 
@@ -19,6 +19,7 @@ def build(node: Node) -> Link:
     """Declare the parameters and put the controller into the graph."""
     site = declare_site(node)
     ranges = CONTROLLERS["planning_mpc"]
+    smoothing, patience = declare_trust(node, "planning_mpc")
     controller = PlanningMpc(
         site,
         declare(node, "horizon", 12.0, "how far it plans (h)", *ranges["horizon"]),
@@ -34,6 +35,8 @@ def build(node: Node) -> Link:
                 *ranges["start_weight"],
             ),
         ),
+        smoothing=smoothing,
+        patience=patience,
     )
     part = ControllerNode(node, "planning_mpc", controller)
     publish_solver(part, controller)

@@ -13,6 +13,7 @@ from typing import Any
 from greenroof_ros.errors import ConfigurationError
 from greenroof_ros.files import YamlMapping, read_text, read_yaml
 from greenroof_ros.forecast_models import OPTIONS, PERFECT
+from greenroof_ros.imperfections import RANGES
 
 Parameters = dict[str, "float | str"]
 
@@ -28,6 +29,7 @@ class About:
         weather: name of the weather.
         variant: of the evapotranspiration.
         forecast: what the controller was told of the weather to come; empty if that was what came.
+        imperfections: of level sensor and pumps; empty if there were none.
         zone: offset from UTC; None where nobody wrote it down.
         own: whether this package wrote it.
         notes: what a reader should know of the run.
@@ -39,6 +41,7 @@ class About:
     weather: str = "as recorded"
     variant: str = "unknown"
     forecast: str = ""
+    imperfections: str = ""
     zone: tzinfo | None = None
     own: bool = False
     notes: tuple[str, ...] = ()
@@ -100,6 +103,7 @@ def _node_parameters(file: Path) -> dict[str, Any]:
             "model": weather.get("forecast"),
             **{option: weather.get(f"forecast_{option}") for option in OPTIONS},
         },
+        "imperfections": {name: plant.get(name) for name in RANGES},
     }
     if "cistern" in plant and "roof" in plant:
         about["initial"] = {"cistern_m3": plant["cistern"], "roof_m3": plant["roof"]}
@@ -126,11 +130,11 @@ def _understand(content: dict[str, Any]) -> About:
         content.get("forecast_repeats_last_record_from"),
         content.get("limited_steps") or 0,
     )
-    site = content.get("imperfections") or {}
-    if site.get("roof_noise") or site.get("roof_offset"):
+    imperfections = imperfections_label(content.get("imperfections") or {})
+    if "roof" in imperfections:
         notes.append(
-            f"the roof's level is what a sensor reads, with a noise of {site['roof_noise']:g} m "
-            f"and {site['roof_offset']:g} m too much; the summary's deviation is of the true one"
+            f"the roof's level is what a sensor reads ({imperfections}); the summary's deviation "
+            "is of the true one"
         )
     return About(
         controller=content["controller"],
@@ -142,6 +146,7 @@ def _understand(content: dict[str, Any]) -> About:
         weather=Path(content.get("weather") or About.weather).name,
         variant=str(content.get("evapotranspiration_variant") or About.variant),
         forecast=forecast_label(forecast.get("file") or forecast.get("model"), forecast),
+        imperfections=imperfections,
         zone=datetime.fromisoformat(content["start"]).tzinfo if "start" in content else None,
         own=True,
         notes=tuple(notes),
@@ -189,6 +194,19 @@ def forecast_label(name: str | None, options: Mapping[str, object]) -> str:
     given = {option: options.get(option) for option in OPTIONS}
     texts = [f"{option} {value}" for option, value in given.items() if value not in (None, "")]
     return " ".join([Path(name).name, *texts])
+
+
+def imperfections_label(values: Mapping[str, object]) -> str:
+    """Return a name for those imperfections of level sensor and pumps that are there."""
+    given = {name: float(str(values.get(name) or 0)) for name in RANGES}
+    seed = given.pop("noise_seed")
+    texts = [
+        f"{name.replace('_', ' ')} {value:g} {'m' if name.startswith('roof') else 's'}"
+        for name, value in given.items() if value
+    ]
+    if given["roof_noise"]:
+        texts.append(f"seed {seed:g}")
+    return ", ".join(texts)
 
 
 def initial_label(name: str, cistern: float, roof: float) -> str:

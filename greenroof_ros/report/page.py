@@ -165,6 +165,10 @@ def _named(report: Report) -> list[_Column]:
         columns.append(
             _Column("forecast", lambda one: _word(one.entry.forecast or PERFECT))
         )
+    if len({window.imperfections for window in report.windows}) > 1:
+        columns.append(
+            _Column("imperfections", lambda one: _word(one.entry.imperfections or "none"))
+        )
     return [
         *columns,
         _Column("from", lambda one: _word(one.entry.initial)),
@@ -274,6 +278,7 @@ def _seeded(report: Report) -> list[Table]:
         for header, name in (
             ("site", "site_name"), ("weather", "weather"), ("start", "start"),
             ("hours (h)", "hours"), ("evapotranspiration", "variant"), ("forecast", "model"),
+            ("imperfections", "imperfections"),
         )
         if len({getattr(place, name) for place in places}) > 1
     ]
@@ -315,7 +320,8 @@ def _seeded_windows(report: Report) -> list[str]:
         of = entry.seeded
         seeds.setdefault(
             f"{Path(entry.weather).stem}, {of.start}, {of.hours:.4g} h, evapotranspiration "
-            f"{entry.variant}, forecast {of.model} size {of.size:g}", set(),
+            f"{entry.variant}, forecast {of.model} size {of.size:g}"
+            + (f", {entry.imperfections}" if entry.imperfections else ""), set(),
         ).add(of.seed)
     return [f"{window}, {len(found)} seeds" for window, found in seeds.items()]
 

@@ -64,12 +64,12 @@ class Result:
         entry = self.entry
         return Window(
             entry.site_name, entry.weather, self.start, round(self.assessment.hours, 6),
-            entry.variant, entry.forecast,
+            entry.variant, entry.forecast, entry.imperfections,
         )
 
 
 class Window(NamedTuple):
-    """Runs of one site, weather and forecast, which differ in controller and initial state only."""
+    """Runs of one site, weather and forecast: only controller and initial state differ in it."""
 
     site_name: str
     weather: str
@@ -78,13 +78,16 @@ class Window(NamedTuple):
     variant: str
     forecast: str
     """empty where it was perfect"""
+    imperfections: str
+    """of level sensor and pumps; empty where there were none"""
 
     def __str__(self) -> str:
         """As headings name it."""
         forecast = f", forecast {self.forecast}" if self.forecast else ""
+        imperfections = f", {self.imperfections}" if self.imperfections else ""
         return (
             f"{Path(self.weather).stem}, {self.start.isoformat(' ', 'minutes')}, "
-            f"{self.hours:.4g} h, evapotranspiration {self.variant}{forecast}"
+            f"{self.hours:.4g} h, evapotranspiration {self.variant}{forecast}{imperfections}"
         )
 
 

@@ -16,9 +16,11 @@ from greenroof_ros.bound import NoBoundError, clairvoyant_bound
 from greenroof_ros.errors import ConfigurationError
 from greenroof_ros.files import read_text, shared_directory
 from greenroof_ros.forecast_models import OPTIONS, ForecastChoice
+from greenroof_ros.imperfections import RANGES
 from greenroof_ros.report.about import (
     Parameters,
     forecast_label,
+    imperfections_label,
     initial_label,
     parameters,
     read_about,
@@ -82,6 +84,8 @@ class RunEntry:
             came, or nobody wrote it down.
         bound: the least total deviation (m3) that a controller with commands up to 1 could reach,
             given the trajectory; None where it is unknown.
+        imperfections: of level sensor and pumps; empty where there were none, or nobody wrote
+            them down.
         seeded: what a study's table says of it; None unless its forecasts had random errors.
     """
 
@@ -97,6 +101,7 @@ class RunEntry:
     load: Callable[[], tuple[Trajectory, tuple[str, ...]]]
     forecast: str = ""
     bound: Callable[[Trajectory], float | None] = _unknown_bound
+    imperfections: str = ""
     seeded: Seeded | None = None
 
 
@@ -218,13 +223,16 @@ def _read_study(path: Path, prefix: str, sources: Sources) -> None:
         )
         options = {option: row.get(f"forecast_{option}") for option in OPTIONS}
         forecast = forecast_label(row.get("forecast"), options)
+        imperfections = imperfections_label(
+            {key: _cell(file, line, row, key) for key in RANGES if key in row}
+        )
         if row["status"] in ("failed", "not run"):
             setting = ", ".join(f"{key} {value}" for key, value in given.items())
             what = ", ".join(
                 part
                 for part in (
                     row["site"], row["weather"], row.get("start", ""), row["evapotranspiration"],
-                    forecast, row["controller"], setting, initial,
+                    forecast, imperfections, row["controller"], setting, initial,
                 )
                 if part
             )
@@ -261,6 +269,7 @@ def _read_study(path: Path, prefix: str, sources: Sources) -> None:
                 load=partial(_load_parquet, path / "runs" / name / "trajectory.parquet"),
                 forecast=forecast,
                 bound=_as_given(bound),
+                imperfections=imperfections,
                 seeded=seeded,
             )
         )
@@ -366,6 +375,7 @@ def _bag_entry(path: Path, name: str, site_file: Path | None, given: Site | None
         forecast=about.forecast,
         bound=partial(_own_bound, run / "configuration" / "weather.csv", own_site, site,
                       about.variant),
+        imperfections=about.imperfections,
     )
 
 

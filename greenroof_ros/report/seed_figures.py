@@ -75,7 +75,7 @@ def _title(place: Place, places: list[Place]) -> str | list[str]:
         for name, text in (
             ("site_name", place.site_name), ("weather", Path(place.weather).stem),
             ("start", place.start), ("hours", f"{place.hours:.4g} h"), ("variant", place.variant),
-            ("model", place.model),
+            ("model", place.model), ("imperfections", place.imperfections or "no imperfections"),
         )
         if len({getattr(other, name) for other in places}) > 1
     ]

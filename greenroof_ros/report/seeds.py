@@ -26,6 +26,8 @@ class Place(NamedTuple):
     variant: str
     model: str
     """of the forecasts"""
+    imperfections: str
+    """of level sensor and pumps; empty where there were none"""
     initial: str
 
 
@@ -70,7 +72,7 @@ def place(entry: RunEntry) -> Place:
     assert entry.seeded is not None
     return Place(
         entry.site_name, entry.weather, entry.seeded.start, entry.seeded.hours, entry.variant,
-        entry.seeded.model, entry.initial,
+        entry.seeded.model, entry.imperfections, entry.initial,
     )
 
 

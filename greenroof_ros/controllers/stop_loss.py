@@ -1,0 +1,78 @@
+"""A limit to what trust in a forecast may cost."""
+
+from __future__ import annotations
+
+import logging
+import math
+
+from greenroof_ros.plant import drainage_flow, pump_flow
+from greenroof_ros.site import Site
+
+_log = logging.getLogger(__name__)
+
+# Gains and losses fade with this time (s): a week.
+_FADING_S = 604_800.0
+
+
+class StopLoss:
+    """Counts what waiting for rain has cost beside plain on/off, and ends it at a limit.
+
+    Who leaves room for rain that does not come is worse off than the on/off controller, which has
+    filled the roof, and no rule can avoid that: at the time of waiting the true forecast and the
+    false one are the same. What can be had is a limit to it. This follows what on/off, Eq. (12),
+    would have on the roof now - only the difference, so that errors of model and sensor are in
+    both - and adds up
+
+        loss = sum of tau (|x2 - x2*| - |x2_onoff - x2*|),
+
+    what has been gained by waiting counting as negative. Where the loss exceeds the patience,
+    forecasts of rain no longer count, which makes the controller fill the roof as on/off does,
+    until half of it has faded, with a time of a week. So trust costs at most the patience at once
+    and as much again each week, whatever the forecasts say; and who has gained may lose that first.
+
+    Attributes:
+        loss: so far (m3 s); negative is a gain.
+        exhausted: whether forecasts of rain do not count.
+    """
+
+    def __init__(self, site: Site, patience: float) -> None:
+        """Take the site and the patience, as the hours (h) of an empty roof that cost as much."""
+        self._site = site
+        self._patience = patience * 3600 * site.x2_star  # m3 s
+        self._more = 0.0  # what on/off would have on the roof beside what is there (m3)
+        self._kept = math.exp(-site.tau / _FADING_S)
+        self.loss = 0.0
+        self.exhausted = False
+
+    def judge(self, x2: float) -> bool:
+        """Count the present tick and return whether forecasts of rain do not count in it.
+
+        Args:
+            x2: on the roof (m3).
+        """
+        site = self._site
+        more = abs(x2 - site.x2_star) - abs(x2 + self._more - site.x2_star)
+        self.loss = self.loss * self._kept + site.tau * more
+        if self.exhausted:
+            self.exhausted = self.loss >= self._patience / 2
+        elif self.loss > self._patience:
+            self.exhausted = True
+            _log.warning(
+                "waiting for rain has cost %.0f m3 s more than plain on/off; forecasts of rain do "
+                "not count until half of that has faded", self.loss,
+            )
+        return self.exhausted
+
+    def move(self, x1: float, x2: float, fraction: float, pumped: float) -> None:
+        """Move on by one tick.
+
+        Args:
+            x1: in the cistern (m3).
+            x2: on the roof (m3).
+            fraction: v, the command of on/off when it pumps (share of the maximum flow).
+            pumped: what is pumped in truth (m3/s).
+        """
+        site = self._site
+        onoff = x2 + self._more
+        drained = drainage_flow(site, onoff) - drainage_flow(site, x2)
+        self._more += site.tau * (pump_flow(site, x1, onoff, fraction) - pumped - drained)
