@@ -6,9 +6,7 @@ told of the roof, and when the pumps follow it.
 
 from __future__ import annotations
 
-import bisect
 import math
-from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 
 import numpy as np
@@ -156,36 +154,3 @@ class Pump:
             return 0.0
         self._held = command
         return command
-
-
-class FrostTicks:
-    """In which ticks there is frost, as a text that fits into a parameter of the plant node.
-
-    The text has the ticks at which frost begins and ends, in turn, such as ``0,3600,7200``: in the
-    first 3600 ticks, and from tick 7200 to the end. The graph's plant is told of frost in no other
-    way, and only the minimum time on needs it: controllers command 0 in frost.
-    """
-
-    def __init__(self, text: str) -> None:
-        """Read the text.
-
-        Raises:
-            ConfigurationError: it is no list of ticks, each later than the one before.
-        """
-        words = text.split(",") if text else []
-        self._edges = [int(word) for word in words if word.isdecimal()]
-        if len(self._edges) < len(words) or sorted(set(self._edges)) != self._edges:
-            raise ConfigurationError(
-                "must be ticks at which frost begins and ends, in turn, such as 0,3600",
-                key="frost", value=text,
-            )
-
-    def __contains__(self, tick: int) -> bool:
-        """Whether there is frost in a tick."""
-        return bisect.bisect_right(self._edges, tick) % 2 == 1
-
-    @staticmethod
-    def text(frost: Sequence[float]) -> str:
-        """Return the text for a run's frost, 1 or 0, shape (ticks,)."""
-        edges = np.flatnonzero(np.diff(np.asarray(frost), prepend=0.0))
-        return ",".join(str(edge) for edge in edges)

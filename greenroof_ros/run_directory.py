@@ -10,7 +10,6 @@ from pathlib import Path
 import yaml
 
 from greenroof_ros.errors import ConfigurationError
-from greenroof_ros.imperfections import FrostTicks
 from greenroof_ros.run import Run
 
 
@@ -78,12 +77,10 @@ def _write_configuration(configuration: Path, run: Run, nodes: dict[str, object]
         choice = replace(choice, file=forecast_file)
     common = {"site_file": str(site_file)}
     span = {"start": run.start.isoformat(), "steps": run.steps}
-    imperfections: dict[str, object] = {**run.imperfections.values()}
-    if run.imperfections.minimum_on:
-        imperfections["frost"] = FrostTicks.text(run.series.frost)
     parameters = {
         "plant": {
-            **common, **span, "cistern": run.x1, "roof": run.x2, **imperfections, **nodes,
+            **common, **span, "cistern": run.x1, "roof": run.x2, **run.imperfections.values(),
+            **nodes,
         },
         "weather": {
             **common, **span, "weather_file": str(weather_file),

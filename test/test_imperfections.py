@@ -18,8 +18,7 @@ from hypothesis import strategies as st
 from paper import PAPER_SITE, paper_run
 
 from greenroof_ros.closed_loop import Tick, closed_loop
-from greenroof_ros.errors import ConfigurationError
-from greenroof_ros.imperfections import FrostTicks, Imperfections, Pump, RoofSensor
+from greenroof_ros.imperfections import Imperfections, Pump, RoofSensor
 from greenroof_ros.metrics import Metrics
 from greenroof_ros.plant import Plant
 from greenroof_ros.run import Run, make_controller
@@ -204,31 +203,6 @@ def test_pumps_without_minimum_times_follow(
         assert pump.flow(plant, each, cold) == plant.pump_flow(each)
 
 
-# --- frost, as the plant node is told of it ----------------------------------------------------
-
-
-def test_frost_by_hand() -> None:
-    """In ticks 0, 1, 4 and 5; to the end, where it lasts so long."""
-    assert FrostTicks.text([1, 1, 0, 0, 1, 1, 0]) == "0,2,4,6"
-    assert FrostTicks.text([0, 1, 1]) == "1"
-    assert FrostTicks.text([0, 0]) == ""
-    assert 7 in FrostTicks("1") and 0 not in FrostTicks("1")
-
-
-@given(st.lists(st.sampled_from([0.0, 1.0]), min_size=1, max_size=50))
-def test_frost_read_back(frost: list[float]) -> None:
-    """Tick by tick."""
-    ticks = FrostTicks(FrostTicks.text(frost))
-    assert [float(tick in ticks) for tick in range(len(frost))] == frost
-
-
-@pytest.mark.parametrize("text", ["x", "1,", "-1,2", "3,2", "2,2", "1.5"])
-def test_wrong_frost(text: str) -> None:
-    """Refused."""
-    with pytest.raises(ConfigurationError, match="must be ticks at which frost begins"):
-        FrostTicks(text)
-
-
 # --- runs --------------------------------------------------------------------------------------
 
 
@@ -341,7 +315,6 @@ def test_the_table_names_them(tmp_path: Path) -> None:
         (["roof_noise:=-1.0"], "parameter roof_noise of plant"),
         (["noise_seed:=0.5"], "parameter noise_seed of plant"),
         (["minimum_on:=1e9"], "from 0 to 86400"),
-        (["frost:=never"], "frost = 'never': must be ticks at which frost begins"),
         (["pump:=external", "minimum_off:=5.0"], "are the pump driver's business"),
     ],
 )

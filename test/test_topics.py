@@ -113,7 +113,7 @@ def test_live_graph_is_the_contract(domain: int, tmp_path: Path, controller: str
             if name == "/pump/flow":
                 expected = {"plant"}
             takers = nodes.intersection(topic.subscribers) - (
-                {"plant"} if name == "/pump/flow" else set()
+                {"plant"} if name in ("/pump/flow", "/weather/frost") else set()
             )
             assert sorted(info.node_name for info in publishers) == sorted(expected)
             assert sorted(info.node_name for info in subscribers) == sorted(takers)

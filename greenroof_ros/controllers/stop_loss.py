@@ -57,10 +57,11 @@ class StopLoss:
             self.exhausted = self.loss >= self._patience / 2
         elif self.loss > self._patience:
             self.exhausted = True
-            _log.warning(
-                "waiting for rain has cost %.0f m3 s more than plain on/off; forecasts of rain do "
-                "not count until half of that has faded", self.loss,
-            )
+            if self._patience > 0:
+                _log.warning(
+                    "waiting for rain has cost %.0f m3 s more than plain on/off; forecasts of rain "
+                    "do not count until half of that has faded", self.loss,
+                )
         return self.exhausted
 
     def move(self, x1: float, x2: float, fraction: float, pumped: float) -> None:

@@ -14,7 +14,7 @@ from rclpy.node import Node
 from rosgraph_msgs.msg import Clock
 from std_msgs.msg import Float64
 
-from greenroof_ros.imperfections import RANGES, FrostTicks, Imperfections, Pump, RoofSensor
+from greenroof_ros.imperfections import RANGES, Imperfections, Pump, RoofSensor
 from greenroof_ros.lockstep import LISTEN_S, Link, LockstepError
 from greenroof_ros.metrics import Metrics
 from greenroof_ros.node_process import run_node
@@ -66,12 +66,6 @@ class PlantNode:
         imperfections = _declare_imperfections(node)
         if self._external:
             imperfections.refuse_external_pump()
-        self._frost = FrostTicks(
-            declare(
-                node, "frost", "", "ticks at which frost begins and ends, in turn, as 0,3600: it "
-                "ends the minimum time on",
-            )
-        )
         self._record = declare(node, "record", False, "wait for a recorder")
         self._limit = declare(
             node, "peer_limit", 5.0, "longest wait for another node (s of wall time)",
@@ -107,6 +101,8 @@ class PlantNode:
         self._publish_drainage = link.publish_topic("/roof/drainage")
         self._rain = link.take_topic("/weather/precipitation")
         self._evapotranspiration = link.take_topic("/weather/evapotranspiration")
+        # Frost ends a minimum time on; without one there is nothing but the command to obey.
+        self._frost = link.take_topic("/weather/frost") if imperfections.minimum_on else None
         self._command_input = link.take_topic("/pump/command")
         if self._external:
             self._flow = link.take_topic("/pump/flow")
@@ -160,7 +156,8 @@ class PlantNode:
         if self._external:
             pump = self._flow.value
         else:
-            pump = self._pump.flow(self._plant, command, self._tick in self._frost)
+            frost = self._frost is not None and not (self._frost.good and self._frost.value == 0)
+            pump = self._pump.flow(self._plant, command, frost)
         flows = self._plant.flows(rain, self._evapotranspiration.value, pump)
         self._metrics.observe(self._site, self._plant.x1, self._plant.x2)
         if self._tick == self._steps:

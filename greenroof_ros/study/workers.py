@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import multiprocessing
 import tempfile
 from collections.abc import Callable, Iterator, Mapping
@@ -40,7 +41,7 @@ def processes(jobs: int) -> Iterator[Submit]:
     # A worker that is stopped does not clear up after itself.
     with tempfile.TemporaryDirectory(prefix="greenroof_ros-") as scratch:
         pool = ProcessPool(
-            max_workers=jobs, context=context, initializer=_use_scratch, initargs=(scratch,)
+            max_workers=jobs, context=context, initializer=_prepare, initargs=(scratch,)
         )
         try:
             yield lambda function, *arguments: pool.schedule(function, args=arguments)
@@ -49,9 +50,13 @@ def processes(jobs: int) -> Iterator[Submit]:
             pool.join()
 
 
-def _use_scratch(directory: str) -> None:
-    """Have a worker make its temporary files where they are cleared away."""
-    tempfile.tempdir = directory
+def _prepare(scratch: str) -> None:
+    """Have a worker make its temporary files where they are cleared away, and be quiet.
+
+    What a single run warns of would tear the bar of hundreds.
+    """
+    tempfile.tempdir = scratch
+    logging.getLogger("greenroof_ros").setLevel(logging.ERROR)
 
 
 @contextmanager
