@@ -165,18 +165,28 @@ def test_planner_that_is_lied_to(caplog: pytest.LogCaptureFixture) -> None:
     assert plain < wary < plain + 0.1 * EMPTY_HOUR < trusting
 
 
+def test_a_loss_without_rain_ahead_is_no_waiting() -> None:
+    """Energy so dear that nothing is pumped, in dry weather: that has nothing to do with trust."""
+    run = paper_run("--controller", "planning_mpc", "--hours", "2")
+    dry = [0.0] * (STEPS - 1)
+    reached, loss = lied_to(run, dry, energy_weight=1e7, patience=0.05)
+    assert reached > onoff("--hours", "2") + 0.1 * EMPTY_HOUR
+    assert loss.loss <= 0
+    assert not loss.exhausted
+
+
 def test_trust_comes_back() -> None:
     """When half of the loss has faded, after a week's time times the logarithm of 2."""
     loss = StopLoss(PAPER_SITE, 0.01)
     ticks = 0
-    while not loss.judge(2.0):
+    while not loss.judge(2.0, True):
         loss.move(50.0, 2.0, 1.0, 0.0)
         ticks += 1
         assert ticks < 1000
     exhausted_at = loss.loss
     loss._more = 0.0  # the roof is filled
     days = 0.0
-    while loss.judge(2.0):
+    while loss.judge(2.0, True):
         days += 1 / 86400
     until = math.log(exhausted_at / (0.005 * EMPTY_HOUR)) * WEEK / 86400
     assert days == pytest.approx(until, rel=1e-3)

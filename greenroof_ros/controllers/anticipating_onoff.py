@@ -99,7 +99,8 @@ class AnticipatingOnOff:
         if not math.isfinite(x1 + roof_level + float(rain.sum() + evaporated.sum())):
             return 0.0
         x2 = self._estimate.correct(roof_level)
-        room = 0.0 if self._stop_loss.judge(x2) else self._room(rain, evaporated)
+        rain_ahead = bool(rain[1:].any())
+        room = 0.0 if self._stop_loss.judge(x2, rain_ahead) else self._room(rain, evaporated)
         dry = x2 < site.x2_star - room and cistern_level >= site.suction_level
         command = self.fraction if dry else 0.0
         pumped = pump_flow(site, x1, x2, command)

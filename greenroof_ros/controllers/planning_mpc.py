@@ -160,7 +160,7 @@ class PlanningMpc:
             self._flow, self._expected = 0.0, math.nan
             return 0.0
         x2 = self._estimate.correct(roof_level)
-        if self._stop_loss.judge(x2):
+        if self._stop_loss.judge(x2, bool(rain[:, 1:].any())):
             rain[:, 1:] = 0.0
         inflow = np.cumsum((rain * site.a2 - evaporated) * self._lengths, axis=1)
         if self._must_decide(x2, inflow, float(rain.max()), float(evaporated.max())):

@@ -25,10 +25,12 @@ class StopLoss:
 
         loss = sum of tau (|x2 - x2*| - |x2_onoff - x2*|),
 
-    what has been gained by waiting counting as negative. Where the loss exceeds the patience,
-    forecasts of rain no longer count, which makes the controller fill the roof as on/off does,
-    until half of it has faded, with a time of a week. So trust costs at most the patience at once
-    and as much again each week, whatever the forecasts say; and who has gained may lose that first.
+    what has been gained by waiting counting as negative. A loss in a tick for which no rain is
+    forecast does not count: it has other reasons, such as a price of energy. Where the loss exceeds
+    the patience, forecasts of rain no longer count, which makes the controller fill the roof as
+    on/off does, until half of it has faded, with a time of a week. So trust costs at most the
+    patience at once and as much again each week, whatever the forecasts say; and who has gained may
+    lose that first.
 
     Attributes:
         loss: so far (m3 s); negative is a gain.
@@ -44,15 +46,18 @@ class StopLoss:
         self.loss = 0.0
         self.exhausted = False
 
-    def judge(self, x2: float) -> bool:
+    def judge(self, x2: float, rain_ahead: bool) -> bool:
         """Count the present tick and return whether forecasts of rain do not count in it.
 
         Args:
             x2: on the roof (m3).
+            rain_ahead: whether there is any in the forecast.
         """
         site = self._site
         more = abs(x2 - site.x2_star) - abs(x2 + self._more - site.x2_star)
-        self.loss = self.loss * self._kept + site.tau * more
+        self.loss *= self._kept
+        if rain_ahead or more < 0:
+            self.loss += site.tau * more
         if self.exhausted:
             self.exhausted = self.loss >= self._patience / 2
         elif self.loss > self._patience:
