@@ -575,6 +575,12 @@ def test_readme_shows_both_kinds_of_evapotranspiration(tmp_path: Path) -> None:
         assert figures == expected
 
 
+@pytest.mark.parametrize("file", sorted(path.name for path in CONFIG.glob("study*.yaml")))
+def test_grids_that_come_with_it(file: str) -> None:
+    """Each can be run as it is."""
+    assert read_grid(CONFIG / file)
+
+
 def test_ros_in_a_domain_in_use(tmp_path: Path) -> None:
     """A graph runs in the domain that a run would take first: it takes another."""
     text = edited("[published, fao56]", "published").replace("0.25", "0.02")
