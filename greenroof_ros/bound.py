@@ -349,6 +349,9 @@ class _Plan:
             return 0.0
         return min(flow / full, self._max_command)
 
+    def skip(self) -> None:
+        """Do nothing: whoever runs the plan keeps the tick."""
+
     def statistics(self) -> None:
         """It solves nothing while it runs."""
 

@@ -49,7 +49,9 @@ def closed_loop(run: Run, controller: Controller, metrics: Metrics) -> Iterator[
         evapotranspiration = series.evapotranspiration[k]
         frost = series.frost[k]
         command = 0.0
-        if not frost:
+        if frost:
+            controller.skip()
+        else:
             command = controller.command(
                 cistern_level,
                 roof_level,

@@ -188,8 +188,8 @@ def make_forecast(
     model = make_model(choice, weather, members > 1)
     if model.members != members:
         raise ConfigurationError(
-            f"must be that of the forecast, {model.members} ({choice}); give --forecast ensemble "
-            "and --forecast-members",
+            f"must be that of the forecast, {model.members} ({choice}); give the controller as "
+            "many, or --forecast ensemble and --forecast-members",
             key="members", value=members,
         )
     if not horizon and isinstance(model, PerfectModel):

@@ -53,6 +53,7 @@ CONTROLLERS = {
         **_TRUST,
     },
 }
+_WHOLE = ("power", "members")
 # A year of seconds, as much as fits into memory and patience.
 _MOST_STEPS = 31_622_400
 
@@ -90,13 +91,21 @@ def read_parameters(path: Path, controller: str) -> dict[str, float]:
         if key not in parameters:
             raise ConfigurationError("is missing", file=path, key=key)
         values[key] = number(path, parameters, key)
-        low, high = CONTROLLERS[controller][key]
-        if not low <= values[key] <= high:
+        wrong = wrong_parameter(controller, key, values[key])
+        if wrong:
             raise ConfigurationError(
-                f"must be from {low:g} to {high:g}",
-                file=path, line=parameters.lines[key], key=key, value=parameters[key],
+                wrong, file=path, line=parameters.lines[key], key=key, value=parameters[key],
             )
     return values
+
+
+def wrong_parameter(controller: str, key: str, value: float) -> str:
+    """Return what a controller's parameter must be, if it is not; otherwise nothing."""
+    low, high = CONTROLLERS[controller][key]
+    whole = key in _WHOLE
+    if low <= value <= high and not (whole and value % 1):
+        return ""
+    return f"must be {'a whole number ' if whole else ''}from {low:g} to {high:g}"
 
 
 def make_controller(name: str, site: Site, parameters: dict[str, float]) -> Controller:
@@ -211,9 +220,9 @@ def add_run_arguments(parser: argparse.ArgumentParser) -> None:
     group = parser.add_argument_group("the run")
     group.add_argument(
         "--controller", choices=sorted(CONTROLLERS), default="mpc",
-        help="mpc, the paper's, sees 10 s ahead and planning_mpc half a day; onoff, the paper's, "
-        "does not look ahead, and anticipating_onoff leaves room for what comes "
-        "(default: %(default)s)",
+        help="mpc, the paper's, sees 10 s ahead, planning_mpc half a day, and scenario_mpc that in "
+        "an ensemble of forecasts; onoff, the paper's, does not look ahead, and anticipating_onoff "
+        "leaves room for what comes (default: %(default)s)",
     )
     group.add_argument(
         "--initial", choices=list(INITIAL_STATES), default=None,
@@ -252,7 +261,8 @@ def add_run_arguments(parser: argparse.ArgumentParser) -> None:
     )
     group.add_argument(
         "--parameters", type=Path, metavar="FILE",
-        help="the controller's parameter file (default: config/ and its name, .yaml)",
+        help="the controller's parameter file, with all that has no option of its own: horizon, "
+        "max_command, patience, ... (default: config/ and its name, .yaml)",
     )
     group.add_argument(
         "--weight", type=within(*CONTROLLERS["mpc"]["weight"]), metavar="LAMBDA",

@@ -73,6 +73,9 @@ class Given:
         self._asked += 1
         return self._commands[self._asked % len(self._commands)]
 
+    def skip(self) -> None:
+        """Keep the next for when it is asked."""
+
     def statistics(self) -> None:
         """It has no solver."""
 

@@ -5,24 +5,31 @@ from __future__ import annotations
 import logging
 import math
 from array import array
+from collections.abc import Callable
 from dataclasses import replace
 from datetime import datetime
+from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import Phase, given, settings
 from hypothesis import strategies as st
 from paper import PAPER_SITE, paper_run
 
 from greenroof_ros.closed_loop import closed_loop
 from greenroof_ros.controllers import stop_loss
+from greenroof_ros.controllers.anticipating_onoff import AnticipatingOnOff
+from greenroof_ros.controllers.onoff import OnOff
+from greenroof_ros.controllers.planning_mpc import PlanningMpc
 from greenroof_ros.controllers.roof_estimate import RoofEstimate
 from greenroof_ros.controllers.stop_loss import StopLoss
+from greenroof_ros.look_ahead import growing_steps
 from greenroof_ros.metrics import Metrics
+from greenroof_ros.plant import maximum_pump_flow
 from greenroof_ros.run import Run, make_controller
 
 EMPTY_HOUR = 3600 * PAPER_SITE.x2_star  # m3 s
-WEEK = 604_800
+STEPS = len(growing_steps(12)) - 1
 
 
 # --- the sensor ---------------------------------------------------------------------------------
@@ -62,11 +69,62 @@ def test_noise_is_smoothed() -> None:
 
 
 def test_level_that_cannot_be_noise() -> None:
-    """A centimetre off is taken as it is read, anything less moves the estimate a little."""
+    """A centimetre off is followed within three ticks, a millimetre slowly."""
+    off, near = RoofEstimate(PAPER_SITE, 300.0), RoofEstimate(PAPER_SITE, 300.0)
+    x2_off = x2_near = PAPER_SITE.roof_volume(0.03)
+    for estimate in (off, near):
+        estimate.predict(PAPER_SITE.roof_volume(0.03), 0.0, 0.0, 0.0)
+    for _ in range(3):
+        x2_off, x2_near = off.correct(0.04), near.correct(0.031)
+        off.predict(x2_off, 0.0, 0.0, 0.0)
+        near.predict(x2_near, 0.0, 0.0, 0.0)
+    assert PAPER_SITE.roof_level(x2_off) == pytest.approx(0.04)
+    assert PAPER_SITE.roof_level(x2_near) == pytest.approx(
+        0.03 + 0.001 * (1 - (1 - 1 / 300) ** 3)
+    )
+
+
+def test_after_a_tick_unseen() -> None:
+    """The next reading is taken as it is."""
     estimate = RoofEstimate(PAPER_SITE, 300.0)
     estimate.predict(PAPER_SITE.roof_volume(0.03), 0.0, 0.0, 0.0)
-    assert estimate.correct(0.0401) == PAPER_SITE.roof_volume(0.0401)
-    assert PAPER_SITE.roof_level(estimate.correct(0.036)) == pytest.approx(0.03 + 0.006 / 300)
+    estimate.forget()
+    assert estimate.correct(0.031) == PAPER_SITE.roof_volume(0.031)
+
+
+CONTROLLERS = {
+    "anticipating_onoff": AnticipatingOnOff,
+    "planning_mpc": PlanningMpc,
+}
+
+
+@pytest.mark.parametrize("kind", CONTROLLERS.values())
+def test_a_roof_that_filled_unseen_is_not_pumped_on(kind: Callable[..., Any]) -> None:
+    """Below its target before hours of frost, a millimetre above after them."""
+    controller = kind(PAPER_SITE, 12, 1.0, smoothing=300.0)
+    steps = [0.0] * STEPS
+    assert controller.command(2.3, 0.0375, steps, steps) > 0
+    for _ in range(3600):
+        controller.skip()
+    for _ in range(100):
+        assert controller.command(2.3, 0.0467, steps, steps) == 0.0
+
+
+@pytest.mark.parametrize("kind", CONTROLLERS.values())
+@pytest.mark.parametrize("strength", [0.3, 1.6, 3.0])
+def test_pumps_of_another_flow(kind: Callable[..., Any], strength: float) -> None:
+    """A driver that does what is commanded, with pumps that give more or less than the model's.
+
+    Nothing but the controller stops them. The roof ends near its target: what comes in the ten
+    seconds until the sensor is believed, and 2 mm, are too much at most.
+    """
+    controller = kind(PAPER_SITE, 12, 1.0, smoothing=300.0)
+    level, steps = 0.035, [0.0] * STEPS
+    full = maximum_pump_flow(PAPER_SITE, PAPER_SITE.cistern_volume(2.3)) / PAPER_SITE.a2
+    for _ in range(3600):
+        level += controller.command(2.3, level, steps, steps) * strength * full
+    slack = 0.002 + 10 * max(0.0, strength - 1) * full
+    assert PAPER_SITE.z_veg - 5e-4 < level < PAPER_SITE.z_veg + slack
 
 
 def test_no_smoothing() -> None:
@@ -108,16 +166,15 @@ def lied_to(run: Run, rain: list[float], **parameters: float) -> tuple[float, St
     return metrics.total_deviation_m3 * run.site.tau, loss
 
 
-def onoff(*options: str) -> float:
+def onoff(*options: str, fraction: float = 1.0) -> float:
     """Return what plain on/off comes to (m3 s)."""
     run = paper_run("--controller", "onoff", *options)
     metrics = Metrics()
-    for _ in closed_loop(run, make_controller("onoff", run.site, run.parameters), metrics):
+    for _ in closed_loop(run, OnOff(run.site, fraction), metrics):
         pass
     return metrics.total_deviation_m3 * run.site.tau
 
 
-STEPS = len(paper_run("--controller", "anticipating_onoff").forecast.evapotranspiration(0))
 DRIZZLE = [1 / 3.6e6] * (STEPS - 1)
 
 
@@ -134,21 +191,56 @@ def test_loss_is_what_two_runs_differ_by(
     assert not loss.exhausted
 
 
-@settings(max_examples=15)
+@settings(max_examples=15, phases=[Phase.explicit, Phase.generate])
 @given(
     st.lists(st.floats(0, 20), min_size=STEPS - 1, max_size=STEPS - 1),
     st.sampled_from([0.0, 0.01, 0.1]),
-    st.sampled_from(["low-low", "high-low"]),
+    st.sampled_from([1.0, 0.02]),
 )
-def test_trust_costs_at_most_the_patience(rain: list[float], patience: float, initial: str) -> None:
-    """Whatever the forecast says, for three hours without a drop."""
-    options = ("--hours", "3", "--initial", initial)
-    run = paper_run("--controller", "anticipating_onoff", *options)
-    reached, _ = lied_to(run, [rate / 3.6e6 for rate in rain], patience=patience)
-    # It is seen a tick too late, and then the roof must first be filled.
-    missing = PAPER_SITE.x2_star * (1 - 1 / 1.3)
-    late = missing * (missing / 0.007 + 2)
-    assert reached <= onoff(*options) + patience * EMPTY_HOUR * 1.01 + late
+def test_trust_costs_at_most_the_patience(
+    rain: list[float], patience: float, fraction: float
+) -> None:
+    """Whatever the forecast says, for three hours without a drop; with weak pumps, too."""
+    run = paper_run("--controller", "anticipating_onoff", "--hours", "3")
+    rates = [rate / 3.6e6 for rate in rain]
+    reached, _ = lied_to(run, rates, patience=patience, fraction=fraction)
+    plain = onoff("--hours", "3", fraction=fraction)
+    # It is seen a tick too late; and on/off overshoots by a tick's pumping here or there.
+    assert reached <= plain + patience * EMPTY_HOUR * 1.02 + 60
+
+
+def test_lies_that_come_and_go() -> None:
+    """Half an hour of each: what filling costs after a lie counts, though it is dry again."""
+    run = paper_run("--controller", "anticipating_onoff", "--start", "2021-07-07T14:00")
+    forecast = Lie(run, DRIZZLE)
+    lies = forecast.precipitation
+
+    def now_and_then(tick: int) -> array[float]:
+        return lies(tick) if tick // 1800 % 2 == 0 else run.forecast.precipitation(tick)
+
+    forecast.precipitation = now_and_then  # type: ignore[method-assign]
+    controller = make_controller(
+        "anticipating_onoff", run.site, {**run.parameters, "fraction": 0.005, "patience": 0.1}
+    )
+    metrics = Metrics()
+    for _ in closed_loop(replace(run, forecast=forecast), controller, metrics):
+        pass
+    plain = onoff("--start", "2021-07-07T14:00", fraction=0.005)
+    lost = metrics.total_deviation_m3 - plain
+    assert 0.02 * EMPTY_HOUR < lost < 0.102 * EMPTY_HOUR
+
+
+def test_ticks_in_frost_count() -> None:
+    """Nobody may pump in them, but who waited before is worse off in each."""
+    loss = StopLoss(PAPER_SITE, 1.0)
+    loss.judge(50.0, 2.0, 1.0)
+    loss.move(50.0, 2.0, 1.0, 0.0)  # on/off pumps for a tick
+    more = loss._more
+    assert more == pytest.approx(maximum_pump_flow(PAPER_SITE, 50.0))
+    for _ in range(999):
+        loss.skip()
+    loss.judge(50.0, 2.0, 1.0)
+    assert loss.loss == pytest.approx(1000 * more, rel=1e-6)
 
 
 def test_planner_that_is_lied_to(caplog: pytest.LogCaptureFixture) -> None:
@@ -179,14 +271,12 @@ def test_trust_comes_back() -> None:
     """When half of the loss has faded, after a week's time times the logarithm of 2."""
     loss = StopLoss(PAPER_SITE, 0.01)
     ticks = 0
-    while not loss.judge(2.0, True):
+    while not loss.judge(50.0, 2.0, 1.0):
         loss.move(50.0, 2.0, 1.0, 0.0)
         ticks += 1
         assert ticks < 1000
-    exhausted_at = loss.loss
-    loss._more = 0.0  # the roof is filled
+    loss._more, loss.loss = 0.0, 0.01 * EMPTY_HOUR  # the roof is filled
     days = 0.0
-    while loss.judge(2.0, True):
+    while loss.judge(50.0, 2.0, 1.0):
         days += 1 / 86400
-    until = math.log(exhausted_at / (0.005 * EMPTY_HOUR)) * WEEK / 86400
-    assert days == pytest.approx(until, rel=1e-3)
+    assert days == pytest.approx(7 * math.log(2), rel=1e-3)

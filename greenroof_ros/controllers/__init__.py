@@ -29,10 +29,15 @@ class Controller(Protocol):
         """
         ...
 
-    def statistics(self) -> dict[str, float] | None:
-        """Return what its solver did: ``solves``, ``fallbacks``, ``mean_s`` and ``p99_s``.
+    def skip(self) -> None:
+        """Let a tick pass in which the command is 0: in frost, or where an input was refused."""
+        ...
 
-        The times are those of a tick, whether something was solved in it or not.
+    def statistics(self) -> dict[str, float] | None:
+        """Return what its solver did: ``solves``, ``fallbacks``, and times in seconds.
+
+        ``mean_s``, ``p99_s`` and ``max_s`` are those of a tick, whether something was solved in it
+        or not.
 
         None where it has no solver.
         """

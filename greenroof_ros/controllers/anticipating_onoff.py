@@ -97,16 +97,22 @@ class AnticipatingOnOff:
         rain, evaporated = np.asarray(precipitation), np.asarray(evapotranspiration)
         x1 = site.cistern_volume(cistern_level)
         if not math.isfinite(x1 + roof_level + float(rain.sum() + evaporated.sum())):
+            self.skip()
             return 0.0
         x2 = self._estimate.correct(roof_level)
-        rain_ahead = bool(rain[1:].any())
-        room = 0.0 if self._stop_loss.judge(x2, rain_ahead) else self._room(rain, evaporated)
+        waited = self._stop_loss.judge(x1, x2, self.fraction)
+        room = 0.0 if waited else self._room(rain, evaporated)
         dry = x2 < site.x2_star - room and cistern_level >= site.suction_level
         command = self.fraction if dry else 0.0
         pumped = pump_flow(site, x1, x2, command)
         self._stop_loss.move(x1, x2, self.fraction, pumped)
         self._estimate.predict(x2, float(rain[0]), float(evaporated[0]), pumped)
         return command
+
+    def skip(self) -> None:
+        """Wait for the next reading."""
+        self._estimate.forget()
+        self._stop_loss.skip()
 
     def _room(self, rain: Array, evaporated: Array) -> float:
         """Return m, what to leave room for (m3)."""

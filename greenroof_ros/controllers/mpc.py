@@ -178,6 +178,9 @@ class Mpc:
         self.solve_seconds.append(time.perf_counter() - started)
         return self._command
 
+    def skip(self) -> None:
+        """Do nothing: its averages are of the ticks in which it was asked."""
+
     def statistics(self) -> dict[str, float]:
         """Return what the solver did; see :class:`greenroof_ros.controllers.Controller`."""
         times = np.array(self.solve_seconds or [0.0])
@@ -186,6 +189,7 @@ class Mpc:
             "fallbacks": self.fallbacks,
             "mean_s": float(times.mean()),
             "p99_s": float(np.percentile(times, 99)),
+            "max_s": float(times.max()),
         }
 
     def _solve(self, P: Array, q: Array) -> tuple[float, float] | None:

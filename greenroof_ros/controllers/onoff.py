@@ -30,5 +30,8 @@ class OnOff:
         enough = cistern_level >= self._site.suction_level
         return self.fraction if dry and enough else 0.0
 
+    def skip(self) -> None:
+        """Do nothing: it knows nothing of ticks past."""
+
     def statistics(self) -> None:
         """It has no solver."""

@@ -111,6 +111,7 @@ class PlanningMpc:
             site, self._edges, max_command, power, prices or Prices(), ensemble or Ensemble(),
             max_iterations,
         )
+        self._no_prices = prices in (None, Prices())
         self._estimate = RoofEstimate(site, smoothing)
         self._stop_loss = StopLoss(site, patience)
         self.solves = 0
@@ -157,10 +158,12 @@ class PlanningMpc:
         x1 = site.cistern_volume(cistern_level)
         if not math.isfinite(x1 + roof_level + float(rain.sum() + evaporated.sum())):
             # Nothing can be planned on it, and OSQP would not refuse it.
-            self._flow, self._expected = 0.0, math.nan
+            self.skip()
             return 0.0
         x2 = self._estimate.correct(roof_level)
-        if self._stop_loss.judge(x2, bool(rain[:, 1:].any())):
+        fraction = min(self._max_command, 1.0)
+        waits = self._no_prices or bool(rain[:, 1:].any())
+        if self._stop_loss.judge(x1, x2, fraction, counts=waits):
             rain[:, 1:] = 0.0
         inflow = np.cumsum((rain * site.a2 - evaporated) * self._lengths, axis=1)
         if self._must_decide(x2, inflow, float(rain.max()), float(evaporated.max())):
@@ -173,13 +176,20 @@ class PlanningMpc:
             share = 0.0
         share = min(share, self._max_command)
         self._flow = share * full
-        self._stop_loss.move(x1, x2, min(self._max_command, 1.0), self._flow)
+        self._stop_loss.move(x1, x2, fraction, self._flow)
         self._expected = self._estimate.predict(
             x2, float(rain[0, 0]), float(evaporated[0]), self._flow
         )
         self._age += site.tau
         self.solve_seconds.append(time.perf_counter() - started)
         return share
+
+    def skip(self) -> None:
+        """Wait for the next reading; what the plan expected of this tick has not happened."""
+        self._estimate.forget()
+        self._stop_loss.skip()
+        self._flow, self._expected = 0.0, math.nan
+        self._age += self._site.tau
 
     def statistics(self) -> dict[str, float]:
         """Return what the solver did; see :class:`greenroof_ros.controllers.Controller`."""
@@ -189,6 +199,7 @@ class PlanningMpc:
             "fallbacks": self.fallbacks,
             "mean_s": float(times.mean()),
             "p99_s": float(np.percentile(times, 99)),
+            "max_s": float(times.max()),
         }
 
     def _must_decide(self, x2: float, inflow: Array, rain: float, evaporated: float) -> bool:
@@ -202,12 +213,12 @@ class PlanningMpc:
         return bool(np.abs(inflow - self._inflow).max() > 2 * in_a_tick + 1e-9)
 
     def _planned_flow(self) -> float:
-        """Return what the plan has flow now (m3/s); the same for all members."""
+        """Return the plan's mean flow in the present tick (m3/s); the same for all members."""
         if self._pumped is None or self._age >= self._edges[-1]:
             return 0.0
-        index = int(np.searchsorted(self._edges, self._age, side="right")) - 1
-        pumped = self._pumped[0]
-        return float((pumped[index + 1] - pumped[index]) / self._lengths[index])
+        tau = self._site.tau
+        begin, end = np.interp((self._age, self._age + tau), self._edges, self._pumped[0])
+        return float((end - begin) / tau)
 
     def _decide(self, x1: float, x2: float, inflow: Array, rain: Array) -> None:
         """Make a new plan; keep the old one where the solver finds none."""
@@ -216,7 +227,7 @@ class PlanningMpc:
         before = x2 - site.x2_star + np.hstack([start, inflow])
         missing = np.maximum.accumulate(np.maximum(-before, 0.0), axis=1)[:, 1:]
         # What is above the suction level now, or stays under the outlet until then.
-        collected = (rain * self._lengths).sum(axis=1, keepdims=True) * site.a_in
+        collected = np.cumsum(rain * self._lengths, axis=1) * site.a_in
         there = np.minimum(x1 + collected, max(x1, site.a1 * site.z_o))
         full = maximum_pump_flow(site, x1)
         # The last tick that pumps begins at the suction level or above it, and ends below.

@@ -5,9 +5,10 @@ from __future__ import annotations
 from greenroof_ros.plant import drainage_flow
 from greenroof_ros.site import Site
 
-# No sensor's noise: a level (m) this far from the predicted one is taken as it is read. Something
-# happened that the model does not know of, a hand valve or hours of frost in which nobody asked.
-_LOST_M = 0.01
+# Where the readings of about so long (s) are so far (m) off what is predicted on average, that is
+# no noise but something that the model does not know of: pumps of another flow, a hand valve.
+_RECENT_S = 10.0
+_LOST_M = 0.002
 
 
 class RoofEstimate:
@@ -19,13 +20,20 @@ class RoofEstimate:
     was pumped, and each reading corrects it by one part in (smoothing / tau) of the difference: an
     observer of first order, which is the steady-state Kalman filter for that ratio of trust in
     model and sensor. Where both are exact it is the reading, but for roundings.
+
+    Pumps that give more than the model has them give would be left on while the estimate catches
+    up. So where the readings of the last ten seconds are 2 mm off on average, it follows them at
+    once, and after a tick without a reading it begins anew.
     """
 
     def __init__(self, site: Site, smoothing: float) -> None:
         """Take the site, and over how long (s) readings are averaged; 0 takes each as it is."""
         self._site = site
         self._gain = min(1.0, site.tau / smoothing) if smoothing > 0 else 1.0
+        self._recent_gain = min(1.0, site.tau / _RECENT_S)
+        self._lost = site.roof_volume(_LOST_M)
         self._predicted: float | None = None
+        self._recent = 0.0  # mean of the last readings less what was predicted (m3)
 
     def correct(self, roof_level: float) -> float:
         """Return the volume (m3) in the present tick, in which the sensor reads a level (m)."""
@@ -33,9 +41,16 @@ class RoofEstimate:
         if self._gain == 1.0 or self._predicted is None:
             return reading
         surprise = reading - self._predicted
-        if abs(surprise) > self._site.roof_volume(_LOST_M):
-            return reading
-        return max(0.0, self._predicted + self._gain * surprise)
+        self._recent += self._recent_gain * (surprise - self._recent)
+        correction = self._gain * surprise
+        if abs(self._recent) > self._lost:
+            correction, self._recent = surprise, 0.0
+        return max(0.0, self._predicted + correction)
+
+    def forget(self) -> None:
+        """Take the next reading as it is: a tick has passed unseen."""
+        self._predicted = None
+        self._recent = 0.0
 
     def predict(
         self, x2: float, precipitation: float, evapotranspiration: float, pumped: float

@@ -5,7 +5,7 @@ from __future__ import annotations
 import logging
 import math
 
-from greenroof_ros.plant import drainage_flow, pump_flow
+from greenroof_ros.plant import drainage_flow, maximum_pump_flow, pump_flow
 from greenroof_ros.site import Site
 
 _log = logging.getLogger(__name__)
@@ -25,12 +25,15 @@ class StopLoss:
 
         loss = sum of tau (|x2 - x2*| - |x2_onoff - x2*|),
 
-    what has been gained by waiting counting as negative. A loss in a tick for which no rain is
-    forecast does not count: it has other reasons, such as a price of energy. Where the loss exceeds
-    the patience, forecasts of rain no longer count, which makes the controller fill the roof as
-    on/off does, until half of it has faded, with a time of a week. So trust costs at most the
-    patience at once and as much again each week, whatever the forecasts say; and who has gained may
-    lose that first.
+    what has been gained by waiting counting as negative. Where the loss, with what it will cost to
+    fill the roof as on/off has, exceeds the patience, forecasts of rain no longer count, which
+    makes the controller fill the roof as on/off does, until half of the loss has faded, with a time
+    of a week. So trust costs at most the patience at once and as much again each week, whatever the
+    forecasts say; and who has gained may lose that first. Only in frost can nobody fill the roof,
+    and the loss goes on.
+
+    The difference rests on pumps that do what is commanded. With minimum times on and off, or
+    another flow than the site file's, the count is wrong by what they pump beside that.
 
     Attributes:
         loss: so far (m3 s); negative is a gain.
@@ -43,24 +46,30 @@ class StopLoss:
         self._patience = patience * 3600 * site.x2_star  # m3 s
         self._more = 0.0  # what on/off would have on the roof beside what is there (m3)
         self._kept = math.exp(-site.tau / _FADING_S)
+        self._unseen = 0
         self.loss = 0.0
         self.exhausted = False
 
-    def judge(self, x2: float, rain_ahead: bool) -> bool:
+    def judge(self, x1: float, x2: float, fraction: float, *, counts: bool = True) -> bool:
         """Count the present tick and return whether forecasts of rain do not count in it.
 
         Args:
+            x1: in the cistern (m3).
             x2: on the roof (m3).
-            rain_ahead: whether there is any in the forecast.
+            fraction: v, the command of on/off when it pumps (share of the maximum flow).
+            counts: whether a loss in this tick is for waiting, and for no other reason such as a
+                price of energy; a gain always counts.
         """
         site = self._site
         more = abs(x2 - site.x2_star) - abs(x2 + self._more - site.x2_star)
-        self.loss *= self._kept
-        if rain_ahead or more < 0:
-            self.loss += site.tau * more
+        ticks, self._unseen = 1 + self._unseen, 0
+        self.loss *= self._kept**ticks
+        if counts or more < 0:
+            self.loss += ticks * site.tau * more
+        cost = self.loss + self._filling(x1, x2, fraction)
         if self.exhausted:
-            self.exhausted = self.loss >= self._patience / 2
-        elif self.loss > self._patience:
+            self.exhausted = cost >= self._patience / 2
+        elif cost > self._patience:
             self.exhausted = True
             if self._patience > 0:
                 _log.warning(
@@ -69,16 +78,28 @@ class StopLoss:
                 )
         return self.exhausted
 
+    def skip(self) -> None:
+        """Let a tick pass in which nothing was pumped and nobody asked."""
+        self._unseen += 1
+
     def move(self, x1: float, x2: float, fraction: float, pumped: float) -> None:
         """Move on by one tick.
 
         Args:
             x1: in the cistern (m3).
             x2: on the roof (m3).
-            fraction: v, the command of on/off when it pumps (share of the maximum flow).
+            fraction: as for :meth:`judge`.
             pumped: what is pumped in truth (m3/s).
         """
         site = self._site
         onoff = x2 + self._more
         drained = drainage_flow(site, onoff) - drainage_flow(site, x2)
         self._more += site.tau * (pump_flow(site, x1, onoff, fraction) - pumped - drained)
+
+    def _filling(self, x1: float, x2: float, fraction: float) -> float:
+        """Return what it costs (m3 s) to follow on/off to the target, behind it all the way."""
+        flow = fraction * maximum_pump_flow(self._site, x1)
+        if self._more <= 0 or flow <= 0:
+            return 0.0
+        missing = max(0.0, self._site.x2_star - x2 - self._more)  # to on/off
+        return self._more * (missing + self._more / 2) / flow

@@ -71,6 +71,8 @@ class ControllerNode:
                 self._rain.value,
                 self._evapotranspiration.value,
             )
+        else:
+            self._controller.skip()
         self._message.data = command
         self._publish_command(self._message)
         self._tick += 1

@@ -189,6 +189,9 @@ class _Recorded:
     ) -> float:
         return self._commands[self.tick]
 
+    def skip(self) -> None:
+        """Do nothing: frost is in the weather, and a command of 0 in the bag."""
+
     def statistics(self) -> None:
         """It has no solver."""
 
@@ -242,5 +245,5 @@ def _timings(result: dict[str, Any]) -> dict[str, float]:
     solver = result["solver"] or {}
     return {
         "wall_s": result["wall_s"],
-        **{key: solver[key] for key in ("mean_s", "p99_s") if key in solver},
+        **{key: solver[key] for key in ("mean_s", "p99_s", "max_s") if key in solver},
     }

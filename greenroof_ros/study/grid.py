@@ -23,6 +23,7 @@ from greenroof_ros.run import (
     count_ticks,
     initial_state,
     read_parameters,
+    wrong_parameter,
 )
 from greenroof_ros.site import Site, read_site
 from greenroof_ros.weather import read_weather
@@ -362,13 +363,11 @@ class _Grid:
             self._keys(given, tuple(CONTROLLERS[name]))
             choices = []
             for key in given:
-                low, high = CONTROLLERS[name][key]
                 values = self._list(given, key, float)
                 for value in values:
-                    if not low <= value <= high:
-                        raise self._refuse(
-                            given, key, f"{value:g} must be from {low:g} to {high:g}"
-                        )
+                    wrong = wrong_parameter(name, key, value)
+                    if wrong:
+                        raise self._refuse(given, key, f"{value:g} {wrong}")
                 choices.append(values)
             for combination in itertools.product(*choices):
                 yield name, {**defaults, **dict(zip(given, combination, strict=True))}
