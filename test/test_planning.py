@@ -29,7 +29,7 @@ from greenroof_ros.files import shared_directory
 from greenroof_ros.look_ahead import growing_steps
 from greenroof_ros.metrics import Metrics
 from greenroof_ros.plant import maximum_pump_flow
-from greenroof_ros.run import make_controller
+from greenroof_ros.run import make_controller, read_parameters
 
 EDGES = growing_steps(12)
 LENGTHS = np.diff(EDGES)
@@ -186,6 +186,14 @@ def test_power_is_one_or_two() -> None:
     """Nothing between."""
     with pytest.raises(ConfigurationError, match=r"power = 1\.5: must be 1 or 2"):
         plan_of(power=1.5)
+
+
+def test_whole_parameters(tmp_path: Path) -> None:
+    """Half a member is refused, in a parameter file as in a grid."""
+    text = (shared_directory() / "config" / "scenario_mpc.yaml").read_text()
+    (tmp_path / "half.yaml").write_text(text.replace("members: 10 ", "members: 2.5"))
+    with pytest.raises(ConfigurationError, match=r"members = 2\.5: must be a whole number from 1"):
+        read_parameters(tmp_path / "half.yaml", "scenario_mpc")
 
 
 WINDOWS: dict[str, tuple[str, ...]] = {
