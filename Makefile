@@ -57,8 +57,14 @@ study: $(FOR_STUDY)
 	@$(BIN)/python -m greenroof_ros.study; code=$$?; rm -rf studies/paper/report; \
 	    $(BIN)/python -m greenroof_ros.report studies/paper && exit $$code
 
+# Without ARGS every test: on all cores what starts no graph, then graph by graph.
 test: $(FOR_TEST)
+ifeq ($(ARGS),)
+	@$(BIN)/python -m pytest -m "not graph" --numprocesses auto --dist loadfile
+	@$(BIN)/python -m pytest -m graph
+else
 	@$(BIN)/python -m pytest $(ARGS)
+endif
 
 lint: $(FOR_TEST)
 	$(BIN)/python -m ruff check .

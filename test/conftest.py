@@ -13,6 +13,13 @@ settings.register_profile("greenroof_ros", deadline=None, derandomize=True)
 settings.load_profile("greenroof_ros")
 
 
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Mark the tests that start nodes: they need both cores, and the domain, for themselves."""
+    for item in items:
+        if "domain" in getattr(item, "fixturenames", ()):
+            item.add_marker(pytest.mark.graph)
+
+
 @pytest.fixture(scope="session")
 def domain() -> Iterator[int]:
     """A ROS domain of this session's own."""
