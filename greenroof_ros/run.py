@@ -31,14 +31,15 @@ INITIAL_STATES = {
 
 # How far the controllers that plan trust the level sensor (s) and the forecast (h).
 _TRUST = {"smoothing": (0.0, 3600.0), "patience": (0.0, 1e6)}
-# The parameters of each controller, in its YAML file and of its node, with their range.
+# The parameters of each controller, in its YAML file and of its node, with their range; whole
+# numbers where its ends are.
 CONTROLLERS = {
     "mpc": {"weight": (1e-9, 1e6), "max_command": (1e-9, math.inf)},
     "onoff": {"fraction": (1e-9, 1e6)},
     "planning_mpc": {
         "horizon": (0.1, 48.0),
         "max_command": (1e-9, math.inf),
-        "power": (1.0, 2.0),
+        "power": (1, 2),
         "energy_weight": (0.0, 1e9),
         "start_weight": (0.0, 1e9),
         **_TRUST,
@@ -53,7 +54,6 @@ CONTROLLERS = {
         **_TRUST,
     },
 }
-_WHOLE = ("power", "members")
 # A year of seconds, as much as fits into memory and patience.
 _MOST_STEPS = 31_622_400
 
@@ -102,7 +102,7 @@ def read_parameters(path: Path, controller: str) -> dict[str, float]:
 def wrong_parameter(controller: str, key: str, value: float) -> str:
     """Return what a controller's parameter must be, if it is not; otherwise nothing."""
     low, high = CONTROLLERS[controller][key]
-    whole = key in _WHOLE
+    whole = isinstance(low, int)
     if low <= value <= high and not (whole and value % 1):
         return ""
     return f"must be {'a whole number ' if whole else ''}from {low:g} to {high:g}"

@@ -44,8 +44,8 @@ class AnticipatingOnOff:
 
     For a microcontroller: from the hourly forecast add up rain times the bed's area less
     evapotranspiration, sort the sums, take the one in the middle, once a minute. The level to
-    switch at is the target less that volume over the bed's area. Two lines of arithmetic more a
-    tick make it fit for a real site: :class:`~greenroof_ros.controllers.roof_estimate.RoofEstimate`
+    switch at is the target less that volume over the bed's area. Two sums more, kept tick by tick,
+    make it fit for a real site: :class:`~greenroof_ros.controllers.roof_estimate.RoofEstimate`
     smooths the level's readings, :class:`~greenroof_ros.controllers.stop_loss.StopLoss` limits what
     a forecast of rain that never comes can do.
 

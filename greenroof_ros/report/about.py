@@ -130,8 +130,9 @@ def _understand(content: dict[str, Any]) -> About:
         content.get("forecast_repeats_last_record_from"),
         content.get("limited_steps") or 0,
     )
-    imperfections = imperfections_label(content.get("imperfections") or {})
-    if "roof" in imperfections:
+    site = content.get("imperfections") or {}
+    imperfections = imperfections_label(site)
+    if site.get("roof_noise") or site.get("roof_offset"):
         notes.append(
             f"the roof's level is what a sensor reads ({imperfections}); the summary's deviation "
             "is of the true one"

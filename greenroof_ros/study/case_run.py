@@ -23,7 +23,9 @@ from greenroof_ros import summary
 from greenroof_ros.bound import clairvoyant_bound
 from greenroof_ros.closed_loop import closed_loop
 from greenroof_ros.forecast_models import ForecastChoice
+from greenroof_ros.imperfections import Pump
 from greenroof_ros.metrics import Metrics
+from greenroof_ros.plant import Plant
 from greenroof_ros.report.runs import find_runs
 from greenroof_ros.run import Run, build_run, count_ticks, make_controller
 from greenroof_ros.site import read_site
@@ -159,7 +161,7 @@ def _run_graph(case: Case, directory: Path) -> Outcome:
     result = json.loads((output / "summary.json").read_text(encoding="utf-8"))
     trajectory, _ = find_runs([output], None).runs[0].load()
     if case.imperfections is not None and not case.imperfections.exact_sensor:
-        roof = _true_roof(_build(case, directory), trajectory.command)
+        roof = _true_roof(_build(case, directory), trajectory.command.tolist())
         trajectory = replace(trajectory, roof=roof)
     kept = ("summary.json", "bag/metadata.yaml", "bag/bag_0.mcap")
     files = {name: (output / name).read_bytes() for name in kept}
@@ -169,40 +171,19 @@ def _run_graph(case: Case, directory: Path) -> Outcome:
     )
 
 
-class _Recorded:
-    """A controller that commands once more what a bag has.
+def _true_roof(run: Run, commands: Sequence[float]) -> NDArray[np.float64]:
+    """Return the volume on the roof (m3), shape (N+1,), where a bag has what a sensor read.
 
-    Attributes:
-        tick: the present one.
+    The plant is run once more with the commands of the bag, in which frost has commanded 0.
     """
-
-    def __init__(self, commands: Sequence[float]) -> None:
-        self.tick = 0
-        self._commands = commands
-
-    def command(
-        self,
-        cistern_level: float,
-        roof_level: float,
-        precipitation: Sequence[float],
-        evapotranspiration: Sequence[float],
-    ) -> float:
-        return self._commands[self.tick]
-
-    def skip(self) -> None:
-        """Do nothing: frost is in the weather, and a command of 0 in the bag."""
-
-    def statistics(self) -> None:
-        """It has no solver."""
-
-
-def _true_roof(run: Run, commands: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the volume on the roof (m3), shape (N+1,), where a bag has what a sensor read."""
-    recorded = _Recorded(commands.tolist())
+    series = run.series
+    plant, pump = Plant(run.site, run.x1, run.x2), Pump(run.imperfections, run.site.tau)
     roof = np.empty(run.steps + 1)
-    for tick in closed_loop(run, recorded, Metrics()):
-        roof[tick.k] = tick.x2
-        recorded.tick = tick.k + 1
+    for k, command in enumerate(commands):
+        roof[k] = plant.x2
+        rain = series.precipitation[k]
+        pumped = pump.flow(plant, command, series.frost[k] > 0)
+        plant.step(rain, plant.flows(rain, series.evapotranspiration[k], pumped))
     return roof
 
 
