@@ -23,6 +23,8 @@ from greenroof_ros.node_report import REPORT_PIPE
 # Patience with a process that was told to end, before the next, harder signal (s).
 _PATIENCE_S = {signal.SIGINT: 4.0, signal.SIGTERM: 1.0, signal.SIGKILL: 5.0}
 _LAST_LINES = 15
+# Nodes that report four times a second fall silent for one reason within this time (s).
+_SAME_SILENCE_S = 0.5
 _SHARED_MEMORY = Path("/dev/shm")
 _PR_SET_PDEATHSIG = 1
 
@@ -53,6 +55,13 @@ def _held_segments(pid: int) -> set[str]:
             if target.parent == _SHARED_MEMORY and target.name.endswith("_el"):
                 held.add(target.name.removesuffix("_el"))
     return held
+
+
+def _is_stopped(pid: int) -> bool:
+    """Return whether a process was stopped, by Ctrl-Z or a debugger."""
+    with contextlib.suppress(OSError):  # it ends just now
+        return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] in "Tt"
+    return False
 
 
 class Supervisor:
@@ -179,10 +188,11 @@ class Supervisor:
         """Look whether all nodes live and speak.
 
         Args:
-            limit: longest silence (s).
+            limit: longest silence (s); half a second later, when all that it silenced are silent
+                for as long, it is told.
 
         Raises:
-            NodeFailed: one has ended, or was silent for longer.
+            NodeFailed: one has ended, or some were silent for longer.
         """
         for node, process in self.nodes.items():
             code = process.poll()
@@ -192,11 +202,21 @@ class Supervisor:
                     self._with_last_lines(node, f"node {node} ended ({how})"),
                     EXIT_USAGE if code == EXIT_USAGE else EXIT_FAILED,
                 )
-        for node, heard in self._heard.items():
-            if time.monotonic() - heard > limit:
-                raise NodeFailed(
-                    self._with_last_lines(node, f"node {node} has not answered for {limit:g} s")
+        now = time.monotonic()
+        silent = {node: now - heard for node, heard in self._heard.items() if now - heard > limit}
+        # A node that is stopped while it holds a lock of Fast DDS's shared memory silences those
+        # that want it: all of them are named, and which of them is stopped.
+        if max(silent.values(), default=0.0) > limit + _SAME_SILENCE_S:
+            raise NodeFailed(
+                "\n".join(
+                    self._with_last_lines(
+                        node,
+                        f"node {node}{' (stopped)' if _is_stopped(self.nodes[node].pid) else ''} "
+                        f"has not answered for {limit:g} s",
+                    )
+                    for node in silent
                 )
+            )
 
     def _with_last_lines(self, node: str, message: str) -> str:
         for key in list(self._pipes.get_map().values()):
