@@ -119,6 +119,18 @@ class Process:
                     found[word.removeprefix("greenroof_ros.nodes.")] = int(pid)
         return found
 
+    def wait_for_ticks(self, size: int = 30_000) -> None:
+        """Wait until the bag in ``run`` has grown to some size: the run is well under way."""
+        file = bag_file(self.cwd / "run")
+
+        def grown() -> bool:
+            if file.exists() and file.stat().st_size > size:
+                return True
+            assert self.process.poll() is None, self.stderr()
+            return False
+
+        wait_for(grown, 60, "a growing bag")
+
     def wait(self, seconds: float) -> int:
         """Wait for the end and return the exit code."""
         try:
@@ -137,12 +149,6 @@ class Process:
 def bag_file(run: Path) -> Path:
     """Return the mcap file of a run."""
     return run / "bag" / "bag_0.mcap"
-
-
-def wait_for_ticks(run: Path, size: int = 30_000, seconds: float = 60) -> None:
-    """Wait until a run's bag has grown to some size, so that the run is well under way."""
-    file = bag_file(run)
-    wait_for(lambda: file.exists() and file.stat().st_size > size, seconds, "a growing bag")
 
 
 def bring_up(

@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from graph import Process, environment, wait_for, wait_for_ticks
+from graph import Process, environment, wait_for
 
 rclpy = pytest.importorskip("rclpy", reason="nodes need ROS 2")
 
@@ -163,7 +163,7 @@ def test_bad_level_or_frost_stops_the_pump(
 def test_two_masters(domain: int, tmp_path: Path, observer: Observer) -> None:
     """A second publisher of the command ends the run, and the message names the topic."""
     process = Process(domain, "bringup", "--output", "run", cwd=tmp_path)
-    wait_for_ticks(tmp_path / "run")
+    process.wait_for_ticks()
     observer.node.create_publisher(Float64, "/pump/command", qos("/pump/command"))
     observer.until(lambda: process.process.poll() is not None, 15, "the end of the run")
     assert process.wait(1) == 1

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 import yaml
-from graph import Process, bag_file, bring_up, environment, wait_for_ticks
+from graph import Process, bag_file, bring_up, environment
 from mcap.reader import make_reader
 from rosbags.highlevel import AnyReader
 
@@ -101,7 +101,7 @@ def test_killed_recorder_costs_at_most_sixty_ticks(domain: int, tmp_path: Path) 
     executor = SingleThreadedExecutor(context=context)
     executor.add_node(node)
     try:
-        wait_for_ticks(tmp_path / "run", size=60_000)
+        process.wait_for_ticks(size=60_000)
         while not stamps:
             executor.spin_once(timeout_sec=0.1)
         os.kill(process.nodes()["recorder"], signal.SIGKILL)

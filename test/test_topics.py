@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from graph import Process, wait_for, wait_for_ticks
+from graph import Process, wait_for
 
 from greenroof_ros.files import read_yaml, shared_directory
 from greenroof_ros.topics import read_topics, recorded_topics
@@ -92,7 +92,7 @@ def test_live_graph_is_the_contract(domain: int, tmp_path: Path, controller: str
     )
     nodes = {"plant", "weather", controller, "recorder"}
     try:
-        wait_for_ticks(tmp_path / "run")
+        process.wait_for_ticks()
         wait_for(lambda: nodes <= set(node.get_node_names()), 10, "discovery of the nodes")
         time.sleep(3.5)  # of their topics, too
         live = {
