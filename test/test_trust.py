@@ -68,12 +68,23 @@ def test_noise_is_smoothed() -> None:
     assert np.std(errors[3000:]) == pytest.approx(noise * math.sqrt(gain / (2 - gain)), rel=0.2)
 
 
+def test_it_begins_with_the_mean() -> None:
+    """The first reading is as good as any of the next: after n of them, their mean is the best."""
+    estimate = RoofEstimate(PAPER_SITE, 300.0)
+    readings = 0.04 + 0.0005 * np.random.default_rng(2).standard_normal(300)
+    for number, reading in enumerate(readings, start=1):
+        x2 = estimate.correct(float(reading))
+        estimate.predict(x2, 0.0, 0.0, 0.0)
+        assert PAPER_SITE.roof_level(x2) == pytest.approx(readings[:number].mean(), abs=1e-12)
+
+
 def test_level_that_cannot_be_noise() -> None:
     """A centimetre off is followed within three ticks, a millimetre slowly."""
     off, near = RoofEstimate(PAPER_SITE, 300.0), RoofEstimate(PAPER_SITE, 300.0)
     x2_off = x2_near = PAPER_SITE.roof_volume(0.03)
     for estimate in (off, near):
-        estimate.predict(PAPER_SITE.roof_volume(0.03), 0.0, 0.0, 0.0)
+        for _ in range(300):
+            estimate.predict(estimate.correct(0.03), 0.0, 0.0, 0.0)
     for _ in range(3):
         x2_off, x2_near = off.correct(0.04), near.correct(0.031)
         off.predict(x2_off, 0.0, 0.0, 0.0)

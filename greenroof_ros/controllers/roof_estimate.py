@@ -19,7 +19,8 @@ class RoofEstimate:
     takes it off again. So the volume is predicted from rain, evapotranspiration, drainage and what
     was pumped, and each reading corrects it by one part in (smoothing / tau) of the difference: an
     observer of first order, which is the steady-state Kalman filter for that ratio of trust in
-    model and sensor. Where both are exact it is the reading, but for roundings.
+    model and sensor. It begins with the mean of the first readings, as that filter would that knows
+    nothing before them. Where both are exact it is the reading, but for roundings.
 
     Pumps that give more than the model has them give would be left on while the estimate catches
     up. So where the readings of the last ten seconds are 2 mm off on average, it follows them at
@@ -34,23 +35,26 @@ class RoofEstimate:
         self._lost = site.roof_volume(_LOST_M)
         self._predicted: float | None = None
         self._recent = 0.0  # mean of the last readings less what was predicted (m3)
+        self._readings = 0  # since it began
 
     def correct(self, roof_level: float) -> float:
         """Return the volume (m3) in the present tick, in which the sensor reads a level (m)."""
         reading = self._site.roof_volume(roof_level)
+        self._readings += 1
         if self._gain == 1.0 or self._predicted is None:
             return reading
         surprise = reading - self._predicted
         self._recent += self._recent_gain * (surprise - self._recent)
-        correction = self._gain * surprise
+        correction = max(self._gain, 1 / self._readings) * surprise
         if abs(self._recent) > self._lost:
-            correction, self._recent = surprise, 0.0
+            correction, self._recent, self._readings = surprise, 0.0, 1
         return max(0.0, self._predicted + correction)
 
     def forget(self) -> None:
         """Take the next reading as it is: a tick has passed unseen."""
         self._predicted = None
         self._recent = 0.0
+        self._readings = 0
 
     def predict(
         self, x2: float, precipitation: float, evapotranspiration: float, pumped: float
