@@ -10,7 +10,6 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from greenroof_ros.errors import ConfigurationError
 from greenroof_ros.forecast_models import (
     ForecastChoice,
     ForecastModel,
@@ -168,7 +167,7 @@ def make_forecast(
     start: datetime,
     horizon: float,
     choice: ForecastChoice,
-    members: int = 1,
+    all_members: bool = False,
 ) -> Forecast:
     """Return what a controller is told.
 
@@ -179,19 +178,12 @@ def make_forecast(
         start: time of tick 0.
         horizon: 0 for the M ticks that come, one by one; otherwise hours, in steps that grow.
         choice: which forecasts.
-        members: how many the controller takes, one after the other; 1 is the first of an ensemble.
+        all_members: of an ensemble, one after the other; otherwise the first.
 
     Raises:
-        ConfigurationError: a file of forecasts is wrong, there is none for a part of the run, or
-            they have not as many members.
+        ConfigurationError: a file of forecasts is wrong, or there is none for a part of the run.
     """
-    model = make_model(choice, weather, members > 1)
-    if model.members != members:
-        raise ConfigurationError(
-            f"must be that of the forecast, {model.members} ({choice}); give the controller as "
-            "many, or --forecast ensemble and --forecast-members",
-            key="members", value=members,
-        )
+    model = make_model(choice, weather, all_members)
     if not horizon and isinstance(model, PerfectModel):
         return PerfectForecast(series, site.M)
     edges = growing_steps(horizon) if horizon else site.tau * np.arange(site.M + 1.0)

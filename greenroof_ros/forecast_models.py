@@ -25,6 +25,7 @@ from numpy.typing import NDArray
 
 from greenroof_ros.errors import ConfigurationError
 from greenroof_ros.files import read_text
+from greenroof_ros.look_ahead import MOST_MEMBERS
 from greenroof_ros.records import EVAPOTRANSPIRATION, HOUR, PRECIPITATION, QUANTITIES, name_hours
 from greenroof_ros.weather import Weather
 from greenroof_ros.weather_csv import cells_of, numbered_lines, parse_time
@@ -41,7 +42,7 @@ MODELS: dict[str, tuple[str, ...]] = {
     "ensemble": ("size", "seed", "members"),
 }
 # Range of each option; all but the size are whole numbers.
-OPTIONS = {"size": (0.0, 10.0), "seed": (0, 2**31 - 1), "members": (1, 100)}
+OPTIONS = {"size": (0.0, 10.0), "seed": (0, 2**31 - 1), "members": (1, MOST_MEMBERS)}
 
 _EPOCH = datetime.fromisoformat("1970-01-01T00:00+00:00")
 _ISSUE_HOURS = 6
@@ -537,7 +538,7 @@ def _time(path: Path, line: int, row: dict[str, str], key: str) -> datetime:
 def _member(path: Path, line: int, row: dict[str, str]) -> int:
     """Return a line's member, 0 where the file has but one."""
     text = row.get("member", "0")
-    most = int(OPTIONS["members"][1]) - 1
+    most = MOST_MEMBERS - 1
     if not (text.isascii() and text.isdecimal() and int(text) <= most):
         raise ConfigurationError(
             f"must be a whole number from 0 to {most}",

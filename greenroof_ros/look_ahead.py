@@ -1,4 +1,4 @@
-"""How far controllers look ahead, and in which steps."""
+"""How far controllers look ahead, in which steps, and at how many forecasts."""
 
 from __future__ import annotations
 
@@ -9,6 +9,9 @@ from numpy.typing import NDArray
 # decision is carried out, coarse where it only has to be made room for.
 _FIRST = [10] * 6 + [30] * 2 + [60] * 3 + [300] * 3 + [900] * 4 + [1800] * 6
 _HOUR = 3600
+
+# Of an ensemble of forecasts.
+MOST_MEMBERS = 100
 
 
 def growing_steps(horizon: float) -> NDArray[np.float64]:

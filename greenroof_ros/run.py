@@ -48,12 +48,13 @@ CONTROLLERS = {
     "scenario_mpc": {
         "horizon": (0.1, 48.0),
         "max_command": (1e-9, math.inf),
-        "members": (1, 100),
         "level": (0.0, 0.99),
         "recourse": (0.0, 48.0),
         **_TRUST,
     },
 }
+# Those that take all members of an ensemble of forecasts; the others are told its first.
+TAKE_ENSEMBLES = ("scenario_mpc",)
 # A year of seconds, as much as fits into memory and patience.
 _MOST_STEPS = 31_622_400
 
@@ -130,9 +131,7 @@ def make_controller(name: str, site: Site, parameters: dict[str, float]) -> Cont
 
         return PlanningMpc(
             site, parameters["horizon"], parameters["max_command"],
-            ensemble=Ensemble(
-                int(parameters["members"]), parameters["level"], parameters["recourse"] * 3600
-            ),
+            ensemble=Ensemble(parameters["level"], parameters["recourse"] * 3600),
             smoothing=parameters["smoothing"],
             patience=parameters["patience"],
         )
@@ -500,7 +499,7 @@ def build_run(
         weather=weather,
         series=series,
         forecast=make_forecast(
-            weather, series, site, first, horizon, choice, int(parameters.get("members", 1))
+            weather, series, site, first, horizon, choice, controller in TAKE_ENSEMBLES
         ),
         start=first,
         steps=steps,

@@ -10,7 +10,7 @@ from pathlib import Path
 import yaml
 
 from greenroof_ros.errors import ConfigurationError
-from greenroof_ros.run import Run
+from greenroof_ros.run import TAKE_ENSEMBLES, Run
 
 
 def make_run_directory(output: Path | None, controller: str) -> Path:
@@ -86,18 +86,11 @@ def _write_configuration(configuration: Path, run: Run, nodes: dict[str, object]
             **common, **span, "weather_file": str(weather_file),
             "evapotranspiration": run.weather.variant,
             "horizon": run.parameters.get("horizon", 0.0),
-            "members": int(run.parameters.get("members", 1)),
+            "all_members": run.controller in TAKE_ENSEMBLES,
             "forecast": str(choice),
             **{f"forecast_{name}": value for name, value in choice.options().items()},
         },
-        # ROS 2 tells 10 from 10.0.
-        run.controller: {
-            **common,
-            **{
-                name: int(value) if name == "members" else value
-                for name, value in run.parameters.items()
-            },
-        },
+        run.controller: {**common, **run.parameters},
         "recorder": {
             **({"peer_limit": nodes["peer_limit"]} if nodes else {}),
             "directory": str(configuration.parent / "bag"),

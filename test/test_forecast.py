@@ -372,7 +372,7 @@ def test_who_gets_which_members() -> None:
     single = paper_run("--controller", "planning_mpc", "--forecast", "errors",
                        "--forecast-seed", "9")
     everything = make_forecast(
-        run.weather, run.series, run.site, run.start, 12.0, run.forecast_choice, members=4
+        run.weather, run.series, run.site, run.start, 12.0, run.forecast_choice, all_members=True
     )
     for tick in (0, 5000, 43_200):
         member_0 = run.forecast.precipitation(tick)

@@ -39,11 +39,14 @@ Array = NDArray[np.float64]
 
 
 def program(
-    power: float = 1.0, prices: Prices | None = None, ensemble: Ensemble | None = None
+    power: float = 1.0,
+    prices: Prices | None = None,
+    members: int = 1,
+    ensemble: Ensemble | None = None,
 ) -> PlanningProgram:
     """Set up the program of the paper's site over 12 h."""
     return PlanningProgram(
-        PAPER_SITE, EDGES, 1.0, power, prices or Prices(), ensemble or Ensemble(), 20000
+        PAPER_SITE, EDGES, 1.0, power, prices or Prices(), members, ensemble or Ensemble(), 20000
     )
 
 
@@ -189,11 +192,11 @@ def test_power_is_one_or_two() -> None:
 
 
 def test_whole_parameters(tmp_path: Path) -> None:
-    """Half a member is refused, in a parameter file as in a grid."""
-    text = (shared_directory() / "config" / "scenario_mpc.yaml").read_text()
-    (tmp_path / "half.yaml").write_text(text.replace("members: 10 ", "members: 2.5"))
-    with pytest.raises(ConfigurationError, match=r"members = 2\.5: must be a whole number from 1"):
-        read_parameters(tmp_path / "half.yaml", "scenario_mpc")
+    """A power between one and two is refused, in a parameter file as in a grid."""
+    text = (shared_directory() / "config" / "planning_mpc.yaml").read_text()
+    (tmp_path / "half.yaml").write_text(text.replace("power: 1.0 ", "power: 1.5 "))
+    with pytest.raises(ConfigurationError, match=r"power = 1\.5: must be a whole number from 1"):
+        read_parameters(tmp_path / "half.yaml", "planning_mpc")
 
 
 WINDOWS: dict[str, tuple[str, ...]] = {
@@ -295,7 +298,7 @@ def test_it_decides_when_something_changed() -> None:
             return super().solve(*arguments)
 
     controller = PlanningMpc(PAPER_SITE, 12)
-    controller._program = Counting(PAPER_SITE, EDGES, 1.0, 1.0, Prices(), Ensemble(), 20000)
+    controller._program = Counting(PAPER_SITE, EDGES, 1.0, 1.0, Prices(), 1, Ensemble(), 20000)
     full = PAPER_SITE.b * math.sqrt(2.3 + PAPER_SITE.c_hat - PAPER_SITE.d)
     x2 = 2.0
 
@@ -308,9 +311,10 @@ def test_it_decides_when_something_changed() -> None:
     for _ in range(30):
         tick(none)
     assert decisions == 1
-    tick(none, off=0.01)
-    tick(none)
-    assert decisions == 2
+    for expected in (1, 2):  # a litre and a half is nothing, three are not
+        tick(none, off=0.0015)
+        tick(none)
+        assert decisions == expected
     tick(dry({20: 1e-6})[0])
     assert decisions == 3
     for _ in range(60):
@@ -346,12 +350,29 @@ def test_ensemble_of_one_forecast_is_that_forecast() -> None:
     mean, most = free_course(2.0, np.full(STEPS, 1e-7), np.full(STEPS, 2e-6))
     (alone,) = program().solve(mean[None], most[None], FULL, 0.0, None)  # type: ignore[misc]
     for level in (0.0, 0.5):
-        many = program(ensemble=Ensemble(3, level, 7200.0))
+        many = program(members=3, ensemble=Ensemble(level, 7200.0))
         plans = many.solve(np.tile(mean, (3, 1)), np.tile(most, (3, 1)), FULL, 0.0, None)
         assert plans is not None
         assert [deviation(plan, mean) for plan in plans] == pytest.approx(
             [deviation(alone, mean)] * 3, abs=2e-3
         )
+
+
+def test_members_are_those_of_the_forecast() -> None:
+    """A single forecast is planned on as planning_mpc does; the number may change in a run."""
+    rain, evaporated = dry()
+    wet = [*[0.0] * (STEPS - 4), *[1e-6] * 4]
+    of_many = PlanningMpc(PAPER_SITE, 12, ensemble=Ensemble(0.5, 7200.0))
+    of_one = PlanningMpc(PAPER_SITE, 12)
+    for _ in range(3):
+        assert of_many.command(2.3, 0.03, wet, evaporated) == of_one.command(
+            2.3, 0.03, wet, evaporated
+        )
+    before = of_many.solves
+    assert of_many.command(2.3, 0.03, [*rain, *rain, *wet], evaporated) > 0.0
+    assert of_many.solves == before + 1
+    with pytest.raises(ConfigurationError, match="only scenario_mpc all members"):
+        of_one.command(2.3, 0.03, [*rain, *rain], evaporated)
 
 
 def test_risk() -> None:
@@ -365,7 +386,8 @@ def test_risk() -> None:
     mean, most = (np.stack(part) for part in zip(*courses, strict=True))
 
     def pumped(level: float, recourse: float) -> float:
-        plans = program(ensemble=Ensemble(4, level, recourse)).solve(mean, most, FULL, 0.0, None)
+        of_four = program(members=4, ensemble=Ensemble(level, recourse))
+        plans = of_four.solve(mean, most, FULL, 0.0, None)
         assert plans is not None
         common = int(np.count_nonzero(EDGES[1:] <= recourse))
         assert np.ptp(plans[:, :common], axis=0).max() < 1e-3  # one decision for all

@@ -14,17 +14,18 @@ from greenroof_ros.controllers.planning_program import Ensemble, PlanningProgram
 from greenroof_ros.controllers.roof_estimate import RoofEstimate
 from greenroof_ros.controllers.stop_loss import StopLoss
 from greenroof_ros.errors import ConfigurationError
-from greenroof_ros.look_ahead import growing_steps
+from greenroof_ros.look_ahead import MOST_MEMBERS, growing_steps
 from greenroof_ros.plant import maximum_pump_flow
 from greenroof_ros.site import Site
 
 _log = logging.getLogger(__name__)
 
-# A plan is followed this long at most (s), and left when the roof is this far from it (m3). One for
-# an ensemble takes a hundred times as long to make, and is good for longer: it expects surprises.
+# A plan is followed this long at most (s), and left when the roof has come this far off it (m3).
+# One for an ensemble takes a hundred times as long to make, and is good for longer: it expects
+# surprises.
 _LONGEST_PLAN_S = 60.0
 _LONGEST_ENSEMBLE_PLAN_S = 600.0
-_OFF_PLAN_M3 = 1e-4
+_OFF_PLAN_M3 = 2e-3
 # Less is the solver's tolerance (share of the maximum flow).
 _LEAST_COMMAND = 1e-5
 
@@ -56,7 +57,7 @@ class PlanningMpc:
     value-at-risk of the deviation over the members: its mean over the worst of them.
 
     It decides anew when there is no plan, the plan is 60 s old (600 s with an ensemble), the roof
-    is not where the plan has it, or the forecast has changed; the last solution, moved on, is the
+    has come 2 litres off it, or the forecast has changed; the last solution, moved on, is the
     solver's first guess. Where the solver finds no solution the last plan, which was good for the
     whole horizon, is followed on; ``fallbacks`` counts it.
 
@@ -91,7 +92,7 @@ class PlanningMpc:
             power: of the deviation in the objective: 1, as in the paper's metric, or 2, as in its
                 controller.
             prices: of energy and starts; none if not given.
-            ensemble: of the forecasts; a single one if not given.
+            ensemble: how to look at the members of a forecast; only single ones if not given.
             smoothing: over how long (s) readings of the roof's level are averaged.
             patience: what waiting for rain may cost (h of an empty roof).
             max_iterations: OSQP's limit.
@@ -103,25 +104,33 @@ class PlanningMpc:
             raise ConfigurationError("must be 1 or 2", key="power", value=power)
         self._site = site
         self._max_command = max_command
-        self._members = ensemble.members if ensemble is not None else 1
-        self._longest = _LONGEST_PLAN_S if self._members == 1 else _LONGEST_ENSEMBLE_PLAN_S
         self._edges = growing_steps(horizon)
         self._lengths = np.diff(self._edges)
-        self._program = PlanningProgram(
-            site, self._edges, max_command, power, prices or Prices(), ensemble or Ensemble(),
-            max_iterations,
-        )
-        self._no_prices = prices in (None, Prices())
+        self._power = power
+        self._prices = prices or Prices()
+        self._ensemble = ensemble
+        self._max_iterations = max_iterations
+        self._set_up(members=1)
         self._estimate = RoofEstimate(site, smoothing)
         self._stop_loss = StopLoss(site, patience)
         self.solves = 0
         self.fallbacks = 0
         self.solve_seconds: list[float] = []
-        self._pumped: Array | None = None  # P at the edges, shape (members, steps + 1)
         self._age = 0.0  # of the plan (s)
         self._expected = math.nan  # x2 at the next tick, if all goes to plan
-        self._inflow: Array | None = None  # to the roof, of the last tick's forecast
+        self._off_plan = 0.0  # how far x2 has come off the plan since it was made (m3)
         self._flow = 0.0  # commanded in the last tick (m3/s)
+
+    def _set_up(self, members: int) -> None:
+        """Set the program up for forecasts of so many members, with no plan yet."""
+        self._members = members
+        self._longest = _LONGEST_PLAN_S if members == 1 else _LONGEST_ENSEMBLE_PLAN_S
+        self._program = PlanningProgram(
+            self._site, self._edges, self._max_command, self._power, self._prices,
+            members, self._ensemble or Ensemble(), self._max_iterations,
+        )
+        self._pumped: Array | None = None  # P at the edges, shape (members, steps + 1)
+        self._inflow: Array | None = None  # to the roof, of the last tick's forecast
 
     @property
     def status(self) -> int:
@@ -147,12 +156,16 @@ class PlanningMpc:
         """
         started = time.perf_counter()
         site, steps = self._site, len(self._lengths)
-        if len(precipitation) != self._members * steps or len(evapotranspiration) != steps:
+        members, rest = divmod(len(precipitation), steps)
+        most = 1 if self._ensemble is None else MOST_MEMBERS
+        if rest or len(evapotranspiration) != steps or not 1 <= members <= most:
             raise ConfigurationError(
                 f"the forecasts have {len(precipitation)} and {len(evapotranspiration)} entries, "
-                f"but the plan has {steps} steps and {self._members} members; give weather and "
-                "controller the same horizon and members"
+                f"but the plan has {steps} steps, and at most {most} forecasts of rain; give "
+                "weather and controller the same horizon, and only scenario_mpc all members"
             )
+        if members != self._members:
+            self._set_up(members)
         rain = np.array(precipitation).reshape(self._members, steps)
         evaporated = np.asarray(evapotranspiration)
         x1 = site.cistern_volume(cistern_level)
@@ -161,12 +174,13 @@ class PlanningMpc:
             self.skip()
             return 0.0
         x2 = self._estimate.correct(roof_level)
+        self._off_plan += x2 - self._expected
         fraction = min(self._max_command, 1.0)
-        waits = self._no_prices or bool(rain[:, 1:].any())
+        waits = self._prices == Prices() or bool(rain[:, 1:].any())
         if self._stop_loss.judge(x1, x2, fraction, counts=waits):
             rain[:, 1:] = 0.0
         inflow = np.cumsum((rain * site.a2 - evaporated) * self._lengths, axis=1)
-        if self._must_decide(x2, inflow, float(rain.max()), float(evaporated.max())):
+        if self._must_decide(inflow, float(rain.max()), float(evaporated.max())):
             self._decide(x1, x2, inflow, rain)
         self._inflow = inflow
         full = maximum_pump_flow(site, x1)
@@ -202,11 +216,11 @@ class PlanningMpc:
             "max_s": float(times.max()),
         }
 
-    def _must_decide(self, x2: float, inflow: Array, rain: float, evaporated: float) -> bool:
+    def _must_decide(self, inflow: Array, rain: float, evaporated: float) -> bool:
         """Whether plan, state or forecast has changed."""
         if self._pumped is None or self._inflow is None or self._age >= self._longest:
             return True
-        if not abs(x2 - self._expected) <= _OFF_PLAN_M3:
+        if not abs(self._off_plan) <= _OFF_PLAN_M3:
             return True
         # Moved on by a tick, the same forecast differs by what comes in a tick at its ends.
         in_a_tick = self._site.tau * (rain * self._site.a2 + evaporated)
@@ -249,7 +263,7 @@ class PlanningMpc:
                 )
             return
         self._pumped = np.hstack([start, pumped])
-        self._age = 0.0
+        self._age = self._off_plan = 0.0
 
     def _moved_on(self) -> Array | None:
         """Return the plan as it is from now on, shape (members, steps)."""

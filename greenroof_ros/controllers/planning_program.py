@@ -54,8 +54,6 @@ class Prices(NamedTuple):
 class Ensemble(NamedTuple):
     """How a program looks at several forecasts at once."""
 
-    members: int = 1
-    """how many"""
     level: float = 0.0
     """of the conditional value-at-risk: 0 is the mean of all, 0.9 that of the worst tenth"""
     recourse: float = 0.0
@@ -77,6 +75,7 @@ class PlanningProgram:
         max_command: float,
         power: float,
         prices: Prices,
+        members: int,
         ensemble: Ensemble,
         max_iterations: int,
     ) -> None:
@@ -88,19 +87,20 @@ class PlanningProgram:
             max_command: upper bound of the commands (1).
             power: of the deviation, 1 or 2.
             prices: of energy and starts.
-            ensemble: of the forecasts.
+            members: number of the forecasts.
+            ensemble: how to look at them.
             max_iterations: OSQP's limit.
         """
         self.status = 0
         self.cost = math.nan
         self._max_command = max_command
-        self._members = ensemble.members
+        self._members = members
         self._lengths = np.diff(edges)
         # A step's deviation is scaled so that seconds and hours are alike to the solver.
         self._weights = self._lengths / self._lengths.mean()
         self._starts = prices.start > 0
         self._common = int(np.count_nonzero(edges[1:] <= ensemble.recourse))
-        self._risk = ensemble.members > 1 and ensemble.level > 0
+        self._risk = members > 1 and ensemble.level > 0
         self._full = maximum_pump_flow(site, site.a1 * site.z_o)
         n = len(self._lengths)
         self._infinite = np.full(n, np.inf)
@@ -109,27 +109,27 @@ class PlanningProgram:
         )
         rows = self._rows()
         hessian, linear = self._objective(site, power, prices, float(edges[-1]))
-        matrix = scipy.sparse.block_diag([rows] * ensemble.members, format="csc")
-        cost = np.tile(linear, ensemble.members) / ensemble.members
-        quadratic = [scipy.sparse.csc_matrix(hessian / ensemble.members)] * ensemble.members
+        matrix = scipy.sparse.block_diag([rows] * members, format="csc")
+        cost = np.tile(linear, members) / members
+        quadratic = [scipy.sparse.csc_matrix(hessian / members)] * members
         self._columns = len(linear)
         # From the variables, in which the common volumes are there once, to those of all members.
         self._spread = self._shared()
         if self._risk:
             # CVaR = min over t of t + sum_m max(0, D_m - t) / ((1 - level) members), where D_m is
             # the mean deviation of a member (Rockafellar and Uryasev 2000).
-            deviations = np.tile(linear, ensemble.members)
+            deviations = np.tile(linear, members)
             matrix = self._with_excess(matrix, deviations)
             cost = np.concatenate([
                 np.zeros_like(cost), [1.0],
-                np.full(ensemble.members, 1 / ((1 - ensemble.level) * ensemble.members)),
+                np.full(members, 1 / ((1 - ensemble.level) * members)),
             ])
-            quadratic.append(scipy.sparse.csc_matrix((ensemble.members + 1,) * 2))
+            quadratic.append(scipy.sparse.csc_matrix((members + 1,) * 2))
             self._spread = scipy.sparse.block_diag(
-                [self._spread, scipy.sparse.identity(ensemble.members + 1)], format="csc"
+                [self._spread, scipy.sparse.identity(members + 1)], format="csc"
             )
         spread = self._spread
-        zero = np.zeros((ensemble.members, n))
+        zero = np.zeros((members, n))
         lower, upper = self._bounds(zero, zero, self._full, 0.0)
         self._solver = osqp.OSQP()
         self._solver.setup(
@@ -141,7 +141,7 @@ class PlanningProgram:
             l=lower,
             u=upper,
             max_iter=max_iterations,
-            **{**_SOLVER_SETTINGS, **(_ENSEMBLE_SETTINGS if ensemble.members > 1 else {})},
+            **{**_SOLVER_SETTINGS, **(_ENSEMBLE_SETTINGS if members > 1 else {})},
         )
 
     def solve(

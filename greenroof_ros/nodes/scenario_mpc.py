@@ -25,7 +25,6 @@ def build(node: Node) -> Link:
         declare(node, "horizon", 12.0, "how far it plans (h)", *ranges["horizon"]),
         declare(node, "max_command", 1.0, "largest command (1)", *ranges["max_command"]),
         ensemble=Ensemble(
-            declare(node, "members", 10, "of the ensemble", *ranges["members"]),
             declare(
                 node, "level", 0.8, "of the conditional value-at-risk; 0 is the mean of all",
                 *ranges["level"],

@@ -66,12 +66,12 @@ class WeatherNode:
             node, "horizon", 0.0,
             "h that the forecasts reach, in steps that grow; 0: the M ticks that come", 0.0, 48.0,
         )
-        members = declare(
-            node, "members", 1, "of an ensemble that the controller takes; 1: the first", 1, 100
+        all_members = declare(
+            node, "all_members", False, "of an ensemble: for scenario_mpc; otherwise the first"
         )
         self._series = WeatherSeries(weather, site, start, self._steps, horizon)
         self._forecast = make_forecast(
-            weather, self._series, site, start, horizon, _declare_forecast(node), members
+            weather, self._series, site, start, horizon, _declare_forecast(node), all_members
         )
         self._start_ns = epoch_ns(start)
         self._tick_ns = round(site.tau * 1e9)
