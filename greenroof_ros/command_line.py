@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+import os
 import sys
 from collections.abc import Callable
 from typing import NoReturn
@@ -19,13 +20,19 @@ def command(main: Callable[[], int]) -> Callable[[], NoReturn]:
     """Make a function a command: it exits with the code that the function returns.
 
     A :class:`ConfigurationError` becomes one line on standard error and exit code 2, a file that
-    cannot be written likewise 1, and Ctrl-C exit code 130; none leaves a traceback.
+    cannot be written likewise 1, and Ctrl-C exit code 130; none leaves a traceback. Where nobody
+    reads the output any more, as behind ``| head``, nothing is said: exit code 1.
     """
 
     @functools.wraps(main)
     def wrapper() -> NoReturn:
         try:
             code = main()
+            sys.stdout.flush()
+        except BrokenPipeError:
+            # What is still to be written would fail once more at the interpreter's end.
+            os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+            code = EXIT_FAILED
         except ConfigurationError as error:
             print(f"error: {error}", file=sys.stderr)
             code = EXIT_USAGE

@@ -12,6 +12,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Any
 
+from greenroof_ros.command_line import EXIT_DONE, command
 from greenroof_ros.files import read_yaml, shared_directory
 
 
@@ -100,13 +101,15 @@ def markdown_table(topics: Iterable[Topic]) -> str:
     return "\n".join(rows)
 
 
-def main() -> None:
+@command
+def main() -> int:
     """Print the table."""
     argparse.ArgumentParser(
         prog="python -m greenroof_ros.topics",
         description="Print the topics of the node graph (msg_defs/topics.yaml) as a table.",
     ).parse_args()
     print(markdown_table(read_topics().values()))
+    return EXIT_DONE
 
 
 if __name__ == "__main__":

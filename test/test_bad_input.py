@@ -331,3 +331,18 @@ def test_wrong_output_leaves_no_trajectory(domain: int, tmp_path: Path) -> None:
     )
     assert done.returncode == 2
     assert not list(tmp_path.iterdir())
+
+
+def test_output_that_nobody_reads(tmp_path: Path) -> None:
+    """As behind '| head': no message, and the run's directory is whole."""
+    process = subprocess.Popen(
+        [sys.executable, "-m", "greenroof_ros.simulate", "--hours", "0.01", "--json",
+         "--output", "run"],
+        cwd=tmp_path, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
+    )
+    assert process.stdout is not None
+    process.stdout.close()
+    _, errors = process.communicate(timeout=60)
+    assert process.returncode == 1
+    assert "error" not in errors.lower()
+    assert (tmp_path / "run" / "summary.json").exists()
