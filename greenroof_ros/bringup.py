@@ -91,8 +91,9 @@ def _parser() -> argparse.ArgumentParser:
         "(default: %(default)s)",
     )
     group.add_argument(
-        "--peer-limit", type=within(0.1, 1e6), default=5.0, metavar="S",
-        help="longest wait for a node, in wall time (default: %(default)s s)",
+        "--peer-limit", type=within(2, 1e6), default=5.0, metavar="S",
+        help="longest wait for a node, in wall time, 2 s at least: nodes that join listen for a "
+        "second (default: %(default)s s)",
     )
     return parser
 

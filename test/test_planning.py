@@ -375,6 +375,31 @@ def test_members_are_those_of_the_forecast() -> None:
         of_one.command(2.3, 0.03, [*rain, *rain], evaporated)
 
 
+def test_the_last_plan_outlives_its_members(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Where the first program for another number of members has no solution, it is followed on."""
+    rain, evaporated = dry()
+    controller = PlanningMpc(PAPER_SITE, 12, ensemble=Ensemble(0.5, 7200.0))
+    first = controller.command(2.3, 0.0, rain, evaporated)
+    assert first == pytest.approx(1.0, abs=2e-3)
+    monkeypatch.setattr(PlanningProgram, "solve", lambda *arguments: None)
+    for _ in range(3):
+        command = controller.command(2.3, 0.0, [*rain, *rain], evaporated)
+        assert command == pytest.approx(first, abs=2e-3)
+    assert controller.fallbacks > 0
+
+
+def test_without_recourse_the_first_step_is_shared() -> None:
+    """One decision now for all members, and a new one before theirs differ."""
+    controller = PlanningMpc(PAPER_SITE, 12, ensemble=Ensemble(0.5, 0.0))
+    storm = [0.0] * 5 + [4e-6] * (STEPS - 5)
+    none, evaporated = dry()
+    for _ in range(20):
+        controller.command(2.3, 0.03, [*none, *storm], evaporated)
+    assert controller.solves == 2
+    assert controller._pumped is not None
+    assert np.ptp(controller._pumped[:, 1]) < 1e-3 < np.ptp(controller._pumped[:, -1])
+
+
 def test_risk() -> None:
     """Rain that one member of four sees: the mean of all fills the roof, the worst leaves room.
 

@@ -111,7 +111,7 @@ class AnticipatingOnOff:
 
     def skip(self) -> None:
         """Wait for the next reading."""
-        self._estimate.forget()
+        self._estimate.skip()
         self._stop_loss.skip()
 
     def _room(self, rain: Array, evaporated: Array) -> float:

@@ -56,10 +56,11 @@ class PlanningMpc:
     from then on, since by then a newer forecast is there. The objective is the conditional
     value-at-risk of the deviation over the members: its mean over the worst of them.
 
-    It decides anew when there is no plan, the plan is 60 s old (600 s with an ensemble), the roof
-    has come 2 litres off it, or the forecast has changed; the last solution, moved on, is the
-    solver's first guess. Where the solver finds no solution the last plan, which was good for the
-    whole horizon, is followed on; ``fallbacks`` counts it.
+    It decides anew when there is no plan, the plan is 60 s old (with an ensemble 600 s, or as long
+    as it is the same for all members), the roof has come 2 litres off it, or the forecast has
+    changed; the last solution, moved on, is the solver's first guess. Where the solver finds no
+    solution the last plan, which was good for the whole horizon, is followed on; ``fallbacks``
+    counts it.
 
     The roof's level is not taken as read, and forecasts of rain not for ever: see
     :class:`~greenroof_ros.controllers.roof_estimate.RoofEstimate` and
@@ -110,6 +111,8 @@ class PlanningMpc:
         self._prices = prices or Prices()
         self._ensemble = ensemble
         self._max_iterations = max_iterations
+        self._pumped: Array | None = None  # P at the edges, shape (members, steps + 1)
+        self._inflow: Array | None = None  # to the roof, of the last tick's forecast
         self._set_up(members=1)
         self._estimate = RoofEstimate(site, smoothing)
         self._stop_loss = StopLoss(site, patience)
@@ -122,15 +125,18 @@ class PlanningMpc:
         self._flow = 0.0  # commanded in the last tick (m3/s)
 
     def _set_up(self, members: int) -> None:
-        """Set the program up for forecasts of so many members, with no plan yet."""
+        """Set the program up for forecasts of so many members; what is planned for now stays."""
         self._members = members
-        self._longest = _LONGEST_PLAN_S if members == 1 else _LONGEST_ENSEMBLE_PLAN_S
         self._program = PlanningProgram(
             self._site, self._edges, self._max_command, self._power, self._prices,
             members, self._ensemble or Ensemble(), self._max_iterations,
         )
-        self._pumped: Array | None = None  # P at the edges, shape (members, steps + 1)
-        self._inflow: Array | None = None  # to the roof, of the last tick's forecast
+        self._longest = _LONGEST_PLAN_S
+        if members > 1:
+            self._longest = min(_LONGEST_ENSEMBLE_PLAN_S, self._program.shared_s)
+        if self._pumped is not None:
+            self._pumped = np.repeat(self._pumped[:1], members, axis=0)
+        self._inflow = None
 
     @property
     def status(self) -> int:
@@ -200,7 +206,7 @@ class PlanningMpc:
 
     def skip(self) -> None:
         """Wait for the next reading; what the plan expected of this tick has not happened."""
-        self._estimate.forget()
+        self._estimate.skip()
         self._stop_loss.skip()
         self._flow, self._expected = 0.0, math.nan
         self._age += self._site.tau

@@ -66,6 +66,8 @@ class PlanningProgram:
     Attributes:
         status: OSQP's status value of the last program, 1 = solved.
         cost: its objective, a mean deviation over the horizon (m3); NaN if it was not solved.
+        shared_s: until then (s) one plan serves all members: the end of the last step that ends
+            within ``recourse``, of the first step at least.
     """
 
     def __init__(
@@ -99,7 +101,9 @@ class PlanningProgram:
         # A step's deviation is scaled so that seconds and hours are alike to the solver.
         self._weights = self._lengths / self._lengths.mean()
         self._starts = prices.start > 0
-        self._common = int(np.count_nonzero(edges[1:] <= ensemble.recourse))
+        # At least the first step: it is what is decided.
+        self._common = max(1, int(np.count_nonzero(edges[1:] <= ensemble.recourse)))
+        self.shared_s = float(edges[self._common])
         self._risk = members > 1 and ensemble.level > 0
         self._full = maximum_pump_flow(site, site.a1 * site.z_o)
         n = len(self._lengths)

@@ -2,13 +2,20 @@
 
 from __future__ import annotations
 
+from collections import deque
+from statistics import fmean
+
 from greenroof_ros.plant import drainage_flow
 from greenroof_ros.site import Site
 
-# Where the readings of about so long (s) are so far (m) off what is predicted on average, that is
-# no noise but something that the model does not know of: pumps of another flow, a hand valve.
-_RECENT_S = 10.0
-_LOST_M = 0.002
+# Where all readings of so long (s), and so many at least, are further (m) off what was predicted,
+# and to the same side, that is no noise but something that the model does not know of: pumps of
+# another flow, a hand valve. Of noise, however large, less than half is so far off on either side.
+_LOST_S = 15.0
+_LOST_READINGS = 10
+_LOST_M = 0.001
+# What happens in a gap of so long (s) is less than what the next readings would take to tell.
+_GAP_S = 15.0
 
 
 class RoofEstimate:
@@ -23,38 +30,52 @@ class RoofEstimate:
     nothing before them. Where both are exact it is the reading, but for roundings.
 
     Pumps that give more than the model has them give would be left on while the estimate catches
-    up. So where the readings of the last ten seconds are 2 mm off on average, it follows them at
-    once, and after a tick without a reading it begins anew.
+    up. So where all readings of fifteen seconds, or ten of them if ticks are long, are more than a
+    millimetre off to the same side, it moves by their mean at once; a single one, however far off,
+    does no more than any other. After more than fifteen seconds without a reading it begins anew.
     """
 
     def __init__(self, site: Site, smoothing: float) -> None:
         """Take the site, and over how long (s) readings are averaged; 0 takes each as it is."""
         self._site = site
         self._gain = min(1.0, site.tau / smoothing) if smoothing > 0 else 1.0
-        self._recent_gain = min(1.0, site.tau / _RECENT_S)
         self._lost = site.roof_volume(_LOST_M)
         self._predicted: float | None = None
-        self._recent = 0.0  # mean of the last readings less what was predicted (m3)
         self._readings = 0  # since it began
+        self._surprises: deque[float] = deque(  # the last readings less what was predicted (m3)
+            maxlen=max(_LOST_READINGS, round(_LOST_S / site.tau))
+        )
+        self._gap = 0.0  # since the last reading (s)
 
     def correct(self, roof_level: float) -> float:
         """Return the volume (m3) in the present tick, in which the sensor reads a level (m)."""
         reading = self._site.roof_volume(roof_level)
-        self._readings += 1
-        if self._gain == 1.0 or self._predicted is None:
+        if self._gain == 1.0:
             return reading
+        if self._predicted is None or self._gap > _GAP_S:
+            self._readings, self._gap = 1, 0.0
+            self._surprises.clear()
+            return reading
+        self._readings += 1
+        self._gap = 0.0
         surprise = reading - self._predicted
-        self._recent += self._recent_gain * (surprise - self._recent)
+        self._surprises.append(surprise)
         correction = max(self._gain, 1 / self._readings) * surprise
-        if abs(self._recent) > self._lost:
-            correction, self._recent, self._readings = surprise, 0.0, 1
+        if self._is_lost():
+            correction, self._readings = fmean(self._surprises), len(self._surprises)
+            self._surprises.clear()
         return max(0.0, self._predicted + correction)
 
-    def forget(self) -> None:
-        """Take the next reading as it is: a tick has passed unseen."""
-        self._predicted = None
-        self._recent = 0.0
-        self._readings = 0
+    def _is_lost(self) -> bool:
+        """Whether the last readings cannot be noise about what was predicted."""
+        last = self._surprises
+        if abs(last[-1]) <= self._lost or len(last) != last.maxlen:
+            return False
+        return min(last) > self._lost or max(last) < -self._lost
+
+    def skip(self) -> None:
+        """Let a tick pass without a reading, in which nothing is pumped."""
+        self._gap += self._site.tau
 
     def predict(
         self, x2: float, precipitation: float, evapotranspiration: float, pumped: float

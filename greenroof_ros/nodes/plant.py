@@ -69,7 +69,7 @@ class PlantNode:
         self._record = declare(node, "record", False, "wait for a recorder")
         self._limit = declare(
             node, "peer_limit", 5.0, "longest wait for another node (s of wall time)",
-            low=0.1, high=1e6,
+            low=2, high=1e6,
         )
         self._start_limit = declare(
             node, "start_limit", 30.0, "longest wait for the other nodes to come (s of wall time)",
