@@ -92,7 +92,7 @@ class AnticipatingOnOff:
             raise ConfigurationError(
                 f"the forecasts have {len(precipitation)} and {len(evapotranspiration)} entries, "
                 f"but there are {len(self._lengths)} steps to the horizon; give weather and "
-                "controller the same"
+                "controller the same horizon, and only scenario_mpc all members"
             )
         rain, evaporated = np.asarray(precipitation), np.asarray(evapotranspiration)
         x1 = site.cistern_volume(cistern_level)
