@@ -18,7 +18,7 @@ from greenroof_ros.errors import ConfigurationError
 from greenroof_ros.files import shared_directory
 from greenroof_ros.lockstep import Link, LockstepError
 
-# How long the middleware may take to go (s); it needs a tenth of a second.
+# How long the middleware may take to go (s); it is a fraction of a second.
 _TAKING_DOWN_S = 3
 
 
@@ -92,8 +92,8 @@ def run_node(name: str, build: Callable[[Node], Link], args: list[str] | None = 
                 node.get_logger().fatal(str(error))
                 code = EXIT_FAILED
             link.flush()
-        # All is said and written. Fast DDS can lock up, and spin, in taking itself down while a peer
-        # does the same; no Python would run then, so that the kernel has to end it.
+        # All is said and written. Fast DDS can lock up, and spin, in taking itself down while a
+        # peer does the same; no Python would run then, so that the kernel has to end it.
         signal.signal(signal.SIGALRM, signal.SIG_DFL)
         signal.alarm(_TAKING_DOWN_S)
         node.destroy_node()
