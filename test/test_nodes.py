@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from graph import Process, environment, wait_for
+from graph import Process, environment, shared_memory_of, wait_for
 
 rclpy = pytest.importorskip("rclpy", reason="nodes need ROS 2")
 
@@ -158,6 +158,20 @@ def test_bad_level_or_frost_stops_the_pump(
     assert commands[1] == 0.0
     assert commands[2] > 0
     assert commands[3:] == [0.0, 0.0]
+
+
+def test_middleware_that_locks_up_at_the_end(domain: int, tmp_path: Path) -> None:
+    """A teardown that hangs, and lets no Python run: the node ends all the same."""
+    hangs = (
+        "import ctypes; from rclpy.node import Node; from greenroof_ros.nodes.weather import main; "
+        "Node.destroy_node = lambda node: ctypes.PyDLL(None).sleep(60); main()"
+    )
+    process = subprocess.Popen(
+        [sys.executable, "-c", hangs], cwd=tmp_path, env=environment(domain)
+    )
+    wait_for(lambda: shared_memory_of([process.pid]), 20, "the start of the node")
+    process.send_signal(signal.SIGINT)
+    assert process.wait(8) == -signal.SIGALRM
 
 
 def test_two_masters(domain: int, tmp_path: Path, observer: Observer) -> None:
