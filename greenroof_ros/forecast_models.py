@@ -96,11 +96,6 @@ def choose(text: str) -> ForecastChoice:
 class ForecastModel(Protocol):
     """Hourly forecasts: what is known in an hour about those that follow."""
 
-    @property
-    def members(self) -> int:
-        """How many forecasts of the rain there are; 1 unless it is an ensemble."""
-        ...
-
     def known(self, hour: int, hours: int) -> tuple[Array, Array]:
         """Return the forecast that is the newest in an hour of the records.
 
@@ -145,8 +140,6 @@ def make_model(choice: ForecastChoice, weather: Weather, all_members: bool) -> F
 class PerfectModel:
     """Knows the records themselves."""
 
-    members = 1
-
     def __init__(self, weather: Weather) -> None:
         """Take the records."""
         self._weather = weather
@@ -169,8 +162,6 @@ class PersistenceModel:
     that of the same hour of the last day that is known at the issue, or where the records do not
     have it, that of the hour of issue.
     """
-
-    members = 1
 
     def __init__(self, weather: Weather) -> None:
         """Take the records, of which none after the hour of issue is looked at."""

@@ -66,7 +66,6 @@ class Drawn:
     """A model whose forecasts are any numbers, other than the records."""
 
     def __init__(self, rain: Array, evapotranspiration: Array) -> None:
-        self.members = len(rain)
         self._rain = rain
         self._evapotranspiration = evapotranspiration
 
