@@ -39,6 +39,8 @@ _UNKNOWN = "_NODE_NAME_UNKNOWN_"
 _NAMING_S = 0.5
 # How long a node listens at most before it looks at its clocks and signals again (s).
 LISTEN_S = 0.05
+# How long a node that ends waits for its readers (s): one that was killed stays matched.
+_FLUSH_S = 1.0
 # How often a node says how it is (s of wall time).
 _REPORT_S = 0.25
 
@@ -394,9 +396,11 @@ class Link:
                 self.finish(**self.summary())
 
     def flush(self) -> None:
-        """Wait until the readers have what was published."""
+        """Wait until the readers have what was published, for at most a second."""
+        until = time.monotonic() + _FLUSH_S
         for publisher in [*self._publishers.values(), self._reporter]:
-            publisher.wait_for_all_acked(Duration(seconds=1))
+            left = max(0.0, until - time.monotonic())
+            publisher.wait_for_all_acked(Duration(seconds=left))
 
 
 def read_reports(array: DiagnosticArray) -> Iterator[tuple[str, str, dict[str, Any]]]:

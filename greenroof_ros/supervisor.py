@@ -99,6 +99,9 @@ class Supervisor:
         traceback: TracebackType | None,
     ) -> None:
         """End all processes and clear away the shared memory that they left."""
+        # A stopped process hears nothing else, and the others' last words wait for it.
+        for process in self.nodes.values():
+            process.send_signal(signal.SIGCONT)
         # The recorder last, so that its bag holds all that the others said.
         for group in (self.nodes.keys() - {"recorder"}, self.nodes.keys() & {"recorder"}):
             self._end([self.nodes[node] for node in group])
@@ -230,7 +233,6 @@ class Supervisor:
             running = [process for process in processes if process.poll() is None]
             for process in running:
                 process.send_signal(number)
-                process.send_signal(signal.SIGCONT)  # a stopped process hears nothing else
             until = time.monotonic() + patience
             for process in running:
                 with contextlib.suppress(subprocess.TimeoutExpired):

@@ -136,7 +136,8 @@ class Process:
         try:
             return self.process.wait(seconds)
         except subprocess.TimeoutExpired:
-            self.process.kill()
+            for pid in [*self.nodes().values(), self.process.pid]:
+                os.kill(pid, signal.SIGKILL)  # nodes first: one that is stopped hears nothing else
             raise AssertionError(f"still running after {seconds:g} s; {self.stderr()}") from None
 
     def stdout(self) -> str:
