@@ -32,6 +32,7 @@ from greenroof_ros.run import (
     within,
 )
 from greenroof_ros.run_directory import make_run_directory, write_configuration
+from greenroof_ros.shared_memory import remove_unfinished
 from greenroof_ros.supervisor import NodeFailed, Supervisor
 
 # How long to listen for nodes that are in the graph already (s). On loopback they answer in well
@@ -153,6 +154,7 @@ def _refuse_company(signals: _Signals) -> None:
             f"python -m greenroof_ros.simulate needs none ({error})"
         ) from error
     ours = {"plant", "weather", *CONTROLLERS, "recorder"}
+    remove_unfinished()
     context = rclpy.Context()
     rclpy.init(args=[], context=context, signal_handler_options=SignalHandlerOptions.NO)
     node = Node("bringup", context=context, start_parameter_services=False, enable_rosout=False)

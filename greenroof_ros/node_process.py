@@ -17,6 +17,7 @@ from greenroof_ros.command_line import EXIT_DONE, EXIT_FAILED, EXIT_USAGE
 from greenroof_ros.errors import ConfigurationError
 from greenroof_ros.files import shared_directory
 from greenroof_ros.lockstep import Link, LockstepError
+from greenroof_ros.shared_memory import remove_unfinished
 
 # How long the middleware may take to go (s); it is a fraction of a second.
 _TAKING_DOWN_S = 3
@@ -59,6 +60,7 @@ def run_node(name: str, build: Callable[[Node], Link], args: list[str] | None = 
     # last word.
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, on_signal)
+    remove_unfinished()
     try:
         rclpy.init(args=args, signal_handler_options=SignalHandlerOptions.NO)
         node = Node(name)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import ctypes
-import fcntl
 import json
 import os
 import selectors
@@ -19,13 +18,13 @@ from typing import Any
 
 from greenroof_ros.command_line import EXIT_FAILED, EXIT_USAGE
 from greenroof_ros.node_report import REPORT_PIPE
+from greenroof_ros.shared_memory import remove_left, segments_of
 
 # Patience with a process that was told to end, before the next, harder signal (s).
 _PATIENCE_S = {signal.SIGINT: 4.0, signal.SIGTERM: 1.0, signal.SIGKILL: 5.0}
 _LAST_LINES = 15
 # Nodes that report four times a second fall silent for one reason within this time (s).
 _SAME_SILENCE_S = 0.5
-_SHARED_MEMORY = Path("/dev/shm")
 _PR_SET_PDEATHSIG = 1
 
 
@@ -44,17 +43,6 @@ class NodeFailed(Exception):
 def end_with_parent() -> None:
     """Have the kernel interrupt this process when its parent dies, even by kill -9."""
     ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGINT)
-
-
-def _held_segments(pid: int) -> set[str]:
-    """Return the Fast DDS shared memory that a process owns: it has the lock files open."""
-    held = set()
-    with contextlib.suppress(OSError):  # it ends just now
-        for entry in Path(f"/proc/{pid}/fd").iterdir():
-            target = entry.readlink()
-            if target.parent == _SHARED_MEMORY and target.name.endswith("_el"):
-                held.add(target.name.removesuffix("_el"))
-    return held
 
 
 def _is_stopped(pid: int) -> bool:
@@ -109,7 +97,7 @@ class Supervisor:
         if failed and not isinstance(error, NodeFailed):
             message = self._with_last_lines("recorder", "the recorder could not close its bag")
             print(f"error: {message}", file=sys.stderr)
-        self._clear_shared_memory()
+        remove_left(set().union(*self._segments.values()))
 
     def start(self, node: str, parameters: Path) -> None:
         """Start one node; it does not see the terminal's Ctrl-C, which is this process's.
@@ -179,7 +167,7 @@ class Supervisor:
 
     def _note_segments(self, node: str) -> None:
         """Note a node's shared memory while it lives: after a kill -9 nobody can tell."""
-        self._segments[node] |= _held_segments(self.nodes[node].pid)
+        self._segments[node] |= segments_of(self.nodes[node].pid)
 
     def _log(self, node: str, data: bytes) -> None:
         """Keep what a node prints: in its log, and in memory should the disk be full."""
@@ -237,21 +225,3 @@ class Supervisor:
             for process in running:
                 with contextlib.suppress(subprocess.TimeoutExpired):
                     process.wait(max(0.0, until - time.monotonic()))
-
-    def _clear_shared_memory(self) -> None:
-        """Remove the nodes' shared-memory files that no living process owns.
-
-        A process that ends well removes its own; one killed by ``kill -9`` cannot. Fast DDS holds
-        a lock on ``NAME_el`` as long as the owner of ``NAME`` lives.
-        """
-        for name in set().union(*self._segments.values()):
-            lock = _SHARED_MEMORY / f"{name}_el"
-            try:
-                with lock.open("rb") as stream:
-                    fcntl.flock(stream, fcntl.LOCK_EX | fcntl.LOCK_NB)
-            except FileNotFoundError:
-                pass
-            except OSError:
-                continue  # its owner lives
-            for left in (lock, _SHARED_MEMORY / name, _SHARED_MEMORY / f"sem.{name}_mutex"):
-                left.unlink(missing_ok=True)

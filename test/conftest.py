@@ -21,10 +21,16 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
 
 
 @pytest.fixture(scope="session")
-def domain() -> Iterator[int]:
-    """A ROS domain of this session's own."""
+def unused_domain() -> Iterator[int]:
+    """A ROS domain of this session's own, for what is refused before it starts a node."""
     with own_domain() as number:
         yield number
+
+
+@pytest.fixture(scope="session")
+def domain(unused_domain: int) -> int:
+    """The same, for graphs."""
+    return unused_domain
 
 
 @pytest.fixture(autouse=True)

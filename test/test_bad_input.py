@@ -270,7 +270,7 @@ CASES = [
     ("options", "content", "words"), [case[1:] for case in CASES], ids=[case[0] for case in CASES]
 )
 def test_refused(
-    domain: int,
+    unused_domain: int,
     tmp_path: Path,
     options: str,
     content: bytes | None,
@@ -286,7 +286,7 @@ def test_refused(
     started = [
         subprocess.Popen(
             [sys.executable, "-m", f"greenroof_ros.{command}", *options.split()],
-            cwd=tmp_path, env=environment(domain), text=True,
+            cwd=tmp_path, env=environment(unused_domain), text=True,
             stdout=subprocess.PIPE, stderr=subprocess.PIPE,
         )
         for command in ("simulate", "bringup")
@@ -319,14 +319,14 @@ def test_wrong_domain(tmp_path: Path, wrong: str) -> None:
     assert not list(tmp_path.iterdir())
 
 
-def test_wrong_output_leaves_no_trajectory(domain: int, tmp_path: Path) -> None:
+def test_wrong_output_leaves_no_trajectory(unused_domain: int, tmp_path: Path) -> None:
     """What is refused writes nothing, so that the mended command can be given again."""
     done = subprocess.run(
         [
             sys.executable, "-m", "greenroof_ros.simulate", "--hours", "0.01",
             "--trajectory", "run.csv", "--output", "/proc/greenroof",
         ],
-        cwd=tmp_path, env=environment(domain), capture_output=True, text=True, timeout=60,
+        cwd=tmp_path, env=environment(unused_domain), capture_output=True, text=True, timeout=60,
         check=False,
     )
     assert done.returncode == 2
