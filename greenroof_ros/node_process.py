@@ -33,7 +33,7 @@ def make_executor() -> Any:
 
 
 def run_node(name: str, build: Callable[[Node], Link], args: list[str] | None = None) -> int:
-    """Run one node as a process until it is told to stop or fails.
+    """Run one node until it is told to stop or fails; the process has to end with it, soon.
 
     Args:
         name: of the node.
@@ -95,10 +95,10 @@ def run_node(name: str, build: Callable[[Node], Link], args: list[str] | None = 
                 code = EXIT_FAILED
             link.flush()
         # All is said and written. Fast DDS can lock up, and spin, in taking itself down while a
-        # peer does the same; no Python would run then, so that the kernel has to end it.
+        # peer does the same, be it here or where Python frees the last of it at the process's end;
+        # no Python would run then, so that the kernel has to end it.
         signal.signal(signal.SIGALRM, signal.SIG_DFL)
         signal.alarm(_TAKING_DOWN_S)
         node.destroy_node()
         rclpy.try_shutdown()
-        signal.alarm(0)
     return code

@@ -16,7 +16,7 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any
 
-from greenroof_ros.command_line import EXIT_FAILED, EXIT_USAGE
+from greenroof_ros.command_line import EXIT_DONE, EXIT_FAILED, EXIT_USAGE
 from greenroof_ros.node_report import REPORT_PIPE
 from greenroof_ros.shared_memory import remove_left, segments_of
 
@@ -93,8 +93,11 @@ class Supervisor:
         # The recorder last, so that its bag holds all that the others said.
         for group in (self.nodes.keys() - {"recorder"}, self.nodes.keys() & {"recorder"}):
             self._end([self.nodes[node] for node in group])
-        failed = "recorder" in self._spoke and self.nodes["recorder"].returncode
-        if failed and not isinstance(error, NodeFailed):
+        # A recorder whose middleware locked up (SIGALRM) had closed its bag before.
+        closed = "recorder" not in self._spoke or self.nodes["recorder"].returncode in (
+            EXIT_DONE, -signal.SIGALRM,
+        )
+        if not closed and not isinstance(error, NodeFailed):
             message = self._with_last_lines("recorder", "the recorder could not close its bag")
             print(f"error: {message}", file=sys.stderr)
         remove_left(set().union(*self._segments.values()))

@@ -160,11 +160,15 @@ def test_bad_level_or_frost_stops_the_pump(
     assert commands[3:] == [0.0, 0.0]
 
 
-def test_middleware_that_locks_up_at_the_end(domain: int, tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    "when", ["Node.destroy_node = lambda node: hang()", "import atexit; atexit.register(hang)"],
+    ids=["destroy_node", "end of the process"],
+)
+def test_middleware_that_locks_up_at_the_end(domain: int, tmp_path: Path, when: str) -> None:
     """A teardown that hangs, and lets no Python run: the node ends all the same."""
     hangs = (
         "import ctypes; from rclpy.node import Node; from greenroof_ros.nodes.weather import main; "
-        "Node.destroy_node = lambda node: ctypes.PyDLL(None).sleep(60); main()"
+        f"hang = lambda: ctypes.PyDLL(None).sleep(60); {when}; main()"
     )
     process = subprocess.Popen(
         [sys.executable, "-c", hangs], cwd=tmp_path, env=environment(domain)
