@@ -36,12 +36,13 @@ def remove_left(names: Iterable[str]) -> None:
     for name in names:
         try:
             with (_DIRECTORY / f"{name}_el").open("rb") as stream:
+                # As long as it is held, nobody else takes the segment over.
                 fcntl.flock(stream, fcntl.LOCK_EX | fcntl.LOCK_NB)
+                _remove(name)
         except FileNotFoundError:
-            pass
+            _remove(name)
         except OSError:
             continue  # its owner lives
-        _remove(name)
 
 
 def remove_unfinished() -> None:

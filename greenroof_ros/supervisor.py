@@ -93,7 +93,8 @@ class Supervisor:
         # The recorder last, so that its bag holds all that the others said.
         for group in (self.nodes.keys() - {"recorder"}, self.nodes.keys() & {"recorder"}):
             self._end([self.nodes[node] for node in group])
-        # A recorder whose middleware locked up (SIGALRM) had closed its bag before.
+        # A recorder whose middleware locked up (SIGALRM) had closed its bag before, or logged why
+        # it could not.
         closed = "recorder" not in self._spoke or self.nodes["recorder"].returncode in (
             EXIT_DONE, -signal.SIGALRM,
         )
@@ -141,10 +142,14 @@ class Supervisor:
         self._looked = now
         for node in self.nodes.keys() - self._spoke:
             self._note_segments(node)
-        for key, _ in self._pipes.select(timeout=0.1):
-            self._read(key)
+        self._read_pipes(0.1)
         found, self._reports = self._reports, []
         return found
+
+    def _read_pipes(self, timeout: float) -> None:
+        """Read what the nodes say, after at most so long (s)."""
+        for key, _ in self._pipes.select(timeout):
+            self._read(key)
 
     def _read(self, key: selectors.SelectorKey) -> None:
         """Read what a pipe holds; at its end let it go."""
@@ -226,5 +231,6 @@ class Supervisor:
                 process.send_signal(number)
             until = time.monotonic() + patience
             for process in running:
-                with contextlib.suppress(subprocess.TimeoutExpired):
-                    process.wait(max(0.0, until - time.monotonic()))
+                while process.poll() is None and time.monotonic() < until:
+                    self._read_pipes(0.02)
+        self._read_pipes(0.0)

@@ -95,6 +95,23 @@ def test_hanging_nodes(domain: int, tmp_path: Path, victims: list[str]) -> None:
     assert_gone(nodes, shared_memory)
 
 
+def test_last_words_are_in_the_log(domain: int, tmp_path: Path) -> None:
+    """What a node prints on its way out is kept, too."""
+    # Its alarm is the last thing before its middleware goes, which does not always come back.
+    (tmp_path / "sitecustomize.py").write_text(
+        "import signal; alarm = signal.alarm\n"
+        "signal.alarm = lambda seconds: (print('a last word', flush=True), alarm(seconds))\n"
+    )
+    environ = environment(domain)
+    environ["PYTHONPATH"] = os.pathsep.join([str(tmp_path), environ["PYTHONPATH"]])
+    subprocess.run(
+        [sys.executable, "-m", "greenroof_ros.bringup", "--hours", "0.01", "--output", "run"],
+        cwd=tmp_path, env=environ, capture_output=True, timeout=60, check=True,
+    )
+    for node in NODES:
+        assert "a last word\n" in (tmp_path / "run" / "log" / f"{node}.log").read_text()
+
+
 def test_pause_shorter_than_the_limit_changes_nothing(domain: int, tmp_path: Path) -> None:
     """Each node stopped for a while, the recorder for 3 s: the bag equals an undisturbed one."""
     bring_up(domain, tmp_path, "--hours", "1", output="undisturbed")
