@@ -23,6 +23,7 @@ from scipy.sparse import diags, hstack, identity
 from greenroof_ros.closed_loop import closed_loop
 from greenroof_ros.command_line import EXIT_DONE, EXIT_FAILED, command
 from greenroof_ros.errors import ConfigurationError
+from greenroof_ros.forecast import PerfectForecast
 from greenroof_ros.imperfections import Imperfections
 from greenroof_ros.metrics import Metrics
 from greenroof_ros.plant import drainage_flow, maximum_pump_flow
@@ -90,7 +91,7 @@ class _Limits:
     still: Values
 
 
-def clairvoyant_bound(run: Run, max_command: float = 1.0, block: int = 60) -> Bound:
+def clairvoyant_bound(run: Run, max_command: float = 1.0, block: int | None = None) -> Bound:
     r"""Bound the total deviation sum_{k=0..N} \|x_{k,2} - x2*\| of a run from below.
 
     The bound is the optimum of a linear program in the roof's volume x2 alone. Every run that the
@@ -123,13 +124,18 @@ def clairvoyant_bound(run: Run, max_command: float = 1.0, block: int = 60) -> Bo
     Args:
         run: weather, site, initial state and length; its controller and forecast do not matter.
         max_command: largest command (share of the maximum flow), from 1e-9 to 100.
-        block: ticks that share one variable, at least 1.
+        block: ticks that share one variable, at least 1; if not given, those of a minute.
 
     Raises:
         NoBoundError: the solver found no optimum.
     """
-    # Of the site as it is, whatever its sensor reads.
-    run = replace(run, imperfections=Imperfections())
+    # Of the site as it is, whatever its sensor reads; and nobody asks for a forecast that takes
+    # its time to make.
+    run = replace(
+        run, imperfections=Imperfections(), forecast=PerfectForecast(run.series, run.site.M)
+    )
+    if block is None:
+        block = max(1, round(_BLOCK_S / run.site.tau))
     limits = _limits(run, max_command)
     edges = np.arange(0, run.steps + 1, block)
     deviation, cost, message = _solve(run, limits, edges)
@@ -356,14 +362,12 @@ class _Plan:
         """It solves nothing while it runs."""
 
 
-def _block_ticks(site: Site, block_s: float | None) -> int:
+def _block_ticks(site: Site, block_s: float) -> int:
     """Return the ticks in a block of so many seconds.
 
     Raises:
         ConfigurationError: they are not a whole number of ticks, at least one.
     """
-    if block_s is None:
-        return max(1, round(_BLOCK_S / site.tau))
     ticks = round(block_s / site.tau)
     if ticks < 1 or not math.isclose(ticks * site.tau, block_s, rel_tol=1e-9):
         raise ConfigurationError(
@@ -464,9 +468,9 @@ def main() -> int:
     group.add_argument("--json", action="store_true", help="print JSON instead of a table")
     arguments = parser.parse_args()
     run = run_from_arguments(arguments)
-    block = _block_ticks(run.site, arguments.block)
+    block = None if arguments.block is None else _block_ticks(run.site, arguments.block)
     try:
-        with _note_if_slow(f"solving for {run.steps // block + 1} blocks ..."):
+        with _note_if_slow(f"solving for {run.steps} ticks ..."):
             bound = clairvoyant_bound(run, arguments.max_command, block)
     except NoBoundError as error:
         print(f"error: no bound found; the solver says: {error}", file=sys.stderr)

@@ -328,6 +328,14 @@ def test_a_cistern_at_the_suction_level_gives_one_tick() -> None:
     assert bound.plan == pytest.approx([full / 10, 0, 0, 0, 0], rel=1e-6)
 
 
+@pytest.mark.parametrize(("tau", "ticks"), [(1.0, 60), (10.0, 6), (300.0, 1)])
+def test_blocks_of_a_minute_unless_told(tau: float, ticks: int) -> None:
+    """Whatever a tick is; and nobody makes the forecast that its controller would get."""
+    site = replace(PAPER_SITE, tau=tau)
+    run = replace(run_of(DRY_HOUR, 75.0, 2.0, site), forecast=None)  # type: ignore[arg-type]
+    assert clairvoyant_bound(run).block == ticks
+
+
 def test_a_cistern_gives_what_it_holds() -> None:
     """An hour at full flow would be 28 m3 for a dry roof of 91 m3, but there are 19."""
     site = replace(site_with(a2=2000.0), tau=3600.0)
@@ -419,5 +427,5 @@ def test_a_slow_one_says_so(
     monkeypatch.setattr(module, "_PATIENCE_S", 0.0)
     assert call(monkeypatch, "--hours", "1", "--json") == 0
     captured = capsys.readouterr()
-    assert "solving for 61 blocks" in captured.err
+    assert "solving for 3600 ticks" in captured.err
     assert math.isfinite(json.loads(captured.out)["bound_m3"])
