@@ -215,7 +215,7 @@ def test_thinning_keeps_ends_and_extremes(values: list[float]) -> None:
     """Whatever the line, its peaks are drawn, in order, and few points are."""
     column = np.array(values)
     kept = thin(column, 100)
-    assert len(kept) <= max(102, 0)
+    assert len(kept) <= 102
     assert (np.diff(kept) > 0).all()
     assert {0, len(values) - 1} <= set(kept.tolist())
     assert column[kept].max() == column.max() and column[kept].min() == column.min()
@@ -360,13 +360,19 @@ def test_published_totals_stand_beside_the_papers_window(tmp_path: Path) -> None
         START, np.arange(43201.0), column + 55, column, *[np.zeros(43201)] * 7
     )
     row = simulate("onoff", "0.5", "low-low", "0.1").row
-    for variant, there in (("published", True), ("fao56", False)):
+    for name, changes, there in (
+        ("published", {}, True),
+        ("fao56", {"evapotranspiration": "fao56"}, False),
+        ("offset", {"roof_offset": "0.005"}, False),
+        ("forecast", {"forecast": "persistence"}, False),
+    ):
         path = write_study(
-            tmp_path / variant,
+            tmp_path / name,
             [
-                ({**row, "evapotranspiration": variant, "fraction": fraction}, trajectory)
+                ({**row, **changes, "fraction": fraction}, trajectory)
                 for fraction in ("0.2", "0.5")
             ],
+            [*HEADER, *(key for key in changes if key not in HEADER)],
         )
         data = drawn(report_of(path), "total-deviation-1").data
         assert ("published-1-onoff" in data) == there
@@ -886,6 +892,25 @@ def own_run(directory: Path, one: Simulated) -> Path:
     return directory
 
 
+def test_no_bound_from_a_sensor_that_errs(
+    tmp_path: Path, simulated: list[Simulated]
+) -> None:
+    """Its first reading is not what was on the roof, and its sum no deviation of it."""
+    path = own_run(tmp_path / "run", simulated[3])
+    file = path / "summary.json"
+    summary = json.loads(file.read_text())
+    for imperfections, known in (({"roof_offset": 0.005}, False), ({"minimum_on": 60}, True)):
+        file.write_text(json.dumps({**summary, "imperfections": imperfections}))
+        assert (report_of(path).results[0].bound_m3 is not None) == known
+
+
+def test_a_study_without_trajectories(tmp_path: Path) -> None:
+    """Its single runs cannot be drawn: said with what to do."""
+    path = write_study(tmp_path / "study", [(simulate("onoff", "0.5", "low-low", "0.1").row, None)])
+    with pytest.raises(ConfigurationError, match=r"parquet.*made with --no-trajectories"):
+        report_of(path)
+
+
 def test_a_run_directorys_notes_and_bound(tmp_path: Path, simulated: list[Simulated]) -> None:
     """As a study's: fallbacks, repeated forecasts, filled hours; and the least possible."""
     one = simulated[3]
@@ -1223,7 +1248,7 @@ WRONG: dict[str, tuple[Callable[[Path], Any], str, tuple[str, ...]]] = {
     ),
     "trajectory-gone": (
         lambda at: bad_trajectory(at, lambda file: file.unlink()), "",
-        ("001/trajectory.parquet", "No such file"),
+        ("001/trajectory.parquet", "is not there"),
     ),
     "trajectory-cut": (
         lambda at: bad_trajectory(at, lambda file: cut(file, 1000)), "",

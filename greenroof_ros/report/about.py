@@ -30,6 +30,7 @@ class About:
         variant: of the evapotranspiration.
         forecast: what the controller was told of the weather to come; empty if that was what came.
         imperfections: of level sensor and pumps; empty if there were none.
+        exact_sensor: whether the roof's level is the true one.
         zone: offset from UTC; None where nobody wrote it down.
         own: whether this package wrote it.
         notes: what a reader should know of the run.
@@ -42,6 +43,7 @@ class About:
     variant: str = "unknown"
     forecast: str = ""
     imperfections: str = ""
+    exact_sensor: bool = True
     zone: tzinfo | None = None
     own: bool = False
     notes: tuple[str, ...] = ()
@@ -132,7 +134,8 @@ def _understand(content: dict[str, Any]) -> About:
     )
     site = content.get("imperfections") or {}
     imperfections = imperfections_label(site)
-    if site.get("roof_noise") or site.get("roof_offset"):
+    exact_sensor = not (site.get("roof_noise") or site.get("roof_offset"))
+    if not exact_sensor:
         notes.append(
             f"the roof's level is what a sensor reads ({imperfections}); the summary's deviation "
             "is of the true one"
@@ -148,6 +151,7 @@ def _understand(content: dict[str, Any]) -> About:
         variant=str(content.get("evapotranspiration_variant") or About.variant),
         forecast=forecast_label(forecast.get("file") or forecast.get("model"), forecast),
         imperfections=imperfections,
+        exact_sensor=exact_sensor,
         zone=datetime.fromisoformat(content["start"]).tzinfo if "start" in content else None,
         own=True,
         notes=tuple(notes),

@@ -35,6 +35,7 @@ _GREY = "#555555"
 _FULL_FLOW = "full flow; above it is beyond the pump"
 _PAPER_START = datetime.fromisoformat("2021-07-07T02:00-05:00")
 _PAPER_HOURS = 12.0
+_PAPERS_PARAMETER = {"mpc": "weight", "onoff": "fraction"}
 # Longer runs have days on their axis.
 _MOST_HOURS = 72.0
 _TERMS = {
@@ -328,6 +329,7 @@ def published_totals(report: Report, window: Window) -> Rows:
     if (
         window.variant != "published" or window.start != _PAPER_START
         or window.hours != _PAPER_HOURS
+        or window.forecast or window.imperfections
         or any(getattr(site, name) != getattr(papers, name) for name in table)
     ):
         return []
@@ -339,7 +341,7 @@ def published_totals(report: Report, window: Window) -> Rows:
             }
             for row in csv.DictReader(stream)
             if row["initial"] in report.initials and row["controller"] in report.controllers
-            and report.settings[row["controller"]].axis
+            and report.settings[row["controller"]].axis == _PAPERS_PARAMETER[row["controller"]]
         ]
 
 

@@ -283,6 +283,11 @@ def _read_study(path: Path, prefix: str, sources: Sources) -> None:
 
 def _load_parquet(path: Path) -> tuple[Trajectory, tuple[str, ...]]:
     """Read the trajectory of a study's run."""
+    if not path.is_file():
+        raise ConfigurationError(
+            "is not there; was the study made with --no-trajectories? that is enough for runs of "
+            "several forecast seeds only: make it again without, in another directory", file=path,
+        )
     trajectory = read_parquet(path)
     if len(trajectory.time) < 2 or not (np.diff(trajectory.time) > 0).all():
         raise ConfigurationError("must have two samples or more, in the order of time", file=path)
@@ -308,7 +313,7 @@ def _start(text: str) -> str:
 
 
 def _as_given(bound: float | None) -> Callable[[Trajectory], float | None]:
-    """Return a bound (m3) whatever the trajectory, which a study computed for its input."""
+    """Return a bound (m3) whatever the trajectory: a study's own, or None where it is unknown."""
     return lambda _trajectory: bound
 
 
@@ -373,8 +378,12 @@ def _bag_entry(path: Path, name: str, site_file: Path | None, given: Site | None
         notes=(*notes, *about.notes),
         load=partial(load_bag, bag, site, about.zone or timezone.utc, mend, about.own),
         forecast=about.forecast,
-        bound=partial(_own_bound, run / "configuration" / "weather.csv", own_site, site,
-                      about.variant),
+        # What a sensor reads is neither the roof's initial volume nor its deviation.
+        bound=(
+            partial(_own_bound, run / "configuration" / "weather.csv", own_site, site,
+                    about.variant)
+            if about.exact_sensor else _as_given(None)
+        ),
         imperfections=about.imperfections,
     )
 
