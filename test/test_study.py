@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 from studies import CONFIG, GRID, WEATHER, edited, grid, rows_of, study
 
-REAL = Path(__file__).resolve().parents[2] / "shared" / "weather"
+REAL = Path(__file__).resolve().parent / "data"
 
 
 @pytest.fixture(scope="module")
@@ -80,8 +80,6 @@ def test_killed_and_gone_on(papers: Path, tmp_path: Path) -> None:
 def test_windows_of_july(tmp_path: Path) -> None:
     """Three windows of the real month, one of them with hours that were missing."""
     file = REAL / "en_climate_hourly_07-2021.csv"
-    if not file.is_file():
-        pytest.skip(f"the real file {file.name} is not beside this checkout")
     text = GRID.replace(str(WEATHER), str(file)).replace("[published, fao56]", "fao56")
     text = text.replace("hours: 0.25", "hours: 12").replace(
         "2021-07-07T02:00", "[2021-07-08T05:00, 2021-07-16T08:00, 2021-07-20T12:00]"
@@ -115,6 +113,7 @@ def test_what_was_begun_is_not_mixed_with_something_else(tmp_path: Path) -> None
         return result.stderr
 
     assert "begun with another engine" in refusal("--engine", "ros")
+    assert "begun with trajectories" in refusal("--no-trajectories")
     grid(tmp_path, small.replace("hours: 0.25", "hours: 0.5"))
     assert "begun with another grid, or other files" in refusal()
     grid(tmp_path, small)

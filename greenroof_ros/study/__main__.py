@@ -27,6 +27,8 @@ from greenroof_ros.study.workers import Submit, cluster, processes
 # A graph is five processes; two cores are busy with one.
 _CORES_PER_GRAPH = 2
 _REFRESH_S = 0.5
+# Controllers by the time that a run of theirs takes.
+_SLOWEST = ("scenario_mpc", "planning_mpc", "mpc", "anticipating_onoff", "onoff")
 
 
 def _parser() -> argparse.ArgumentParser:
@@ -63,7 +65,8 @@ def _parser() -> argparse.ArgumentParser:
     )
     parser.add_argument(
         "--no-trajectories", action="store_true",
-        help="keep the table only, of thousands of runs; a report then has no curves",
+        help="keep the table only, of thousands of runs; a report then takes those only that were "
+        "made with several forecast seeds",
     )
     return parser
 
@@ -127,7 +130,7 @@ def _run(
 ) -> None:
     """Run cases, and bound the problems, keeping each outcome as it comes."""
     # The longest first, so that no core is idle at the end while another has a long one left.
-    ordered = sorted(cases, key=lambda case: (case.controller == "onoff", -case.hours))
+    ordered = sorted(cases, key=lambda case: (_SLOWEST.index(case.controller), -case.hours))
     with Progress(
         TextColumn("{task.description}"), BarColumn(bar_width=None), MofNCompleteColumn(),
         TextColumn("runs, time left"), TimeRemainingColumn(),

@@ -19,6 +19,7 @@ from greenroof_ros.imperfections import RANGES, Imperfections
 from greenroof_ros.run import (
     CONTROLLERS,
     INITIAL_STATES,
+    TAKE_ENSEMBLES,
     build_run,
     count_ticks,
     initial_state,
@@ -192,7 +193,7 @@ class _Grid:
             weather = read_weather(self._path.parent / file, site, variant)
         # What one controller can run with, the others that are told as much can.
         told = {
-            (parameters.get("horizon"), parameters.get("members")): (name, parameters)
+            (parameters.get("horizon"), name in TAKE_ENSEMBLES): (name, parameters)
             for name, parameters in controllers
         }
         given = window if "forecast" in window else self._mapping

@@ -56,6 +56,7 @@ class Store:
         self._bounds = directory / "bounds.json"
         identity = {
             "engine": engine,
+            "trajectories": trajectories,
             "versions": summary.versions(),
             "runs": [case.identity for case in cases],
         }
@@ -107,6 +108,7 @@ class Store:
         for key, what in (
             ("runs", "another grid, or other files"),
             ("engine", "another engine"),
+            ("trajectories", f"{'no ' if self._trajectories else ''}trajectories"),
             ("versions", "other versions"),
         ):
             if not isinstance(begun, dict) or begun.get(key) != identity[key]:

@@ -14,7 +14,10 @@ from greenroof_ros import summary
 from greenroof_ros.errors import ConfigurationError
 
 # What a worker would otherwise import anew.
-_PRELOADED = ["greenroof_ros.study.case_run", "greenroof_ros.controllers.mpc", "polars"]
+_PRELOADED = [
+    "greenroof_ros.study.case_run", "greenroof_ros.controllers.mpc",
+    "greenroof_ros.controllers.planning_mpc", "polars",
+]
 _CONNECT_S = 10
 
 
