@@ -146,8 +146,9 @@ class PerfectModel:
 
     def known(self, hour: int, hours: int) -> tuple[Array, Array]:
         """Return the records; see :class:`ForecastModel`."""
-        index = np.minimum(np.arange(hour, hour + hours), len(self._weather.precipitation) - 1)
-        return self._weather.precipitation[index][None, :], self._weather.evapotranspiration[index]
+        index = np.arange(hour, hour + hours)
+        rain = _taken(self._weather, PRECIPITATION, index)
+        return rain[None, :], _taken(self._weather, EVAPOTRANSPIRATION, index)
 
     def repeats_from(self, hour: int, hours: int) -> datetime | None:
         """Return the end of the records, if the hours are past it."""

@@ -32,13 +32,13 @@ INITIAL_STATES = {
 # How far the controllers that plan trust the level sensor (s) and the forecast (h).
 _TRUST = {"smoothing": (0.0, 3600.0), "patience": (0.0, 1e6)}
 # The parameters of each controller, in its YAML file and of its node, with their range; whole
-# numbers where its ends are.
+# numbers where its ends are. A planner pumps nothing at commands below 1e-5.
 CONTROLLERS = {
     "mpc": {"weight": (1e-9, 1e6), "max_command": (1e-9, math.inf)},
     "onoff": {"fraction": (1e-9, 1e6)},
     "planning_mpc": {
         "horizon": (0.1, 48.0),
-        "max_command": (1e-9, math.inf),
+        "max_command": (1e-5, math.inf),
         "power": (1, 2),
         "energy_weight": (0.0, 1e9),
         "start_weight": (0.0, 1e9),
@@ -47,7 +47,7 @@ CONTROLLERS = {
     "anticipating_onoff": {"horizon": (0.1, 48.0), "fraction": (1e-9, 1e6), **_TRUST},
     "scenario_mpc": {
         "horizon": (0.1, 48.0),
-        "max_command": (1e-9, math.inf),
+        "max_command": (1e-5, math.inf),
         "level": (0.0, 0.99),
         "recourse": (0.0, 48.0),
         **_TRUST,
@@ -183,11 +183,6 @@ class Run:
     forecast_choice: ForecastChoice = field(default_factory=ForecastChoice)
     imperfections: Imperfections = field(default_factory=Imperfections)
 
-    @property
-    def start_ns(self) -> int:
-        """Time of tick 0 in nanoseconds since 1970."""
-        return epoch_ns(self.start)
-
 
 def epoch_ns(time: datetime) -> int:
     """Nanoseconds since 1970-01-01 UTC, without a rounding on the way."""
@@ -284,7 +279,8 @@ def _add_forecast_arguments(group: argparse._ArgumentGroup) -> None:
         "--forecast", default=default.model, metavar=f"{{{','.join(MODELS)},FILE.csv}}",
         help="what the controller is told: the weather that comes; that it goes on as it is; the "
         "weather with errors that grow with the lead, or an ensemble of such; or archived "
-        "forecasts. All but perfect are issued every 6 hours (default: %(default)s)",
+        "forecasts. All but perfect are issued every 6 hours, a file's when it says "
+        "(default: %(default)s)",
     )
     group.add_argument(
         "--forecast-size", type=within(*OPTIONS["size"]), metavar="S",
@@ -483,7 +479,7 @@ def build_run(
     """
     first = read_start(start, weather.first.tzinfo)
     horizon = parameters.get("horizon", 0.0)
-    series = WeatherSeries(weather, site, first, steps, horizon)
+    series = WeatherSeries(weather, site, first, steps)
     x1, x2 = volumes
     topics = read_topics()
     for name, largest in (

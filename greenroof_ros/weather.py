@@ -119,7 +119,7 @@ class WeatherSeries:
     """
 
     def __init__(
-        self, weather: Weather, site: Site, start: datetime, steps: int, horizon: float = 0.0
+        self, weather: Weather, site: Site, start: datetime, steps: int
     ) -> None:
         """Lay the hours out over the ticks 0..steps and the last tick's window.
 
@@ -128,7 +128,6 @@ class WeatherSeries:
             site: gives tick, look-ahead and the bed's area, over which a depth is a volume.
             start: time of tick 0.
             steps: N; tick N is the last.
-            horizon: how far the forecasts reach (h), if that is more than M ticks.
 
         Raises:
             ConfigurationError: the records do not cover the run, or an hour of it is missing.
@@ -147,10 +146,8 @@ class WeatherSeries:
         elapsed_ns: NDArray[np.int64] = offset_ns + np.arange(ticks, dtype=np.int64) * tick_ns
         hour = elapsed_ns // _HOUR_NS
         last = len(weather.precipitation) - 1
-        end_ns = offset_ns + steps * tick_ns + round(horizon * _HOUR_NS)
-        furthest = max(int(hour[-1]), (end_ns - 1) // _HOUR_NS)
-        self.repeats_from = weather.end if furthest > last else None
-        _check_known(weather, np.arange(int(hour[0]), min(furthest, last) + 1))
+        self.repeats_from = weather.end if hour[-1] > last else None
+        _check_known(weather, np.arange(int(hour[0]), min(int(hour[-1]), last) + 1))
         hour = np.minimum(hour, last)
         self.precipitation = array("d", (weather.precipitation / 1000 / 3600)[hour].tobytes())
         self.evapotranspiration = array(

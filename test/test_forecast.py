@@ -219,6 +219,23 @@ def test_missing_rain_is_not_guessed() -> None:
         ErrorModel(weather, 1, 1.0).known(3, 9)
 
 
+def test_rain_that_is_missing_after_the_run() -> None:
+    """It counts for those forecasts only that are made of it."""
+    rain = np.ones(40)
+    rain[20] = np.nan
+    weather = weather_of(rain)
+    start = MIDNIGHT.replace(hour=12)
+    series = WeatherSeries(weather, PAPER_SITE, start, 3600)
+    for model in ("persistence", "perfect", "errors"):
+        choice = ForecastChoice(model, size=0.1)
+        make_forecast(weather, series, PAPER_SITE, start, 6.0, choice)
+        if model == "persistence":
+            make_forecast(weather, series, PAPER_SITE, start, 12.0, choice)
+        else:
+            with pytest.raises(ConfigurationError, match="missing at 2021-07-07T20:00"):
+                make_forecast(weather, series, PAPER_SITE, start, 12.0, choice)
+
+
 # --- errors ------------------------------------------------------------------------------------
 
 

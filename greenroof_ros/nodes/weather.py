@@ -69,7 +69,7 @@ class WeatherNode:
         all_members = declare(
             node, "all_members", False, "of an ensemble: for scenario_mpc; otherwise the first"
         )
-        self._series = WeatherSeries(weather, site, start, self._steps, horizon)
+        self._series = WeatherSeries(weather, site, start, self._steps)
         self._forecast = make_forecast(
             weather, self._series, site, start, horizon, _declare_forecast(node), all_members
         )
