@@ -71,7 +71,7 @@ lint: $(FOR_TEST)
 	$(BIN)/python -m mypy
 
 bench: $(FOR_BENCH)
-	@$(BIN)/python test/bench.py $(ARGS)
+	@$(BIN)/python test/bench.py
 
 $(MADE):
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 10))' || { \

@@ -18,7 +18,7 @@ from greenroof_ros.site import read_site
 from greenroof_ros.weather import Weather, WeatherSeries, read_weather
 
 TORONTO = read_site(shared_directory() / "config" / "site.yaml")
-REAL = Path(__file__).resolve().parents[2] / "shared" / "weather"
+REAL = Path(__file__).resolve().parent / "data"
 
 COLUMNS = [
     "Longitude (x)", "Latitude (y)", "Station Name", "Date/Time (LST)", "Year", "Temp (°C)",
@@ -205,17 +205,9 @@ def test_no_published_variant(tmp_path: Path) -> None:
         read_weather(write(tmp_path, day()), TORONTO, "published")
 
 
-def real(name: str) -> Path:
-    """Return a real file, or skip."""
-    path = REAL / name
-    if not path.is_file():
-        pytest.skip(f"the real file {name} is not beside this checkout")
-    return path
-
-
 def test_july_2021() -> None:
     """744 hours; what the service flags as missing is filled and named, hour by hour."""
-    weather = read_weather(real("en_climate_hourly_07-2021.csv"), TORONTO)
+    weather = read_weather(REAL / "en_climate_hourly_07-2021.csv", TORONTO)
     assert len(weather.precipitation) == 744
     assert weather.first.isoformat() == "2021-07-01T00:00:00-05:00"
     assert weather.end.isoformat() == "2021-08-01T00:00:00-05:00"
@@ -248,7 +240,7 @@ def test_july_2021() -> None:
 
 def test_march_2021() -> None:
     """Another year's form, quoted and padded; 203 hours of frost."""
-    weather = read_weather(real("en_climate_hourly_03-2021.csv"), TORONTO)
+    weather = read_weather(REAL / "en_climate_hourly_03-2021.csv", TORONTO)
     assert len(weather.precipitation) == 744
     assert weather.frost is not None
     assert weather.frost.sum() == 203
@@ -263,7 +255,7 @@ def test_command_line(tmp_path: Path) -> None:
     result = subprocess.run(
         [
             sys.executable, "-m", "greenroof_ros.simulate", "--controller", "onoff",
-            "--weather", str(real("en_climate_hourly_07-2021.csv")), "--start", "2021-07-07T02:00",
+            "--weather", str(REAL / "en_climate_hourly_07-2021.csv"), "--start", "2021-07-07T02:00",
             "--hours", "12", "--output", "run",
         ],
         cwd=tmp_path, capture_output=True, text=True, timeout=120, check=False,
@@ -278,7 +270,7 @@ def test_nothing_is_pumped_in_frost(tmp_path: Path) -> None:
     result = subprocess.run(
         [
             sys.executable, "-m", "greenroof_ros.simulate", "--controller", "onoff",
-            "--weather", str(real("en_climate_hourly_03-2021.csv")),
+            "--weather", str(REAL / "en_climate_hourly_03-2021.csv"),
             "--start", "2021-03-02T00:00", "--hours", "24", "--trajectory", str(output),
             "--output", str(tmp_path / "run"),
         ],

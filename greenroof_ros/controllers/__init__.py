@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Protocol
 
+import numpy as np
+
 
 class Controller(Protocol):
     """Anything that decides once a tick how much to pump."""
@@ -21,8 +23,10 @@ class Controller(Protocol):
         Args:
             cistern_level: water depth in the cistern (m).
             roof_level: water depth on the roof (m).
-            precipitation: forecast of rain (m/s), shape (M,), first entry = now.
-            evapotranspiration: forecast of evapotranspiration (m3/s), shape (M,), first = now.
+            precipitation: forecast of rain (m/s), first entry = now: of the M ticks that come, or
+                means over the steps of :func:`greenroof_ros.look_ahead.growing_steps`; of an
+                ensemble one member after the other.
+            evapotranspiration: forecast of evapotranspiration (m3/s), likewise, of one member.
 
         Returns:
             Share of the pumps' maximum flow (1), finite and not negative.
@@ -42,3 +46,21 @@ class Controller(Protocol):
         None where it has no solver.
         """
         ...
+
+
+def solver_statistics(solves: int, fallbacks: int, seconds: Sequence[float]) -> dict[str, float]:
+    """Return what :meth:`Controller.statistics` says of a solver.
+
+    Args:
+        solves: how many programs were solved, or tried.
+        fallbacks: how many of them had no solution.
+        seconds: wall time of each tick (s).
+    """
+    times = np.array(seconds or [0.0])
+    return {
+        "solves": solves,
+        "fallbacks": fallbacks,
+        "mean_s": float(times.mean()),
+        "p99_s": float(np.percentile(times, 99)),
+        "max_s": float(times.max()),
+    }

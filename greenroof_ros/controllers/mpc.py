@@ -12,6 +12,7 @@ import osqp
 import scipy.sparse
 from numpy.typing import NDArray
 
+from greenroof_ros.controllers import solver_statistics
 from greenroof_ros.errors import ConfigurationError
 from greenroof_ros.site import Site
 from greenroof_ros.smooth_plant import linearise
@@ -183,14 +184,7 @@ class Mpc:
 
     def statistics(self) -> dict[str, float]:
         """Return what the solver did; see :class:`greenroof_ros.controllers.Controller`."""
-        times = np.array(self.solve_seconds or [0.0])
-        return {
-            "solves": len(self.solve_seconds),
-            "fallbacks": self.fallbacks,
-            "mean_s": float(times.mean()),
-            "p99_s": float(np.percentile(times, 99)),
-            "max_s": float(times.max()),
-        }
+        return solver_statistics(len(self.solve_seconds), self.fallbacks, self.solve_seconds)
 
     def _solve(self, P: Array, q: Array) -> tuple[float, float] | None:
         """Return the first command of the program's solution and its objective.

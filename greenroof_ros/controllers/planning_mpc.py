@@ -10,6 +10,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from greenroof_ros.controllers import solver_statistics
 from greenroof_ros.controllers.planning_program import Ensemble, PlanningProgram, Prices
 from greenroof_ros.controllers.roof_estimate import RoofEstimate
 from greenroof_ros.controllers.stop_loss import StopLoss
@@ -48,8 +49,8 @@ class PlanningMpc:
 
     plus the price of energy and of pump starts if there is one, or with squares in place of the
     absolute values. The rules on the third and fourth line are those of Eq. (3a): water is pumped
-    at a time j only if it is missing then, which is more than anything pumped before. What the
-    cistern loses over its outlet is left out of the fourth line on the safe side.
+    at a time j only if it is missing then, which is more than anything pumped before. What is above
+    the cistern's outlet now is not counted on in the fourth line: it may be gone in minutes.
 
     With an ensemble of forecasts (``scenario_mpc``) each member has such a program; what is pumped
     until ``recourse`` is the same for all - one decision now - and each may be answered on its own
@@ -145,7 +146,7 @@ class PlanningMpc:
 
     @property
     def cost(self) -> float:
-        """Objective of the last program, a mean deviation (m3); NaN if it was not solved."""
+        """Objective of the last program (m3; m6 with squares); NaN if it was not solved."""
         return self._program.cost
 
     def command(
@@ -213,14 +214,7 @@ class PlanningMpc:
 
     def statistics(self) -> dict[str, float]:
         """Return what the solver did; see :class:`greenroof_ros.controllers.Controller`."""
-        times = np.array(self.solve_seconds or [0.0])
-        return {
-            "solves": self.solves,
-            "fallbacks": self.fallbacks,
-            "mean_s": float(times.mean()),
-            "p99_s": float(np.percentile(times, 99)),
-            "max_s": float(times.max()),
-        }
+        return solver_statistics(self.solves, self.fallbacks, self.solve_seconds)
 
     def _must_decide(self, inflow: Array, rain: float, evaporated: float) -> bool:
         """Whether plan, state or forecast has changed."""
@@ -246,9 +240,9 @@ class PlanningMpc:
         start = np.zeros((self._members, 1))
         before = x2 - site.x2_star + np.hstack([start, inflow])
         missing = np.maximum.accumulate(np.maximum(-before, 0.0), axis=1)[:, 1:]
-        # What is above the suction level now, or stays under the outlet until then.
+        # What will be above the suction level by then, and below the outlet.
         collected = np.cumsum(rain * self._lengths, axis=1) * site.a_in
-        there = np.minimum(x1 + collected, max(x1, site.a1 * site.z_o))
+        there = np.minimum(x1 + collected, site.a1 * site.z_o)
         full = maximum_pump_flow(site, x1)
         # The last tick that pumps begins at the suction level or above it, and ends below.
         above = np.maximum(there - site.a1 * site.suction_level + site.tau * full, 0.0)

@@ -46,9 +46,9 @@ class Prices(NamedTuple):
     """What counts beside the deviation."""
 
     energy: float = 0.0
-    """of a kWh of hydraulic energy, as deviation (m3 s)"""
+    """of a kWh of hydraulic energy, as deviation (m3 s, or m6 s where that is squared)"""
     start: float = 0.0
-    """of a pump start at full flow, as deviation (m3 s)"""
+    """of a pump start at full flow, likewise"""
 
 
 class Ensemble(NamedTuple):
@@ -65,7 +65,8 @@ class PlanningProgram:
 
     Attributes:
         status: OSQP's status value of the last program, 1 = solved.
-        cost: its objective, a mean deviation over the horizon (m3); NaN if it was not solved.
+        cost: its objective: the mean deviation over the horizon (m3; m6 where it is squared), of an
+            ensemble its value-at-risk, and prices; NaN if it was not solved.
         shared_s: until then (s) one plan serves all members: the end of the last step that ends
             within ``recourse``, of the first step at least.
     """
@@ -133,6 +134,7 @@ class PlanningProgram:
                 [self._spread, scipy.sparse.identity(members + 1)], format="csc"
             )
         spread = self._spread
+        self._first = np.asarray(spread.argmax(axis=0)).ravel()
         zero = np.zeros((members, n))
         lower, upper = self._bounds(zero, zero, self._full, 0.0)
         self._solver = osqp.OSQP()
@@ -166,8 +168,7 @@ class PlanningProgram:
         lower, upper = self._bounds(mean, most, full, flow)
         self._solver.update(l=lower, u=upper)
         if guess is not None:
-            first = np.asarray(self._spread.argmax(axis=0)).ravel()
-            self._solver.warm_start(x=self._variables(guess, mean, flow)[first])
+            self._solver.warm_start(x=self._variables(guess, mean, flow)[self._first])
         result = self._solver.solve(raise_error=False)
         self.status = int(result.info.status_val)
         self.cost = math.nan
@@ -202,7 +203,7 @@ class PlanningProgram:
     def _objective(
         self, site: Site, power: float, prices: Prices, seconds: float
     ) -> tuple[Matrix, Array]:
-        """Return Hessian and linear part for one member; all is mean deviation (m3)."""
+        """Return Hessian and linear part for one member, in the mean deviation's unit."""
         n = len(self._lengths)
         price = prices.energy / seconds * WATER_DENSITY * site.g / JOULES_PER_KWH  # per m3 and m
         volume = np.zeros(n)
@@ -255,7 +256,8 @@ class PlanningProgram:
         """Return the bounds of all rows."""
         n = len(self._lengths)
         zero = np.zeros(n)
-        capacity = _CAPACITY * self._lengths * full * self._max_command
+        # Where the pumps cannot lift, no bound on their commands makes them.
+        capacity = _CAPACITY * self._lengths * (full * self._max_command if full else 0.0)
         lower, upper = [], []
         for free, bound in zip(self._weights * mean, _VOLUME * most, strict=True):
             lower += [zero, -self._infinite, -free, zero]

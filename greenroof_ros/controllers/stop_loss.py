@@ -27,10 +27,10 @@ class StopLoss:
 
     what has been gained by waiting counting as negative. Where the loss, with what it will cost to
     fill the roof as on/off has, exceeds the patience, forecasts of rain no longer count, which
-    makes the controller fill the roof as on/off does, until half of the loss has faded, with a time
-    of a week. So trust costs at most the patience at once and as much again each week, whatever the
-    forecasts say; and who has gained may lose that first. Only in frost can nobody fill the roof,
-    and the loss goes on.
+    makes the controller fill the roof as on/off does, until the loss has faded to half of the
+    patience, with a time of a week. So trust costs at most the patience at once and as much again
+    each week, whatever the forecasts say; and who has gained may lose that first. Only in frost can
+    nobody fill the roof, and the loss goes on.
 
     The difference rests on pumps that do what is commanded. With minimum times on and off, or
     another flow than the site file's, the count is wrong by what they pump beside that.
@@ -74,7 +74,7 @@ class StopLoss:
             if self._patience > 0:
                 _log.warning(
                     "waiting for rain has cost %.0f m3 s more than plain on/off; forecasts of rain "
-                    "do not count until half of that has faded", self.loss,
+                    "do not count until that has faded to half of the patience", self.loss,
                 )
         return self.exhausted
 
