@@ -86,7 +86,7 @@ def choose(text: str) -> ForecastChoice:
     Raises:
         ValueError: it is neither; the message says what it must be.
     """
-    if text.endswith(".csv"):
+    if text.lower().endswith(".csv"):
         return ForecastChoice(FILE, file=Path(text))
     if text not in MODELS:
         raise ValueError(f"must be one of {', '.join(MODELS)}, or a FILE.csv")

@@ -41,7 +41,7 @@ CONTROLLERS = {
         "max_command": (1e-5, math.inf),
         "power": (1, 2),
         "energy_weight": (0.0, 1e9),
-        "start_weight": (0.0, 1e9),
+        "start_weight": (0.0, 1e5),
         **_TRUST,
     },
     "anticipating_onoff": {"horizon": (0.1, 48.0), "fraction": (1e-9, 1e6), **_TRUST},

@@ -110,8 +110,8 @@ def _drain(leader: int) -> None:
         return
 
 
-def measure_mpc(steps: int = 2000) -> float:
-    """Return an MPC step of ``simulate`` (s): controller, plant and metrics."""
+def simulated(*options: str) -> tuple[float, dict[str, float]]:
+    """Return a tick of ``simulate`` (s), controller, plant and metrics, and its solver's times."""
     import argparse
 
     from greenroof_ros.closed_loop import closed_loop
@@ -120,12 +120,12 @@ def measure_mpc(steps: int = 2000) -> float:
 
     parser = argparse.ArgumentParser()
     add_run_arguments(parser)
-    run = run_from_arguments(parser.parse_args(["--hours", str(steps / 3600)]))
+    run = run_from_arguments(parser.parse_args(options))
     controller = make_controller(run.controller, run.site, run.parameters)
     began = time.perf_counter()
     for _ in closed_loop(run, controller, Metrics()):
         pass
-    return (time.perf_counter() - began) / steps
+    return (time.perf_counter() - began) / run.steps, controller.statistics() or {}
 
 
 def measure_study() -> float:
@@ -213,7 +213,7 @@ def measure_do_mpc(steps: int = 30) -> float:
 def main() -> None:
     """Measure in rounds and print the table of the README."""
     rows: dict[str, list[float]] = {
-        "tick": [], "bare": [], "record": [], "do_mpc": [], "study": []
+        "tick": [], "bare": [], "record": [], "do_mpc": [], "mean": [], "p99": [], "study": []
     }
     with own_domain() as domain:
         for number in range(ROUNDS):
@@ -221,17 +221,22 @@ def main() -> None:
             recorded = measure_graph(domain)
             bare = measure_graph(domain, "--no-record")
             again = measure_echo(domain)
-            step, peer = measure_mpc(), measure_do_mpc()
+            (step, mpc), peer = simulated(), measure_do_mpc()
+            _, planner = simulated("--controller", "planning_mpc")
             yardstick = (trip + again) / 2
             rows["tick"].append(recorded / yardstick)
             rows["bare"].append(bare / yardstick)
             rows["record"].append(recorded / bare)
             rows["do_mpc"].append(peer / step)
+            rows["mean"].append(planner["mean_s"] / mpc["mean_s"])
+            rows["p99"].append(planner["p99_s"] / mpc["p99_s"])
             rows["study"].append(measure_study())
             print(
                 f"round {number + 1} of {ROUNDS}: echo {yardstick * 1e6:.0f} us, "
                 f"tick {recorded * 1e6:.0f} us, without recorder {bare * 1e6:.0f} us, "
-                f"MPC step {step * 1e6:.0f} us, do-mpc {peer * 1e6:.0f} us",
+                f"MPC step {step * 1e6:.0f} us, do-mpc {peer * 1e6:.0f} us; decisions (mean, 99 %) "
+                f"of mpc {mpc['mean_s'] * 1e6:.0f}, {mpc['p99_s'] * 1e6:.0f} us, "
+                f"of planning_mpc {planner['mean_s'] * 1e6:.0f}, {planner['p99_s'] * 1e6:.0f} us",
                 file=sys.stderr, flush=True,
             )
     print("| measured beside each other | median | rounds |\n|---|---|---|")
@@ -240,6 +245,8 @@ def main() -> None:
         ("bare", "the same without the recorder"),
         ("record", "tick with / without recorder"),
         ("do_mpc", "do-mpc step / MPC step of `simulate`"),
+        ("mean", "a tick's decision, planning_mpc / mpc, over 12 h: mean"),
+        ("p99", "the same, longest but for 1 %"),
         ("study", "study of 30 runs / (one MPC run alone x 15 / cores)"),
     ):
         values = ", ".join(f"{value:.2f}" for value in rows[key])

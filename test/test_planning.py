@@ -28,13 +28,14 @@ from greenroof_ros.errors import ConfigurationError
 from greenroof_ros.files import shared_directory
 from greenroof_ros.look_ahead import growing_steps
 from greenroof_ros.metrics import Metrics
-from greenroof_ros.plant import maximum_pump_flow
+from greenroof_ros.plant import head_loss, maximum_pump_flow
 from greenroof_ros.run import make_controller, read_parameters
 
 EDGES = growing_steps(12)
 LENGTHS = np.diff(EDGES)
 STEPS = len(LENGTHS)
 FULL = maximum_pump_flow(PAPER_SITE, 57.0)
+FULL_AT_OUTLET = maximum_pump_flow(PAPER_SITE, PAPER_SITE.a1 * PAPER_SITE.z_o)
 Array = NDArray[np.float64]
 
 
@@ -175,6 +176,7 @@ def test_what_is_above_the_outlet_is_not_counted_on() -> None:
     controller._program.solve = watched  # type: ignore[method-assign]
     assert controller.command(3.9, 0.0, *dry()) > 0.9
     lifted = site.a1 * (site.z_o - site.suction_level)
+    lifted += 60 * maximum_pump_flow(site, site.cistern_volume(3.9))
     assert planned == [pytest.approx(lifted, abs=0.02)]
 
 
@@ -198,6 +200,39 @@ def test_a_start_has_a_price() -> None:
     assert plan_of().command(2.3, nearly, *dry()) > 0.01
     dear = plan_of(Prices(start=1e5))
     assert dear.command(2.3, nearly, *dry()) == pytest.approx(0.0, abs=2e-3)
+
+
+@pytest.mark.parametrize("prices", [Prices(energy=50), Prices(start=10), Prices(start=1e5)])
+def test_prices_are_those_of_the_pumps(prices: Prices) -> None:
+    """A step at full flow from a cistern at its outlet: the head's energy (Eq. 3c), and one start.
+
+    In the objective itself, since beside the deviation it is in the solver's last digits.
+    """
+    solver = program(prices=prices)
+    volumes = np.full((1, STEPS), FULL_AT_OUTLET * LENGTHS[0])
+    variables = solver._variables(volumes, np.zeros((1, STEPS)), 0.0)
+    variables[STEPS : 2 * STEPS] = 0.0  # the deviations
+    hessian, linear = solver._objective(PAPER_SITE, 1.0, prices, EDGES[-1])
+    cost = (variables @ hessian @ variables / 2 + linear @ variables) * EDGES[-1]
+    head = head_loss(PAPER_SITE, PAPER_SITE.a1 * PAPER_SITE.z_o, FULL_AT_OUTLET)
+    kwh = 1000 * PAPER_SITE.g * volumes[0, 0] * head / 3.6e6
+    assert cost == pytest.approx(prices.energy * kwh + prices.start, rel=1e-9)
+
+
+@pytest.mark.parametrize(("cistern", "roof"), [(19.0, 2.4), (19.5, 2.0)])
+def test_low_cistern(cistern: float, roof: float) -> None:
+    """With next to nothing to pump it is no worse than plain on/off."""
+    deviation = {}
+    for controller in ("planning_mpc", "onoff"):
+        run = paper_run(
+            "--controller", controller, "--cistern", str(cistern), "--roof", str(roof),
+            "--hours", "4",
+        )
+        metrics = Metrics()
+        for _ in closed_loop(run, make_controller(controller, run.site, run.parameters), metrics):
+            pass
+        deviation[controller] = metrics.total_deviation_m3
+    assert deviation["planning_mpc"] <= deviation["onoff"] * 1.001
 
 
 def test_command_bound() -> None:

@@ -45,12 +45,15 @@ class PlanningMpc:
         minimise    sum_i h_i |m_i + (P_{i-1} + P_i) / 2|,  m_i = (c_{i-1} + c_i) / 2
         subject to  0 <= P_i - P_{i-1} <= h_i u_max q(x1)     what the pumps can do,
                     P_i <= max_{j<=i} (-c_j)^+                pumped only while the roof is too dry,
-                    P_i <= what lies above the suction level  pumped only while the cistern has it,
+                    P_i <= what lies above the suction level, and a minute's flow
+                                                              pumped only while the cistern has it,
 
     plus the price of energy and of pump starts if there is one, or with squares in place of the
     absolute values. The rules on the third and fourth line are those of Eq. (3a): water is pumped
     at a time j only if it is missing then, which is more than anything pumped before. What is above
-    the cistern's outlet now is not counted on in the fourth line: it may be gone in minutes.
+    the cistern's outlet now is not counted on in the fourth line: it may be gone in minutes. The
+    minute is there because the last tick that pumps may end below the suction level: where a plan
+    asks for no more than there is, that tick has too little of it, and once below, nothing works.
 
     With an ensemble of forecasts (``scenario_mpc``) each member has such a program; what is pumped
     until ``recourse`` is the same for all - one decision now - and each may be answered on its own
@@ -244,8 +247,8 @@ class PlanningMpc:
         collected = np.cumsum(rain * self._lengths, axis=1) * site.a_in
         there = np.minimum(x1 + collected, site.a1 * site.z_o)
         full = maximum_pump_flow(site, x1)
-        # The last tick that pumps begins at the suction level or above it, and ends below.
-        above = np.maximum(there - site.a1 * site.suction_level + site.tau * full, 0.0)
+        slack = max(_LONGEST_PLAN_S, site.tau) * full
+        above = np.maximum(there - site.a1 * site.suction_level + slack, 0.0)
         self.solves += 1
         pumped = self._program.solve(
             (before[:, :-1] + before[:, 1:]) / 2,

@@ -102,6 +102,9 @@ class PlanningProgram:
         # A step's deviation is scaled so that seconds and hours are alike to the solver.
         self._weights = self._lengths / self._lengths.mean()
         self._starts = prices.start > 0
+        # A rise is scaled so that it costs as much as a deviation, or the solver takes ten times
+        # the iterations, if it comes to an end.
+        self._rise = max(1.0, prices.start / float(edges[-1]) * len(self._lengths))
         # At least the first step: it is what is decided.
         self._common = max(1, int(np.count_nonzero(edges[1:] <= ensemble.recourse)))
         self.shared_s = float(edges[self._common])
@@ -193,7 +196,9 @@ class PlanningProgram:
             # Each rise of the flow (share of the full one), of the first step from what flows now.
             flow = scipy.sparse.diags([1 / self._lengths], [0]) @ step / self._full
             rise = flow - scipy.sparse.diags([np.ones(n - 1)], [-1]) @ flow
-            rows = [[*row, none] for row in rows] + [[-rise, none, eye], [none, none, eye]]
+            rows = [[*row, none] for row in rows] + [
+                [-self._rise * rise, none, eye], [none, none, eye]
+            ]
         return scipy.sparse.bmat(rows, format="csc")
 
     def _step(self) -> Matrix:
@@ -220,7 +225,7 @@ class PlanningProgram:
             linear = [volume, np.full(n, 1 / n)]
         if self._starts:
             hessian.append(scipy.sparse.csc_matrix((n, n)))
-            linear.append(np.full(n, prices.start / seconds))
+            linear.append(np.full(n, prices.start / seconds / self._rise))
         return scipy.sparse.block_diag(hessian, format="csc"), np.concatenate(linear)
 
     def _shared(self) -> Matrix:
@@ -264,7 +269,7 @@ class PlanningProgram:
             upper += [capacity, -free, self._infinite, bound]
             if self._starts:
                 now = np.zeros(n)
-                now[0] = -flow / self._full
+                now[0] = -self._rise * flow / self._full
                 lower += [now, zero]
                 upper += [self._infinite, self._infinite]
         if self._risk:
@@ -279,7 +284,8 @@ class PlanningProgram:
         parts = [volumes, deviation]
         if self._starts:
             flows = np.diff(volumes, prepend=0.0, axis=1) / self._lengths / self._full
-            parts.append(np.maximum(np.diff(flows, prepend=flow / self._full, axis=1), 0.0))
+            rises = np.maximum(np.diff(flows, prepend=flow / self._full, axis=1), 0.0)
+            parts.append(self._rise * rises)
         variables = np.hstack(parts).ravel()
         if self._risk:
             each = deviation.mean(axis=1)
