@@ -246,7 +246,7 @@ def main() -> None:
         ("record", "tick with / without recorder"),
         ("do_mpc", "do-mpc step / MPC step of `simulate`"),
         ("mean", "a tick's decision, planning_mpc / mpc, over 12 h: mean"),
-        ("p99", "the same, longest but for 1 %"),
+        ("p99", "the same: what 99 % of the ticks stay below"),
         ("study", "study of 30 runs / (one MPC run alone x 15 / cores)"),
     ):
         values = ", ".join(f"{value:.2f}" for value in rows[key])
