@@ -110,7 +110,7 @@ class WeatherSeries:
         evapotranspiration: off the whole bed (m3/s), shape (ticks,).
         frost: 1 where there is frost and 0 where there is none or nobody knows, shape (ticks,).
         repeats_from: the time from which on the last record is repeated, because some tick's
-            forecast window reaches past the end of the file; None if none does.
+            window of M ticks reaches past the end of the file; None if none does.
         filled: hours of the run's days and the day before that were missing and filled, named, by
             quantity.
         filled_hours: their number; an hour counts once, however many quantities it lacked.
@@ -118,9 +118,7 @@ class WeatherSeries:
         precipitation_in_frost: depth (mm) in them, snow perhaps, which the model takes as rain.
     """
 
-    def __init__(
-        self, weather: Weather, site: Site, start: datetime, steps: int
-    ) -> None:
+    def __init__(self, weather: Weather, site: Site, start: datetime, steps: int) -> None:
         """Lay the hours out over the ticks 0..steps and the last tick's window.
 
         Args:

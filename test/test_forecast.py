@@ -206,13 +206,17 @@ def test_persistence_knows_nothing_of_what_comes() -> None:
             assert one.tobytes() == two.tobytes()
 
 
+def lacking(missing: int, first: int) -> tuple[Weather, datetime, WeatherSeries]:
+    """Return weather without the rain of one hour, and a run of an hour from another one on."""
+    rain = np.ones(40)
+    rain[missing] = np.nan
+    weather, start = weather_of(rain), MIDNIGHT.replace(hour=first)
+    return weather, start, WeatherSeries(weather, PAPER_SITE, start, 3600)
+
+
 def test_missing_rain_is_not_guessed() -> None:
     """A run is refused before it begins, though only a forecast would have needed the hour."""
-    rain = np.ones(40)
-    rain[6] = np.nan
-    weather = weather_of(rain)
-    start = MIDNIGHT.replace(hour=8)
-    series = WeatherSeries(weather, PAPER_SITE, start, 3600)
+    weather, start, series = lacking(6, first=8)
     with pytest.raises(ConfigurationError, match=r"precipitation is missing at 2021-07-07T06:00\+"):
         make_forecast(weather, series, PAPER_SITE, start, 0.0, ForecastChoice("persistence"))
     with pytest.raises(ConfigurationError, match=r"drawn\.csv: precipitation is missing"):
@@ -221,11 +225,7 @@ def test_missing_rain_is_not_guessed() -> None:
 
 def test_rain_that_is_missing_after_the_run() -> None:
     """It counts for those forecasts only that are made of it."""
-    rain = np.ones(40)
-    rain[20] = np.nan
-    weather = weather_of(rain)
-    start = MIDNIGHT.replace(hour=12)
-    series = WeatherSeries(weather, PAPER_SITE, start, 3600)
+    weather, start, series = lacking(20, first=12)
     for model in ("persistence", "perfect", "errors"):
         choice = ForecastChoice(model, size=0.1)
         make_forecast(weather, series, PAPER_SITE, start, 6.0, choice)

@@ -18,7 +18,7 @@ from greenroof_ros.errors import ConfigurationError
 from greenroof_ros.files import shared_directory
 from greenroof_ros.forecast_models import OPTIONS, PERFECT
 from greenroof_ros.imperfections import RANGES
-from greenroof_ros.run import within
+from greenroof_ros.run import TAKE_ENSEMBLES, within
 from greenroof_ros.study.case_run import ENGINES, Outcome, bound_case, run_case
 from greenroof_ros.study.grid import Case, read_grid
 from greenroof_ros.study.store import Store
@@ -27,8 +27,6 @@ from greenroof_ros.study.workers import Submit, cluster, processes
 # A graph is five processes; two cores are busy with one.
 _CORES_PER_GRAPH = 2
 _REFRESH_S = 0.5
-# Controllers by the time that a run of theirs takes.
-_SLOWEST = ("scenario_mpc", "planning_mpc", "mpc", "anticipating_onoff", "onoff")
 
 
 def _parser() -> argparse.ArgumentParser:
@@ -130,7 +128,12 @@ def _run(
 ) -> None:
     """Run cases, and bound the problems, keeping each outcome as it comes."""
     # The longest first, so that no core is idle at the end while another has a long one left.
-    ordered = sorted(cases, key=lambda case: (_SLOWEST.index(case.controller), -case.hours))
+    ordered = sorted(
+        cases,
+        key=lambda case: (
+            case.controller not in TAKE_ENSEMBLES, case.controller.endswith("onoff"), -case.hours
+        ),
+    )
     with Progress(
         TextColumn("{task.description}"), BarColumn(bar_width=None), MofNCompleteColumn(),
         TextColumn("runs, time left"), TimeRemainingColumn(),
