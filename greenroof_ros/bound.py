@@ -7,359 +7,23 @@ import json
 import math
 import sys
 import threading
-from array import array
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass, replace
 from typing import Any
 
-import numpy as np
-from numpy.typing import NDArray
 from rich.console import Console
 from rich.table import Table
-from scipy.optimize import linprog
-from scipy.sparse import diags, hstack, identity
 
-from greenroof_ros.closed_loop import closed_loop
-from greenroof_ros.command_line import EXIT_DONE, EXIT_FAILED, command
-from greenroof_ros.errors import ConfigurationError
-from greenroof_ros.forecast import PerfectForecast
-from greenroof_ros.imperfections import Imperfections
-from greenroof_ros.metrics import Metrics
-from greenroof_ros.plant import drainage_flow, maximum_pump_flow
-from greenroof_ros.run import Run, add_run_arguments, run_from_arguments, within
-from greenroof_ros.site import Site
+from greenroof_ros.common.command_line import EXIT_DONE, EXIT_FAILED, command, within
+from greenroof_ros.common.errors import ConfigurationError
+from greenroof_ros.experiment.clairvoyant import _BLOCK_S, Bound, NoBoundError, clairvoyant_bound
+from greenroof_ros.experiment.options import add_run_arguments, run_from_arguments
+from greenroof_ros.experiment.run import Run
+from greenroof_ros.model.site import Site
 
-Values = NDArray[np.float64]
-
-# Beyond the rounding of a year of ticks, and far below anything that shows in a bound.
-_ROUNDING = 1e-9
-# As tight as HiGHS takes them: a tick's evapotranspiration is not much above its usual 1e-7 of x2*.
-_TOLERANCES = {"primal_feasibility_tolerance": 1e-10, "dual_feasibility_tolerance": 1e-10}
-_BLOCK_S = 60.0
 _LARGEST_COMMAND = 100.0
+
 _PATIENCE_S = 2.0
-
-
-class NoBoundError(Exception):
-    """The solver found no optimum; the message is its own."""
-
-
-@dataclass(frozen=True, eq=False)
-class Bound:
-    """What no controller can better, and a plan that shows how near to it one can come.
-
-    Attributes:
-        bound_m3: no run of these inputs has a smaller total deviation (m3, summed over the ticks),
-            if no command is above the one that the bound was made for.
-        plan_m3: total deviation of the plan, run through the exact plant.
-        pumped_m3: volume that the plan pumps.
-        plan: flow that the plan pumps in each tick (m3/s), shape (N,).
-        block: ticks in a block of the linear program.
-        solver: what the solver said.
-    """
-
-    bound_m3: float
-    plan_m3: float
-    pumped_m3: float
-    plan: Values
-    block: int
-    solver: str
-
-    @property
-    def gap(self) -> float | None:
-        """How far the plan is above the bound, as a share of it; None where the bound is 0."""
-        return self.plan_m3 / self.bound_m3 - 1 if self.bound_m3 > 0 else None
-
-
-@dataclass(frozen=True, eq=False)
-class _Limits:
-    """What every run keeps to, whatever the controller; volumes in m3.
-
-    Attributes:
-        floor: least volume on the roof, shape (N+1,).
-        ceiling: largest volume on the roof, shape (N+1,).
-        least: least change of the roof's volume in a tick, shape (N,).
-        greatest: largest change of it, shape (N,).
-        still: change without pumping, drainage or a dry roof, shape (N,).
-    """
-
-    floor: Values
-    ceiling: Values
-    least: Values
-    greatest: Values
-    still: Values
-
-
-def clairvoyant_bound(run: Run, max_command: float = 1.0, block: int | None = None) -> Bound:
-    r"""Bound the total deviation sum_{k=0..N} \|x_{k,2} - x2*\| of a run from below.
-
-    The bound is the optimum of a linear program in the roof's volume x2 alone. Every run that the
-    plant can make satisfies its constraints, so that it can only be lower than the best run:
-
-    - In a tick the volume changes at most by tau (r a2 - e - q_drain) plus what the pumps can
-      lift. That is tau times the largest command times the full flow, Eq. (3e), at the initial
-      cistern volume plus all rain until then, since outflow and pumping only lower it. It is 0 in
-      frost, below the pumps' suction level, and where the roof holds a2 z_veg even at the least.
-      A roof that runs dry changes by minus all that it held, and that is its least volume or more.
-    - It changes at least by tau (r a2 - e - q_drain). The range of q_drain, Eq. (4), is that over
-      the volumes which the roof can have; it is 0 where they are all below z_cap.
-    - The volumes which the roof can have come from following both ends of their range through the
-      same balance. Pumping ends at z_veg, so it lifts the upper end at most one tick's flow above.
-    - All that is pumped before a tick is at most the initial volume and all rain until then less
-      what stays below the suction level, plus one tick's flow, for the last tick that pumped began
-      at the suction level or above. It is at most all that the cistern ever held, too.
-
-    What is dropped, and can leave a gap: the outflow of the cistern; that the flow falls with its
-    level; that pumping stops at z_veg where the roof may, but need not, be below; that drainage and
-    a dry roof follow from the volume. The plan's cost, from the plant itself, shows the gap.
-
-    In blocks of n ticks the program has one volume for each: the mean. The sum of \|x - x*\| over
-    the block is at least n \|mean - x*\| (Jensen). With G_k the sum of the largest changes before
-    tick k, G_k - x_{k,2} never falls, and neither do then its means from block to block: the mean
-    volume rises at most as the mean of G does. The same holds for the least changes, and the limits
-    of the volume hold for its mean. So the bound stays valid, and one of larger blocks that are
-    whole multiples is never above one of smaller blocks.
-
-    Args:
-        run: weather, site, initial state and length; its controller and forecast do not matter.
-        max_command: largest command (share of the maximum flow), from 1e-9 to 100.
-        block: ticks that share one variable, at least 1; if not given, those of a minute.
-
-    Raises:
-        NoBoundError: the solver found no optimum.
-    """
-    # Of the site as it is, whatever its sensor reads; and nobody asks for a forecast that takes
-    # its time to make.
-    run = replace(
-        run, imperfections=Imperfections(), forecast=PerfectForecast(run.series, run.site.M)
-    )
-    if block is None:
-        block = max(1, round(_BLOCK_S / run.site.tau))
-    limits = _limits(run, max_command)
-    edges = np.arange(0, run.steps + 1, block)
-    deviation, cost, message = _solve(run, limits, edges)
-    plan = _Plan(run, _targets(run, limits, edges, deviation), max_command)
-    metrics = Metrics()
-    flows = array("d")
-    for tick in closed_loop(run, plan, metrics):
-        plan.tick = tick.k + 1
-        flows.append(tick.flows.pump)
-    return Bound(
-        cost, metrics.total_deviation_m3, metrics.pumped_m3,
-        np.frombuffer(flows)[: run.steps], block, message,
-    )
-
-
-def _sums(first: float, changes: Values) -> Values:
-    """Return the values of which these are the changes, shape (N+1,) for N changes."""
-    return np.concatenate([[first], first + np.cumsum(changes)])
-
-
-def _limits(run: Run, max_command: float) -> _Limits:
-    """Return what every run keeps to; :func:`clairvoyant_bound` says why."""
-    site, tau = run.site, run.site.tau
-    rain, evapotranspiration, frost = (
-        np.frombuffer(series)[: run.steps]
-        for series in (run.series.precipitation, run.series.evapotranspiration, run.series.frost)
-    )
-    still = tau * (rain * site.a2 - evapotranspiration)
-    received = _sums(run.x1, tau * site.a_in * rain)
-    before = received[:-1]
-    flow = np.fromiter((maximum_pump_flow(site, x1) for x1 in before), float, run.steps)
-    usable = before - site.a1 * site.suction_level
-    full = np.where(usable < -_ROUNDING * before, 0, tau * max_command * flow)
-    given = np.where(full > 0, np.minimum(usable + full, received[1:]), 0)
-    pumped = np.where(frost > 0, 0, full)
-
-    low, high, drained_least, drained_most = _reach(site, run.x2, still, pumped)
-    pumped[low[:-1] > (1 + _ROUNDING) * site.a2 * site.z_veg] = 0
-    # A roof that runs dry loses what it held, low at the least.
-    dry = np.maximum(still - drained_least, -low[:-1])
-    greatest = np.maximum(still - drained_least + pumped, -low[:-1])
-    supplied = _sums(run.x2, dry) + np.concatenate([[0], given])
-    # The plant adds up in another order, so its last digits differ.
-    slack = _ROUNDING * (site.x2_star + high.max())
-    return _Limits(
-        low - slack, np.minimum(high, supplied) + slack, still - drained_most, greatest, still
-    )
-
-
-def _reach(
-    site: Site, x2: float, still: Values, pumped: Values
-) -> tuple[Values, Values, Values, Values]:
-    """Follow the range of the roof's volume under all that the pumps can do.
-
-    Args:
-        site: its parameters.
-        x2: initial volume (m3).
-        still: change in each tick without pumping and drainage (m3), shape (N,).
-        pumped: the most that the pumps can lift in each tick (m3), shape (N,).
-
-    Returns:
-        The least and the largest volume (m3), shape (N+1,); the least and the largest volume that
-        drains in each tick (m3), shape (N,).
-    """
-    low = high = x2
-    lows, highs = array("d", [low]), array("d", [high])
-    drained_least, drained_most = array("d"), array("d")
-    target = (1 + _ROUNDING) * site.a2 * site.z_veg
-    for change, most in zip(array("d", still), array("d", pumped), strict=True):
-        drained = (0.0, 0.0)
-        driest, wettest = low, high
-        if high >= (1 - _ROUNDING) * site.z_cap:
-            driest, wettest, drained = _drain(site, low, high)
-        if low <= target:
-            wettest = max(wettest, min(high, target) + most)
-        low, high = max(0.0, driest + change), max(0.0, wettest + change)
-        lows.append(low)
-        highs.append(high)
-        drained_least.append(drained[0])
-        drained_most.append(drained[1])
-    return (
-        np.frombuffer(lows), np.frombuffer(highs),
-        np.frombuffer(drained_least), np.frombuffer(drained_most),
-    )
-
-
-def _drain(site: Site, low: float, high: float) -> tuple[float, float, tuple[float, float]]:
-    """Drain a roof for a tick that holds from low to high (m3), and high about z_cap or more.
-
-    Drainage sets in at z_cap with a jump and grows linearly from there, so the extremes are at the
-    ends of the range and on both sides of z_cap.
-
-    Returns:
-        The least and the largest volume left (m3); the least and the largest drained (m3).
-    """
-    left: list[float] = []
-    drained: list[float] = []
-    for x2 in (low, min(max(low, site.z_cap), high), high):
-        if x2 < (1 + _ROUNDING) * site.z_cap:
-            left.append(x2)
-            drained.append(0.0)
-        if x2 >= (1 - _ROUNDING) * site.z_cap:
-            drained.append(site.tau * drainage_flow(site, max(x2, site.z_cap)))
-            left.append(x2 - drained[-1])
-    return min(left), max(left), (min(drained), max(drained))
-
-
-def _solve(run: Run, limits: _Limits, edges: NDArray[np.int64]) -> tuple[Values, float, str]:
-    """Solve the program of :func:`clairvoyant_bound`.
-
-    With y_b the mean of x2 - x2* in block b, in units of x2*, and n_b its ticks, it is to
-    minimise the sum of n_b (p_b + m_b) subject to y_b = p_b - m_b = y_{b-1} + c_b, where y_{-1}
-    is 0 and p, m and c have bounds. Of p_b and m_b one is 0 in the optimum, so that limits of y_b
-    are limits of each.
-
-    The cost is that of the dual: as every variable z is between two numbers, and the balance A z is
-    0, any multipliers v make the sum of the least (w - A'v) z a bound of w z from below, whatever
-    the solver's tolerance.
-
-    Args:
-        run: the run.
-        limits: what it keeps to.
-        edges: first tick of each block, shape (B,).
-
-    Returns:
-        Mean deviation in each block (m3), shape (B,); a bound of the cost (m3); what the solver
-        said.
-
-    Raises:
-        NoBoundError: the solver found no optimum.
-    """
-    unit = run.site.x2_star
-    ticks = np.diff(edges, append=run.steps + 1)
-
-    def means(volumes: Values) -> Values:
-        return np.asarray(np.add.reduceat(volumes / unit - 1, edges) / ticks)
-
-    floor, ceiling = means(limits.floor), means(limits.ceiling)
-    least = np.diff(means(_sums(run.x2, limits.least)), prepend=0)
-    greatest = np.diff(means(_sums(run.x2, limits.greatest)), prepend=0)
-    zero = np.zeros_like(floor)
-    lower = np.concatenate([np.maximum(floor, 0), np.maximum(-ceiling, 0), least])
-    # Where nothing can be pumped both are equal, and rounding must not set them apart.
-    upper = np.concatenate(
-        [np.maximum(ceiling, 0), np.maximum(-floor, 0), np.maximum(greatest, least)]
-    )
-    blocks = len(edges)
-    step = diags([np.ones(blocks), -np.ones(blocks - 1)], [0, -1])
-    weights = np.concatenate([ticks, ticks, zero]) / ticks[0]
-    balance = hstack([step, -step, -identity(blocks)], format="csc")
-    result = linprog(
-        weights, A_eq=balance, b_eq=zero, bounds=np.column_stack([lower, upper]), method="highs",
-        options=_TOLERANCES,
-    )
-    if result.status != 0:
-        raise NoBoundError(result.message)
-    deviation = unit * (result.x[:blocks] - result.x[blocks : 2 * blocks])
-    prices = weights - balance.T @ result.eqlin.marginals
-    cost = unit * float(ticks[0]) * float(np.minimum(prices * lower, prices * upper).sum())
-    # What is left of a sum of zeros.
-    cost = cost if cost > _ROUNDING * unit * run.steps else 0.0
-    return deviation, cost, str(result.message)
-
-
-def _targets(
-    run: Run, limits: _Limits, edges: NDArray[np.int64], deviation: Values
-) -> Values:
-    """Return the roof's volume (m3) that the plan aims at in each tick, shape (N+1,).
-
-    What pumping and drainage add up to is known in the middles of the blocks. All that is added
-    until the next middle is best added at once while the roof is below x2*, and not beyond, unless
-    the next middle itself is: pumping stops at x2*, so that what is to be above it, as before
-    frost, can only come in one tick. Elsewhere it is interpolated. The weather's part, which jumps
-    from hour to hour, comes on top.
-    """
-    site = run.site
-    weather = _sums(run.x2, limits.still)
-    ticks = np.diff(edges, append=run.steps + 1)
-    added = site.x2_star + deviation - np.add.reduceat(weather, edges) / ticks
-    middles, added = np.append(0, edges + (ticks - 1) / 2), np.append(0, added)
-    k = np.arange(run.steps + 1)
-    following = np.minimum(np.searchsorted(middles, k), len(edges))
-    most = site.x2_star + np.maximum(np.append(0, deviation), 0)[following]
-    at_once = np.minimum(weather + added[following], most)
-    return np.asarray(np.maximum(weather + np.interp(k, middles, added), at_once))
-
-
-class _Plan:
-    """Pumps what brings the roof to the volume that is planned for the next tick.
-
-    Attributes:
-        tick: the present one; whoever runs the plan keeps it.
-    """
-
-    def __init__(self, run: Run, targets: Values, max_command: float) -> None:
-        """Take the volumes aimed at in each tick (m3), shape (N+1,), and the largest command."""
-        self.tick = 0
-        self._site = run.site
-        self._series = run.series
-        self._targets = array("d", np.append(targets, targets[-1]))
-        self._max_command = max_command
-
-    def command(
-        self,
-        cistern_level: float,
-        roof_level: float,
-        precipitation: Sequence[float],
-        evapotranspiration: Sequence[float],
-    ) -> float:
-        """Decide from the levels (m) and the run's own weather; the forecast is not needed."""
-        site, series = self._site, self._series
-        missing = self._targets[self.tick + 1] - site.roof_volume(roof_level)
-        gain = series.precipitation[self.tick] * site.a2 - series.evapotranspiration[self.tick]
-        flow: float = missing / site.tau - gain
-        full = maximum_pump_flow(site, site.cistern_volume(cistern_level))
-        if flow <= 0 or full <= 0:
-            return 0.0
-        return min(flow / full, self._max_command)
-
-    def skip(self) -> None:
-        """Do nothing: whoever runs the plan keeps the tick."""
-
-    def statistics(self) -> None:
-        """It solves nothing while it runs."""
 
 
 def _block_ticks(site: Site, block_s: float) -> int:
@@ -405,7 +69,7 @@ def _result(run: Run, max_command: float, bound: Bound) -> dict[str, Any]:
         "tau_s": run.site.tau,
         "site": str(run.site_file),
         "weather": str(run.weather.file),
-        "evapotranspiration_variant": run.weather.variant,
+        "evapotranspiration_method": run.weather.method,
     }
 
 
@@ -426,7 +90,7 @@ def _table(result: dict[str, Any]) -> Table:
         (
             "bound", f"{result['bound_m3']:.2f}",
             "m3, total deviation that no controller betters "
-            f"({result['evapotranspiration_variant']})",
+            f"({result['evapotranspiration_method']})",
         ),
         ("its plan", f"{result['plan_m3']:.2f}", "m3, run through the exact plant"),
         (

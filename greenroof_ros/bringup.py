@@ -14,26 +14,21 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-from greenroof_ros import summary
-from greenroof_ros.command_line import (
-    EXIT_DONE,
-    EXIT_INTERRUPTED,
-    command,
-)
-from greenroof_ros.errors import ConfigurationError
-from greenroof_ros.node_report import FINISHED, STARTING
-from greenroof_ros.progress import RunProgress
-from greenroof_ros.run import (
-    CONTROLLERS,
-    Run,
+from greenroof_ros.common.command_line import EXIT_DONE, EXIT_INTERRUPTED, command, within
+from greenroof_ros.common.errors import ConfigurationError
+from greenroof_ros.controllers.registry import CONTROLLERS
+from greenroof_ros.experiment import summary, summary_table
+from greenroof_ros.experiment.options import (
     add_output_arguments,
     add_run_arguments,
     run_from_arguments,
-    within,
 )
-from greenroof_ros.run_directory import make_run_directory, write_configuration
-from greenroof_ros.shared_memory import remove_unfinished
-from greenroof_ros.supervisor import NodeFailed, Supervisor
+from greenroof_ros.experiment.progress import RunProgress
+from greenroof_ros.experiment.run import Run
+from greenroof_ros.experiment.run_directory import make_run_directory, write_configuration
+from greenroof_ros.graph.reports import FINISHED, STARTING
+from greenroof_ros.graph.shared_memory import remove_unfinished
+from greenroof_ros.graph.supervisor import NodeFailed, Supervisor
 
 # How long to listen for nodes that are in the graph already (s). On loopback they answer in well
 # under half of it; whom this misses is met by the check for two publishers.
@@ -253,7 +248,7 @@ def main() -> int:
     signals = _Signals()
     run = run_from_arguments(arguments)
     if arguments.pump == "external":
-        run.imperfections.refuse_external_pump()
+        run.sensor_pump_errors.refuse_external_pump()
     try:
         directory, final = _run_graph(run, arguments, signals)
     except _Interrupted:
@@ -277,10 +272,10 @@ def main() -> int:
         solver=controller["solver"],
         messages=final["recorder"]["messages"] if "recorder" in final else None,
         refused=refused,
-        incidents=controller["incidents"],
+        parameter_changes=controller["parameter_changes"],
     )
     summary.write(result, directory / "summary.json")
-    summary.show(result, as_json=arguments.json, path=directory)
+    summary_table.show(result, as_json=arguments.json, path=directory)
     return EXIT_DONE
 
 

@@ -5,10 +5,11 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from greenroof_ros.command_line import command
-from greenroof_ros.errors import ConfigurationError
-from greenroof_ros.recording import BagWriter, read_ticks
-from greenroof_ros.topics import read_topics
+from greenroof_ros.common.command_line import command
+from greenroof_ros.common.errors import ConfigurationError
+from greenroof_ros.common.interface import read_topics
+from greenroof_ros.recording.bag_writer import BagWriter
+from greenroof_ros.recording.damaged_bag import read_ticks
 
 
 def recover(directory: Path, output: Path | None = None) -> tuple[Path, int]:

@@ -9,19 +9,19 @@ from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
 
-from greenroof_ros import summary
-from greenroof_ros.closed_loop import Tick, closed_loop
-from greenroof_ros.command_line import EXIT_DONE, command
-from greenroof_ros.errors import ConfigurationError
-from greenroof_ros.metrics import Metrics
-from greenroof_ros.progress import INTERVAL_S, RunProgress
-from greenroof_ros.run import (
+from greenroof_ros.common.command_line import EXIT_DONE, command
+from greenroof_ros.common.errors import ConfigurationError
+from greenroof_ros.controllers.registry import make_controller
+from greenroof_ros.experiment import summary, summary_table
+from greenroof_ros.experiment.closed_loop import Tick, closed_loop
+from greenroof_ros.experiment.options import (
     add_output_arguments,
     add_run_arguments,
-    make_controller,
     run_from_arguments,
 )
-from greenroof_ros.run_directory import make_run_directory, write_configuration
+from greenroof_ros.experiment.progress import INTERVAL_S, RunProgress
+from greenroof_ros.experiment.run_directory import make_run_directory, write_configuration
+from greenroof_ros.model.metrics import Metrics
 
 TRAJECTORY_COLUMNS = (
     "time_s", "cistern_m3", "roof_m3", "cistern_level_m", "roof_level_m",
@@ -92,7 +92,7 @@ def main() -> int:
         solver=controller.statistics(),
     )
     summary.write(result, directory / "summary.json")
-    summary.show(result, as_json=arguments.json, path=directory)
+    summary_table.show(result, as_json=arguments.json, path=directory)
     return EXIT_DONE
 
 

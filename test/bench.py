@@ -17,7 +17,7 @@ import time
 from pathlib import Path
 from typing import Any
 
-from graph import environment, own_domain
+from graphs import environment, own_domain
 
 ROUNDS = 5
 HOURS = 2
@@ -30,9 +30,9 @@ def echo(role: str) -> None:
     from rclpy.node import Node
     from std_msgs.msg import Float64
 
-    from greenroof_ros.lockstep import qos_profile
-    from greenroof_ros.node_process import make_executor
-    from greenroof_ros.topics import read_topics
+    from greenroof_ros.common.interface import read_topics
+    from greenroof_ros.graph.lockstep import qos_profile
+    from greenroof_ros.graph.node_process import make_executor
 
     rclpy.init(args=[])
     node = Node(role)
@@ -114,9 +114,10 @@ def simulated(*options: str) -> tuple[float, dict[str, float]]:
     """Return a tick of ``simulate`` (s), controller, plant and metrics, and its solver's times."""
     import argparse
 
-    from greenroof_ros.closed_loop import closed_loop
-    from greenroof_ros.metrics import Metrics
-    from greenroof_ros.run import add_run_arguments, make_controller, run_from_arguments
+    from greenroof_ros.controllers.registry import make_controller
+    from greenroof_ros.experiment.closed_loop import closed_loop
+    from greenroof_ros.experiment.options import add_run_arguments, run_from_arguments
+    from greenroof_ros.model.metrics import Metrics
 
     parser = argparse.ArgumentParser()
     add_run_arguments(parser)
@@ -156,9 +157,9 @@ def measure_do_mpc(steps: int = 30) -> float:
     import do_mpc
     import numpy as np
 
-    from greenroof_ros.files import shared_directory
-    from greenroof_ros.run import initial_state
-    from greenroof_ros.site import read_site
+    from greenroof_ros.common.files import shared_directory
+    from greenroof_ros.model.initial_state import initial_state
+    from greenroof_ros.model.site import read_site
 
     site = read_site(shared_directory() / "config" / "site.yaml")
     model: Any = do_mpc.model.Model("discrete")

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 import pytest
-from graph import Process, own_domain
+from graphs import Process, own_domain
 from hypothesis import settings
 
 # The same examples on every machine, and no limit on their time.

@@ -14,8 +14,9 @@ from typing import Any
 import numpy as np
 from hypothesis import strategies as st
 
-from greenroof_ros.run import Run, add_run_arguments, run_from_arguments
-from greenroof_ros.site import Site
+from greenroof_ros.experiment.options import add_run_arguments, run_from_arguments
+from greenroof_ros.experiment.run import Run
+from greenroof_ros.model.site import Site
 
 TABLE_I: dict[str, float] = {
     "a1": 25, "a2": 68.8, "a_pump": 0.01 * math.pi, "a_in": 0.305**2 * math.pi,

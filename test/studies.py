@@ -7,7 +7,7 @@ import subprocess
 import sys
 from pathlib import Path
 
-from greenroof_ros.files import shared_directory
+from greenroof_ros.common.files import shared_directory
 
 CONFIG = shared_directory() / "config"
 WEATHER = CONFIG / "weather" / "toronto_2021-07.csv"

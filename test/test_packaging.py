@@ -15,7 +15,6 @@ import yaml
 
 import greenroof_ros
 
-CHECKOUT = Path(__file__).resolve().parents[1]
 NODES = (
     "plant", "weather", "mpc", "onoff", "planning_mpc", "anticipating_onoff", "scenario_mpc",
     "recorder",
@@ -102,7 +101,7 @@ def assert_installed(module, prefix):
 
 PRINT_SHARED_DIRECTORY = """
 import greenroof_ros
-from greenroof_ros.files import shared_directory
+from greenroof_ros.common.files import shared_directory
 print(greenroof_ros.__file__)
 print(shared_directory())
 """

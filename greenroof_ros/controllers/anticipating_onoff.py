@@ -8,12 +8,12 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from greenroof_ros.controllers.roof_estimate import RoofEstimate
-from greenroof_ros.controllers.stop_loss import StopLoss
-from greenroof_ros.errors import ConfigurationError
-from greenroof_ros.look_ahead import growing_steps
-from greenroof_ros.plant import pump_flow
-from greenroof_ros.site import Site
+from greenroof_ros.common.errors import ConfigurationError
+from greenroof_ros.controllers.regret_limit import RegretLimit
+from greenroof_ros.controllers.roof_observer import RoofObserver
+from greenroof_ros.model.look_ahead import growing_steps
+from greenroof_ros.model.plant import pump_flow
+from greenroof_ros.model.site import Site
 
 Array = NDArray[np.float64]
 
@@ -45,9 +45,10 @@ class AnticipatingOnOff:
     For a microcontroller: from the hourly forecast add up rain times the bed's area less
     evapotranspiration, sort the sums, take the one in the middle, once a minute. The level to
     switch at is the target less that volume over the bed's area. Two sums more, kept tick by tick,
-    make it fit for a real site: :class:`~greenroof_ros.controllers.roof_estimate.RoofEstimate`
-    smooths the level's readings, :class:`~greenroof_ros.controllers.stop_loss.StopLoss` limits what
-    a forecast of rain that never comes can do.
+    make it fit for a real site: 
+    :class:`~greenroof_ros.controllers.roof_observer.RoofObserver` smooths the level's readings,
+    :class:`~greenroof_ros.controllers.regret_limit.RegretLimit` limits what a forecast of rain that
+    never comes can do.
 
     Attributes:
         fraction: v, the command when pumping (share of the maximum flow).
@@ -58,8 +59,8 @@ class AnticipatingOnOff:
         site: Site,
         horizon: float,
         fraction: float,
-        smoothing: float = 0.0,
-        patience: float = math.inf,
+        observer_time_constant: float = 0.0,
+        max_waiting_loss: float = math.inf,
     ) -> None:
         """Take the site and the parameters.
 
@@ -67,14 +68,14 @@ class AnticipatingOnOff:
             site: the parameters of Table I.
             horizon: how far to look ahead (h).
             fraction: v.
-            smoothing: over how long (s) readings of the roof's level are averaged.
-            patience: what waiting for rain may cost (h of an empty roof).
+            observer_time_constant: over how long (s) readings of the roof's level are averaged.
+            max_waiting_loss: what waiting for rain may cost (h of an empty roof).
         """
         self._site = site
         self.fraction = fraction
         self._lengths = np.diff(growing_steps(horizon))
-        self._estimate = RoofEstimate(site, smoothing)
-        self._stop_loss = StopLoss(site, patience)
+        self._observer = RoofObserver(site, observer_time_constant)
+        self._regret_limit = RegretLimit(site, max_waiting_loss)
 
     def command(
         self,
@@ -85,7 +86,8 @@ class AnticipatingOnOff:
     ) -> float:
         """Decide from levels and forecast; see :class:`greenroof_ros.controllers.Controller`.
 
-        The forecasts are means over the steps of :func:`greenroof_ros.look_ahead.growing_steps`.
+        The forecasts are means over the steps of
+        :func:`greenroof_ros.model.look_ahead.growing_steps`.
         """
         site = self._site
         if not len(precipitation) == len(evapotranspiration) == len(self._lengths):
@@ -99,20 +101,20 @@ class AnticipatingOnOff:
         if not math.isfinite(x1 + roof_level + float(rain.sum() + evaporated.sum())):
             self.skip()
             return 0.0
-        x2 = self._estimate.correct(roof_level)
-        waited = self._stop_loss.judge(x1, x2, self.fraction)
+        x2 = self._observer.correct(roof_level)
+        waited = self._regret_limit.judge(x1, x2, self.fraction)
         room = 0.0 if waited else self._room(rain, evaporated)
         dry = x2 < site.x2_star - room and cistern_level >= site.suction_level
         command = self.fraction if dry else 0.0
         pumped = pump_flow(site, x1, x2, command)
-        self._stop_loss.move(x1, x2, self.fraction, pumped)
-        self._estimate.predict(x2, float(rain[0]), float(evaporated[0]), pumped)
+        self._regret_limit.move(x1, x2, self.fraction, pumped)
+        self._observer.predict(x2, float(rain[0]), float(evaporated[0]), pumped)
         return command
 
     def skip(self) -> None:
         """Wait for the next reading."""
-        self._estimate.skip()
-        self._stop_loss.skip()
+        self._observer.skip()
+        self._regret_limit.skip()
 
     def _room(self, rain: Array, evaporated: Array) -> float:
         """Return m, what to leave room for (m3)."""

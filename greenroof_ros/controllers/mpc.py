@@ -12,10 +12,10 @@ import osqp
 import scipy.sparse
 from numpy.typing import NDArray
 
-from greenroof_ros.controllers import solver_statistics
-from greenroof_ros.errors import ConfigurationError
-from greenroof_ros.site import Site
-from greenroof_ros.smooth_plant import linearise
+from greenroof_ros.common.errors import ConfigurationError
+from greenroof_ros.controllers.protocol import solver_statistics
+from greenroof_ros.model.site import Site
+from greenroof_ros.model.smooth_plant import linearise
 
 _log = logging.getLogger(__name__)
 

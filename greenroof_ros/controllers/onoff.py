@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from greenroof_ros.site import Site
+from greenroof_ros.model.site import Site
 
 
 class OnOff:

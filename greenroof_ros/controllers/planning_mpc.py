@@ -10,14 +10,14 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from greenroof_ros.controllers import solver_statistics
+from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.controllers.planning_program import Ensemble, PlanningProgram, Prices
-from greenroof_ros.controllers.roof_estimate import RoofEstimate
-from greenroof_ros.controllers.stop_loss import StopLoss
-from greenroof_ros.errors import ConfigurationError
-from greenroof_ros.look_ahead import MOST_MEMBERS, growing_steps
-from greenroof_ros.plant import maximum_pump_flow
-from greenroof_ros.site import Site
+from greenroof_ros.controllers.protocol import solver_statistics
+from greenroof_ros.controllers.regret_limit import RegretLimit
+from greenroof_ros.controllers.roof_observer import RoofObserver
+from greenroof_ros.model.look_ahead import MOST_MEMBERS, growing_steps
+from greenroof_ros.model.plant import maximum_pump_flow
+from greenroof_ros.model.site import Site
 
 _log = logging.getLogger(__name__)
 
@@ -67,8 +67,8 @@ class PlanningMpc:
     counts it.
 
     The roof's level is not taken as read, and forecasts of rain not for ever: see
-    :class:`~greenroof_ros.controllers.roof_estimate.RoofEstimate` and
-    :class:`~greenroof_ros.controllers.stop_loss.StopLoss`.
+    :class:`~greenroof_ros.controllers.roof_observer.RoofObserver` and
+    :class:`~greenroof_ros.controllers.regret_limit.RegretLimit`.
 
     Attributes:
         solves: how many programs were solved, or tried.
@@ -84,8 +84,8 @@ class PlanningMpc:
         power: float = 1.0,
         prices: Prices | None = None,
         ensemble: Ensemble | None = None,
-        smoothing: float = 0.0,
-        patience: float = math.inf,
+        observer_time_constant: float = 0.0,
+        max_waiting_loss: float = math.inf,
         max_iterations: int = 10000,
     ) -> None:
         """Set the program up once; every decision only updates it.
@@ -98,8 +98,8 @@ class PlanningMpc:
                 controller.
             prices: of energy and starts; none if not given.
             ensemble: how to look at the members of a forecast; only single ones if not given.
-            smoothing: over how long (s) readings of the roof's level are averaged.
-            patience: what waiting for rain may cost (h of an empty roof).
+            observer_time_constant: over how long (s) readings of the roof's level are averaged.
+            max_waiting_loss: what waiting for rain may cost (h of an empty roof).
             max_iterations: OSQP's limit.
 
         Raises:
@@ -118,8 +118,8 @@ class PlanningMpc:
         self._pumped: Array | None = None  # P at the edges, shape (members, steps + 1)
         self._inflow: Array | None = None  # to the roof, of the last tick's forecast
         self._set_up(members=1)
-        self._estimate = RoofEstimate(site, smoothing)
-        self._stop_loss = StopLoss(site, patience)
+        self._observer = RoofObserver(site, observer_time_constant)
+        self._regret_limit = RegretLimit(site, max_waiting_loss)
         self.solves = 0
         self.fallbacks = 0
         self.solve_seconds: list[float] = []
@@ -161,8 +161,9 @@ class PlanningMpc:
     ) -> float:
         """Follow the plan, or make a new one; see :class:`greenroof_ros.controllers.Controller`.
 
-        The forecasts are means over the steps of :func:`greenroof_ros.look_ahead.growing_steps`;
-        of the rain, one member after the other.
+        The forecasts are means over the steps of
+        :func:`greenroof_ros.model.look_ahead.growing_steps`; of the rain, one member after the
+        other.
         """
         started = time.perf_counter()
         site, steps = self._site, len(self._lengths)
@@ -183,11 +184,11 @@ class PlanningMpc:
             # Nothing can be planned on it, and OSQP would not refuse it.
             self.skip()
             return 0.0
-        x2 = self._estimate.correct(roof_level)
+        x2 = self._observer.correct(roof_level)
         self._off_plan += x2 - self._expected
         fraction = min(self._max_command, 1.0)
         waits = self._prices == Prices() or bool(rain[:, 1:].any())
-        if self._stop_loss.judge(x1, x2, fraction, counts=waits):
+        if self._regret_limit.judge(x1, x2, fraction, counts=waits):
             rain[:, 1:] = 0.0
         inflow = np.cumsum((rain * site.a2 - evaporated) * self._lengths, axis=1)
         if self._must_decide(inflow, float(rain.max()), float(evaporated.max())):
@@ -200,8 +201,8 @@ class PlanningMpc:
             share = 0.0
         share = min(share, self._max_command)
         self._flow = share * full
-        self._stop_loss.move(x1, x2, fraction, self._flow)
-        self._expected = self._estimate.predict(
+        self._regret_limit.move(x1, x2, fraction, self._flow)
+        self._expected = self._observer.predict(
             x2, float(rain[0, 0]), float(evaporated[0]), self._flow
         )
         self._age += site.tau
@@ -210,8 +211,8 @@ class PlanningMpc:
 
     def skip(self) -> None:
         """Wait for the next reading; what the plan expected of this tick has not happened."""
-        self._estimate.skip()
-        self._stop_loss.skip()
+        self._observer.skip()
+        self._regret_limit.skip()
         self._flow, self._expected = 0.0, math.nan
         self._age += self._site.tau
 

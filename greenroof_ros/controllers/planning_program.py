@@ -10,8 +10,8 @@ import osqp
 import scipy.sparse
 from numpy.typing import NDArray
 
-from greenroof_ros.plant import JOULES_PER_KWH, WATER_DENSITY, maximum_pump_flow
-from greenroof_ros.site import Site
+from greenroof_ros.model.plant import JOULES_PER_KWH, WATER_DENSITY, maximum_pump_flow
+from greenroof_ros.model.site import Site
 
 # The solver gets near, its polishing does the rest. The program is scaled here: with the solver's
 # own scaling some programs take ten times the iterations, and rho goes round in circles. The

@@ -7,11 +7,11 @@ import sys
 from rclpy.node import Node
 
 from greenroof_ros.controllers.anticipating_onoff import AnticipatingOnOff
-from greenroof_ros.lockstep import Link
-from greenroof_ros.node_process import run_node
+from greenroof_ros.controllers.registry import CONTROLLERS
+from greenroof_ros.graph.lockstep import Link
+from greenroof_ros.graph.node_process import run_node
+from greenroof_ros.graph.parameters import declare, declare_site
 from greenroof_ros.nodes.controller import ControllerNode, declare_trust
-from greenroof_ros.parameters import declare, declare_site
-from greenroof_ros.run import CONTROLLERS
 
 
 def build(node: Node) -> Link:
@@ -23,8 +23,8 @@ def build(node: Node) -> Link:
         node, "fraction", 1.0, "v of Eq. (12): command when pumping (1); may be changed in a run",
         *ranges["fraction"], read_only=False,
     )
-    smoothing, patience = declare_trust(node, "anticipating_onoff")
-    controller = AnticipatingOnOff(site, horizon, fraction, smoothing, patience)
+    observer_time_constant, max_waiting_loss = declare_trust(node, "anticipating_onoff")
+    controller = AnticipatingOnOff(site, horizon, fraction, observer_time_constant, max_waiting_loss)
     return ControllerNode(node, "anticipating_onoff", controller, "fraction").link
 
 

@@ -11,10 +11,10 @@ from rclpy.node import Node
 from rclpy.parameter import Parameter
 from std_msgs.msg import Float64
 
-from greenroof_ros.controllers import Controller
-from greenroof_ros.lockstep import Link
-from greenroof_ros.parameters import declare
-from greenroof_ros.run import CONTROLLERS
+from greenroof_ros.controllers.protocol import Controller
+from greenroof_ros.controllers.registry import CONTROLLERS
+from greenroof_ros.graph.lockstep import Link
+from greenroof_ros.graph.parameters import declare
 
 
 class ControllerNode:
@@ -44,7 +44,7 @@ class ControllerNode:
         self._controller = controller
         self._tunable = tunable
         self._tick = 0
-        self._incidents: list[dict[str, Any]] = []
+        self._parameter_changes: list[dict[str, Any]] = []
         self.link = link = Link(node, role, self._on_inputs)
         self._cistern = link.take_topic("/cistern/level")
         self._roof = link.take_topic("/roof/level")
@@ -57,7 +57,7 @@ class ControllerNode:
         self.after_command: Callable[[bool], None] = lambda decided: None
         link.summary = lambda: {
             "solver": controller.statistics(),
-            "incidents": self._incidents,
+            "parameter_changes": self._parameter_changes,
         }
         node.add_on_set_parameters_callback(self._on_parameters)
 
@@ -83,7 +83,7 @@ class ControllerNode:
             if parameter.name != self._tunable:
                 continue
             setattr(self._controller, self._tunable, parameter.value)
-            self._incidents.append(
+            self._parameter_changes.append(
                 {"tick": self._tick, "parameter": parameter.name, "value": parameter.value}
             )
             self._node.get_logger().info(
@@ -93,17 +93,17 @@ class ControllerNode:
 
 
 def declare_trust(node: Node, role: str) -> tuple[float, float]:
-    """Declare and return a planning controller's ``smoothing`` (s) and ``patience`` (h)."""
+    """Declare and return a planning controller's ``observer_time_constant`` (s) and ``max_waiting_loss`` (h)."""
     ranges = CONTROLLERS[role]
-    smoothing = declare(
-        node, "smoothing", 300.0, "over how long readings of the roof are averaged (s)",
-        *ranges["smoothing"],
+    observer_time_constant = declare(
+        node, "observer_time_constant", 300.0, "over how long readings of the roof are averaged (s)",
+        *ranges["observer_time_constant"],
     )
-    patience = declare(
-        node, "patience", 1.0, "what waiting for rain may cost (h of an empty roof)",
-        *ranges["patience"],
+    max_waiting_loss = declare(
+        node, "max_waiting_loss", 1.0, "what waiting for rain may cost (h of an empty roof)",
+        *ranges["max_waiting_loss"],
     )
-    return smoothing, patience
+    return observer_time_constant, max_waiting_loss
 
 
 class Solving(Protocol):

@@ -7,11 +7,11 @@ import sys
 from rclpy.node import Node
 
 from greenroof_ros.controllers.onoff import OnOff
-from greenroof_ros.lockstep import Link
-from greenroof_ros.node_process import run_node
+from greenroof_ros.controllers.registry import CONTROLLERS
+from greenroof_ros.graph.lockstep import Link
+from greenroof_ros.graph.node_process import run_node
+from greenroof_ros.graph.parameters import declare, declare_site
 from greenroof_ros.nodes.controller import ControllerNode
-from greenroof_ros.parameters import declare, declare_site
-from greenroof_ros.run import CONTROLLERS
 
 
 def build(node: Node) -> Link:

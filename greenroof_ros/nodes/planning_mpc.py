@@ -8,18 +8,18 @@ from rclpy.node import Node
 
 from greenroof_ros.controllers.planning_mpc import PlanningMpc
 from greenroof_ros.controllers.planning_program import Prices
-from greenroof_ros.lockstep import Link
-from greenroof_ros.node_process import run_node
+from greenroof_ros.controllers.registry import CONTROLLERS
+from greenroof_ros.graph.lockstep import Link
+from greenroof_ros.graph.node_process import run_node
+from greenroof_ros.graph.parameters import declare, declare_site
 from greenroof_ros.nodes.controller import ControllerNode, declare_trust, publish_solver
-from greenroof_ros.parameters import declare, declare_site
-from greenroof_ros.run import CONTROLLERS
 
 
 def build(node: Node) -> Link:
     """Declare the parameters and put the controller into the graph."""
     site = declare_site(node)
     ranges = CONTROLLERS["planning_mpc"]
-    smoothing, patience = declare_trust(node, "planning_mpc")
+    observer_time_constant, max_waiting_loss = declare_trust(node, "planning_mpc")
     controller = PlanningMpc(
         site,
         declare(node, "horizon", 12.0, "how far it plans (h)", *ranges["horizon"]),
@@ -35,8 +35,8 @@ def build(node: Node) -> Link:
                 *ranges["start_weight"],
             ),
         ),
-        smoothing=smoothing,
-        patience=patience,
+        observer_time_constant=observer_time_constant,
+        max_waiting_loss=max_waiting_loss,
     )
     part = ControllerNode(node, "planning_mpc", controller)
     publish_solver(part, controller)

@@ -14,20 +14,22 @@ from rclpy.node import Node
 from rosgraph_msgs.msg import Clock
 from std_msgs.msg import Float64
 
-from greenroof_ros.imperfections import RANGES, Imperfections, Pump, RoofSensor
-from greenroof_ros.lockstep import LISTEN_S, Link, LockstepError
-from greenroof_ros.metrics import Metrics
-from greenroof_ros.node_process import run_node
-from greenroof_ros.parameters import declare, declare_site
-from greenroof_ros.plant import Flows, Plant
-from greenroof_ros.run import DEFAULT_START, epoch_ns, initial_state, read_start
+from greenroof_ros.common.times import epoch_ns, read_start
+from greenroof_ros.experiment.run import DEFAULT_START
+from greenroof_ros.graph.lockstep import LISTEN_S, Link, LockstepError
+from greenroof_ros.graph.node_process import run_node
+from greenroof_ros.graph.parameters import declare, declare_site
+from greenroof_ros.model.initial_state import initial_state
+from greenroof_ros.model.metrics import Metrics
+from greenroof_ros.model.plant import Flows, Plant
+from greenroof_ros.model.sensor_pump_errors import RANGES, Pump, RoofSensor, SensorPumpErrors
 
 # How far the plant may run ahead of what the recorder has safely written (ticks).
 _AHEAD = 32
 
 
-def _declare_imperfections(node: Node) -> Imperfections:
-    """Declare the imperfections of the site, each a parameter, and return them."""
+def _declare_sensor_pump_errors(node: Node) -> SensorPumpErrors:
+    """Declare the sensor_pump_errors of the site, each a parameter, and return them."""
     descriptions = {
         "roof_noise": "standard deviation of the roof's level sensor (m)",
         "roof_offset": "what that sensor reads above the true level (m)",
@@ -35,8 +37,8 @@ def _declare_imperfections(node: Node) -> Imperfections:
         "minimum_on": "once on, the pumps stay on for so long (s)",
         "minimum_off": "once off, the pumps stay off for so long (s)",
     }
-    perfect = Imperfections().values()
-    return Imperfections(**{
+    perfect = SensorPumpErrors().values()
+    return SensorPumpErrors(**{
         name: declare(node, name, perfect[name], descriptions[name], low=low, high=high)
         for name, (low, high) in RANGES.items()
     })
@@ -63,9 +65,9 @@ class PlantNode:
             )
             == "external"
         )
-        imperfections = _declare_imperfections(node)
+        sensor_pump_errors = _declare_sensor_pump_errors(node)
         if self._external:
-            imperfections.refuse_external_pump()
+            sensor_pump_errors.refuse_external_pump()
         self._record = declare(node, "record", False, "wait for a recorder")
         self._limit = declare(
             node, "peer_limit", 5.0, "longest wait for another node (s of wall time)",
@@ -78,8 +80,8 @@ class PlantNode:
         self._node = node
         self._site = site
         self._plant = Plant(site, x1, x2)
-        self._sensor = RoofSensor(imperfections)
-        self._pump = Pump(imperfections, site.tau)
+        self._sensor = RoofSensor(sensor_pump_errors)
+        self._pump = Pump(sensor_pump_errors, site.tau)
         self._metrics = Metrics()
         self._start_ns = epoch_ns(read_start(start))
         self._tick_ns = round(site.tau * 1e9)
@@ -102,7 +104,7 @@ class PlantNode:
         self._rain = link.take_topic("/weather/precipitation")
         self._evapotranspiration = link.take_topic("/weather/evapotranspiration")
         # Frost ends a minimum time on; without one there is nothing but the command to obey.
-        self._frost = link.take_topic("/weather/frost") if imperfections.minimum_on else None
+        self._frost = link.take_topic("/weather/frost") if sensor_pump_errors.minimum_on else None
         self._command_input = link.take_topic("/pump/command")
         if self._external:
             self._flow = link.take_topic("/pump/flow")

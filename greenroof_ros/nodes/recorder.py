@@ -12,13 +12,13 @@ from pathlib import Path
 from rclpy.node import Node
 from std_msgs.msg import Float64
 
-from greenroof_ros.errors import ConfigurationError
-from greenroof_ros.lockstep import LISTEN_S, Link, LockstepError
-from greenroof_ros.node_process import run_node
-from greenroof_ros.parameters import declare
-from greenroof_ros.recording import BagWriter
-from greenroof_ros.run import CONTROLLERS
-from greenroof_ros.topics import recorded_topics
+from greenroof_ros.common.errors import ConfigurationError
+from greenroof_ros.common.interface import recorded_topics
+from greenroof_ros.controllers.registry import CONTROLLERS
+from greenroof_ros.graph.lockstep import LISTEN_S, Link, LockstepError
+from greenroof_ros.graph.node_process import run_node
+from greenroof_ros.graph.parameters import declare
+from greenroof_ros.recording.bag_writer import BagWriter
 
 
 class RecorderNode:

@@ -8,34 +8,34 @@ from rclpy.node import Node
 
 from greenroof_ros.controllers.planning_mpc import PlanningMpc
 from greenroof_ros.controllers.planning_program import Ensemble
-from greenroof_ros.lockstep import Link
-from greenroof_ros.node_process import run_node
+from greenroof_ros.controllers.registry import CONTROLLERS
+from greenroof_ros.graph.lockstep import Link
+from greenroof_ros.graph.node_process import run_node
+from greenroof_ros.graph.parameters import declare, declare_site
 from greenroof_ros.nodes.controller import ControllerNode, declare_trust, publish_solver
-from greenroof_ros.parameters import declare, declare_site
-from greenroof_ros.run import CONTROLLERS
 
 
 def build(node: Node) -> Link:
     """Declare the parameters and put the controller into the graph."""
     site = declare_site(node)
     ranges = CONTROLLERS["scenario_mpc"]
-    smoothing, patience = declare_trust(node, "scenario_mpc")
+    observer_time_constant, max_waiting_loss = declare_trust(node, "scenario_mpc")
     controller = PlanningMpc(
         site,
         declare(node, "horizon", 12.0, "how far it plans (h)", *ranges["horizon"]),
         declare(node, "max_command", 1.0, "largest command (1)", *ranges["max_command"]),
         ensemble=Ensemble(
             declare(
-                node, "level", 0.8, "of the conditional value-at-risk; 0 is the mean of all",
-                *ranges["level"],
+                node, "cvar_level", 0.8, "of the conditional value-at-risk; 0 is the mean of all",
+                *ranges["cvar_level"],
             ),
             3600 * declare(
                 node, "recourse", 6.0, "until then one plan serves all members (h)",
                 *ranges["recourse"],
             ),
         ),
-        smoothing=smoothing,
-        patience=patience,
+        observer_time_constant=observer_time_constant,
+        max_waiting_loss=max_waiting_loss,
     )
     part = ControllerNode(node, "scenario_mpc", controller)
     publish_solver(part, controller)

@@ -9,15 +9,17 @@ from pathlib import Path
 from rclpy.node import Node
 from std_msgs.msg import Float64, Float64MultiArray
 
-from greenroof_ros.errors import ConfigurationError
-from greenroof_ros.files import shared_directory
-from greenroof_ros.forecast import make_forecast
-from greenroof_ros.forecast_models import MODELS, OPTIONS, ForecastChoice, choose
-from greenroof_ros.lockstep import Link, LockstepError
-from greenroof_ros.node_process import run_node
-from greenroof_ros.parameters import declare, declare_site
-from greenroof_ros.run import DEFAULT_START, epoch_ns, read_start
-from greenroof_ros.weather import WeatherSeries, read_weather
+from greenroof_ros.common.errors import ConfigurationError
+from greenroof_ros.common.files import shared_directory
+from greenroof_ros.common.times import epoch_ns, read_start
+from greenroof_ros.experiment.run import DEFAULT_START
+from greenroof_ros.forecast.choice import MODELS, OPTIONS, ForecastChoice, choose
+from greenroof_ros.forecast.resampling import make_forecast
+from greenroof_ros.graph.lockstep import Link, LockstepError
+from greenroof_ros.graph.node_process import run_node
+from greenroof_ros.graph.parameters import declare, declare_site
+from greenroof_ros.weather.reading import read_weather
+from greenroof_ros.weather.series import WeatherSeries
 
 
 def _declare_forecast(node: Node) -> ForecastChoice:
@@ -56,11 +58,11 @@ class WeatherNode:
         file = declare(node, "weather_file", str(default), "hourly records")
         start_text = declare(node, "start", DEFAULT_START, "time of tick 0, ISO 8601")
         self._steps = declare(node, "steps", site.N, "N, ticks to run", low=1, high=2**40)
-        variant = declare(
+        method = declare(
             node, "evapotranspiration", "",
             "fao56, or the name of the file's own column; empty: the file's own if it has one",
         )
-        weather = read_weather(Path(file), site, variant or None)
+        weather = read_weather(Path(file), site, method or None)
         start = read_start(start_text, weather.first.tzinfo)
         horizon = declare(
             node, "horizon", 0.0,

@@ -10,13 +10,12 @@ from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn
 from rich.table import Table
 
-from greenroof_ros.command_line import EXIT_DONE, command
-from greenroof_ros.errors import ConfigurationError
+from greenroof_ros.common.command_line import EXIT_DONE, command, within
+from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.report.assessment import Assumptions, assess
 from greenroof_ros.report.results import Report, best_runs, controller_name, result
 from greenroof_ros.report.runs import find_runs
 from greenroof_ros.report.seeds import apart
-from greenroof_ros.run import within
 
 _DEFAULTS = Assumptions()
 # On the terminal; the report has them all.

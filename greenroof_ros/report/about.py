@@ -10,10 +10,10 @@ from datetime import datetime, tzinfo
 from pathlib import Path
 from typing import Any
 
-from greenroof_ros.errors import ConfigurationError
-from greenroof_ros.files import YamlMapping, read_text, read_yaml
-from greenroof_ros.forecast_models import OPTIONS, PERFECT
-from greenroof_ros.imperfections import RANGES
+from greenroof_ros.common.errors import ConfigurationError
+from greenroof_ros.common.files import YamlMapping, read_text, read_yaml
+from greenroof_ros.forecast.choice import OPTIONS, PERFECT
+from greenroof_ros.model.sensor_pump_errors import RANGES
 
 Parameters = dict[str, "float | str"]
 
@@ -27,9 +27,9 @@ class About:
         parameters: the controller's; no entry where there is no bound.
         initial: name of the initial state, or its volumes.
         weather: name of the weather.
-        variant: of the evapotranspiration.
+        method: of the evapotranspiration.
         forecast: what the controller was told of the weather to come; empty if that was what came.
-        imperfections: of level sensor and pumps; empty if there were none.
+        sensor_pump_errors: of level sensor and pumps; empty if there were none.
         exact_sensor: whether the roof's level is the true one.
         zone: offset from UTC; None where nobody wrote it down.
         own: whether this package wrote it.
@@ -40,9 +40,9 @@ class About:
     parameters: Parameters = field(default_factory=dict)
     initial: str = "as recorded"
     weather: str = "as recorded"
-    variant: str = "unknown"
+    method: str = "unknown"
     forecast: str = ""
-    imperfections: str = ""
+    sensor_pump_errors: str = ""
     exact_sensor: bool = True
     zone: tzinfo | None = None
     own: bool = False
@@ -100,12 +100,12 @@ def _node_parameters(file: Path) -> dict[str, Any]:
             for key, value in nodes.get(str(controller), empty).items() if key != "site_file"
         },
         "weather": weather.get("weather_file"),
-        "evapotranspiration_variant": weather.get("evapotranspiration"),
+        "evapotranspiration_method": weather.get("evapotranspiration"),
         "forecast": {
             "model": weather.get("forecast"),
             **{option: weather.get(f"forecast_{option}") for option in OPTIONS},
         },
-        "imperfections": {name: plant.get(name) for name in RANGES},
+        "sensor_pump_errors": {name: plant.get(name) for name in RANGES},
     }
     if "cistern" in plant and "roof" in plant:
         about["initial"] = {"cistern_m3": plant["cistern"], "roof_m3": plant["roof"]}
@@ -132,12 +132,12 @@ def _understand(content: dict[str, Any]) -> About:
         content.get("forecast_repeats_last_record_from"),
         content.get("limited_steps") or 0,
     )
-    site = content.get("imperfections") or {}
-    imperfections = imperfections_label(site)
+    site = content.get("sensor_pump_errors") or {}
+    sensor_pump_errors = sensor_pump_errors_label(site)
     exact_sensor = not (site.get("roof_noise") or site.get("roof_offset"))
     if not exact_sensor:
         notes.append(
-            f"the roof's level is what a sensor reads ({imperfections}); the summary's deviation "
+            f"the roof's level is what a sensor reads ({sensor_pump_errors}); the summary's deviation "
             "is of the true one"
         )
     return About(
@@ -148,9 +148,9 @@ def _understand(content: dict[str, Any]) -> About:
             if initial else About.initial
         ),
         weather=Path(content.get("weather") or About.weather).name,
-        variant=str(content.get("evapotranspiration_variant") or About.variant),
+        method=str(content.get("evapotranspiration_method") or About.method),
         forecast=forecast_label(forecast.get("file") or forecast.get("model"), forecast),
-        imperfections=imperfections,
+        sensor_pump_errors=sensor_pump_errors,
         exact_sensor=exact_sensor,
         zone=datetime.fromisoformat(content["start"]).tzinfo if "start" in content else None,
         own=True,
@@ -201,8 +201,8 @@ def forecast_label(name: str | None, options: Mapping[str, object]) -> str:
     return " ".join([Path(name).name, *texts])
 
 
-def imperfections_label(values: Mapping[str, object]) -> str:
-    """Return a name for those imperfections of level sensor and pumps that are there."""
+def sensor_pump_errors_label(values: Mapping[str, object]) -> str:
+    """Return a name for those sensor_pump_errors of level sensor and pumps that are there."""
     given = {name: float(str(values.get(name) or 0)) for name in RANGES}
     seed = given.pop("noise_seed")
     texts = [

@@ -11,9 +11,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from greenroof_ros.plant import JOULES_PER_KWH, WATER_DENSITY, head_loss
-from greenroof_ros.site import Site
-from greenroof_ros.trajectory import Trajectory
+from greenroof_ros.model.plant import JOULES_PER_KWH, WATER_DENSITY, head_loss
+from greenroof_ros.model.site import Site
+from greenroof_ros.recording.trajectory import Trajectory
 
 
 @dataclass(frozen=True)

@@ -13,7 +13,8 @@ from typing import NamedTuple
 import altair as alt
 import numpy as np
 
-from greenroof_ros.files import shared_directory
+from greenroof_ros.common.files import shared_directory
+from greenroof_ros.model.site import Site, read_site
 from greenroof_ros.report.assessment import Assessment
 from greenroof_ros.report.drawing import (
     COLOURS,
@@ -29,7 +30,6 @@ from greenroof_ros.report.drawing import (
 from greenroof_ros.report.pump_figures import pump_curve, pump_smoothing, read_pump_data
 from greenroof_ros.report.results import Report, Result, Window, controller_name
 from greenroof_ros.report.seed_figures import forecast_errors
-from greenroof_ros.site import Site, read_site
 
 _GREY = "#555555"
 _FULL_FLOW = "full flow; above it is beyond the pump"
@@ -87,9 +87,9 @@ def make_figures(report: Report, pump_data: Path | None) -> list[Callable[[], Fi
 
 def weather(report: Report, window: Window, number: int) -> Figure:
     """Return rain and evapotranspiration over time (paper: Fig. 4)."""
-    variants = [one for one in report.windows if one[:4] == window[:4]]
-    first = {one.variant: report.of(one)[0] for one in variants}
-    run = first[window.variant]
+    methods = [one for one in report.windows if one[:4] == window[:4]]
+    first = {one.method: report.of(one)[0] for one in methods}
+    run = first[window.method]
     offset = run.start.utcoffset()
     assert offset is not None
     # The axis is in UTC; shifted by the offset it shows local time in every reader's browser.
@@ -100,9 +100,9 @@ def weather(report: Report, window: Window, number: int) -> Figure:
     ]
     top = 1.05 * max(row["v"] for row in rain) or 1.0
     evaporation = [
-        {"variant": variant, "t": origin + time * 1000,
+        {"method": method, "t": origin + time * 1000,
          "v": short(value / one.entry.site.a2 * 8.64e7)}
-        for variant, one in first.items()
+        for method, one in first.items()
         for time, value in zip(*one.curves["evapotranspiration"], strict=True)
     ]
     x = alt.X(
@@ -131,8 +131,8 @@ def weather(report: Report, window: Window, number: int) -> Figure:
         interpolate="step-after", clip=True
     ).encode(
         x=x, y=alt.Y("v:Q", title="evapotranspiration (mm/day)", scale=alt.Scale(zero=True)),
-        tooltip=["variant:N", when, alt.Tooltip("v:Q", title="mm/day")],
-        **distinct("variant", list(first), "variant"),
+        tooltip=["method:N", when, alt.Tooltip("v:Q", title="mm/day")],
+        **distinct("method", list(first), "method"),
     )
     caption = (
         "Rain, and evapotranspiration as a depth over the vegetation before it is limited to what "
@@ -148,7 +148,7 @@ def weather(report: Report, window: Window, number: int) -> Figure:
         (
             Panel(alt.layer(*frost, rained), "Rain", zoom=True),
             Panel(alt.layer(*frost, evaporated), "Evapotranspiration",
-                  hover=hover_points(evaporated), toggle="variant", zoom=True),
+                  hover=hover_points(evaporated), toggle="method", zoom=True),
         ),
         2,
         {f"rain-{number}": rain, f"evapotranspiration-{number}": evaporation},
@@ -327,9 +327,9 @@ def published_totals(report: Report, window: Window) -> Rows:
     # What may be left out of a site file is its place, which makes no published evapotranspiration.
     table = [parameter.name for parameter in fields(Site) if parameter.default is MISSING]
     if (
-        window.variant != "published" or window.start != _PAPER_START
+        window.method != "published" or window.start != _PAPER_START
         or window.hours != _PAPER_HOURS
-        or window.forecast or window.imperfections
+        or window.forecast or window.sensor_pump_errors
         or any(getattr(site, name) != getattr(papers, name) for name in table)
     ):
         return []

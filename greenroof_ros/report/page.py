@@ -17,14 +17,14 @@ import jinja2
 import vl_convert
 from markupsafe import Markup
 
-from greenroof_ros import summary
-from greenroof_ros.forecast_models import PERFECT
+from greenroof_ros.common.versions import versions
+from greenroof_ros.forecast.choice import PERFECT
+from greenroof_ros.model.site import Site
 from greenroof_ros.report.assessment import Assumptions
 from greenroof_ros.report.drawing import CONFIG, Figure, Rows
 from greenroof_ros.report.results import Report, Result, best_runs, controller_name
 from greenroof_ros.report.runs import RunEntry, Sources
 from greenroof_ros.report.seeds import Spread, spreads
-from greenroof_ros.site import Site
 
 
 class Cell(NamedTuple):
@@ -82,7 +82,7 @@ def render(
         tables=[
             *_seeded(report),
             *([_best_table(report)] if report.results else []),
-            *_variants(report),
+            *_methods(report),
             *(_tables(report, assumptions) if report.results else []),
         ],
         notes=_notes(report),
@@ -159,15 +159,15 @@ def _named(report: Report) -> list[_Column]:
                 ),
             )
         )
-    if len({window.variant for window in report.windows}) > 1:
-        columns.append(_Column("evapotranspiration", lambda one: _word(one.entry.variant)))
+    if len({window.method for window in report.windows}) > 1:
+        columns.append(_Column("evapotranspiration", lambda one: _word(one.entry.method)))
     if len({window.forecast for window in report.windows}) > 1:
         columns.append(
             _Column("forecast", lambda one: _word(one.entry.forecast or PERFECT))
         )
-    if len({window.imperfections for window in report.windows}) > 1:
+    if len({window.sensor_pump_errors for window in report.windows}) > 1:
         columns.append(
-            _Column("imperfections", lambda one: _word(one.entry.imperfections or "none"))
+            _Column("sensor_pump_errors", lambda one: _word(one.entry.sensor_pump_errors or "none"))
         )
     return [
         *columns,
@@ -277,8 +277,8 @@ def _seeded(report: Report) -> list[Table]:
         (header, name)
         for header, name in (
             ("site", "site_name"), ("weather", "weather"), ("start", "start"),
-            ("hours (h)", "hours"), ("evapotranspiration", "variant"), ("forecast", "model"),
-            ("imperfections", "imperfections"),
+            ("hours (h)", "hours"), ("evapotranspiration", "method"), ("forecast", "model"),
+            ("sensor_pump_errors", "sensor_pump_errors"),
         )
         if len({getattr(place, name) for place in places}) > 1
     ]
@@ -320,19 +320,19 @@ def _seeded_windows(report: Report) -> list[str]:
         of = entry.seeded
         seeds.setdefault(
             f"{Path(entry.weather).stem}, {of.start}, {of.hours:.4g} h, evapotranspiration "
-            f"{entry.variant}, forecast {of.model} size {of.size:g}"
-            + (f", {entry.imperfections}" if entry.imperfections else ""), set(),
+            f"{entry.method}, forecast {of.model} size {of.size:g}"
+            + (f", {entry.sensor_pump_errors}" if entry.sensor_pump_errors else ""), set(),
         ).add(of.seed)
     return [f"{window}, {len(found)} seeds" for window, found in seeds.items()]
 
 
-def _variants(report: Report) -> list[Table]:
+def _methods(report: Report) -> list[Table]:
     """Return total deviations under both kinds of evapotranspiration, where there are both."""
     pairs = []
     for one in report.results:
-        if one.entry.variant != "published":
+        if one.entry.method != "published":
             continue
-        window = one.window._replace(variant="fao56")
+        window = one.window._replace(method="fao56")
         pairs += [
             (one, other)
             for other in report.of(window, one.entry.controller, one.entry.initial)
@@ -413,7 +413,7 @@ def _versions() -> dict[str, str]:
     """Return the versions of what computed the numbers and drew the figures."""
     drawing = ("altair", "vl-convert-python", "rosbags", "polars")
     return {
-        **summary.versions(),
+        **versions(),
         **{name: metadata.version(name) for name in drawing},
         "vega": vl_convert.get_vega_version(),
     }

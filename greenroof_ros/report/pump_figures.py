@@ -10,13 +10,13 @@ from pathlib import Path
 import altair as alt
 import numpy as np
 
-from greenroof_ros.errors import ConfigurationError
-from greenroof_ros.files import read_text
-from greenroof_ros.plant import head_loss, maximum_pump_flow, pump_flow
-from greenroof_ros.pump_curve import fit_pump_curve
+from greenroof_ros.common.errors import ConfigurationError
+from greenroof_ros.common.files import read_text
+from greenroof_ros.model.plant import head_loss, maximum_pump_flow, pump_flow
+from greenroof_ros.model.pump_curve import fit_pump_curve
+from greenroof_ros.model.site import Site
+from greenroof_ros.model.smooth_plant import linearise
 from greenroof_ros.report.drawing import Figure, Panel, Rows, distinct, short
-from greenroof_ros.site import Site
-from greenroof_ros.smooth_plant import linearise
 
 
 def read_pump_data(path: Path) -> list[tuple[float, float]]:

@@ -13,9 +13,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from greenroof_ros.recording.trajectory import Trajectory
 from greenroof_ros.report.assessment import Assessment
 from greenroof_ros.report.runs import RunEntry
-from greenroof_ros.trajectory import Trajectory
 
 MOST_POINTS = 500
 """of a drawn line; totals are of all samples"""
@@ -64,7 +64,7 @@ class Result:
         entry = self.entry
         return Window(
             entry.site_name, entry.weather, self.start, round(self.assessment.hours, 6),
-            entry.variant, entry.forecast, entry.imperfections,
+            entry.method, entry.forecast, entry.sensor_pump_errors,
         )
 
 
@@ -75,19 +75,19 @@ class Window(NamedTuple):
     weather: str
     start: datetime
     hours: float
-    variant: str
+    method: str
     forecast: str
     """empty where it was perfect"""
-    imperfections: str
+    sensor_pump_errors: str
     """of level sensor and pumps; empty where there were none"""
 
     def __str__(self) -> str:
         """As headings name it."""
         forecast = f", forecast {self.forecast}" if self.forecast else ""
-        imperfections = f", {self.imperfections}" if self.imperfections else ""
+        sensor_pump_errors = f", {self.sensor_pump_errors}" if self.sensor_pump_errors else ""
         return (
             f"{Path(self.weather).stem}, {self.start.isoformat(' ', 'minutes')}, "
-            f"{self.hours:.4g} h, evapotranspiration {self.variant}{forecast}{imperfections}"
+            f"{self.hours:.4g} h, evapotranspiration {self.method}{forecast}{sensor_pump_errors}"
         )
 
 

@@ -12,25 +12,25 @@ from pathlib import Path
 
 import numpy as np
 
-from greenroof_ros.bound import NoBoundError, clairvoyant_bound
-from greenroof_ros.errors import ConfigurationError
-from greenroof_ros.files import read_text, shared_directory
-from greenroof_ros.forecast_models import OPTIONS, ForecastChoice
-from greenroof_ros.imperfections import RANGES
+from greenroof_ros.common.errors import ConfigurationError
+from greenroof_ros.common.files import read_text, shared_directory
+from greenroof_ros.experiment.clairvoyant import NoBoundError, clairvoyant_bound
+from greenroof_ros.experiment.run import build_run
+from greenroof_ros.forecast.choice import OPTIONS, ForecastChoice
+from greenroof_ros.model.sensor_pump_errors import RANGES
+from greenroof_ros.model.site import Site, read_site
+from greenroof_ros.recording.bag_reader import load_bag
+from greenroof_ros.recording.trajectory import Trajectory, read_parquet
 from greenroof_ros.report.about import (
     Parameters,
     forecast_label,
-    imperfections_label,
     initial_label,
     parameters,
     read_about,
     run_notes,
+    sensor_pump_errors_label,
 )
-from greenroof_ros.report.bags import load_bag
-from greenroof_ros.run import build_run
-from greenroof_ros.site import Site, read_site
-from greenroof_ros.trajectory import Trajectory, read_parquet
-from greenroof_ros.weather import read_weather
+from greenroof_ros.weather.reading import read_weather
 
 _RESULT_COLUMNS = (
     "run", "site", "weather", "evapotranspiration", "controller", "initial",
@@ -74,7 +74,7 @@ class RunEntry:
         site_name: where its site comes from.
         site: Table I.
         weather: name of the weather.
-        variant: of the evapotranspiration.
+        method: of the evapotranspiration.
         controller: its name, ``unknown`` where nobody wrote it down.
         parameters: the controller's; no entry where there is no bound.
         initial: name of the initial state, or its volumes.
@@ -84,7 +84,7 @@ class RunEntry:
             came, or nobody wrote it down.
         bound: the least total deviation (m3) that a controller with commands up to 1 could reach,
             given the trajectory; None where it is unknown.
-        imperfections: of level sensor and pumps; empty where there were none, or nobody wrote
+        sensor_pump_errors: of level sensor and pumps; empty where there were none, or nobody wrote
             them down.
         seeded: what a study's table says of it; None unless its forecasts had random errors.
     """
@@ -93,7 +93,7 @@ class RunEntry:
     site_name: str
     site: Site
     weather: str
-    variant: str
+    method: str
     controller: str
     parameters: Parameters
     initial: str
@@ -101,7 +101,7 @@ class RunEntry:
     load: Callable[[], tuple[Trajectory, tuple[str, ...]]]
     forecast: str = ""
     bound: Callable[[Trajectory], float | None] = _unknown_bound
-    imperfections: str = ""
+    sensor_pump_errors: str = ""
     seeded: Seeded | None = None
 
 
@@ -223,7 +223,7 @@ def _read_study(path: Path, prefix: str, sources: Sources) -> None:
         )
         options = {option: row.get(f"forecast_{option}") for option in OPTIONS}
         forecast = forecast_label(row.get("forecast"), options)
-        imperfections = imperfections_label(
+        sensor_pump_errors = sensor_pump_errors_label(
             {key: _cell(file, line, row, key) for key in RANGES if key in row}
         )
         if row["status"] in ("failed", "not run"):
@@ -232,7 +232,7 @@ def _read_study(path: Path, prefix: str, sources: Sources) -> None:
                 part
                 for part in (
                     row["site"], row["weather"], row.get("start", ""), row["evapotranspiration"],
-                    forecast, imperfections, row["controller"], setting, initial,
+                    forecast, sensor_pump_errors, row["controller"], setting, initial,
                 )
                 if part
             )
@@ -261,7 +261,7 @@ def _read_study(path: Path, prefix: str, sources: Sources) -> None:
                 site_name=row["site"],
                 site=sites[row["site"]],
                 weather=row["weather"],
-                variant=row["evapotranspiration"],
+                method=row["evapotranspiration"],
                 controller=row["controller"],
                 parameters=given,
                 initial=initial,
@@ -269,7 +269,7 @@ def _read_study(path: Path, prefix: str, sources: Sources) -> None:
                 load=partial(_load_parquet, path / "runs" / name / "trajectory.parquet"),
                 forecast=forecast,
                 bound=_as_given(bound),
-                imperfections=imperfections,
+                sensor_pump_errors=sensor_pump_errors,
                 seeded=seeded,
             )
         )
@@ -371,7 +371,7 @@ def _bag_entry(path: Path, name: str, site_file: Path | None, given: Site | None
         site_name=site_name,
         site=site,
         weather=about.weather,
-        variant=about.variant,
+        method=about.method,
         controller=about.controller,
         parameters=about.parameters,
         initial=about.initial,
@@ -381,15 +381,15 @@ def _bag_entry(path: Path, name: str, site_file: Path | None, given: Site | None
         # What a sensor reads is neither the roof's initial volume nor its deviation.
         bound=(
             partial(_own_bound, run / "configuration" / "weather.csv", own_site, site,
-                    about.variant)
+                    about.method)
             if about.exact_sensor else _as_given(None)
         ),
-        imperfections=about.imperfections,
+        sensor_pump_errors=about.sensor_pump_errors,
     )
 
 
 def _own_bound(
-    weather_file: Path, site_file: Path, site: Site, variant: str, trajectory: Trajectory
+    weather_file: Path, site_file: Path, site: Site, method: str, trajectory: Trajectory
 ) -> float | None:
     """Return the least total deviation (m3) that a controller could reach in a run's own weather.
 
@@ -402,7 +402,7 @@ def _own_bound(
         return None
     try:
         run = build_run(
-            site_file, site, read_weather(weather_file, site, variant),
+            site_file, site, read_weather(weather_file, site, method),
             trajectory.start.isoformat(), steps, "onoff", {}, "custom",
             (float(trajectory.cistern[0]), float(trajectory.roof[0])), ForecastChoice(),
         )

@@ -7,16 +7,7 @@ from typing import Any
 
 import altair as alt
 
-from greenroof_ros.report.drawing import (
-    COLOURS,
-    SHAPES,
-    Chart,
-    Figure,
-    Panel,
-    Rows,
-    cycle,
-    short,
-)
+from greenroof_ros.report.drawing import COLOURS, SHAPES, Chart, Figure, Panel, Rows, cycle, short
 from greenroof_ros.report.results import Report, controller_name
 from greenroof_ros.report.seeds import Place, Spread, spreads
 
@@ -74,8 +65,8 @@ def _title(place: Place, places: list[Place]) -> str | list[str]:
         text
         for name, text in (
             ("site_name", place.site_name), ("weather", Path(place.weather).stem),
-            ("start", place.start), ("hours", f"{place.hours:.4g} h"), ("variant", place.variant),
-            ("model", place.model), ("imperfections", place.imperfections or "no imperfections"),
+            ("start", place.start), ("hours", f"{place.hours:.4g} h"), ("method", place.method),
+            ("model", place.model), ("sensor_pump_errors", place.sensor_pump_errors or "no sensor_pump_errors"),
         )
         if len({getattr(other, name) for other in places}) > 1
     ]

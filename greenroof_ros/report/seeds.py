@@ -23,10 +23,10 @@ class Place(NamedTuple):
     weather: str
     start: str
     hours: float
-    variant: str
+    method: str
     model: str
     """of the forecasts"""
-    imperfections: str
+    sensor_pump_errors: str
     """of level sensor and pumps; empty where there were none"""
     initial: str
 
@@ -71,8 +71,8 @@ def place(entry: RunEntry) -> Place:
     """Return where a run under random errors belongs, whatever their size and seed."""
     assert entry.seeded is not None
     return Place(
-        entry.site_name, entry.weather, entry.seeded.start, entry.seeded.hours, entry.variant,
-        entry.seeded.model, entry.imperfections, entry.initial,
+        entry.site_name, entry.weather, entry.seeded.start, entry.seeded.hours, entry.method,
+        entry.seeded.model, entry.sensor_pump_errors, entry.initial,
     )
 
 

@@ -13,12 +13,12 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 from rich.table import Table
 
-from greenroof_ros.command_line import EXIT_DONE, EXIT_FAILED, command
-from greenroof_ros.errors import ConfigurationError
-from greenroof_ros.files import shared_directory
-from greenroof_ros.forecast_models import OPTIONS, PERFECT
-from greenroof_ros.imperfections import RANGES
-from greenroof_ros.run import TAKE_ENSEMBLES, within
+from greenroof_ros.common.command_line import EXIT_DONE, EXIT_FAILED, command, within
+from greenroof_ros.common.errors import ConfigurationError
+from greenroof_ros.common.files import shared_directory
+from greenroof_ros.controllers.registry import TAKE_ENSEMBLES
+from greenroof_ros.forecast.choice import OPTIONS, PERFECT
+from greenroof_ros.model.sensor_pump_errors import RANGES
 from greenroof_ros.study.case_run import ENGINES, Outcome, bound_case, run_case
 from greenroof_ros.study.grid import Case, read_grid
 from greenroof_ros.study.store import Store
@@ -174,8 +174,8 @@ def _run(
 
 
 def _name(case: Case) -> str:
-    imperfections = case.imperfections.values() if case.imperfections is not None else {}
-    setting = _setting(_setting(case.controller, case.parameters), imperfections)
+    sensor_pump_errors = case.sensor_pump_errors.values() if case.sensor_pump_errors is not None else {}
+    setting = _setting(_setting(case.controller, case.parameters), sensor_pump_errors)
     return f"{setting}, {case.initial}, from {case.start}, forecast {_forecast(case.columns())}"
 
 
@@ -215,10 +215,10 @@ def _show(rows: Sequence[Mapping[str, Any]], directory: Path) -> None:
         if row["status"] == "done":
             text = f"{row['total_deviation_m3']:.2f}"
         windows.setdefault(window, {}).setdefault(line, {})[row["initial"]] = text
-    for (site, weather, start, hours, variant), lines in windows.items():
+    for (site, weather, start, hours, method), lines in windows.items():
         table = Table(
             title=f"Total deviation (m3, summed over the ticks): {weather}, {hours:g} h from "
-            f"{start}, evapotranspiration {variant}, {site}",
+            f"{start}, evapotranspiration {method}, {site}",
             title_justify="left",
         )
         table.add_column("controller")

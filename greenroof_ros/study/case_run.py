@@ -19,20 +19,21 @@ import numpy as np
 import yaml
 from numpy.typing import NDArray
 
-from greenroof_ros import summary
-from greenroof_ros.bound import clairvoyant_bound
-from greenroof_ros.closed_loop import closed_loop
-from greenroof_ros.forecast_models import ForecastChoice
-from greenroof_ros.imperfections import Pump
-from greenroof_ros.metrics import Metrics
-from greenroof_ros.plant import Plant
+from greenroof_ros.common.processes import end_with_parent
+from greenroof_ros.controllers.registry import make_controller
+from greenroof_ros.experiment import summary
+from greenroof_ros.experiment.clairvoyant import clairvoyant_bound
+from greenroof_ros.experiment.closed_loop import closed_loop
+from greenroof_ros.experiment.run import Run, build_run, count_ticks
+from greenroof_ros.forecast.choice import ForecastChoice
+from greenroof_ros.model.metrics import Metrics
+from greenroof_ros.model.plant import Plant
+from greenroof_ros.model.sensor_pump_errors import Pump
+from greenroof_ros.model.site import read_site
+from greenroof_ros.recording.trajectory import Trajectory
 from greenroof_ros.report.runs import find_runs
-from greenroof_ros.run import Run, build_run, count_ticks, make_controller
-from greenroof_ros.site import read_site
 from greenroof_ros.study.grid import Case
-from greenroof_ros.supervisor import end_with_parent
-from greenroof_ros.trajectory import Trajectory
-from greenroof_ros.weather import read_weather
+from greenroof_ros.weather.reading import read_weather
 
 ENGINES = ("inprocess", "ros")
 # The domains to try, one after the other, until one is free (bringup refuses one that is not).
@@ -93,7 +94,7 @@ def _build(case: Case, directory: Path) -> Run:
     return build_run(
         site_file, site, weather, case.start, count_ticks(site, case.hours, "hours"),
         case.controller, case.parameters, case.initial, (case.cistern, case.roof),
-        _choice(case, directory), case.imperfections,
+        _choice(case, directory), case.sensor_pump_errors,
     )
 
 
@@ -141,11 +142,11 @@ def _run_graph(case: Case, directory: Path) -> Outcome:
     ]
     for name, value in case.forecast.options().items():
         command += [f"--forecast-{name}", repr(value)]
-    if case.imperfections is not None:
+    if case.sensor_pump_errors is not None:
         # In one word, as -1e-05 alone would be taken for an option.
         command += [
             f"--{name.replace('_', '-')}={value!r}"
-            for name, value in case.imperfections.values().items()
+            for name, value in case.sensor_pump_errors.values().items()
         ]
     for domain in _domains(case):
         process = subprocess.run(
@@ -160,7 +161,7 @@ def _run_graph(case: Case, directory: Path) -> Outcome:
         raise RuntimeError("no ROS domain from 1 to 101 is free")
     result = json.loads((output / "summary.json").read_text(encoding="utf-8"))
     trajectory, _ = find_runs([output], None).runs[0].load()
-    if case.imperfections is not None and not case.imperfections.exact_sensor:
+    if case.sensor_pump_errors is not None and not case.sensor_pump_errors.exact_sensor:
         roof = _true_roof(_build(case, directory), trajectory.command.tolist())
         trajectory = replace(trajectory, roof=roof)
     kept = ("summary.json", "bag/metadata.yaml", "bag/bag_0.mcap")
@@ -177,7 +178,7 @@ def _true_roof(run: Run, commands: Sequence[float]) -> NDArray[np.float64]:
     The plant is run once more with the commands of the bag, in which frost has commanded 0.
     """
     series = run.series
-    plant, pump = Plant(run.site, run.x1, run.x2), Pump(run.imperfections, run.site.tau)
+    plant, pump = Plant(run.site, run.x1, run.x2), Pump(run.sensor_pump_errors, run.site.tau)
     roof = np.empty(run.steps + 1)
     for k, command in enumerate(commands):
         roof[k] = plant.x2

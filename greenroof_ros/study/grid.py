@@ -12,25 +12,23 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from greenroof_ros.errors import ConfigurationError
-from greenroof_ros.files import YamlMapping, read_yaml, shared_directory
-from greenroof_ros.forecast_models import OPTIONS, PERFECT, ForecastChoice, choose
-from greenroof_ros.imperfections import RANGES, Imperfections
-from greenroof_ros.run import (
+from greenroof_ros.common.errors import ConfigurationError
+from greenroof_ros.common.files import YamlMapping, read_yaml, shared_directory
+from greenroof_ros.controllers.registry import (
     CONTROLLERS,
-    INITIAL_STATES,
     TAKE_ENSEMBLES,
-    build_run,
-    count_ticks,
-    initial_state,
     read_parameters,
     wrong_parameter,
 )
-from greenroof_ros.site import Site, read_site
-from greenroof_ros.weather import read_weather
+from greenroof_ros.experiment.run import build_run, count_ticks
+from greenroof_ros.forecast.choice import OPTIONS, PERFECT, ForecastChoice, choose
+from greenroof_ros.model.initial_state import INITIAL_STATES, initial_state
+from greenroof_ros.model.sensor_pump_errors import RANGES, SensorPumpErrors
+from greenroof_ros.model.site import Site, read_site
+from greenroof_ros.weather.reading import read_weather
 
 _KEYS = ("site", "weather", "initial", "controllers")
-_OPTIONAL_KEYS = ("forecast", "imperfections")
+_OPTIONAL_KEYS = ("forecast", "sensor_pump_errors")
 _WINDOW_KEYS = ("file", "start", "hours", "evapotranspiration", "forecast")
 
 
@@ -52,7 +50,7 @@ class Case:
         weather: weather file.
         start: time of tick 0, ISO 8601 with its offset from UTC.
         hours: length (h).
-        evapotranspiration: variant.
+        evapotranspiration: method.
         forecast: which forecasts; a file of them by its name.
         forecast_file: that file; None where there is none.
         controller: its name.
@@ -60,7 +58,7 @@ class Case:
         initial: name of the initial state.
         cistern: initial volume (m3).
         roof: initial volume (m3).
-        imperfections: of level sensor and pumps; None where the grid does not speak of them.
+        sensor_pump_errors: of level sensor and pumps; None where the grid does not speak of them.
     """
 
     site: InputFile
@@ -75,7 +73,7 @@ class Case:
     initial: str
     cistern: float
     roof: float
-    imperfections: Imperfections | None = None
+    sensor_pump_errors: SensorPumpErrors | None = None
 
     @property
     def files(self) -> tuple[InputFile, ...]:
@@ -103,7 +101,7 @@ class Case:
         """Identity of what every controller is given alike: site, weather, initial state."""
         return replace(
             self, controller="", parameters={}, forecast=ForecastChoice(), forecast_file=None,
-            imperfections=None,
+            sensor_pump_errors=None,
         ).identity
 
     def columns(self) -> dict[str, Any]:
@@ -116,7 +114,7 @@ class Case:
             "evapotranspiration": self.evapotranspiration,
             "forecast": str(self.forecast),
             **{f"forecast_{name}": self.forecast.options().get(name) for name in OPTIONS},
-            **(self.imperfections.values() if self.imperfections is not None else {}),
+            **(self.sensor_pump_errors.values() if self.sensor_pump_errors is not None else {}),
             "controller": self.controller,
             "initial": self.initial,
             "cistern_m3": self.cistern,
@@ -128,8 +126,8 @@ def read_grid(path: Path) -> list[Case]:
     """Read a grid such as ``config/study.yaml`` and check every run of it.
 
     Returns:
-        The runs, in the order of the file: windows, variants, forecasts, initial states,
-        imperfections, controllers with their parameters.
+        The runs, in the order of the file: windows, methods, forecasts, initial states,
+        sensor_pump_errors, controllers with their parameters.
 
     Raises:
         ConfigurationError: the grid, or a file that it names, is wrong; nothing has run yet.
@@ -142,7 +140,7 @@ def read_grid(path: Path) -> list[Case]:
             raise ConfigurationError(
                 f"is the same run twice: {case.controller} {case.parameters}, {case.initial}, "
                 f"from {case.start}, forecast {case.forecast}"
-                + (f", {case.imperfections.values()}" if case.imperfections is not None else ""),
+                + (f", {case.sensor_pump_errors.values()}" if case.sensor_pump_errors is not None else ""),
                 file=path,
             )
         seen.add(case.identity)
@@ -168,12 +166,12 @@ class _Grid:
             path = self._path.parent / site_file
             site = read_site(path)
             for window in self._windows():
-                for start, hours, variant in itertools.product(
+                for start, hours, method in itertools.product(
                     self._list(window, "start", str),
                     self._list(window, "hours", float, [None]),
                     self._list(window, "evapotranspiration", str, [None]),
                 ):
-                    yield from self._runs(path, site, window, start, hours, variant, controllers)
+                    yield from self._runs(path, site, window, start, hours, method, controllers)
 
     def _runs(
         self,
@@ -182,7 +180,7 @@ class _Grid:
         window: YamlMapping,
         start: str,
         hours: float | None,
-        variant: str | None,
+        method: str | None,
         controllers: list[tuple[str, dict[str, float]]],
     ) -> Iterator[Case]:
         """Yield the runs of one site in one window."""
@@ -190,7 +188,7 @@ class _Grid:
         with self._at(window, "hours"):
             steps = count_ticks(site, hours, "hours")
         with self._at(window, "evapotranspiration"):
-            weather = read_weather(self._path.parent / file, site, variant)
+            weather = read_weather(self._path.parent / file, site, method)
         # What one controller can run with, the others that are told as much can.
         told = {
             (parameters.get("horizon"), name in TAKE_ENSEMBLES): (name, parameters)
@@ -207,15 +205,15 @@ class _Grid:
                         choice,
                     )
             forecast_file = None if choice.file is None else self._input(choice.file)
-            for imperfections, (name, parameters) in itertools.product(
-                list(self._imperfections()), controllers
+            for sensor_pump_errors, (name, parameters) in itertools.product(
+                list(self._sensor_pump_errors()), controllers
             ):
                 yield Case(
                     site=self._input(site_file),
                     weather=self._input(weather.file),
                     start=run.start.isoformat(),
                     hours=run.steps * site.tau / 3600,
-                    evapotranspiration=weather.variant,
+                    evapotranspiration=weather.method,
                     forecast=(
                         choice if forecast_file is None
                         else replace(choice, file=Path(forecast_file.name))
@@ -226,7 +224,7 @@ class _Grid:
                     initial=initial,
                     cistern=run.x1,
                     roof=run.x2,
-                    imperfections=imperfections,
+                    sensor_pump_errors=sensor_pump_errors,
                 )
 
     def _forecasts(self, mapping: YamlMapping) -> Iterator[ForecastChoice]:
@@ -252,16 +250,16 @@ class _Grid:
             for values in self._combinations(options, {name: OPTIONS[name] for name in names}):
                 yield replace(choice, **values)
 
-    def _imperfections(self) -> Iterator[Imperfections | None]:
-        """Yield each combination of what is under ``imperfections:``; None without it."""
-        if "imperfections" not in self._mapping:
+    def _sensor_pump_errors(self) -> Iterator[SensorPumpErrors | None]:
+        """Yield each combination of what is under ``sensor_pump_errors:``; None without it."""
+        if "sensor_pump_errors" not in self._mapping:
             yield None
             return
-        given = self._mapping["imperfections"]
+        given = self._mapping["sensor_pump_errors"]
         mappings = given if isinstance(given, list) else [given]
         if not mappings or not all(isinstance(each, YamlMapping) for each in mappings):
             raise self._refuse(
-                self._mapping, "imperfections",
+                self._mapping, "sensor_pump_errors",
                 "must be {roof_noise: 0.0005, roof_offset: [0, 0.002]} and the like, or a list of "
                 "such",
             )
@@ -269,7 +267,7 @@ class _Grid:
             self._keys(mapping, tuple(RANGES))
             names = [name for name in RANGES if name in mapping]
             for values in self._combinations(mapping, {name: RANGES[name] for name in names}):
-                yield Imperfections(**values)
+                yield SensorPumpErrors(**values)
 
     def _combinations(
         self, mapping: YamlMapping, ranges: dict[str, tuple[float, float]]

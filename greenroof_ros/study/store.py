@@ -10,9 +10,9 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, TextIO
 
-from greenroof_ros import summary
-from greenroof_ros.errors import ConfigurationError
-from greenroof_ros.run import CONTROLLERS
+from greenroof_ros.common.errors import ConfigurationError
+from greenroof_ros.common.versions import versions
+from greenroof_ros.controllers.registry import CONTROLLERS
 from greenroof_ros.study.case_run import Outcome
 from greenroof_ros.study.grid import Case
 
@@ -57,7 +57,7 @@ class Store:
         identity = {
             "engine": engine,
             "trajectories": trajectories,
-            "versions": summary.versions(),
+            "versions": versions(),
             "runs": [case.identity for case in cases],
         }
         try:

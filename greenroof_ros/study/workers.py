@@ -10,8 +10,8 @@ from concurrent.futures import Future
 from contextlib import contextmanager
 from typing import Any
 
-from greenroof_ros import summary
-from greenroof_ros.errors import ConfigurationError
+from greenroof_ros.common.errors import ConfigurationError
+from greenroof_ros.common.versions import versions
 
 # What a worker would otherwise import anew.
 _PRELOADED = [
@@ -86,7 +86,7 @@ def cluster(address: str) -> Iterator[Submit]:
             f"does not answer: {error}", key="--scheduler", value=address
         ) from error
     with client:
-        _check_versions(client.run(summary.versions))
+        _check_versions(client.run(versions))
         executor = client.get_executor(pure=False, retries=0)
         pending: list[Future[Any]] = []
 
@@ -105,12 +105,12 @@ def cluster(address: str) -> Iterator[Submit]:
 
 def _check_versions(workers: Mapping[str, Mapping[str, str]]) -> None:
     """Refuse workers whose numbers may be others."""
-    here = summary.versions()
-    for address, versions in workers.items():
-        for package in here.keys() | versions.keys():
-            if versions.get(package) != here.get(package):
+    here = versions()
+    for address, found in workers.items():
+        for package in here.keys() | found.keys():
+            if found.get(package) != here.get(package):
                 raise ConfigurationError(
-                    f"its worker {address} has {package} {versions.get(package, 'not at all')}, "
+                    f"its worker {address} has {package} {found.get(package, 'not at all')}, "
                     f"this process {here.get(package, 'not at all')}; make them the same",
                     key="--scheduler",
                 )

@@ -1,0 +1,1 @@
+"""What every part shares: errors, files, command line, times, the interface."""

@@ -1,0 +1,169 @@
+"""Where the package's own config/ and msg_defs/ are, and how its YAML files are read."""
+
+from __future__ import annotations
+
+import math
+import re
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from greenroof_ros.common.errors import ConfigurationError
+
+
+def shared_directory() -> Path:
+    """Return the directory that holds ``config/`` and ``msg_defs/``.
+
+    In a checkout, or an editable install of one, that is the checkout itself; otherwise it is
+    ``share/greenroof_ros`` under whichever prefix the package was installed to (a virtual
+    environment, ``~/.local``, or a colcon ``install/greenroof_ros``).
+    """
+    package = Path(__file__).resolve().parent
+    for parent in package.parents:
+        for candidate in (parent / "share" / "greenroof_ros", parent):
+            if (candidate / "msg_defs" / "topics.yaml").is_file() and (
+                candidate / "config" / "site.yaml"
+            ).is_file():
+                return candidate
+    raise ConfigurationError(
+        "greenroof_ros was installed without its share/greenroof_ros (config, msg_defs); "
+        "install it again with pip or colcon",
+        file=package,
+    )
+
+
+def read_text(path: Path, *, byte_order_mark: bool = False) -> str:
+    """Read a UTF-8 text file.
+
+    Args:
+        path: the file.
+        byte_order_mark: whether it may start with one, which is then left away.
+
+    Raises:
+        ConfigurationError: it cannot be read, is empty, is not UTF-8 text, or starts with a byte
+            order mark.
+    """
+    if path.exists() and not path.is_file():
+        raise ConfigurationError("must be a regular file", file=path)
+    try:
+        raw = path.read_bytes()
+    except OSError as error:
+        raise ConfigurationError(f"cannot be read: {error.strerror}", file=path) from error
+    if byte_order_mark:
+        raw = raw.removeprefix(b"\xef\xbb\xbf")
+    elif raw.startswith(b"\xef\xbb\xbf"):
+        raise ConfigurationError(
+            "starts with a byte order mark; save it as plain UTF-8", file=path, line=1
+        )
+    try:
+        text = raw.decode("utf-8")
+    except UnicodeDecodeError as error:
+        line = raw.count(b"\n", 0, error.start) + 1
+        raise ConfigurationError("is not UTF-8 text", file=path, line=line) from error
+    if "\x00" in text:
+        line = text.count("\n", 0, text.index("\x00")) + 1
+        raise ConfigurationError("is not a text file (it holds a NUL byte)", file=path, line=line)
+    if not text.strip():
+        raise ConfigurationError("is empty", file=path)
+    return text
+
+
+_NUMBERS = (":int", ":float", ":timestamp")
+
+
+class YamlMapping(dict[str, Any]):
+    """A mapping of a YAML file that remembers the line of each of its keys."""
+
+    lines: dict[str, int]
+
+
+class _Loader(yaml.SafeLoader):
+    """Safe YAML with the numbers of YAML 1.2, and no key twice.
+
+    YAML 1.1, which PyYAML reads, takes 5.78e5 for a text, 016 for 14 and 3:0 for 180, and lets a
+    second value of a key win silently.
+    """
+
+
+
+_Loader.yaml_implicit_resolvers = {
+    first: [(tag, pattern) for tag, pattern in resolvers if not tag.endswith(_NUMBERS)]
+    for first, resolvers in yaml.SafeLoader.yaml_implicit_resolvers.items()
+}
+
+
+def _float(loader: _Loader, node: yaml.ScalarNode) -> float:
+    return float(re.sub(r"\.(?=inf|nan)", "", str(node.value).lower()))
+
+
+def _int(loader: _Loader, node: yaml.ScalarNode) -> int:
+    return int(str(node.value), 10)
+
+
+_Loader.add_implicit_resolver(
+    "tag:yaml.org,2002:int", re.compile(r"[-+]?\d+$"), list("-+0123456789")
+)
+_Loader.add_implicit_resolver(
+    "tag:yaml.org,2002:float",
+    re.compile(r"[-+]?(\.\d+|\d+(\.\d*)?)([eE][-+]?\d+)?$|[-+]?\.(inf|Inf|INF)$|\.(nan|NaN|NAN)$"),
+    list("-+.0123456789"),
+)
+_Loader.add_constructor("tag:yaml.org,2002:float", _float)
+_Loader.add_constructor("tag:yaml.org,2002:int", _int)
+
+
+def _mapping(loader: _Loader, node: yaml.MappingNode) -> YamlMapping:
+    mapping = YamlMapping()
+    mapping.lines = {}
+    for key_node, value_node in node.value:
+        key = str(loader.construct_object(key_node, deep=True))
+        line = key_node.start_mark.line + 1
+        if key in mapping:
+            raise yaml.constructor.ConstructorError(
+                None, None, f"{key} is given twice, here and in line {mapping.lines[key]}",
+                key_node.start_mark,
+            )
+        mapping[key] = loader.construct_object(value_node, deep=True)
+        mapping.lines[key] = line
+    return mapping
+
+
+_Loader.add_constructor(yaml.resolver.BaseResolver.DEFAULT_MAPPING_TAG, _mapping)
+
+
+def read_yaml(path: Path) -> YamlMapping:
+    """Read a YAML file whose top level is a mapping.
+
+    Raises:
+        ConfigurationError: it cannot be read, is not YAML, gives a key twice, or holds no mapping.
+    """
+    try:
+        content = yaml.load(read_text(path), Loader=_Loader)  # noqa: S506 - a SafeLoader
+    except yaml.MarkedYAMLError as error:
+        line = error.problem_mark.line + 1 if error.problem_mark else None
+        raise ConfigurationError(
+            f"is not valid YAML: {error.problem}", file=path, line=line
+        ) from error
+    except (yaml.YAMLError, ValueError) as error:
+        raise ConfigurationError(f"is not valid YAML: {error}", file=path) from error
+    if not isinstance(content, YamlMapping):
+        raise ConfigurationError("must hold 'key: value' lines", file=path)
+    return content
+
+
+def number(path: Path, mapping: YamlMapping, key: str) -> float:
+    """Return the number under a key.
+
+    Raises:
+        ConfigurationError: it is not a number. ``nan`` and ``inf`` are left to the caller.
+    """
+    value = mapping[key]
+    if isinstance(value, bool) or not isinstance(value, (int, float)):
+        raise ConfigurationError(
+            "must be a number", file=path, line=mapping.lines[key], key=key, value=value
+        )
+    try:
+        return float(value)
+    except OverflowError:
+        return math.inf

@@ -1,0 +1,36 @@
+"""The versions of what computes a run's numbers."""
+
+from __future__ import annotations
+
+import functools
+import hashlib
+import platform
+from importlib import metadata
+from pathlib import Path
+
+from greenroof_ros import __version__
+
+
+def versions() -> dict[str, str]:
+    """Return the versions of what computes a run's numbers."""
+    found = {
+        "greenroof_ros": __version__,
+        "source": _source(),
+        "python": platform.python_version(),
+    }
+    for package in ("numpy", "scipy", "osqp", "eto", "mcap", "rclpy"):
+        try:
+            found[package] = metadata.version(package)
+        except metadata.PackageNotFoundError:
+            continue  # rclpy, where there is no ROS
+    return found
+
+
+@functools.cache
+def _source() -> str:
+    """Twelve digits that tell this package's code from any other; a version has many commits."""
+    digest = hashlib.sha256()
+    package = Path(__file__).resolve().parent.parent
+    for file in sorted(package.rglob("*.py")):
+        digest.update(file.relative_to(package).as_posix().encode() + file.read_bytes())
+    return digest.hexdigest()[:12]

@@ -1,0 +1,1 @@
+"""Runs: options, the closed loop in one process, the clairvoyant bound, summaries."""

@@ -1,0 +1,70 @@
+"""The run in one process, without ROS: the same parts in the same order as the node graph."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import NamedTuple
+
+from greenroof_ros.controllers.protocol import Controller
+from greenroof_ros.experiment.run import Run
+from greenroof_ros.model.metrics import Metrics
+from greenroof_ros.model.plant import Flows, Plant
+from greenroof_ros.model.sensor_pump_errors import Pump, RoofSensor
+
+
+class Tick(NamedTuple):
+    """What one tick of a run saw and did."""
+
+    k: int
+    """index of 0..N"""
+    x1: float
+    """volume in the cistern (m3)"""
+    x2: float
+    """volume on the roof (m3)"""
+    cistern_level: float
+    """m"""
+    roof_level: float
+    """m, as the sensor reads it"""
+    precipitation: float
+    """m/s"""
+    evapotranspiration: float
+    """m3/s, before the limit to what the roof holds"""
+    frost: float
+    """1 where there is frost, which commands 0; 0 where there is none or nobody knows"""
+    command: float
+    """share of the maximum flow"""
+    flows: Flows
+    """m3/s; those of the last tick are not applied, since the run ends in its state"""
+
+
+def closed_loop(run: Run, controller: Controller, metrics: Metrics) -> Iterator[Tick]:
+    """Run the ticks 0..N, adding to ``metrics``; a tick is yielded before its step is taken."""
+    site, series = run.site, run.series
+    plant = Plant(site, run.x1, run.x2)
+    sensor, pump = RoofSensor(run.sensor_pump_errors), Pump(run.sensor_pump_errors, site.tau)
+    for k in range(run.steps + 1):
+        cistern_level, roof_level = plant.levels()
+        roof_level = sensor.reading(k, roof_level)
+        precipitation = series.precipitation[k]
+        evapotranspiration = series.evapotranspiration[k]
+        frost = series.frost[k]
+        command = 0.0
+        if frost:
+            controller.skip()
+        else:
+            command = controller.command(
+                cistern_level,
+                roof_level,
+                run.forecast.precipitation(k),
+                run.forecast.evapotranspiration(k),
+            )
+        pumped = pump.flow(plant, command, frost > 0)
+        flows = plant.flows(precipitation, evapotranspiration, pumped)
+        metrics.observe(site, plant.x1, plant.x2)
+        yield Tick(
+            k, plant.x1, plant.x2, cistern_level, roof_level,
+            precipitation, evapotranspiration, frost, command, flows,
+        )
+        if k < run.steps:
+            metrics.step(site, command, precipitation, flows)
+            plant.step(precipitation, flows)

@@ -1,0 +1,232 @@
+"""The options that decide a run, the same for ``simulate`` and ``bringup``."""
+
+from __future__ import annotations
+
+import argparse
+from dataclasses import replace
+from pathlib import Path
+
+from greenroof_ros.common.command_line import within
+from greenroof_ros.common.errors import ConfigurationError
+from greenroof_ros.common.files import shared_directory
+from greenroof_ros.controllers.registry import CONTROLLERS, read_parameters
+from greenroof_ros.experiment.run import DEFAULT_START, Run, build_run, count_ticks
+from greenroof_ros.forecast.choice import MODELS, OPTIONS, ForecastChoice, choose
+from greenroof_ros.model.initial_state import INITIAL_STATES, initial_state
+from greenroof_ros.model.sensor_pump_errors import RANGES, SensorPumpErrors
+from greenroof_ros.model.site import read_site
+from greenroof_ros.weather.reading import read_weather
+
+
+def add_run_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the options that decide a run's numbers, the same for ``simulate`` and ``bringup``."""
+    group = parser.add_argument_group("the run")
+    group.add_argument(
+        "--controller", choices=sorted(CONTROLLERS), default="mpc",
+        help="mpc, the paper's, sees 10 s ahead, planning_mpc half a day, and scenario_mpc that in "
+        "an ensemble of forecasts; onoff, the paper's, does not look ahead, and anticipating_onoff "
+        "leaves room for what comes (default: %(default)s)",
+    )
+    group.add_argument(
+        "--initial", choices=list(INITIAL_STATES), default=None,
+        help="initial levels of cistern and roof, Table II of the paper (default: low-low)",
+    )
+    group.add_argument(
+        "--cistern", type=within(0, 1e9), metavar="V",
+        help="instead of --initial: volume in the cistern (m3); --roof must be given too",
+    )
+    group.add_argument(
+        "--roof", type=within(0, 1e9), metavar="V",
+        help="instead of --initial: volume on the roof (m3)",
+    )
+    group.add_argument(
+        "--hours", type=within(1e-9, 1e9), metavar="H",
+        help="length of the run in simulated hours (default: N of the site file, 12 h)",
+    )
+    group.add_argument(
+        "--site", type=Path, metavar="FILE",
+        help="site file (default: the paper's, config/site.yaml)",
+    )
+    group.add_argument(
+        "--weather", type=Path, metavar="FILE",
+        help="weather file: of this project's form, or an hourly bulk file of Environment and "
+        "Climate Change Canada (default: config/weather/toronto_2021-07.csv)",
+    )
+    group.add_argument(
+        "--evapotranspiration", metavar="METHOD",
+        help="fao56: computed by FAO-56 Penman-Monteith; or the name of the weather file's own "
+        "column, such as published (default: the file's own, fao56 if it has none)",
+    )
+    group.add_argument(
+        "--start", default=None, metavar="ISO",
+        help="time of the first tick, such as 2021-07-07T02:00-05:00; without an offset it is in "
+        f"the weather file's own (default: {DEFAULT_START}, the paper's window)",
+    )
+    group.add_argument(
+        "--parameters", type=Path, metavar="FILE",
+        help="the controller's parameter file, with all that has no option of its own: horizon, "
+        "max_command, max_waiting_loss, ... (default: config/ and its name, .yaml)",
+    )
+    group.add_argument(
+        "--weight", type=within(*CONTROLLERS["mpc"]["weight"]), metavar="LAMBDA",
+        help="mpc: price of pumping, lambda in the paper, 1e-5 to 0.1 there "
+        "(default: that of the parameter file)",
+    )
+    group.add_argument(
+        "--fraction", type=within(*CONTROLLERS["onoff"]["fraction"]), metavar="V",
+        help="onoff, anticipating_onoff: command when pumping, v in the paper, 0.2 to 2 there "
+        "(default: that of the parameter file)",
+    )
+    _add_forecast_arguments(group)
+    _add_sensor_pump_arguments(parser)
+
+
+def _add_forecast_arguments(group: argparse._ArgumentGroup) -> None:
+    """Add the options that decide what the controller is told of the weather to come."""
+    default = ForecastChoice()
+    group.add_argument(
+        "--forecast", default=default.model, metavar=f"{{{','.join(MODELS)},FILE.csv}}",
+        help="what the controller is told: the weather that comes; that it goes on as it is; the "
+        "weather with errors that grow with the lead, or an ensemble of such; or archived "
+        "forecasts. All but perfect are issued every 6 hours, a file's when it says "
+        "(default: %(default)s)",
+    )
+    group.add_argument(
+        "--forecast-size", type=within(*OPTIONS["size"]), metavar="S",
+        help="errors, ensemble: size of the errors; 0.25 is small, 0.5 medium, 1 large "
+        f"(default: {default.size:g})",
+    )
+    group.add_argument(
+        "--forecast-seed", type=within(*_whole_range("seed"), int), metavar="N",
+        help=f"errors, ensemble: seed of the errors (default: {default.seed})",
+    )
+    group.add_argument(
+        "--forecast-members", type=within(*_whole_range("members"), int), metavar="M",
+        help=f"ensemble: number of its members (default: {default.members})",
+    )
+
+
+def _add_sensor_pump_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the options that make the site less perfect than the paper's."""
+    group = parser.add_argument_group("sensor_pump_errors of a real site (default: none)")
+    group.add_argument(
+        "--roof-noise", type=within(*RANGES["roof_noise"]), default=0.0, metavar="M",
+        help="standard deviation of the roof's level sensor (m), independent each tick",
+    )
+    group.add_argument(
+        "--roof-offset", type=within(*RANGES["roof_offset"]), default=0.0, metavar="M",
+        help="what that sensor reads above the true level (m)",
+    )
+    low, high = RANGES["noise_seed"]
+    group.add_argument(
+        "--noise-seed", type=within(int(low), int(high), int), default=0, metavar="N",
+        help="seed of the noise (default: %(default)s)",
+    )
+    group.add_argument(
+        "--minimum-on", type=within(*RANGES["minimum_on"]), default=0.0, metavar="S",
+        help="once on, the pumps stay on for so long (s), but not in frost, on a full roof or in "
+        "an empty cistern",
+    )
+    group.add_argument(
+        "--minimum-off", type=within(*RANGES["minimum_off"]), default=0.0, metavar="S",
+        help="once off, the pumps stay off for so long (s)",
+    )
+
+
+def _whole_range(option: str) -> tuple[int, int]:
+    low, high = OPTIONS[option]
+    return int(low), int(high)
+
+
+def _speed(text: str) -> float:
+    return 0.0 if text == "max" else within(1e-9, 1e9)(text)
+
+
+_speed.__name__ = "speed: max, or a factor from 1e-9 to 1e9"
+
+
+def add_output_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the options that decide where a run goes and how fast, not its numbers."""
+    group = parser.add_argument_group("output and pace")
+    group.add_argument(
+        "--output", type=Path, metavar="DIR",
+        help="directory of the run, new or empty (default: a dated one under runs/)",
+    )
+    group.add_argument(
+        "--no-record", action="store_true", help="no bag (simulate never writes one)"
+    )
+    group.add_argument(
+        "--speed", type=_speed, default=0.0, metavar="{max|FACTOR}",
+        help="simulated time per wall time; 1 is real time (default: max)",
+    )
+    group.add_argument(
+        "--json", action="store_true", help="print the summary as JSON instead of a table"
+    )
+
+
+def run_from_arguments(arguments: argparse.Namespace) -> Run:
+    """Build and check the run that a command line asks for.
+
+    Raises:
+        ConfigurationError: an option, or a file that it names, is wrong.
+    """
+    controller: str = arguments.controller
+    for option in ("weight", "fraction"):
+        if getattr(arguments, option) is not None and option not in CONTROLLERS[controller]:
+            owners = " and ".join(name for name in CONTROLLERS if option in CONTROLLERS[name])
+            raise ConfigurationError(
+                f"is an option of {owners}; the controller is {controller}", key=f"--{option}"
+            )
+    shared = shared_directory()
+    site_file: Path = arguments.site or shared / "config" / "site.yaml"
+    site = read_site(site_file)
+    parameters = read_parameters(
+        arguments.parameters or shared / "config" / f"{controller}.yaml", controller
+    )
+    if arguments.weight is not None:
+        parameters["weight"] = arguments.weight
+    if arguments.fraction is not None:
+        parameters["fraction"] = arguments.fraction
+
+    if (arguments.cistern is None) != (arguments.roof is None):
+        raise ConfigurationError("must be given together", key="--cistern and --roof")
+    if arguments.cistern is not None:
+        if arguments.initial is not None:
+            raise ConfigurationError(
+                "says the initial state twice with --cistern and --roof", key="--initial"
+            )
+        initial, volumes = "custom", (arguments.cistern, arguments.roof)
+    else:
+        initial = arguments.initial or "low-low"
+        volumes = initial_state(site, initial)
+    weather = read_weather(
+        arguments.weather or shared / "config" / "weather" / "toronto_2021-07.csv",
+        site,
+        arguments.evapotranspiration,
+    )
+    return build_run(
+        site_file, site, weather, arguments.start or DEFAULT_START,
+        count_ticks(site, arguments.hours, "--hours"), controller, parameters, initial, volumes,
+        _forecast_choice(arguments),
+        SensorPumpErrors(**{name: getattr(arguments, name) for name in RANGES}),
+    )
+
+
+def _forecast_choice(arguments: argparse.Namespace) -> ForecastChoice:
+    """Return the forecasts that a command line asks for."""
+    try:
+        choice = choose(arguments.forecast)
+    except ValueError as error:
+        raise ConfigurationError(
+            str(error), key="--forecast", value=arguments.forecast
+        ) from error
+    given = {option: getattr(arguments, f"forecast_{option}") for option in OPTIONS}
+    given = {option: value for option, value in given.items() if value is not None}
+    for option in given:
+        if option not in choice.options():
+            owners = " and ".join(name for name in MODELS if option in MODELS[name])
+            raise ConfigurationError(
+                f"is an option of {owners}; the forecast is {choice}",
+                key=f"--forecast-{option}",
+            )
+    return replace(choice, **given)

@@ -1,0 +1,155 @@
+"""A run: which site, weather, controller and initial state, from when, for how long."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+from datetime import datetime
+from pathlib import Path
+
+from greenroof_ros.common.errors import ConfigurationError
+from greenroof_ros.common.interface import Topic, read_topics
+from greenroof_ros.common.times import read_start
+from greenroof_ros.controllers.registry import TAKE_ENSEMBLES
+from greenroof_ros.forecast.choice import ForecastChoice
+from greenroof_ros.forecast.resampling import Forecast, make_forecast
+from greenroof_ros.model.sensor_pump_errors import SensorPumpErrors
+from greenroof_ros.model.site import Site
+from greenroof_ros.weather.series import Weather, WeatherSeries
+
+DEFAULT_START = "2021-07-07T02:00-05:00"
+
+# A year of seconds, as much as fits into memory and patience.
+_MOST_STEPS = 31_622_400
+
+
+@dataclass(frozen=True)
+class Run:
+    """Everything that decides a run's numbers.
+
+    Attributes:
+        site_file: where the site was read from.
+        site: Table I.
+        weather: hourly records.
+        series: the same, tick by tick.
+        forecast: what the controller is told of it.
+        start: time of tick 0.
+        steps: N; the states are x_0..x_N.
+        controller: its name, one of :data:`CONTROLLERS`.
+        parameters: the controller's.
+        initial: name of the initial state, or ``custom``.
+        x1: initial volume in the cistern (m3).
+        x2: initial volume on the roof (m3).
+        forecast_choice: which forecasts those are.
+        sensor_pump_errors: of level sensor and pumps.
+    """
+
+    site_file: Path
+    site: Site
+    weather: Weather
+    series: WeatherSeries
+    forecast: Forecast
+    start: datetime
+    steps: int
+    controller: str
+    parameters: dict[str, float]
+    initial: str
+    x1: float
+    x2: float
+    forecast_choice: ForecastChoice = field(default_factory=ForecastChoice)
+    sensor_pump_errors: SensorPumpErrors = field(default_factory=SensorPumpErrors)
+
+
+def count_ticks(site: Site, hours: float | None, key: str) -> int:
+    """Return N for a run of some hours; the site's own N if it is None.
+
+    Raises:
+        ConfigurationError: they are not a whole number of ticks, at least one and not too many; the
+            message calls them by ``key``.
+    """
+    if hours is None:
+        return site.N
+    seconds = hours * 3600
+    steps = round(seconds / site.tau) if math.isfinite(seconds) else 0
+    if steps < 1 or not math.isclose(steps * site.tau, seconds, rel_tol=1e-9):
+        raise ConfigurationError(
+            f"must be a whole number of ticks of {site.tau:g} s, at least one", key=key, value=hours
+        )
+    if steps > _MOST_STEPS:
+        raise ConfigurationError(
+            f"makes {steps} ticks of {site.tau:g} s; must be at most {_MOST_STEPS}", key=key
+        )
+    return steps
+
+
+def build_run(
+    site_file: Path,
+    site: Site,
+    weather: Weather,
+    start: str,
+    steps: int,
+    controller: str,
+    parameters: dict[str, float],
+    initial: str,
+    volumes: tuple[float, float],
+    choice: ForecastChoice,
+    sensor_pump_errors: SensorPumpErrors | None = None,
+) -> Run:
+    """Put a run together and check it.
+
+    Args:
+        site_file: where the site was read from.
+        site: its parameters.
+        weather: hourly records.
+        start: time of tick 0, ISO 8601; without an offset from UTC in that of the weather.
+        steps: N, its length (ticks).
+        controller: its name.
+        parameters: its parameters, all of them.
+        initial: name of the initial state.
+        volumes: of the initial state, in cistern and roof (m3).
+        choice: which forecasts the controller is given.
+        sensor_pump_errors: of level sensor and pumps; none unless given.
+
+    Raises:
+        ConfigurationError: weather or forecasts do not cover the run, or it has values that the
+            nodes would refuse.
+    """
+    first = read_start(start, weather.first.tzinfo)
+    horizon = parameters.get("horizon", 0.0)
+    series = WeatherSeries(weather, site, first, steps)
+    x1, x2 = volumes
+    topics = read_topics()
+    for name, largest in (
+        ("/cistern/level", site.cistern_level(x1)),
+        ("/roof/level", site.roof_level(x2)),
+        ("/weather/precipitation", max(series.precipitation)),
+        ("/weather/evapotranspiration", max(series.evapotranspiration)),
+    ):
+        _check_range(topics[name], largest)
+    return Run(
+        site_file=site_file,
+        site=site,
+        weather=weather,
+        series=series,
+        forecast=make_forecast(
+            weather, series, site, first, horizon, choice, controller in TAKE_ENSEMBLES
+        ),
+        start=first,
+        steps=steps,
+        controller=controller,
+        parameters=parameters,
+        initial=initial,
+        x1=x1,
+        x2=x2,
+        forecast_choice=choice,
+        sensor_pump_errors=sensor_pump_errors or SensorPumpErrors(),
+    )
+
+
+def _check_range(topic: Topic, largest: float) -> None:
+    """Refuse a run whose values the nodes would refuse: both engines give the same numbers."""
+    if largest > topic.high:
+        raise ConfigurationError(
+            f"the run has {largest:g} {topic.unit} on {topic.name}, where at most {topic.high:g} "
+            "is accepted (msg_defs/topics.yaml); is a unit wrong?"
+        )

@@ -1,0 +1,109 @@
+"""The directory of a run: its bag, its summary, its logs and the exact configuration used."""
+
+from __future__ import annotations
+
+import shutil
+from dataclasses import replace
+from datetime import datetime
+from pathlib import Path
+
+import yaml
+
+from greenroof_ros.common.errors import ConfigurationError
+from greenroof_ros.controllers.registry import TAKE_ENSEMBLES
+from greenroof_ros.experiment.run import Run
+
+
+def make_run_directory(output: Path | None, controller: str) -> Path:
+    """Make the directory of a run: ``output``, or a dated one under ``runs/``.
+
+    Raises:
+        ConfigurationError: it holds something already, or cannot be made or written.
+    """
+    if output is None:
+        name = f"{datetime.now().astimezone().strftime('%Y-%m-%dT%H-%M-%S')}-{controller}"
+        directory = Path("runs") / name
+        number = 1
+        while directory.exists():
+            number += 1
+            directory = Path("runs") / f"{name}-{number}"
+    else:
+        directory = output
+    try:
+        directory.mkdir(parents=True, exist_ok=True)
+        if any(directory.iterdir()):
+            raise ConfigurationError(
+                "exists and is not empty; a run is never written over",
+                key="--output", value=str(directory),
+            )
+        (directory / "configuration").mkdir()
+    except OSError as error:
+        raise ConfigurationError(
+            f"cannot be written: {error.strerror}", key="--output", value=str(directory)
+        ) from error
+    return directory.resolve()
+
+
+def write_configuration(directory: Path, run: Run, nodes: dict[str, object]) -> Path:
+    """Keep the files that a run was made from, and write the parameters of its nodes.
+
+    Args:
+        directory: of the run.
+        run: what was asked for.
+        nodes: parameters of the plant beyond those that the run itself decides.
+
+    Returns:
+        The ROS 2 parameter file that all nodes of the run read.
+
+    Raises:
+        ConfigurationError: the directory cannot be written.
+    """
+    try:
+        return _write_configuration(directory / "configuration", run, nodes)
+    except OSError as error:
+        raise ConfigurationError(
+            f"cannot be written: {error.strerror}", key="--output", value=str(directory)
+        ) from error
+
+
+def _write_configuration(configuration: Path, run: Run, nodes: dict[str, object]) -> Path:
+    site_file = configuration / "site.yaml"
+    weather_file = configuration / "weather.csv"
+    shutil.copyfile(run.site_file, site_file)
+    shutil.copyfile(run.weather.file, weather_file)
+    choice = run.forecast_choice
+    if choice.file is not None:
+        forecast_file = configuration / "forecast.csv"
+        shutil.copyfile(choice.file, forecast_file)
+        choice = replace(choice, file=forecast_file)
+    common = {"site_file": str(site_file)}
+    span = {"start": run.start.isoformat(), "steps": run.steps}
+    parameters = {
+        "plant": {
+            **common, **span, "cistern": run.x1, "roof": run.x2, **run.sensor_pump_errors.values(),
+            **nodes,
+        },
+        "weather": {
+            **common, **span, "weather_file": str(weather_file),
+            "evapotranspiration": run.weather.method,
+            "horizon": run.parameters.get("horizon", 0.0),
+            "all_members": run.controller in TAKE_ENSEMBLES,
+            "forecast": str(choice),
+            **{f"forecast_{name}": value for name, value in choice.options().items()},
+        },
+        run.controller: {**common, **run.parameters},
+        "recorder": {
+            **({"peer_limit": nodes["peer_limit"]} if nodes else {}),
+            "directory": str(configuration.parent / "bag"),
+            "controller": run.controller,
+        },
+    }
+    file = configuration / "parameters.yaml"
+    file.write_text(
+        yaml.safe_dump(
+            {f"/**/{name}": {"ros__parameters": values} for name, values in parameters.items()},
+            sort_keys=False,
+        ),
+        encoding="utf-8",
+    )
+    return file

@@ -1,0 +1,63 @@
+"""Which forecasts a run's controller is given."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+from greenroof_ros.model.look_ahead import MOST_MEMBERS
+
+PERFECT = "perfect"
+
+FILE = "file"
+
+# Each model and those of OPTIONS that it has; a file is named by its path.
+MODELS: dict[str, tuple[str, ...]] = {
+    PERFECT: (),
+    "persistence": (),
+    "errors": ("size", "seed"),
+    "ensemble": ("size", "seed", "members"),
+}
+
+# Range of each option; all but the size are whole numbers.
+OPTIONS = {"size": (0.0, 10.0), "seed": (0, 2**31 - 1), "members": (1, MOST_MEMBERS)}
+
+
+@dataclass(frozen=True)
+class ForecastChoice:
+    """Which forecasts a run's controller is given.
+
+    Attributes:
+        model: one of :data:`MODELS`, or ``file``.
+        size: of the errors (1): 0 none, 0.25 small, 0.5 medium, 1 large.
+        seed: of the errors.
+        members: of the ensemble.
+        file: with the forecasts; None where there is none.
+    """
+
+    model: str = PERFECT
+    size: float = 0.5
+    seed: int = 0
+    members: int = 10
+    file: Path | None = None
+
+    def __str__(self) -> str:
+        """The model's name or the file's path, as the option ``--forecast`` takes it."""
+        return self.model if self.file is None else str(self.file)
+
+    def options(self) -> dict[str, float]:
+        """Return those of :data:`OPTIONS` that the model has, with their values."""
+        return {name: getattr(self, name) for name in MODELS.get(self.model, ())}
+
+
+def choose(text: str) -> ForecastChoice:
+    """Return the choice of a model by its name, or of a file by its path.
+
+    Raises:
+        ValueError: it is neither; the message says what it must be.
+    """
+    if text.lower().endswith(".csv"):
+        return ForecastChoice(FILE, file=Path(text))
+    if text not in MODELS:
+        raise ValueError(f"must be one of {', '.join(MODELS)}, or a FILE.csv")
+    return ForecastChoice(text)

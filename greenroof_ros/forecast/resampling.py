@@ -1,0 +1,187 @@
+"""Forecasts: what a controller is told, at each tick, about the time that follows."""
+
+from __future__ import annotations
+
+import math
+from array import array
+from datetime import datetime
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from greenroof_ros.forecast.choice import ForecastChoice
+from greenroof_ros.forecast.models import ForecastModel, PerfectModel, make_model
+from greenroof_ros.model.look_ahead import growing_steps
+from greenroof_ros.model.site import Site
+from greenroof_ros.weather.series import Weather, WeatherSeries
+
+Array = NDArray[np.float64]
+_HOUR_S = 3600.0
+
+
+class Forecast(Protocol):
+    """What was known at a tick about the steps that follow it; the first entry is now."""
+
+    @property
+    def repeats_from(self) -> datetime | None:
+        """The earliest time from which on a forecast only repeats its last hour, if one does."""
+        ...
+
+    def precipitation(self, tick: int) -> array[float]:
+        """Mean rain of each step (m/s), shape (steps,), or one member after the other."""
+        ...
+
+    def evapotranspiration(self, tick: int) -> array[float]:
+        """Mean evapotranspiration off the whole bed (m3/s) of each step, shape (steps,)."""
+        ...
+
+
+class PerfectForecast:
+    """Knows the weather of the M ticks that come, as the paper assumes."""
+
+    def __init__(self, series: WeatherSeries, look_ahead: int) -> None:
+        """Take the run's weather and the look-ahead M (ticks)."""
+        self._series = series
+        self._look_ahead = look_ahead
+        self.repeats_from = series.repeats_from
+
+    def precipitation(self, tick: int) -> array[float]:
+        """Rain (m/s), shape (M,)."""
+        return self._series.precipitation[tick : tick + self._look_ahead]
+
+    def evapotranspiration(self, tick: int) -> array[float]:
+        """Evapotranspiration off the whole bed (m3/s), shape (M,)."""
+        return self._series.evapotranspiration[tick : tick + self._look_ahead]
+
+
+class SteppedForecast:
+    """Means of an hourly forecast over steps.
+
+    The present hour is not forecast but observed: its rates are those of the records.
+    """
+
+    def __init__(
+        self,
+        model: ForecastModel,
+        weather: Weather,
+        site: Site,
+        start: datetime,
+        edges: Array,
+        steps: int,
+    ) -> None:
+        """Prepare for a run, and ask for all that it needs, so that nothing is missing later.
+
+        Args:
+            model: hourly forecasts.
+            weather: the records, which give the present hour.
+            site: tick, and the bed's area, over which a depth is a volume.
+            start: time of tick 0.
+            edges: ends of the steps, in seconds from now, the first 0, shape (steps + 1,).
+            steps: N of the run (ticks).
+
+        Raises:
+            ConfigurationError: there is no forecast for a part of the run.
+        """
+        self._model = model
+        self._weather = weather
+        self._site = site
+        self._offset = (start - weather.first).total_seconds()
+        self._until = self._offset + steps * site.tau
+        self._edges = edges
+        self._lengths = np.diff(edges)
+        self._hour = -1
+        self._rates = self._sums = np.empty((0, 0))
+        self._tick = -1
+        self._means: tuple[array[float], array[float]] = (array("d"), array("d"))
+        self.repeats_from = self._ask_for_all()
+
+    def precipitation(self, tick: int) -> array[float]:
+        """Return mean rain (m/s), shape (members * steps,), one member after the other."""
+        return self._at(tick)[0]
+
+    def evapotranspiration(self, tick: int) -> array[float]:
+        """Return mean evapotranspiration off the whole bed (m3/s), shape (steps,)."""
+        return self._at(tick)[1]
+
+    def _at(self, tick: int) -> tuple[array[float], array[float]]:
+        """Return both for a tick."""
+        if tick != self._tick:
+            self._tick = tick
+            time = self._offset + tick * self._site.tau
+            hour = int(time // _HOUR_S)
+            if hour != self._hour:
+                self._hour = hour
+                self._take_hour(hour)
+            ends = time - hour * _HOUR_S + self._edges
+            # The end of the run's last window may be that of the last hour.
+            last = self._rates.shape[1] - 1
+            index = np.minimum(ends // _HOUR_S, last).astype(np.intp)
+            into = ends - index * _HOUR_S
+            sums = self._sums[:, index] + self._rates[:, index] * into
+            means = np.diff(sums) / self._lengths
+            self._means = (
+                array("d", means[:-1].tobytes()),
+                array("d", means[-1].tobytes()),
+            )
+        return self._means
+
+    def _ask_for_all(self) -> datetime | None:
+        """Ask for every hour's forecast, and return the earliest time from which one repeats."""
+        found = []
+        for hour in range(int(self._offset // _HOUR_S), int(self._until // _HOUR_S) + 1):
+            hours = self._hours(hour)
+            self._model.known(hour, hours)
+            repeats_from = self._model.repeats_from(hour, hours)
+            if repeats_from is not None:
+                found.append(repeats_from)
+        return min(found, default=None)
+
+    def _hours(self, hour: int) -> int:
+        """Return how many hours the ticks in an hour need, that one included."""
+        last_tick = min((hour + 1) * _HOUR_S, self._until)
+        return math.ceil((last_tick + float(self._edges[-1])) / _HOUR_S) - hour
+
+    def _take_hour(self, hour: int) -> None:
+        """Take the newest forecast: rates in SI units and their sums from the hour's start on."""
+        rain, evapotranspiration = self._model.known(hour, self._hours(hour))
+        present = min(hour, len(self._weather.precipitation) - 1)
+        rates = np.vstack([rain, evapotranspiration])
+        rates[:-1, 0] = self._weather.precipitation[present]
+        rates[-1, 0] = self._weather.evapotranspiration[present]
+        rates[:-1] /= 1000 * _HOUR_S
+        rates[-1] *= self._site.a2 / 1000 / 86400
+        self._rates = rates
+        self._sums = np.zeros_like(rates)
+        np.cumsum(rates[:, :-1] * _HOUR_S, axis=1, out=self._sums[:, 1:])
+
+
+def make_forecast(
+    weather: Weather,
+    series: WeatherSeries,
+    site: Site,
+    start: datetime,
+    horizon: float,
+    choice: ForecastChoice,
+    all_members: bool = False,
+) -> Forecast:
+    """Return what a controller is told.
+
+    Args:
+        weather: hourly records.
+        series: the same, tick by tick.
+        site: gives tick and look-ahead.
+        start: time of tick 0.
+        horizon: 0 for the M ticks that come, one by one; otherwise hours, in steps that grow.
+        choice: which forecasts.
+        all_members: of an ensemble, one after the other; otherwise the first.
+
+    Raises:
+        ConfigurationError: a file of forecasts is wrong, or there is none for a part of the run.
+    """
+    model = make_model(choice, weather, all_members)
+    if not horizon and isinstance(model, PerfectModel):
+        return PerfectForecast(series, site.M)
+    edges = growing_steps(horizon) if horizon else site.tau * np.arange(site.M + 1.0)
+    steps = len(series.precipitation) - site.M
+    return SteppedForecast(model, weather, site, start, edges, steps)

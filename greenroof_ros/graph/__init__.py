@@ -1,0 +1,1 @@
+"""What puts nodes into a graph: lockstep, parameters, processes."""

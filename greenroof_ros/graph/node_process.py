@@ -1,0 +1,104 @@
+"""A node as a process: set up, spun, told to stop, and its exit code."""
+
+from __future__ import annotations
+
+import os
+import signal
+import sys
+from collections.abc import Callable
+from typing import Any
+
+import rclpy
+from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
+from rclpy.node import Node
+from rclpy.signals import SignalHandlerOptions
+
+from greenroof_ros.common.command_line import EXIT_DONE, EXIT_FAILED, EXIT_USAGE
+from greenroof_ros.common.errors import ConfigurationError
+from greenroof_ros.common.files import shared_directory
+from greenroof_ros.graph.lockstep import Link, LockstepError
+from greenroof_ros.graph.shared_memory import remove_unfinished
+
+# How long the middleware may take to go (s); it is a fraction of a second.
+_TAKING_DOWN_S = 3
+
+
+def make_executor() -> Any:
+    """Return the fastest executor that this rclpy has."""
+    try:
+        from rclpy.experimental import EventsExecutor
+    except ImportError:
+        return SingleThreadedExecutor()
+    return EventsExecutor()
+
+
+def run_node(name: str, build: Callable[[Node], Link], args: list[str] | None = None) -> int:
+    """Run one node until it is told to stop or fails; the process has to end with it, soon.
+
+    Args:
+        name: of the node.
+        build: declares the node's parameters, makes its parts and returns its link.
+        args: ROS arguments; ``sys.argv`` if None.
+
+    Returns:
+        An exit code: 0 told to stop, 1 failed, 2 wrong arguments or parameters.
+    """
+    os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
+    profiles = str(shared_directory() / "config" / "fastdds.xml")
+    os.environ.setdefault("FASTRTPS_DEFAULT_PROFILES_FILE", profiles)
+    if hasattr(os, "SCHED_BATCH"):
+        # Linux: whoever wakes a peer goes on until it has said all it has to say. Being preempted
+        # by each of those that it wakes costs a third more of processor time per tick.
+        os.sched_setscheduler(0, os.SCHED_BATCH, os.sched_param(0))
+    stopping = False
+
+    def on_signal(signum: int, frame: Any) -> None:
+        nonlocal stopping
+        stopping = True
+
+    # Not rclpy's own handlers: after them nothing can be published, and a node that stops has a
+    # last word.
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, on_signal)
+    remove_unfinished()
+    try:
+        rclpy.init(args=args, signal_handler_options=SignalHandlerOptions.NO)
+        node = Node(name)
+    except RuntimeError as error:  # of rcl: arguments or a parameter file that it cannot read
+        print(f"error: {' '.join(str(error).split())}", file=sys.stderr)
+        return EXIT_USAGE
+    code = EXIT_DONE
+    link: Link | None = None
+    try:
+        link = build(node)
+        executor = make_executor()
+        executor.add_node(node)
+        while not stopping:
+            executor.spin_once(timeout_sec=link.turn())
+            if link.error is not None:
+                raise link.error
+            link.check()
+    except ConfigurationError as error:
+        print(f"error: {error}", file=sys.stderr)
+        code = EXIT_USAGE
+    except (LockstepError, OSError) as error:
+        node.get_logger().fatal(str(error))
+        code = EXIT_FAILED
+    except ExternalShutdownException:
+        pass
+    finally:
+        if link is not None:
+            try:
+                link.stop()
+            except OSError as error:
+                node.get_logger().fatal(str(error))
+                code = EXIT_FAILED
+            link.flush()
+        # All is said and written. Fast DDS can lock up, and spin, in taking itself down while a
+        # peer does the same, be it here or where Python frees the last of it at the process's end;
+        # no Python would run then, so that the kernel has to end it.
+        signal.signal(signal.SIGALRM, signal.SIG_DFL)
+        signal.alarm(_TAKING_DOWN_S)
+        node.destroy_node()
+        rclpy.try_shutdown()
+    return code

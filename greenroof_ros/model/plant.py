@@ -1,0 +1,137 @@
+"""The exact plant: Eqs. (1)-(4) of the paper, stepped by Euler's rule."""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from greenroof_ros.model.site import Site
+
+WATER_DENSITY = 1000.0
+"""kg/m3"""
+JOULES_PER_KWH = 3.6e6
+
+Amount = TypeVar("Amount", float, NDArray[np.float64])
+
+
+def outlet_flow(site: Site, x1: float) -> float:
+    """q_out (m3/s): what leaves a cistern holding x1 (m3) for the sewer, Eq. (2)."""
+    head = x1 / site.a1 - site.z_o
+    return site.c_out * math.sqrt(head) if head > 0 else 0.0
+
+
+def maximum_pump_flow(site: Site, x1: float) -> float:
+    """The pumps' flow (m3/s) at command 1 from a cistern holding x1 (m3), Eq. (3e).
+
+    It is 0 below the head that lifts no water, a level at which the pumps must not run anyway.
+    """
+    head = x1 / site.a1 + site.c_hat - site.d
+    return site.b * math.sqrt(head) if head > 0 else 0.0
+
+
+def pump_flow(site: Site, x1: float, x2: float, command: float) -> float:
+    """q_pump (m3/s) at volumes x1, x2 (m3) and a command (share of the maximum flow), Eq. (3a)."""
+    if x2 / site.a2 >= site.z_veg or x1 / site.a1 < site.suction_level:
+        return 0.0
+    return command * maximum_pump_flow(site, x1)
+
+
+def head_loss(site: Site, x1: Amount, flow: Amount) -> Amount:
+    """L (m): the head that a flow (m3/s) takes from a cistern holding x1 (m3), Eq. (3c).
+
+    Numbers or arrays.
+    """
+    return site.pipe_resistance * flow**2 + site.d - x1 / site.a1
+
+
+def drainage_flow(site: Site, x2: float) -> float:
+    """q_drain (m3/s): what drains from a roof holding x2 (m3), Darcy's law, Eq. (4)."""
+    if x2 < site.z_cap:
+        return 0.0
+    return site.K * site.a2 * (x2 / site.a2 + site.z_soil) / site.z_soil
+
+
+class Flows(NamedTuple):
+    """What moves during one tick (m3/s), after the limit to what each tank holds."""
+
+    outflow: float
+    """from the cistern to the sewer"""
+    pump: float
+    """from the cistern to the roof"""
+    drainage: float
+    """off the roof"""
+    evapotranspiration: float
+    """off the roof"""
+    limited: bool
+    """whether a tank held less than was asked of it"""
+
+
+class Plant:
+    """The two tanks, stepped tick by tick.
+
+    Attributes:
+        x1: water volume in the cistern (m3).
+        x2: water volume in the green roof (m3).
+    """
+
+    def __init__(self, site: Site, x1: float, x2: float) -> None:
+        self._site = site
+        self.x1 = x1
+        self.x2 = x2
+
+    def levels(self) -> tuple[float, float]:
+        """Water depth in the cistern and on the roof (m), as sensors would measure them."""
+        return self._site.cistern_level(self.x1), self._site.roof_level(self.x2)
+
+    def pump_flow(self, command: float) -> float:
+        """What the pumps deliver now at a command (m3/s), Eq. (3a)."""
+        return pump_flow(self._site, self.x1, self.x2, command)
+
+    def flows(self, precipitation: float, evapotranspiration: float, pump: float) -> Flows:
+        """What moves during the present tick.
+
+        Where the paper's model would empty a tank below zero, all that leaves it is scaled down
+        to what it holds plus what enters it.
+
+        Args:
+            precipitation: rain (m/s).
+            evapotranspiration: off the whole bed (m3/s).
+            pump: flow from the cistern to the roof (m3/s).
+        """
+        site = self._site
+        outflow = outlet_flow(site, self.x1)
+        drainage = drainage_flow(site, self.x2)
+        limited = False
+        wanted = outflow + pump
+        available = self.x1 / site.tau + precipitation * site.a_in
+        if wanted > available:
+            share = available / wanted
+            outflow *= share
+            pump *= share
+            limited = True
+        wanted = evapotranspiration + drainage
+        available = self.x2 / site.tau + precipitation * site.a2 + pump
+        if wanted > available:
+            share = available / wanted
+            evapotranspiration *= share
+            drainage *= share
+            limited = True
+        return Flows(outflow, pump, drainage, evapotranspiration, limited)
+
+    def step(self, precipitation: float, flows: Flows) -> None:
+        """Move on by one tick, Eq. (1).
+
+        Args:
+            precipitation: rain (m/s), the same as given to :meth:`flows`.
+            flows: what :meth:`flows` returned for the present tick.
+        """
+        site = self._site
+        into_cistern = precipitation * site.a_in
+        into_roof = precipitation * site.a2 + flows.pump
+        out_of_roof = flows.evapotranspiration + flows.drainage
+        # max: a limited tank ends at 0, not at the last bit below it.
+        self.x1 = max(0.0, self.x1 + site.tau * (into_cistern - flows.outflow - flows.pump))
+        self.x2 = max(0.0, self.x2 + site.tau * (into_roof - out_of_roof))

@@ -1,0 +1,156 @@
+"""What a real site has and the paper's does not: a level sensor that errs, pumps that need time.
+
+The plant stays exact, and so do all sums of a run: what is imperfect is what the controller is
+told of the roof, and when the pumps follow it.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import asdict, dataclass
+
+import numpy as np
+
+from greenroof_ros.common.errors import ConfigurationError
+from greenroof_ros.model.plant import Plant
+
+# Range of each imperfection, in its unit.
+RANGES = {
+    "roof_noise": (0.0, 1.0),
+    "roof_offset": (-1.0, 1.0),
+    "noise_seed": (0, 2**31 - 1),
+    "minimum_on": (0.0, 86_400.0),
+    "minimum_off": (0.0, 86_400.0),
+}
+# Ticks whose noise is drawn together: one draw at a time takes ten times as long.
+_BLOCK = 4096
+# A time that is a whole number of ticks but for a rounding has no further tick.
+_ROUNDING = 1e-9
+
+
+@dataclass(frozen=True)
+class SensorPumpErrors:
+    """How a site differs from the paper's; by default in nothing.
+
+    Attributes:
+        roof_noise: standard deviation of the roof's level sensor, independent each tick (m).
+        roof_offset: what it reads above the true level (m).
+        noise_seed: of the noise.
+        minimum_on: how long the pumps stay on once they are (s).
+        minimum_off: how long they stay off once they are (s).
+    """
+
+    roof_noise: float = 0.0
+    roof_offset: float = 0.0
+    noise_seed: int = 0
+    minimum_on: float = 0.0
+    minimum_off: float = 0.0
+
+    @property
+    def exact_sensor(self) -> bool:
+        """Whether the sensor reads the true level."""
+        return self.roof_noise == 0 and self.roof_offset == 0
+
+    @property
+    def instant_pump(self) -> bool:
+        """Whether the pumps follow each command at once."""
+        return self.minimum_on == 0 and self.minimum_off == 0
+
+    @property
+    def none(self) -> bool:
+        """Whether the site is the paper's."""
+        return self.exact_sensor and self.instant_pump
+
+    def values(self) -> dict[str, float]:
+        """Return each of :data:`RANGES` with its value."""
+        return asdict(self)
+
+    def refuse_external_pump(self) -> None:
+        """Refuse minimum times where a driver has the pump: they are its own business.
+
+        Raises:
+            ConfigurationError: there are minimum times.
+        """
+        if not self.instant_pump:
+            raise ConfigurationError(
+                "are the pump driver's business where the pump is external",
+                key="minimum on and off times",
+            )
+
+
+class RoofSensor:
+    """Reads the level of the roof.
+
+    The noise of a tick follows from the seed and the tick alone, whoever asks and when.
+    """
+
+    def __init__(self, sensor_pump_errors: SensorPumpErrors) -> None:
+        """Take the sensor's noise and offset."""
+        self._exact = sensor_pump_errors.exact_sensor
+        self._noise = sensor_pump_errors.roof_noise
+        self._offset = sensor_pump_errors.roof_offset
+        self._seed = sensor_pump_errors.noise_seed
+        self._block = -1
+        self._errors = [self._offset] * _BLOCK
+
+    def reading(self, tick: int, level: float) -> float:
+        """Return what it reads (m, never below 0) at a tick and a true level (m)."""
+        if self._exact:
+            return level
+        block, index = divmod(tick, _BLOCK)
+        if self._noise and block != self._block:
+            drawn = np.random.default_rng([self._seed, block]).standard_normal(_BLOCK)
+            self._errors = (self._offset + self._noise * drawn).tolist()
+            self._block = block
+        return max(0.0, level + self._errors[index])
+
+
+class Pump:
+    """The pumps behind the switch that spares them.
+
+    Once on they stay on for ``minimum_on``, at the last positive command while the command is 0;
+    once off they stay off for ``minimum_off``, whatever the command. A run begins with pumps that
+    have been off for long enough.
+
+    The switch sees what is delivered, not what is commanded. Where Eq. (3a) stops the flow, by the
+    true levels, that ends the time on however short it was, as a float switch would, and begins a
+    time off; otherwise pumps whose roof is full would start anew each time a drop evaporates. Frost
+    switches off at once: a running pump's pipe bursts in it, which is worse than a short time on.
+    """
+
+    def __init__(self, sensor_pump_errors: SensorPumpErrors, tau: float) -> None:
+        """Take the minimum times, and the duration of a tick (s), of which they last whole ones."""
+        self._instant = sensor_pump_errors.instant_pump
+        self._least_on = math.ceil(sensor_pump_errors.minimum_on / tau - _ROUNDING)
+        self._least_off = math.ceil(sensor_pump_errors.minimum_off / tau - _ROUNDING)
+        self._on = False
+        self._ticks = self._least_off  # for which they have been on, or off
+        self._held = 0.0
+
+    def flow(self, plant: Plant, command: float, frost: bool) -> float:
+        """Return what the pumps deliver in the present tick (m3/s); to be asked once a tick.
+
+        Args:
+            plant: in its present state.
+            command: the controller's (share of the maximum flow).
+            frost: whether there is frost.
+        """
+        if self._instant:
+            return plant.pump_flow(command)
+        flow = plant.pump_flow(self._switched(command, frost))
+        if (flow > 0) != self._on:
+            self._on = flow > 0
+            self._ticks = 0
+        self._ticks += 1
+        return flow
+
+    def _switched(self, command: float, frost: bool) -> float:
+        """Return the command that the switch lets through."""
+        if frost:
+            return 0.0
+        if self._on and command == 0 and self._ticks < self._least_on:
+            return self._held
+        if not self._on and self._ticks < self._least_off:
+            return 0.0
+        self._held = command
+        return command

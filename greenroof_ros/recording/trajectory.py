@@ -1,0 +1,126 @@
+"""What happened in a run, sample by sample, and its file: parquet, with every bit of each float."""
+
+from __future__ import annotations
+
+import io
+from dataclasses import dataclass
+from datetime import datetime
+from pathlib import Path
+from types import ModuleType
+
+import numpy as np
+from numpy.typing import NDArray
+
+from greenroof_ros.common.errors import ConfigurationError
+
+# Attribute: column of the file.
+_COLUMNS = {
+    "time": "time_s",
+    "cistern": "cistern_m3",
+    "roof": "roof_m3",
+    "precipitation": "precipitation_m_per_s",
+    "evapotranspiration": "evapotranspiration_m3_per_s",
+    "command": "command",
+    "pump_flow": "pump_flow_m3_per_s",
+    "outflow": "outflow_m3_per_s",
+    "drainage": "drainage_m3_per_s",
+    "frost": "frost",
+}
+
+
+@dataclass(frozen=True)
+class Trajectory:
+    """What happened, sample by sample; each array has shape (n,).
+
+    Attributes:
+        start: time of the first sample, with its offset from UTC.
+        time: since the start (s).
+        cistern: water volume x1 (m3).
+        roof: water volume x2 (m3).
+        precipitation: rain (m/s).
+        evapotranspiration: off the whole bed (m3/s), before the limit to what the roof holds.
+        command: share of the pumps' maximum flow (1).
+        pump_flow: from the cistern to the roof (m3/s).
+        outflow: from the cistern to the sewer (m3/s).
+        drainage: off the roof (m3/s).
+        frost: 1 where there was frost, else 0.
+    """
+
+    start: datetime
+    time: NDArray[np.float64]
+    cistern: NDArray[np.float64]
+    roof: NDArray[np.float64]
+    precipitation: NDArray[np.float64]
+    evapotranspiration: NDArray[np.float64]
+    command: NDArray[np.float64]
+    pump_flow: NDArray[np.float64]
+    outflow: NDArray[np.float64]
+    drainage: NDArray[np.float64]
+    frost: NDArray[np.float64]
+
+    def to_parquet(self) -> bytes:
+        """Return the file that :func:`read_parquet` reads.
+
+        Raises:
+            ConfigurationError: polars is not installed.
+        """
+        polars = _polars()
+        stream = io.BytesIO()
+        polars.DataFrame(
+            {column: getattr(self, name) for name, column in _COLUMNS.items()}
+        ).write_parquet(stream, compression="zstd", metadata={"start": self.start.isoformat()})
+        return stream.getvalue()
+
+
+def read_parquet(path: Path) -> Trajectory:
+    """Read a trajectory.
+
+    Raises:
+        ConfigurationError: there is no such file, it is damaged or no trajectory, or polars is
+            not installed.
+    """
+    polars = _polars()
+    try:
+        content = path.read_bytes()
+    except OSError as error:
+        raise ConfigurationError(f"cannot be read: {error.strerror}", file=path) from error
+    try:
+        metadata = polars.read_parquet_metadata(io.BytesIO(content))
+        table = polars.read_parquet(io.BytesIO(content))
+    except (polars.exceptions.PolarsError, polars.exceptions.PanicException) as error:
+        raise ConfigurationError(
+            "is empty, cut short or no parquet file; make the run again", file=path
+        ) from error
+    wrong = [
+        column
+        for column in _COLUMNS.values()
+        if column not in table.columns or table.schema[column] != polars.Float64
+    ]
+    if wrong:
+        raise ConfigurationError(
+            f"is no trajectory: it has no column of floats named {', '.join(wrong)}", file=path
+        )
+    try:
+        start = datetime.fromisoformat(metadata["start"])
+    except (KeyError, ValueError) as error:
+        raise ConfigurationError(
+            "is no trajectory: its metadata have no 'start' in ISO 8601", file=path
+        ) from error
+    if start.utcoffset() is None:
+        raise ConfigurationError(
+            "must say its offset from UTC", file=path, key="start", value=metadata["start"]
+        )
+    if not len(table) or any(table[column].null_count() for column in _COLUMNS.values()):
+        raise ConfigurationError("is no trajectory: it has no samples, or gaps", file=path)
+    return Trajectory(
+        start, **{name: table[column].to_numpy() for name, column in _COLUMNS.items()}
+    )
+
+
+def _polars() -> ModuleType:
+    """Import polars, which a plain installation does not have."""
+    try:
+        import polars
+    except ModuleNotFoundError as error:
+        raise ConfigurationError("needs polars: pip install 'greenroof_ros[study]'") from error
+    return polars

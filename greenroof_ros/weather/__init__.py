@@ -1,0 +1,1 @@
+"""Weather records: formats, evapotranspiration, and what they are tick by tick."""

@@ -1,0 +1,135 @@
+"""The contract, msg_defs/, against the README and against a live graph."""
+
+from __future__ import annotations
+
+import importlib
+import json
+import math
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+from typing import Any
+
+import pytest
+from graphs import Process, wait_for
+from places import CHECKOUT
+
+from greenroof_ros.common.files import read_yaml, shared_directory
+from greenroof_ros.common.interface import read_topics, recorded_topics
+
+
+def test_readme_shows_the_contract() -> None:
+    """The README's table is what the command prints."""
+    printed = subprocess.run(
+        [sys.executable, "-m", "greenroof_ros.topics"],
+        cwd=CHECKOUT, capture_output=True, text=True, check=True,
+    ).stdout
+    assert "| `/roof/level` | std_msgs/Float64 | m |" in printed
+    assert printed in (CHECKOUT / "README.md").read_text()
+
+
+def test_design_of_the_contract() -> None:
+    """Names, types and units are those that the graph's users rely on."""
+    topics = read_topics()
+    expected = {
+        "/clock": ("rosgraph_msgs/msg/Clock", "s"),
+        "/cistern/level": ("std_msgs/msg/Float64", "m"),
+        "/roof/level": ("std_msgs/msg/Float64", "m"),
+        "/cistern/outflow": ("std_msgs/msg/Float64", "m3/s"),
+        "/roof/drainage": ("std_msgs/msg/Float64", "m3/s"),
+        "/pump/command": ("std_msgs/msg/Float64", "1"),
+        "/pump/flow": ("std_msgs/msg/Float64", "m3/s"),
+        "/weather/precipitation": ("std_msgs/msg/Float64", "m/s"),
+        "/weather/evapotranspiration": ("std_msgs/msg/Float64", "m3/s"),
+        "/forecast/precipitation": ("std_msgs/msg/Float64MultiArray", "m/s"),
+        "/forecast/evapotranspiration": ("std_msgs/msg/Float64MultiArray", "m3/s"),
+        "/recorder/written": ("std_msgs/msg/Float64", "1"),
+    }
+    for name, (kind, unit) in expected.items():
+        assert (topics[name].type, topics[name].unit) == (kind, unit)
+    assert all(topic.qos.depth > 32 for topic in topics.values() if topic.per_tick)
+
+
+def test_types_match_ros() -> None:
+    """Definitions and hashes in msg_defs/types.yaml are those of the installed ROS 2."""
+    rclpy = pytest.importorskip("rclpy", reason="the message packages come with ROS 2")
+    assert rclpy
+    types: dict[str, Any] = read_yaml(shared_directory() / "msg_defs" / "types.yaml")
+    for name, entry in types.items():
+        package, _, short = name.split("/")
+        module = importlib.import_module(f"{package}.msg")
+        share = next(
+            parent / "share" / package / "msg"
+            for parent in Path(str(module.__file__)).parents
+            if (parent / "share" / package / "msg" / f"{short}.msg").exists()
+        )
+        text = (share / f"{short}.msg").read_text()
+        fields = [line.split("#")[0].split() for line in text.splitlines()]
+        assert [line.split() for line in entry["definition"].splitlines()] == list(
+            filter(None, fields)
+        )
+        if "hash" in entry:
+            described = json.loads((share / f"{short}.json").read_text())["type_hashes"]
+            assert {"type_name": name, "hash_string": entry["hash"]} in described
+
+
+@pytest.mark.parametrize("controller", ["mpc", "onoff"])
+def test_live_graph_is_the_contract(domain: int, tmp_path: Path, controller: str) -> None:
+    """Every topic of the contract is in the graph, and no other: types, QoS, nodes."""
+    rclpy = pytest.importorskip("rclpy", reason="the graph needs ROS 2")
+    from rclpy.node import Node
+
+    process = Process(
+        domain, "bringup", "--controller", controller, "--output", "run", cwd=tmp_path
+    )
+    context = rclpy.Context()
+    rclpy.init(args=[], context=context, domain_id=domain)
+    node = Node(
+        "observer", context=context, start_parameter_services=False, enable_rosout=False
+    )
+    nodes = {"plant", "weather", controller, "recorder"}
+    try:
+        process.wait_for_ticks()
+        wait_for(lambda: nodes <= set(node.get_node_names()), 10, "discovery of the nodes")
+        time.sleep(3.5)  # of their topics, too
+        live = {
+            name: kinds
+            for name, kinds in node.get_topic_names_and_types()
+            if name not in ("/rosout", "/parameter_events")
+        }
+        contract = {
+            name: topic
+            for name, topic in read_topics().items()
+            if nodes.intersection(topic.publishers)
+        }
+        assert live == {name: [topic.type] for name, topic in contract.items()}
+        for name, topic in contract.items():
+            publishers = node.get_publishers_info_by_topic(name)
+            subscribers = node.get_subscriptions_info_by_topic(name)
+            expected = nodes.intersection(topic.publishers)
+            if name == "/pump/flow":
+                expected = {"plant"}
+            takers = nodes.intersection(topic.subscribers) - (
+                {"plant"} if name in ("/pump/flow", "/weather/frost") else set()
+            )
+            assert sorted(info.node_name for info in publishers) == sorted(expected)
+            assert sorted(info.node_name for info in subscribers) == sorted(takers)
+            for info in [*publishers, *subscribers]:
+                profile = info.qos_profile
+                assert profile.reliability.name.lower() == topic.qos.reliability
+                assert profile.durability.name.lower() == topic.qos.durability
+                assert profile.liveliness.name == "AUTOMATIC"
+                lease = profile.liveliness_lease_duration
+                # Who only records does not watch.
+                if math.isfinite(topic.qos.lease_s) and info.node_name != "recorder":
+                    assert lease.nanoseconds == topic.qos.lease_s * 1e9
+        assert {topic.name for topic in recorded_topics(nodes)} == {
+            name for name, topic in contract.items() if topic.per_tick
+        }
+    finally:
+        node.destroy_node()
+        context.try_shutdown()
+        process.process.send_signal(signal.SIGINT)
+    assert process.wait(8) == 130

@@ -1,0 +1,251 @@
+"""The model predictive controller, against an exact solution of the paper's program."""
+
+from __future__ import annotations
+
+import logging
+import math
+from dataclasses import replace
+from functools import cache
+from typing import Any, NamedTuple
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from paper import PAPER_SITE, linear_model, paper_run, sites
+from scipy.optimize import lsq_linear, nnls
+
+from greenroof_ros.controllers.mpc import Mpc
+from greenroof_ros.experiment.closed_loop import closed_loop
+from greenroof_ros.model.metrics import Metrics
+from greenroof_ros.model.site import Site
+
+WEIGHTS = [1e-5, 1e-4, 1e-3, 1e-2, 1e-1]
+
+
+class Walk(NamedTuple):
+    """A 12 h run as the controller saw it, tick by tick."""
+
+    x: Any
+    """volumes (m3), shape (ticks, 2)"""
+    w: Any
+    """forecast of w_r and w_e, shape (ticks, M, 2)"""
+    u: Any
+    """commands, shape (ticks,)"""
+    cost: Any
+    """what the controller says that Eq. (11) comes to, shape (ticks,)"""
+
+
+@cache
+def walk(weight: float, initial: str = "low-low", max_command: float = math.inf) -> Walk:
+    """Run the controller for 12 h against the exact plant."""
+    run = paper_run("--initial", initial)
+    controller = Mpc(run.site, weight, max_command)
+    x, w, u, cost = [], [], [], []
+    for tick in closed_loop(run, controller, Metrics()):
+        x.append((tick.x1, tick.x2))
+        rain = run.forecast.precipitation(tick.k)
+        w.append(np.transpose((rain, run.forecast.evapotranspiration(tick.k))))
+        u.append(tick.command)
+        cost.append(controller.cost)
+    assert controller.fallbacks == 0
+    return Walk(*(np.array(part) for part in (x, w, u, cost)))
+
+
+def program(site: Site, x: Any, w: Any, u_bar: Any, w_bar: Any) -> tuple[Any, Any]:
+    """Stack Eq. (10) over the look-ahead at n ticks: roof depth - z_veg = r + G U.
+
+    Args:
+        site: the parameters of Table I.
+        x: volumes at each tick, shape (n, 2).
+        w: forecasts, shape (n, M, 2).
+        u_bar: command of the operating point, shape (n,).
+        w_bar: disturbance of the operating point, shape (n, 2).
+
+    Returns:
+        G, shape (n, M, M), and r, shape (n, M).
+    """
+    size = w.shape[1]
+    slope, B, C, b = linear_model(site, *x.T, u_bar, *w_bar.T)
+    powers = [np.linalg.matrix_power(slope + np.eye(2), power) for power in range(size)]
+    drift = np.einsum("nij,nkj->nki", C, w - w_bar[:, None]) + (b - B * u_bar[:, None])[:, None]
+    G = np.zeros((len(x), size, size))
+    r = np.repeat(x[:, 1:] / site.a2 - site.z_veg, size, axis=1)
+    for row in range(size):
+        for column in range(row + 1):
+            power = powers[row - column]
+            G[:, row, column] = np.einsum("ni,ni->n", power[:, 1], B) / site.a2
+            r[:, row] += np.einsum("ni,ni->n", power[:, 1], drift[:, column]) / site.a2
+    return G, r
+
+
+def programs(run: Walk) -> tuple[Any, Any]:
+    """Return the program of each tick of a run, about the operating points of step 6."""
+    u_bar = np.concatenate([[0.0], run.u[:-1]])
+    earlier = np.cumsum(run.w[:-1, 0], axis=0) / np.arange(1, len(run.u))[:, None]
+    return program(PAPER_SITE, run.x, run.w, u_bar, np.concatenate([np.zeros((1, 2)), earlier]))
+
+
+def solution(G: Any, r: Any, weight: float, bound: float = math.inf) -> Any:
+    """Minimise weight U'U + |r + G U|^2 over 0 <= U <= bound exactly, by an active set."""
+    stacked = np.concatenate([np.eye(len(r)), G / math.sqrt(weight)])
+    target = np.concatenate([np.zeros(len(r)), -r / math.sqrt(weight)])
+    if bound == math.inf:
+        return nnls(stacked, target)[0]
+    return lsq_linear(stacked, target, (0, bound), method="bvls", tol=1e-15).x
+
+
+@pytest.mark.parametrize("weight", WEIGHTS)
+def test_commands_are_exact_over_a_whole_run(weight: float) -> None:
+    """All 43,201 ticks; for the smaller weights most of them are clipped to 0."""
+    run = walk(weight)
+    exact = [solution(G, r, weight)[0] for G, r in zip(*programs(run), strict=True)]
+    np.testing.assert_allclose(run.u, exact, rtol=0, atol=1e-8)
+    assert run.u.min() >= 0
+
+
+@pytest.mark.parametrize("bound", [1.0, 0.3])
+def test_commands_below_an_upper_bound_are_exact(bound: float) -> None:
+    """From a full cistern the first command would be 1.0179; 3,746 ticks pump."""
+    run = walk(1e-5, "high-low", bound)
+    G, r = (part[:4000] for part in programs(run))
+    exact = [solution(*each, 1e-5, bound)[0] for each in zip(G, r, strict=True)]
+    np.testing.assert_allclose(run.u[:4000], exact, rtol=0, atol=1e-8)
+    assert exact[0] == pytest.approx(bound, rel=1e-12)
+    assert run.u.max() == bound
+
+
+@pytest.mark.parametrize("weight", WEIGHTS)
+def test_cost_is_eq_11(weight: float) -> None:
+    """J of the exact commands and of the states that Eq. (10) steps through, every 7th tick."""
+    run = walk(weight)
+    G, r = (part[::7] for part in programs(run))
+    U = np.array([solution(*each, weight) for each in zip(G, r, strict=True)])
+    x, w, cost = run.x[::7], run.w[::7], run.cost[::7]
+    # An operating point with the same x and u, but w = 0: Eq. (10) is affine in w.
+    u_bar = np.concatenate([[0.0], run.u[:-1]])[::7]
+    slope, B, C, b = linear_model(PAPER_SITE, *x.T, u_bar, 0 * u_bar, 0 * u_bar)
+    A = slope + np.eye(2)
+    variation = np.zeros_like(x)
+    J = np.zeros(len(x))
+    for i in range(PAPER_SITE.M):
+        J += ((x + variation)[:, 1] / PAPER_SITE.a2 - PAPER_SITE.z_veg) ** 2 + weight * U[:, i] ** 2
+        variation = (
+            np.einsum("nij,nj->ni", A, variation)
+            + B * (U[:, i] - u_bar)[:, None]
+            + np.einsum("nij,nj->ni", C, w[:, i])
+            + b
+        )
+    J += ((x + variation)[:, 1] / PAPER_SITE.a2 - PAPER_SITE.z_veg) ** 2
+    np.testing.assert_allclose(cost, J, rtol=1e-8, atol=1e-14)
+
+
+def first_inputs() -> tuple[float, float, list[float], list[float]]:
+    """Return levels and weather at which every controller of the paper pumps."""
+    x1, x2 = 25 * 3 / 1.3, 68.8 * 0.0457 / 1.3
+    return x1 / 25, x2 / 68.8, [0.0] * 10, [1e-6] * 10
+
+
+def exact_first_command(site: Site, inputs: Any, weight: float, u_bar: float = 0.0) -> float:
+    """Solve one tick's program about w-bar = 0; b and C w~ differ with w-bar, their sum not."""
+    cistern, roof, rain, evaporated = inputs
+    x = np.array([[cistern * site.a1, roof * site.a2]])
+    w = np.transpose((rain, evaporated))[None]
+    G, r = program(site, x, w, np.array([u_bar]), np.zeros((1, 2)))
+    return float(solution(G[0], r[0], weight)[0])
+
+
+@given(
+    site=sites(),
+    data=st.data(),
+    size=st.integers(1, 25),
+    weight=st.floats(-6, 0).map(lambda power: 10**power),
+    rain=st.floats(0, 1e-4),
+    evaporated=st.floats(0, 1e-3),
+)
+def test_first_command_of_any_site_is_exact(
+    site: Site, data: st.DataObject, size: int, weight: float, rain: float, evaporated: float
+) -> None:
+    """Random sites, look-aheads, states and weathers; to 1e-8 of the command where it is large."""
+    cistern, roof = data.draw(st.floats(0, 2 * site.z_o)), data.draw(st.floats(0, 1.5 * site.z_veg))
+    inputs = cistern, roof, [rain] * size, [evaporated] * size
+    command = Mpc(replace(site, M=size), weight).command(*inputs)
+    assert command == pytest.approx(exact_first_command(site, inputs, weight), rel=1e-8, abs=1e-8)
+
+
+def test_equal_inputs_give_equal_bits() -> None:
+    """A second controller repeats the first one's commands exactly."""
+    run = walk(1e-4)
+    again = Mpc(PAPER_SITE, 1e-4)
+    for x, w, u in zip(run.x[:8000], run.w, run.u, strict=False):
+        rain, evaporated = w.T.tolist()
+        assert again.command(x[0] / 25, x[1] / 68.8, rain, evaporated) == u
+
+
+def test_weight_may_change_between_two_ticks() -> None:
+    """The command is that of the new weight, about the old command."""
+    mpc = Mpc(PAPER_SITE, 1e-3)
+    before = mpc.command(*first_inputs())
+    mpc.weight = 1e-2
+    expected = exact_first_command(PAPER_SITE, first_inputs(), 1e-2, before)
+    assert mpc.command(*first_inputs()) == pytest.approx(expected, abs=1e-8)
+    assert expected < before / 9
+
+
+def test_unsolved_program_pumps_nothing(caplog: pytest.LogCaptureFixture) -> None:
+    """One iteration is too few: OSQP says so, tick after tick, and its numbers are not used."""
+    mpc = Mpc(PAPER_SITE, 1e-3, max_iterations=1)
+    for fallbacks in (1, 2, 3):
+        caplog.clear()
+        assert mpc.command(*first_inputs()) == 0.0
+        assert mpc.fallbacks == fallbacks
+        assert math.isnan(mpc.cost)
+        assert mpc.status != 1
+        (record,) = caplog.records
+        assert record.levelno == logging.WARNING
+        assert "falling back" in record.getMessage()
+    # What failed was that solver's own; the next controller's first tick is right.
+    fresh = Mpc(PAPER_SITE, 1e-3)
+    expected = exact_first_command(PAPER_SITE, first_inputs(), 1e-3)
+    assert fresh.command(*first_inputs()) == pytest.approx(expected, abs=1e-8)
+    assert (fresh.status, fresh.fallbacks) == (1, 0)
+
+
+@pytest.mark.parametrize("bad", [math.nan, math.inf])
+@pytest.mark.parametrize("index", [0, 1])
+def test_level_that_is_no_number_pumps_nothing(
+    bad: float, index: int, caplog: pytest.LogCaptureFixture
+) -> None:
+    """The bad tick gets 0, not the tick before's command; the next one is exact again."""
+    mpc = Mpc(PAPER_SITE, 1e-3)
+    good = first_inputs()
+    spoilt: list[Any] = list(good)
+    spoilt[index] = bad
+    assert mpc.command(*good) > 0.01
+    assert not caplog.records
+    assert mpc.command(*spoilt) == 0.0
+    assert mpc.fallbacks == 1
+    assert [record.levelno for record in caplog.records] == [logging.WARNING]
+    assert "the prediction is not finite" in caplog.text
+    assert math.isnan(mpc.cost)
+    assert mpc.status != 1
+    expected = exact_first_command(PAPER_SITE, good, 1e-3)
+    assert mpc.command(*good) == pytest.approx(expected, abs=1e-8)
+    assert (mpc.status, mpc.fallbacks) == (1, 1)
+    assert math.isfinite(mpc.cost)
+    assert len(mpc.solve_seconds) == 3
+
+
+@pytest.mark.parametrize("bad", [math.nan, math.inf])
+@pytest.mark.parametrize("index", [2, 3])
+def test_forecast_that_is_no_number_pumps_nothing(bad: float, index: int) -> None:
+    """Somewhere in the look-ahead: 0 for that tick, and the next one is exact again."""
+    mpc = Mpc(PAPER_SITE, 1e-3)
+    good = first_inputs()
+    spoilt: list[Any] = list(good)
+    spoilt[index] = [*spoilt[index][:-1], bad]
+    assert mpc.command(*spoilt) == 0.0
+    assert mpc.fallbacks == 1
+    assert math.isnan(mpc.cost)
+    expected = exact_first_command(PAPER_SITE, good, 1e-3)
+    assert mpc.command(*good) == pytest.approx(expected, abs=1e-8)

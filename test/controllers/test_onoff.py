@@ -1,0 +1,50 @@
+"""The on/off controller, Eq. (12)."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from paper import PAPER_SITE, sites
+
+from greenroof_ros.controllers.onoff import OnOff
+from greenroof_ros.model.site import Site
+
+NO_WEATHER = [0.0] * 10
+
+
+@pytest.mark.parametrize(
+    ("cistern", "roof", "pumps"),
+    [
+        (0.75, math.nextafter(0.0457, 0), True),
+        (0.75, 0.0457, False),
+        (math.nextafter(0.75, 0), 0.0, False),
+        (0.0, 0.0, False),
+        (3.0, 0.0, True),
+        (3.0, 1.0, False),
+        (math.nan, 0.0, False),
+        (3.0, math.nan, False),
+    ],
+)
+def test_thresholds(cistern: float, roof: float, pumps: bool) -> None:
+    """v if x2/a2 < 0.0457 m and x1/a1 >= 0.15 + 0.6 m, else 0; 0 for what is no number."""
+    controller = OnOff(PAPER_SITE, 1.5)
+    assert controller.command(cistern, roof, NO_WEATHER, NO_WEATHER) == (1.5 if pumps else 0.0)
+
+
+def test_fraction_may_change_between_two_ticks() -> None:
+    """The next command is the new one."""
+    controller = OnOff(PAPER_SITE, 0.2)
+    assert controller.command(3.0, 0.0, NO_WEATHER, NO_WEATHER) == 0.2
+    controller.fraction = 2.0
+    assert controller.command(3.0, 0.0, NO_WEATHER, NO_WEATHER) == 2.0
+
+
+@given(site=sites(), cistern=st.floats(0, 5), roof=st.floats(0, 2), rain=st.floats(0, 1e-3))
+def test_any_site(site: Site, cistern: float, roof: float, rain: float) -> None:
+    """Eq. (12) as printed, whatever the weather will be."""
+    wants = roof < site.z_veg and cistern >= site.z_pump + site.z_H
+    weather = [rain] * 10
+    assert OnOff(site, 0.7).command(cistern, roof, weather, weather) == (0.7 if wants else 0.0)

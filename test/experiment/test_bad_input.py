@@ -1,0 +1,348 @@
+"""Wrong options and files: exit code 2, one clear message, no traceback, nothing started."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from graphs import environment
+from places import CHECKOUT
+
+SITE = (CHECKOUT / "config" / "site.yaml").read_text()
+WEATHER = (CHECKOUT / "config" / "weather" / "toronto_2021-07.csv").read_text()
+HEADER = "time,precipitation [mm/h],published evapotranspiration [mm/day]"
+HOUR = "2021-07-07T0{}:00-05:00,{},2.0"
+
+
+def replaced(text: str, old: str, new: str) -> str:
+    """Replace what must be there once."""
+    assert text.count(old) == 1, old
+    return text.replace(old, new)
+
+
+def weather(*lines: str, header: str = HEADER) -> bytes:
+    """Return a weather file."""
+    return "\n".join([header, *lines, ""]).encode()
+
+
+HOURS = [HOUR.format(number, 0.0) for number in range(8)]
+
+# name: options (FILE is the file), the file's bytes (None: there is none), words of the message
+OPTIONS: dict[str, tuple[str, tuple[str, ...]]] = {
+    "unknown-controller": ("--controller pid", ("--controller", "pid")),
+    "unknown-initial": ("--initial low", ("--initial", "low-low")),
+    "unknown-option": ("--horizon 30", ("--horizon",)),
+    "weight-zero": ("--weight 0", ("--weight", "1e-09")),
+    "weight-negative": ("--weight=-0.1", ("--weight",)),
+    "weight-nan": ("--weight nan", ("--weight",)),
+    "weight-inf": ("--weight inf", ("--weight",)),
+    "weight-tiny": ("--weight 1e-10", ("--weight", "1e-09 to 1e+06")),
+    "fraction-huge": ("--controller onoff --fraction 1e7", ("--fraction", "1e+06")),
+    "speed-huge": ("--speed 1e10", ("--speed", "1e9")),
+    "cistern-deep": ("--cistern 2600 --roof 2.4", ("/cistern/level", "104 m", "100")),
+    "cistern-huge": ("--cistern 1e10 --roof 2", ("--cistern", "1e+09")),
+    "endless-file": ("--weather /dev/zero", ("/dev/zero", "regular file")),
+    "weight-text": ("--weight heavy", ("--weight", "heavy")),
+    "weight-for-onoff": ("--controller onoff --weight 0.1", ("--weight", "mpc", "onoff")),
+    "fraction-for-mpc": ("--fraction 0.5", ("--fraction", "onoff")),
+    "fraction-negative": ("--controller onoff --fraction=-1", ("--fraction",)),
+    "hours-zero": ("--hours 0", ("--hours",)),
+    "hours-negative": ("--hours=-2", ("--hours",)),
+    "hours-nan": ("--hours nan", ("--hours",)),
+    "hours-broken-tick": ("--hours 0.0001", ("--hours", "whole number of ticks")),
+    "hours-beyond-the-file": ("--hours 1000", ("toronto_2021-07.csv", "2021-07-10T00:00-05:00")),
+    "hours-beyond-time": ("--hours 1e300", ("--hours", "1e+09")),
+    "start-before-the-file": ("--start 2021-07-06T23:00-05:00", ("2021-07-07T00:00-05:00",)),
+    "start-no-time": ("--start yesterday", ("start", "yesterday")),
+    "start-impossible": ("--start 2021-07-32T02:00", ("start", "2021-07-32")),
+    "start-beyond-time": ("--start 9999-12-31T23:00", ("start", "2037")),
+    "cistern-without-roof": ("--cistern 60", ("--cistern and --roof",)),
+    "cistern-negative": ("--cistern=-1 --roof 2", ("--cistern",)),
+    "roof-nan": ("--cistern 60 --roof nan", ("--roof",)),
+    "initial-twice": ("--initial low-low --cistern 60 --roof 2", ("--initial",)),
+    "speed-zero": ("--speed 0", ("--speed",)),
+    "speed-text": ("--speed fast", ("--speed", "fast")),
+    "no-such-site": ("--site nowhere.yaml", ("nowhere.yaml", "No such file")),
+    "no-such-weather": ("--weather nowhere.csv", ("nowhere.csv", "No such file")),
+    "output-not-empty": ("--output full", ("--output", "full", "never written over")),
+    "output-unwritable": ("--output /proc/greenroof", ("--output", "/proc/greenroof")),
+    "forecast-unknown": (
+        "--forecast perfekt", ("--forecast = 'perfekt'", "perfect, persistence, errors, ensemble")
+    ),
+    "forecast-file-by-name": ("--forecast file", ("--forecast = 'file'", "FILE.csv")),
+    "forecast-no-such-file": ("--forecast nowhere.csv", ("nowhere.csv", "No such file")),
+    "forecast-seed-for-perfect": (
+        "--forecast-seed 1", ("--forecast-seed", "errors and ensemble", "is perfect")
+    ),
+    "forecast-size-for-persistence": (
+        "--forecast persistence --forecast-size 1", ("--forecast-size", "is persistence")
+    ),
+    "forecast-members-for-errors": (
+        "--forecast errors --forecast-members 3", ("--forecast-members", "of ensemble", "is errors")
+    ),
+    "forecast-size-for-file": (
+        "--forecast a.csv --forecast-size 1", ("--forecast-size", "errors and ensemble", "a.csv")
+    ),
+    "forecast-size-negative": (
+        "--forecast errors --forecast-size=-1", ("--forecast-size", "from 0 to 10")
+    ),
+    "forecast-size-nan": ("--forecast errors --forecast-size nan", ("--forecast-size", "nan")),
+    "forecast-seed-broken": (
+        "--forecast errors --forecast-seed 1.5", ("--forecast-seed", "whole number from 0")
+    ),
+    "forecast-seed-negative": ("--forecast errors --forecast-seed=-1", ("--forecast-seed",)),
+    "forecast-members-none": (
+        "--forecast ensemble --forecast-members 0", ("--forecast-members", "1 to 100")
+    ),
+    "forecast-members-many": ("--forecast ensemble --forecast-members 101", ("1 to 100",)),
+    "output-is-a-file": ("--output file.txt", ("--output", "file.txt")),
+}
+SITES: dict[str, tuple[bytes, tuple[str, ...]]] = {
+    "missing-key": (replaced(SITE, "\na1: 25.0", "\n# a1: 25.0").encode(), ("a1", "missing")),
+    "unknown-key": ((SITE + "\na3: 1.0\n").encode(), ("a3", "not a parameter")),
+    "twice": ((SITE + "\na1: 26.0\n").encode(), ("a1", "twice")),
+    "nan": (replaced(SITE, "\nz_o: 3.0", "\nz_o: .nan").encode(), ("z_o", "finite")),
+    "infinite": (replaced(SITE, "\nz_o: 3.0", "\nz_o: .inf").encode(), ("z_o", "finite")),
+    "negative": (replaced(SITE, "\na2: 68.8", "\na2: -68.8").encode(), ("a2", "-68.8")),
+    "text": (replaced(SITE, "\na2: 68.8", "\na2: large").encode(), ("a2", "large", "number")),
+    "truth": (replaced(SITE, "\na2: 68.8", "\na2: yes").encode(), ("a2", "number")),
+    "rising-pump-curve": (
+        replaced(SITE, "\na_hat: -5.78e+5", "\na_hat: 5.78e+5").encode(), ("a_hat", "negative")
+    ),
+    "z_cap": (replaced(SITE, "\nz_cap: 34.4", "\nz_cap: 3.44").encode(), ("z_cap", "34.4 m3")),
+    "x2_star": (replaced(SITE, "\nx2_star: 3.14416", "\nx2_star: 3").encode(), ("x2_star",)),
+    "weak-pump": (replaced(SITE, "\nc_hat: 55.2", "\nc_hat: 5.52").encode(), ("c_hat", "15.25")),
+    "long-look-ahead": (replaced(SITE, "\nM: 10", "\nM: 1000000").encode(), ("M", "1000")),
+    "short-tick": (replaced(SITE, "\ntau: 1.0", "\ntau: 1e-9").encode(), ("tau", "0.001 s")),
+    "huge-outlet": (replaced(SITE, "\nr_o: 0.125", "\nr_o: 1e200").encode(), ("r_o", "1e+09")),
+    "tiny-pump": (
+        replaced(SITE, "\na_pump: 0.031415926535897934", "\na_pump: 1e-200").encode(),
+        ("a_pump", "1e-12"),
+    ),
+    "sexagesimal": (replaced(SITE, "\nz_o: 3.0", "\nz_o: 3:0").encode(), ("z_o", "3:0")),
+    "date": (replaced(SITE, "\nz_o: 3.0", "\nz_o: 2021-13-45").encode(), ("z_o", "number")),
+    "no-float": (replaced(SITE, "\nz_o: 3.0", "\nz_o: !!float abc").encode(), ("YAML",)),
+    "endless": (replaced(SITE, "\nz_o: 3.0", "\nz_o: " + "9" * 400).encode(), ("z_o", "finite")),
+    "long-tick": (replaced(SITE, "\ntau: 1.0", "\ntau: 7200.0").encode(), ("tau", "hour")),
+    "half-a-tick": (replaced(SITE, "\nM: 10", "\nM: 10.5").encode(), ("M", "10.5", "whole")),
+    "empty": (b"", ("empty",)),
+    "binary": (bytes(range(256)), ("UTF-8",)),
+    "nul": (b"a1: 25\0\n", ("NUL",)),
+    "byte-order-mark": (b"\xef\xbb\xbf" + SITE.encode(), ("byte order mark",)),
+    "a-list": (b"- a1\n- a2\n", ("key: value",)),
+    "broken-yaml": (b"a1: [25.0\na2: 68.8\n", ("YAML", "line")),
+}
+WEATHERS: dict[str, tuple[bytes, tuple[str, ...]]] = {
+    "empty": (b"", ("empty",)),
+    "comments-only": (b"# nothing\n", ("comments only",)),
+    "header-only": (weather(), ("no records",)),
+    "binary": (bytes(range(128, 256)), ("UTF-8",)),
+    "byte-order-mark": (b"\xef\xbb\xbf" + WEATHER.encode(), ("byte order mark",)),
+    "wrong-unit": (
+        weather(*HOURS, header=HEADER.replace("mm/h", "mm/day")), ("precipitation", "[mm/h]")
+    ),
+    "no-unit": (weather(*HOURS, header=HEADER.replace(" [mm/h]", "")), ("precipitation [mm/h]",)),
+    "unknown-column": (
+        weather(*(hour + ",1" for hour in HOURS), header=HEADER + ",snow [cm]"), ("snow",)
+    ),
+    "no-rain-column": (
+        weather(header="time,published evapotranspiration [mm/day]"), ("precipitation",)
+    ),
+    "no-evapotranspiration": (weather(header="time,precipitation [mm/h]"), ("evapotranspiration",)),
+    "column-twice": (
+        weather(header=HEADER + ",other evapotranspiration [mm/day]"), ("before this one",)
+    ),
+    "nan": (weather(HOURS[0], HOUR.format(1, "nan")), ("line 3", "nan")),
+    "blank": (weather(HOURS[0], HOUR.format(1, "")), ("line 3", "precipitation")),
+    "missing-flag": (weather(HOURS[0], HOUR.format(1, "M")), ("line 3", "'M'")),
+    "negative-rain": (weather(HOURS[0], HOUR.format(1, -0.2)), ("line 3", "-0.2")),
+    "absurd-rain": (weather(HOURS[0], HOUR.format(1, 5000)), ("line 3", "5000", "500 mm/h")),
+    "gap": (weather(HOURS[0], HOURS[2]), ("line 3", "2021-07-07T01:00-05:00")),
+    "hour-twice": (weather(HOURS[0], HOURS[1], HOURS[1]), ("line 4", "2021-07-07T02:00-05:00")),
+    "unordered": (weather(HOURS[1], HOURS[0]), ("line 3",)),
+    "no-offset": (weather(HOURS[0].replace("-05:00", "")), ("line 2", "offset")),
+    "no-time": (weather("noon,0.0,2.0"), ("line 2", "noon")),
+    "quote-open": (weather(HOURS[0], '2021-07-07T01:00-05:00,0.0,"2.7'), ("line 3", "CSV")),
+    "far-future": (weather("9999-12-31T23:00-05:00,0.0,2.0"), ("line 2", "9999", "2037")),
+    "cell-missing": (weather(HOURS[0], "2021-07-07T01:00-05:00,0.0"), ("line 3", "3 cells")),
+    "shorter-than-the-run": (weather(*HOURS), ("2021-07-07T08:00-05:00", "12 hours")),
+}
+FORECAST_HEADER = "issued,time,precipitation [mm/h],evapotranspiration [mm/day]"
+MEMBERS = "issued,time,member,precipitation [mm/h]"
+ISSUED = "2021-07-07T00:00-05:00"
+
+
+def forecasts(*lines: str, header: str = FORECAST_HEADER, issued: str = ISSUED) -> bytes:
+    """Return a file of forecasts; a line begins with its time."""
+    return "\n".join([header, *(f"{issued},{line}" for line in lines), ""]).encode()
+
+
+FORECASTS: dict[str, tuple[bytes, tuple[str, ...]]] = {
+    "empty": (b"", ("empty",)),
+    "comments-only": (b"# nothing\n", ("comments only",)),
+    "header-only": (forecasts(), ("no records",)),
+    "binary": (bytes(range(128, 256)), ("UTF-8",)),
+    "weather": (weather(*HOURS), ("line 1", "'time'", "'issued'")),
+    "wrong-unit": (
+        forecasts(HOURS[0], header=FORECAST_HEADER.replace("mm/h", "mm")),
+        ("line 1", "'precipitation [mm]'", "'precipitation [mm/h]'"),
+    ),
+    "wrong-unit-of-evapotranspiration": (
+        forecasts(HOURS[0], header=FORECAST_HEADER.replace("mm/day", "mm/h")),
+        ("line 1", "'evapotranspiration [mm/h]'", "'evapotranspiration [mm/day]'"),
+    ),
+    "no-rain": (forecasts(header="issued,time"), ("line 1", "'precipitation [mm/h]'")),
+    "further-column": (
+        forecasts(HOURS[0], header=FORECAST_HEADER + ",snow [cm]"), ("snow", "one column too many")
+    ),
+    "member-last": (
+        forecasts(HOURS[0], header=FORECAST_HEADER + ",member"), ("line 1", "'member'")
+    ),
+    "cell-missing": (forecasts(HOURS[0], HOURS[1][:-4]), ("line 3", "4 cells", "not 3")),
+    "quote-open": (forecasts(HOURS[0], '2021-07-07T01:00-05:00,0.0,"2'), ("line 3", "CSV")),
+    "no-number": (
+        forecasts(HOURS[0], HOUR.format(1, "M")), ("line 3", "precipitation [mm/h] = 'M'", "500")
+    ),
+    "negative": (forecasts(HOUR.format(0, -0.1)), ("line 2", "'-0.1'", "0 to 500 mm/h")),
+    "nan": (forecasts(HOUR.format(0, "nan")), ("line 2", "'nan'")),
+    "absurd-rain": (forecasts(HOUR.format(0, 501)), ("line 2", "'501'", "0 to 500 mm/h")),
+    "absurd-evapotranspiration": (
+        forecasts(HOURS[0].replace("2.0", "51")),
+        ("line 2", "evapotranspiration [mm/day] = '51'", "0 to 50 mm/day"),
+    ),
+    "gap": (forecasts(HOURS[0], HOURS[2]), ("line 3", "time =", "must be 2021-07-07T01:00-05:00")),
+    "hour-twice": (forecasts(HOURS[0], HOURS[0]), ("line 3", "must be 2021-07-07T01:00-05:00")),
+    "late-first": (forecasts(HOURS[1]), ("line 2", "must be 2021-07-07T00:00-05:00")),
+    "no-offset": (forecasts(HOURS[0].replace("-05:00", "")), ("line 2", "time =", "offset")),
+    "issued-no-time": (forecasts(HOURS[0], issued="noon"), ("line 2", "issued = 'noon'")),
+    "unsorted-issues": (
+        forecasts(HOURS[0]) + forecasts(HOURS[0], issued="2021-07-06T23:00-05:00", header="#"),
+        ("line 4", "issued = '2021-07-06T23:00-05:00'", "order of time"),
+    ),
+    "half-hour": (
+        forecasts("2021-07-07T00:30-05:00,0.0,2.0", issued="2021-07-07T00:30-05:00"),
+        ("line 2", "issued = '2021-07-07T00:30-05:00'", "whole number of hours from"),
+    ),
+    "member-no-number": (
+        forecasts("2021-07-07T00:00-05:00,one,0.0", header=MEMBERS), ("line 2", "member = 'one'")
+    ),
+    "member-negative": (
+        forecasts("2021-07-07T00:00-05:00,-1,0.0", header=MEMBERS),
+        ("line 2", "member = '-1'", "whole number from 0 to 99"),
+    ),
+    "member-left-out": (
+        forecasts(
+            "2021-07-07T00:00-05:00,0,0.0", "2021-07-07T00:00-05:00,2,0.0", header=MEMBERS
+        ),
+        ("line 2", "members 0, 2", "0 to 1"),
+    ),
+    "member-of-one-issue": (
+        forecasts("2021-07-07T00:00-05:00,0,0.0", header=MEMBERS)
+        + forecasts(
+            "2021-07-07T01:00-05:00,0,0.0", "2021-07-07T01:00-05:00,1,0.0",
+            header="#", issued="2021-07-07T01:00-05:00",
+        ),
+        ("line 4", "2021-07-07T01:00-05:00 has members 0, 1", "0 to 0"),
+    ),
+    "member-cut-short": (
+        forecasts(
+            "2021-07-07T00:00-05:00,0,0.0", "2021-07-07T01:00-05:00,0,0.0",
+            "2021-07-07T00:00-05:00,1,0.0", header=MEMBERS,
+        ),
+        ("line 2", "member 1 has 1, member 0 has 2"),
+    ),
+    "run-before-the-first-issue": (
+        forecasts("2021-07-07T03:00-05:00,0.0,2.0", issued="2021-07-07T03:00-05:00"),
+        ("from 2021-07-07T03:00-05:00 on", "2021-07-07T02:00-05:00"),
+    ),
+}
+CASES = [
+    *((f"option-{name}", case[0], None, case[1]) for name, case in OPTIONS.items()),
+    *((f"site-{name}", "--site FILE", *case) for name, case in SITES.items()),
+    *((f"weather-{name}", "--weather FILE", *case) for name, case in WEATHERS.items()),
+    *((f"forecast-{name}", "--forecast FILE.csv", *case) for name, case in FORECASTS.items()),
+]
+
+
+@pytest.mark.parametrize(
+    ("options", "content", "words"), [case[1:] for case in CASES], ids=[case[0] for case in CASES]
+)
+def test_refused(
+    unused_domain: int,
+    tmp_path: Path,
+    options: str,
+    content: bytes | None,
+    words: tuple[str, ...],
+) -> None:
+    """Both commands, one beside the other, say what is wrong, where, and what would be right."""
+    (tmp_path / "full").mkdir()
+    (tmp_path / "full" / "something").touch()
+    (tmp_path / "file.txt").touch()
+    if content is not None:
+        (tmp_path / options.split()[-1]).write_bytes(content)
+    before = sorted(tmp_path.rglob("*"))
+    started = [
+        subprocess.Popen(
+            [sys.executable, "-m", f"greenroof_ros.{command}", *options.split()],
+            cwd=tmp_path, env=environment(unused_domain), text=True,
+            stdout=subprocess.PIPE, stderr=subprocess.PIPE,
+        )
+        for command in ("simulate", "bringup")
+    ]
+    for process in started:
+        printed, errors = process.communicate(timeout=60)
+        assert process.returncode == 2, errors
+        assert printed == ""
+        assert errors.count("error:") == 1, errors
+        assert "Traceback" not in errors
+        message = errors.partition("error:")[2]
+        for word in words:
+            assert word in message
+        if content is not None:
+            assert "FILE" in message
+    assert sorted(tmp_path.rglob("*")) == before
+
+
+@pytest.mark.parametrize("wrong", ["abc", "300", "-1"])
+def test_wrong_domain(tmp_path: Path, wrong: str) -> None:
+    """ROS_DOMAIN_ID is an input, too."""
+    done = subprocess.run(
+        [sys.executable, "-m", "greenroof_ros.bringup", "--hours", "0.01"],
+        cwd=tmp_path, env={**environment(0), "ROS_DOMAIN_ID": wrong},
+        capture_output=True, text=True, timeout=60, check=False,
+    )
+    assert done.returncode == 2
+    assert f"ROS_DOMAIN_ID = '{wrong}'" in done.stderr
+    assert "Traceback" not in done.stderr
+    assert not list(tmp_path.iterdir())
+
+
+def test_wrong_output_leaves_no_trajectory(unused_domain: int, tmp_path: Path) -> None:
+    """What is refused writes nothing, so that the mended command can be given again."""
+    done = subprocess.run(
+        [
+            sys.executable, "-m", "greenroof_ros.simulate", "--hours", "0.01",
+            "--trajectory", "run.csv", "--output", "/proc/greenroof",
+        ],
+        cwd=tmp_path, env=environment(unused_domain), capture_output=True, text=True, timeout=60,
+        check=False,
+    )
+    assert done.returncode == 2
+    assert not list(tmp_path.iterdir())
+
+
+def test_output_that_nobody_reads(tmp_path: Path) -> None:
+    """As behind '| head': no message, and the run's directory is whole."""
+    process = subprocess.Popen(
+        [sys.executable, "-m", "greenroof_ros.simulate", "--hours", "0.01", "--json",
+         "--output", "run"],
+        cwd=tmp_path, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
+    )
+    assert process.stdout is not None
+    process.stdout.close()
+    _, errors = process.communicate(timeout=60)
+    assert process.returncode == 1
+    assert "error" not in errors.lower()
+    assert (tmp_path / "run" / "summary.json").exists()

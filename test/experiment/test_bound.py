@@ -1,0 +1,434 @@
+"""The clairvoyant bound: never above what a run costs, and close to what its plan costs."""
+
+from __future__ import annotations
+
+import heapq
+import itertools
+import json
+import math
+import sys
+from collections.abc import Sequence
+from dataclasses import replace
+from datetime import datetime
+from pathlib import Path
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from hypothesis import assume, example, given, settings
+from hypothesis import strategies as st
+from paper import PAPER_SITE, exact_flows, paper_run, site_with, sites
+
+from greenroof_ros import bound as module
+from greenroof_ros.experiment import clairvoyant
+from greenroof_ros.bound import main
+from greenroof_ros.controllers.protocol import Controller
+from greenroof_ros.controllers.registry import make_controller
+from greenroof_ros.experiment.clairvoyant import NoBoundError, clairvoyant_bound
+from greenroof_ros.experiment.closed_loop import closed_loop
+from greenroof_ros.experiment.run import Run
+from greenroof_ros.forecast.resampling import PerfectForecast
+from greenroof_ros.model.metrics import Metrics
+from greenroof_ros.model.site import Site
+from greenroof_ros.weather.records import Records
+from greenroof_ros.weather.series import Weather, WeatherSeries
+
+Hours = Sequence[tuple[float, float, bool]]
+"""Rain (mm/h), evapotranspiration (mm/day) and whether there is frost, hour by hour."""
+
+SLOW = replace(PAPER_SITE, tau=10.0)
+DRY_HOUR = [(0.0, 0.0, False)]
+
+
+def run_of(
+    hours: Hours, x1: float, x2: float, site: Site = SLOW, steps: int | None = None
+) -> Run:
+    """Build a run of some hours, or of fewer steps."""
+    first = datetime.fromisoformat("2021-07-07T00:00-05:00")
+    rain, evapotranspiration, frost = (np.array(part) for part in zip(*hours, strict=True))
+    records = Records(Path("drawn.csv"), first, {"precipitation": rain}, "drawn")
+    weather = Weather(records, rain, evapotranspiration, "drawn", frost)
+    steps = steps or round(len(hours) * 3600 / site.tau)
+    series = WeatherSeries(weather, site, first, steps)
+    return Run(
+        weather.file, site, weather, series, PerfectForecast(series, site.M), first, steps,
+        "onoff", {"fraction": 1.0}, "custom", x1, x2,
+    )
+
+
+def cost_of(run: Run, controller: Controller) -> Metrics:
+    """Do a run and return its sums."""
+    metrics = Metrics()
+    for _ in closed_loop(run, controller, metrics):
+        pass
+    return metrics
+
+
+class Given:
+    """A controller whose commands are given, and repeat."""
+
+    def __init__(self, commands: Sequence[float]) -> None:
+        self._commands = commands
+        self._asked = -1
+
+    def command(self, *_: object) -> float:
+        """Return the next of them."""
+        self._asked += 1
+        return self._commands[self._asked % len(self._commands)]
+
+    def skip(self) -> None:
+        """Keep the next for when it is asked."""
+
+    def statistics(self) -> None:
+        """It has no solver."""
+
+
+def least_sum(c: Sequence[float], most: Sequence[float]) -> float:
+    """Minimise sum |c_k + P_k| over P_0 = 0 and 0 <= P_{k+1} - P_k <= most_k, exactly.
+
+    The cost of the best way to each P is a convex, piecewise linear function. Its corners left of
+    the minimum are in one heap, those on the right in another; a tick moves the right ones by
+    what can be pumped, and |c_k + P| adds a corner to each.
+    """
+    left, right, moved = [0.0] * len(c), [0.0] * len(c), 0.0
+    total = abs(c[0])
+    for volume, step in zip(c[1:], most, strict=True):
+        moved += step
+        total += max(0.0, -left[0] + volume)
+        corner = -heapq.heappushpop(left, volume)
+        heapq.heappush(right, corner - moved)
+        total += max(0.0, -volume - right[0] - moved)
+        corner = heapq.heappushpop(right, -volume - moved) + moved
+        heapq.heappush(left, -corner)
+    return total
+
+
+def least_cost(run: Run) -> float:
+    """Return the optimum of a run in which only the full flow limits the pumps, from Eq. (1)."""
+    site = run.site
+    c, most, x1 = [run.x2 - site.x2_star], [], run.x1
+    for k in range(run.steps):
+        rain = run.series.precipitation[k]
+        c.append(c[-1] + site.tau * (rain * site.a2 - run.series.evapotranspiration[k]))
+        most.append(site.tau * exact_flows(site, x1, 0, 1)[1])
+        x1 += site.tau * rain * site.a_in
+    return least_sum(c, most)
+
+
+@pytest.mark.parametrize(
+    ("options", "expected"),
+    [
+        (("--initial", "low-low"), 4422),
+        (("--initial", "low-low", "--start", "2021-07-08T05:00"), 25389),
+    ],
+)
+def test_known_windows(options: tuple[str, ...], expected: float) -> None:
+    """The optimum of each second, solved exactly in another way, lies between bound and plan."""
+    run = paper_run(*options)
+    exact = least_cost(run)
+    bound = clairvoyant_bound(run)
+    assert bound.bound_m3 == pytest.approx(expected, abs=1)
+    assert exact == pytest.approx(expected, abs=1)
+    assert exact * (1 - 3e-5) < bound.bound_m3 <= exact
+    assert exact * (1 - 1e-9) < bound.plan_m3 < exact * (1 + 1e-5)
+    assert bound.gap == pytest.approx(bound.plan_m3 / bound.bound_m3 - 1)
+    assert bound.plan.shape == (run.steps,)
+    assert bound.pumped_m3 == pytest.approx(bound.plan.sum(), rel=1e-9)
+
+
+@pytest.mark.parametrize("initial", ["low-low", "high-low", "high-high"])
+@pytest.mark.parametrize("method", ["published", "fao56"])
+def test_the_papers_other_windows(initial: str, method: str) -> None:
+    """Three hours of each; from high-high nothing can be pumped, and the bound is the run."""
+    bound = clairvoyant_bound(
+        paper_run("--initial", initial, "--evapotranspiration", method, "--hours", "3"), block=10
+    )
+    assert bound.gap is not None
+    assert -1e-8 < bound.gap < 5e-4
+    if initial == "high-high":
+        assert bound.gap < 1e-7
+        assert bound.pumped_m3 == 0
+
+
+@pytest.mark.parametrize(
+    "options",
+    [
+        ("mpc", "--weight", "0.001"), ("mpc", "--weight", "1e-5"),
+        ("onoff", "--fraction", "1"), ("onoff", "--fraction", "2"),
+    ],
+)
+def test_the_papers_controllers_are_above(options: tuple[str, ...]) -> None:
+    """Up to the command that they give; the paper's controllers know no limit of it."""
+    run = paper_run("--controller", *options, "--hours", "1")
+    metrics = cost_of(run, make_controller(run.controller, run.site, run.parameters))
+    bound = clairvoyant_bound(run, max(1.0, metrics.max_command))
+    assert 0 < bound.bound_m3 <= metrics.total_deviation_m3
+
+
+HOURS = st.lists(
+    st.tuples(
+        st.floats(0, 500) | st.just(0.0), st.floats(0, 50) | st.just(0.0), st.booleans()
+    ),
+    min_size=1, max_size=3,
+)
+# Less in a tick than the solver's tolerance is lost; the bound stays one, a millionth lower.
+AS_MEASURED = st.floats(0.001, 50) | st.just(0.0)
+DROUGHT = [(0.0, 50.0, False)] * 2
+
+
+@settings(max_examples=150)
+@given(
+    site=st.just(PAPER_SITE) | sites(),
+    hours=HOURS,
+    cistern=st.floats(0, 5) | st.floats(0, 1).map(lambda share: 0.75 * share),
+    roof=st.floats(0, 1.5) | st.just(0.0),
+    max_command=st.sampled_from([1.0, 1.0, 0.5, 0.001]),
+    shares=st.lists(st.floats(0, 1) | st.sampled_from([0.0, 1.0]), min_size=1, max_size=40),
+)
+@example(PAPER_SITE, DROUGHT, 0.0, 0.01, 1.0, [0.0])
+@example(PAPER_SITE, DROUGHT, 0.751, 0.01, 1.0, [1.0])
+@example(PAPER_SITE, [(500.0, 0.0, False)] * 3, 3.0, 0.9, 1.0, [1.0])
+@example(PAPER_SITE, [(0.0, 50.0, False), (0.0, 50.0, True)], 2.0, 0.0914, 1.0, [1.0])
+def test_no_run_is_below(
+    site: Site, hours: Hours, cistern: float, roof: float, max_command: float,
+    shares: list[float],
+) -> None:
+    """Any commands, the plan's among them, in any weather: dry roofs, draining ones, frost."""
+    site = replace(site, tau=30.0)
+    run = run_of(hours, cistern * site.a1, roof * site.a2 * site.z_soil, site)
+    fine = clairvoyant_bound(run, max_command, 1)
+    coarse = clairvoyant_bound(run, max_command, 7)
+    slack = 1e-6 * (fine.bound_m3 + site.x2_star)
+    assert coarse.bound_m3 <= fine.bound_m3 + slack
+    for cost in (
+        fine.plan_m3,
+        coarse.plan_m3,
+        cost_of(run, Given([max_command * share for share in shares])).total_deviation_m3,
+        cost_of(run, Given([max_command])).total_deviation_m3,
+        cost_of(run, Given([0.0])).total_deviation_m3,
+    ):
+        assert fine.bound_m3 <= cost + slack
+
+
+@settings(max_examples=40)
+@given(
+    site=sites(),
+    hours=st.lists(
+        st.tuples(st.floats(0, 100) | st.just(0.0), st.floats(0, 500), st.booleans()),
+        min_size=5, max_size=5,
+    ),
+    cistern=st.floats(0, 3),
+    roof=st.floats(0, 1.2),
+    max_command=st.sampled_from([1.0, 0.1, 0.001]),
+)
+def test_no_schedule_is_below(
+    site: Site, hours: Hours, cistern: float, roof: float, max_command: float
+) -> None:
+    """All schedules of three commands over five ticks of an hour, in which a lot happens."""
+    site = replace(site, tau=3600.0)
+    run = run_of(hours, cistern * site.a1, roof * site.a2 * site.z_soil, site)
+    levels = (0.0, max_command / 2, max_command)
+    # In frost no command is asked for.
+    asked = sum(not frost for _, _, frost in hours)
+    best = min(
+        cost_of(run, Given([*commands, 0.0])).total_deviation_m3
+        for commands in itertools.product(levels, repeat=asked)
+    )
+    for block in (1, 2, 5):
+        bound = clairvoyant_bound(run, max_command, block)
+        slack = 1e-6 * (best + site.x2_star)
+        assert bound.bound_m3 <= min(best, bound.plan_m3) + slack
+
+
+@given(hours=HOURS, cistern=st.floats(0, 5), roof=st.floats(0, 1.5))
+@example(DROUGHT, 3.0, 0.002)
+def test_in_frost_the_bound_is_the_run(hours: Hours, cistern: float, roof: float) -> None:
+    """There is but one, as the roof dries out, drains and fills by itself.
+
+    Only on the very edge of draining, a rounding away, does the bound leave open which it is.
+    """
+    site = replace(PAPER_SITE, tau=30.0)
+    frozen = [(rain, evapotranspiration, True) for rain, evapotranspiration, _ in hours]
+    run = run_of(frozen, cistern * site.a1, roof * site.a2 * site.z_soil, site)
+    bound = clairvoyant_bound(run, block=1)
+    metrics = Metrics()
+    roofs = [tick.x2 for tick in closed_loop(run, Given([1.0]), metrics)]
+    assume(min(abs(x2 / site.z_cap - 1) for x2 in roofs) > 1e-8)
+    only = metrics.total_deviation_m3
+    assert bound.plan_m3 == only
+    assert bound.bound_m3 == pytest.approx(only, rel=1e-6, abs=1e-6 * site.x2_star)
+    assert bound.pumped_m3 == 0
+
+
+@given(
+    hours=st.lists(st.tuples(AS_MEASURED, AS_MEASURED), min_size=1, max_size=3),
+    roof=st.floats(0.2, 2),
+)
+@example([(0.001, 0.0)], 0.5)  # a tick's rain is less than the solver's usual tolerance
+def test_the_optimum_is_that_of_another_method(
+    hours: list[tuple[float, float]], roof: float
+) -> None:
+    """Where neither roof nor cistern runs empty, and the pumps lift more than evaporates.
+
+    The other method may pump at any level. In the real plant a roof that is above the target falls
+    through it before it is pumped, once an hour perhaps and by a tick's evapotranspiration.
+    """
+    run = run_of([(*hour, False) for hour in hours], 60.0, roof * PAPER_SITE.x2_star)
+    bound = clairvoyant_bound(run, block=1)
+    exact = least_cost(run)
+    through = sum(10 * 0.05 * PAPER_SITE.a2 / 86400 for _ in hours)
+    assert exact * (1 - 1e-6) - 1e-5 <= bound.bound_m3 <= exact * (1 + 1e-6) + through
+
+
+def test_larger_blocks_are_lower() -> None:
+    """Each is a whole multiple of the one before, and all are below the cost of any plan."""
+    run = run_of([(0.0, 20.0, False), (6.0, 0.0, False), (0.0, 9.0, True)], 60.0, 2.0)
+    bounds = [clairvoyant_bound(run, block=block) for block in (1, 5, 20, 100, 1000, 10_000)]
+    values = [bound.bound_m3 for bound in bounds]
+    assert values == sorted(values, reverse=True)
+    assert values[0] <= min(bound.plan_m3 for bound in bounds)
+    gaps = [bound.gap for bound in bounds[:2]]
+    assert max(gap for gap in gaps if gap is not None) < 0.02
+
+
+# One tick at full flow from 75 m3, Table I: b sqrt(3 + 55.2 - 16), of 10 s.
+FULL = 10 * exact_flows(PAPER_SITE, 75, 0, 1)[1]
+
+
+@pytest.mark.parametrize(
+    ("x1", "below", "max_command", "frost", "expected"),
+    [
+        # Filled at full flow: 3.5, 2.5, 1.5, 0.5, 0, 0.
+        (75.0, 3.5, 1.0, False, 8.0),
+        # At half of it: 3.5, 3, 2.5, 2, 1.5, 1.
+        (75.0, 3.5, 0.5, False, 13.5),
+        # Not at all.
+        (75.0, 3.5, 1.0, True, 21.0),
+        # Above the target nothing can be done.
+        (75.0, -2.0, 1.0, False, 12.0),
+        # The cistern is just below the pumps' suction level.
+        (18.74, 3.5, 1.0, False, 21.0),
+    ],
+)
+def test_five_ticks_without_weather(
+    x1: float, below: float, max_command: float, frost: bool, expected: float
+) -> None:
+    """Six states, solved by hand in units of a tick's full flow."""
+    run = run_of([(0.0, 0.0, frost)], x1, PAPER_SITE.x2_star - below * FULL, steps=5)
+    bound = clairvoyant_bound(run, max_command, 1)
+    assert bound.bound_m3 == pytest.approx(expected * FULL, rel=1e-6)
+    # The real flow falls a little with the cistern's level.
+    assert bound.bound_m3 * (1 - 1e-6) <= bound.plan_m3 < bound.bound_m3 * (1 + 1e-3)
+
+
+def test_a_cistern_at_the_suction_level_gives_one_tick() -> None:
+    """The last tick may draw below it: 3.5, 2.5, 2.5, 2.5, 2.5, 2.5 of that flow."""
+    full = 10 * exact_flows(PAPER_SITE, 18.75, 0, 1)[1]
+    run = run_of(DRY_HOUR, 18.75, PAPER_SITE.x2_star - 3.5 * full, steps=5)
+    bound = clairvoyant_bound(run, block=1)
+    assert bound.bound_m3 == pytest.approx(16 * full, rel=1e-6)
+    assert bound.plan_m3 == pytest.approx(16 * full, rel=1e-6)
+    assert bound.plan == pytest.approx([full / 10, 0, 0, 0, 0], rel=1e-6)
+
+
+@pytest.mark.parametrize(("tau", "ticks"), [(1.0, 60), (10.0, 6), (300.0, 1)])
+def test_blocks_of_a_minute_unless_told(tau: float, ticks: int) -> None:
+    """Whatever a tick is; and nobody makes the forecast that its controller would get."""
+    site = replace(PAPER_SITE, tau=tau)
+    run = replace(run_of(DRY_HOUR, 75.0, 2.0, site), forecast=None)  # type: ignore[arg-type]
+    assert clairvoyant_bound(run).block == ticks
+
+
+def test_a_cistern_gives_what_it_holds() -> None:
+    """An hour at full flow would be 28 m3 for a dry roof of 91 m3, but there are 19."""
+    site = replace(site_with(a2=2000.0), tau=3600.0)
+    bound = clairvoyant_bound(run_of(DRY_HOUR * 2, 19.0, 0.0, site), block=1)
+    assert bound.bound_m3 == pytest.approx(3 * 91.4 - 2 * 19, rel=1e-6)
+    assert bound.plan_m3 == pytest.approx(3 * 91.4 - 2 * 19, rel=1e-6)
+
+
+def test_before_frost_the_roof_is_filled_above_the_target() -> None:
+    """Pumping stops at z_veg, but the last tick before may carry the roof above it."""
+    hours = [(0.0, 10.0, False)] * 2 + [(0.0, 10.0, True)] * 24
+    bound = clairvoyant_bound(run_of(hours, 75.0, PAPER_SITE.x2_star), block=6)
+    assert bound.gap is not None
+    assert 0 < bound.gap < 0.01
+    # What evaporates in a day is several times what one tick can lift.
+    assert 10 * bound.plan.max() == pytest.approx(FULL, rel=0.01)
+
+
+def test_a_bound_of_zero_has_no_gap() -> None:
+    """A roof on target, and no weather."""
+    bound = clairvoyant_bound(run_of(DRY_HOUR, 75.0, PAPER_SITE.x2_star))
+    assert bound.bound_m3 == 0
+    assert bound.gap is None
+
+
+def call(monkeypatch: pytest.MonkeyPatch, *options: str) -> object:
+    """Give the command these options and return its exit code."""
+    monkeypatch.setattr(sys, "argv", ["bound", *options])
+    with pytest.raises(SystemExit) as ended:
+        main()
+    return ended.value.code
+
+
+def test_command(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    """The table and the JSON say the same, whatever the controller."""
+    assert call(monkeypatch, "--hours", "0.5", "--block", "30", "--json") == 0
+    result = json.loads(capsys.readouterr().out)
+    assert result["block_s"] == 30
+    assert result["steps"] == 1800
+    assert 0 < result["bound_m3"] <= result["plan_m3"]
+    assert result["gap"] == pytest.approx(result["plan_m3"] / result["bound_m3"] - 1)
+    assert call(monkeypatch, "--hours", "0.5", "--block", "30", "--controller", "onoff") == 0
+    shown = capsys.readouterr().out
+    for words in (f"{result['bound_m3']:.2f}", f"{result['plan_m3']:.2f}", "HiGHS", "published"):
+        assert words in shown
+
+
+@pytest.mark.parametrize(
+    ("options", "word"),
+    [
+        (("--block", "0"), "--block"),
+        (("--block", "0.5"), "--block = 0.5"),
+        (("--block", "1.5"), "whole number of ticks"),
+        (("--block", "x"), "--block"),
+        (("--max-command", "0"), "--max-command"),
+        (("--max-command", "inf"), "--max-command"),
+        (("--hours", "1000"), "but the run is from"),
+        (("--cistern", "3"), "--cistern and --roof"),
+    ],
+)
+def test_wrong_options(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str],
+    options: tuple[str, ...], word: str,
+) -> None:
+    """Exit code 2, and a message that names what is wrong."""
+    assert call(monkeypatch, *options) == 2
+    assert word in capsys.readouterr().err
+
+
+def test_no_optimum(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The solver's own words, and exit code 1."""
+    monkeypatch.setattr(
+        clairvoyant, "linprog", lambda *_, **__: SimpleNamespace(status=4, message="numbers too large")
+    )
+    with pytest.raises(NoBoundError, match="numbers too large"):
+        clairvoyant_bound(run_of(DRY_HOUR, 75.0, 2.0))
+    assert call(monkeypatch, "--hours", "0.1") == 1
+    captured = capsys.readouterr()
+    assert "numbers too large" in captured.err
+    assert captured.out == ""
+
+
+def test_a_slow_one_says_so(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """On standard error, so that the JSON stays alone."""
+    monkeypatch.setattr(module, "_PATIENCE_S", 0.0)
+    assert call(monkeypatch, "--hours", "1", "--json") == 0
+    captured = capsys.readouterr()
+    assert "solving for 3600 ticks" in captured.err
+    assert math.isfinite(json.loads(captured.out)["bound_m3"])

@@ -1,0 +1,598 @@
+"""What controllers are told: issues, errors, ensembles and files, and their means over steps."""
+
+from __future__ import annotations
+
+import csv
+import json
+import struct
+import subprocess
+import sys
+from collections.abc import Sequence
+from datetime import datetime, timedelta
+from pathlib import Path
+
+import numpy as np
+import pytest
+from graphs import bag_file, bring_up, environment
+from hypothesis import given
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+from paper import PAPER_SITE, paper_run, site_with
+
+from greenroof_ros.common.errors import ConfigurationError
+from greenroof_ros.common.files import shared_directory
+from greenroof_ros.forecast.archive import read_forecasts
+from greenroof_ros.forecast.choice import ForecastChoice, choose
+from greenroof_ros.forecast.models import (
+    ErrorModel,
+    FileModel,
+    PerfectModel,
+    PersistenceModel,
+    make_model,
+)
+from greenroof_ros.forecast.resampling import PerfectForecast, SteppedForecast, make_forecast
+from greenroof_ros.model.look_ahead import growing_steps
+from greenroof_ros.weather.records import Records
+from greenroof_ros.weather.series import Weather, WeatherSeries
+
+Array = NDArray[np.float64]
+MIDNIGHT = datetime.fromisoformat("2021-07-07T00:00+00:00")
+EPOCH = datetime.fromisoformat("1970-01-01T00:00+00:00")
+
+
+def weather_of(
+    rain: Sequence[float] | Array,
+    evapotranspiration: Sequence[float] | Array | None = None,
+    first: datetime = MIDNIGHT,
+) -> Weather:
+    """Return hours of mm/h and mm/day (2 mm/day unless given)."""
+    fallen = np.array(rain, dtype=float)
+    if evapotranspiration is None:
+        evapotranspiration = np.full(len(fallen), 2.0)
+    records = Records(Path("drawn.csv"), first, {"precipitation": fallen}, "drawn")
+    return Weather(records, fallen, np.array(evapotranspiration, dtype=float), "drawn", None)
+
+
+def hours_since_1970(time: datetime) -> int:
+    """Return whole hours."""
+    return int((time - EPOCH).total_seconds()) // 3600
+
+
+# --- means over steps --------------------------------------------------------------------------
+
+
+class Drawn:
+    """A model whose forecasts are any numbers, other than the records."""
+
+    def __init__(self, rain: Array, evapotranspiration: Array) -> None:
+        self._rain = rain
+        self._evapotranspiration = evapotranspiration
+
+    def known(self, hour: int, hours: int) -> tuple[Array, Array]:
+        """Another forecast every hour."""
+        index = (np.arange(hour, hour + hours) + 7 * hour) % self._rain.shape[1]
+        return self._rain[:, index], self._evapotranspiration[index]
+
+    def repeats_from(self, hour: int, hours: int) -> None:
+        """They go on for ever."""
+
+
+@given(
+    seed=st.integers(0, 2**32),
+    tau=st.sampled_from([1, 10, 60]),
+    offset=st.integers(0, 7200),
+    horizon=st.sampled_from([0.0, 0.1, 0.5, 2.0, 7.5]),
+    data=st.data(),
+)
+def test_means_are_those_of_every_second(
+    seed: int, tau: int, offset: int, horizon: float, data: st.DataObject
+) -> None:
+    """Every step of every member against the mean of its seconds, one by one."""
+    chance = np.random.default_rng(seed)
+    weather = weather_of(chance.uniform(0, 20, 6), chance.uniform(0, 9, 6))
+    model = Drawn(chance.uniform(0, 20, (2, 30)), chance.uniform(0, 9, 30))
+    site = site_with(tau=float(tau))
+    start = MIDNIGHT + timedelta(seconds=offset)
+    edges = growing_steps(horizon) if horizon else tau * np.arange(site.M + 1.0)
+    steps = (6 * 3600 - offset) // tau
+    forecast = SteppedForecast(model, weather, site, start, edges, steps)
+    for tick in data.draw(st.lists(st.integers(0, steps), min_size=1, max_size=3)):
+        now = offset + tick * tau
+        seconds = now + np.arange(int(edges[-1]))
+        rain, evapotranspiration = model.known(now // 3600, 12)
+        lead = seconds // 3600 - now // 3600
+        present = min(now // 3600, 5)
+        for member in range(2):
+            rates = np.where(lead > 0, rain[member][lead], weather.precipitation[present])
+            means = [part.mean() for part in np.split(rates, edges[1:-1].astype(int))]
+            got = forecast.precipitation(tick)[member * len(means) : (member + 1) * len(means)]
+            assert list(got) == pytest.approx([mean / 3.6e6 for mean in means], rel=1e-9)
+        rates = np.where(
+            lead > 0, evapotranspiration[lead], weather.evapotranspiration[present]
+        )
+        means = [part.mean() * 68.8 / 8.64e7 for part in np.split(rates, edges[1:-1].astype(int))]
+        assert list(forecast.evapotranspiration(tick)) == pytest.approx(means, rel=1e-9)
+
+
+@pytest.mark.parametrize("options", [(), ("--controller", "planning_mpc")])
+def test_forecasts_of_nothing_are_nothing(options: tuple[str, ...]) -> None:
+    """No step is below 0 by rounding, which the nodes would refuse."""
+    run = paper_run("--forecast", "errors", "--forecast-size", "1", "--hours", "60", *options)
+    for tick in range(0, run.steps + 1, 397):
+        assert min(run.forecast.precipitation(tick)) >= 0.0
+        assert min(run.forecast.evapotranspiration(tick)) >= 0.0
+
+
+def test_whom_the_perfect_forecast_stays_the_same_for() -> None:
+    """For the M ticks it is the weather itself; with errors they are means that come to that."""
+    perfect, errors = paper_run(), paper_run("--forecast", "errors")
+    assert isinstance(perfect.forecast, PerfectForecast)
+    assert isinstance(errors.forecast, SteppedForecast)
+    # Until the last ten seconds of an hour only the present is looked at.
+    for tick in (0, 1234, 3600 * 2, 3600 * 3 - 10):
+        for one, other in (
+            (perfect.forecast.precipitation(tick), errors.forecast.precipitation(tick)),
+            (perfect.forecast.evapotranspiration(tick), errors.forecast.evapotranspiration(tick)),
+        ):
+            assert len(one) == len(other) == 10
+            assert list(one) == pytest.approx(list(other), rel=1e-9)
+
+
+# --- issues ------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("first", "issues"),
+    [
+        ("2021-07-07T00:00+00:00", [6, 12, 18, 24]),
+        ("2021-07-07T00:00-05:00", [1, 7, 13, 19]),
+        ("2021-07-07T00:30+05:30", [5, 11, 17, 23]),
+        ("2021-07-07T00:00+05:30", [6, 12, 18, 24]),  # 18:30 UTC; 00:00 UTC is in hour 5
+    ],
+)
+def test_issued_every_six_hours(first: str, issues: list[int]) -> None:
+    """The newest changes at 00, 06, 12 and 18 UTC, in the first whole hour that is after it."""
+    model = ErrorModel(weather_of([1.0] * 60, first=datetime.fromisoformat(first)), 1, 1.0)
+    changed = []
+    for hour in range(1, 25):
+        before, now = model.known(hour - 1, 30)[1][1:], model.known(hour, 29)[1]
+        if not np.allclose(before, now, rtol=1e-12, atol=0):
+            assert not np.isclose(before, now)[1:].any()  # none of it was known before
+            changed.append(hour)
+    assert changed == issues
+
+
+def test_persistence_by_hand() -> None:
+    """ET of hour h is h/10 mm/day; at 08:00 of the next day the newest issue is of 06:00, hour 30.
+
+    Hour 54 is 24 h after the issue and has what hour 30 had. Hour 55 is at 07:00, the last of which
+    that was known at the issue is hour 7.
+    """
+    weather = weather_of(np.arange(100) / 7, np.arange(100) / 10)
+    rain, evapotranspiration = PersistenceModel(weather).known(32, 30)
+    assert rain.tolist() == [[30 / 7] * 30]
+    expected = [*range(8, 31), *range(7, 14)]
+    assert evapotranspiration.tolist() == [hour / 10 for hour in expected]
+
+
+def test_persistence_without_a_day_before() -> None:
+    """In the records' first day it is that of the hour of issue; so it is in place of a gap."""
+    weather = weather_of(np.arange(40), np.arange(40) / 10)
+    model = PersistenceModel(weather)
+    assert model.known(8, 3)[1].tolist() == [0.6] * 3
+    # The issue from before the records counts as made at their first hour.
+    model = PersistenceModel(weather_of([3, 4, 5], [1, 2, 3], MIDNIGHT.replace(hour=4)))
+    rain, evapotranspiration = model.known(1, 4)
+    assert (rain.tolist(), evapotranspiration.tolist()) == ([[3.0] * 4], [1.0] * 4)
+    gap = np.arange(40) / 10
+    gap[[7, 8]] = np.nan
+    model = PersistenceModel(weather_of(np.arange(40), gap))
+    assert model.known(30, 4)[1].tolist() == [3.0, 3.0, 3.0, 0.9]
+
+
+def test_persistence_knows_nothing_of_what_comes() -> None:
+    """Whatever the records after the hour of issue are, the forecast is the same."""
+    chance = np.random.default_rng(5)
+    rain, evapotranspiration = chance.uniform(0, 9, (2, 72))
+    model = PersistenceModel(weather_of(rain, evapotranspiration))
+    for hour in range(24, 36):
+        issued = hour // 6 * 6
+        other = PersistenceModel(weather_of(
+            np.append(rain[: issued + 1], chance.uniform(0, 9, 71 - issued)),
+            np.append(evapotranspiration[: issued + 1], chance.uniform(0, 9, 71 - issued)),
+        ))
+        for one, two in zip(model.known(hour, 50), other.known(hour, 50), strict=True):
+            assert one.tobytes() == two.tobytes()
+
+
+def lacking(missing: int, first: int) -> tuple[Weather, datetime, WeatherSeries]:
+    """Return weather without the rain of one hour, and a run of an hour from another one on."""
+    rain = np.ones(40)
+    rain[missing] = np.nan
+    weather, start = weather_of(rain), MIDNIGHT.replace(hour=first)
+    return weather, start, WeatherSeries(weather, PAPER_SITE, start, 3600)
+
+
+def test_missing_rain_is_not_guessed() -> None:
+    """A run is refused before it begins, though only a forecast would have needed the hour."""
+    weather, start, series = lacking(6, first=8)
+    with pytest.raises(ConfigurationError, match=r"precipitation is missing at 2021-07-07T06:00\+"):
+        make_forecast(weather, series, PAPER_SITE, start, 0.0, ForecastChoice("persistence"))
+    with pytest.raises(ConfigurationError, match=r"drawn\.csv: precipitation is missing"):
+        ErrorModel(weather, 1, 1.0).known(3, 9)
+
+
+def test_rain_that_is_missing_after_the_run() -> None:
+    """It counts for those forecasts only that are made of it."""
+    weather, start, series = lacking(20, first=12)
+    for model in ("persistence", "perfect", "errors"):
+        choice = ForecastChoice(model, size=0.1)
+        make_forecast(weather, series, PAPER_SITE, start, 6.0, choice)
+        if model == "persistence":
+            make_forecast(weather, series, PAPER_SITE, start, 12.0, choice)
+        else:
+            with pytest.raises(ConfigurationError, match="missing at 2021-07-07T20:00"):
+                make_forecast(weather, series, PAPER_SITE, start, 12.0, choice)
+
+
+# --- errors ------------------------------------------------------------------------------------
+
+
+def factor(size: float, lead: float, normal: float) -> float:
+    """Return exp(s z - s^2 / 2)."""
+    spread = size * (lead / 12) ** 0.5
+    return float(np.exp(spread * normal - spread**2 / 2))
+
+
+def test_errors_by_the_formula() -> None:
+    """One hour of 6 mm at a lead of 9 h, worked out second by second from the definition."""
+    rain = np.zeros(80)
+    rain[6 + 9] = 6.0
+    for seed in range(8):
+        got, evapotranspiration = ErrorModel(weather_of(rain), seed, 0.5).known(8, 40)
+        issue = hours_since_1970(MIDNIGHT.replace(hour=6))
+        z, late, dry = np.random.default_rng([seed, 0, issue]).standard_normal(3)
+
+        def fallen(lead: float, late: float = late) -> float:
+            """Return what has fallen (mm) until a lead, in the records until it less the shift."""
+            read = max(lead - 4 * 0.5 * (lead / 12) ** 0.5 * late, 0.0)
+            return 6.0 * min(max(read - 9, 0.0), 1.0)
+
+        for lead in range(2, 42):
+            expected = (fallen(lead + 1) - fallen(lead)) * factor(0.5, lead, z)
+            assert got[0, lead - 2] == pytest.approx(expected, rel=1e-9, abs=1e-12)
+            assert evapotranspiration[lead - 2] == pytest.approx(2 * factor(0.125, lead, dry))
+
+
+def test_errors_are_of_mean_one_and_grow() -> None:
+    """Over 4,000 seeds: means within four standard errors, spreads as the docstring has them."""
+    one_hour = np.zeros(60)
+    one_hour[18] = 1.0
+    steady, burst = [], []
+    dry = []
+    for seed in range(4000):
+        rain, evapotranspiration = ErrorModel(weather_of([1.0] * 90), seed, 0.25).known(6, 49)
+        steady.append(rain[0])
+        dry.append(evapotranspiration / 2)
+        burst.append(ErrorModel(weather_of(one_hour), seed, 0.25).known(6, 30)[0][0])
+    for sample, leads in ((np.array(steady), (12, 24, 48)), (np.array(dry), (1, 3, 12, 24, 48))):
+        for lead in leads:
+            error = sample[:, lead].std() / 4000**0.5
+            assert abs(sample[:, lead].mean() - 1) < 4 * error
+    for lead in (1, 3, 12, 48):
+        spread = np.log(np.array(dry)[:, lead]).std()
+        assert spread == pytest.approx(0.25 * 0.25 * (lead / 12) ** 0.5, rel=0.05)
+    assert (np.diff(np.array(steady)[:, [6, 12, 24, 48]].std(axis=0)) > 0.02).all()
+    # The middle of a burst 12 to 13 h ahead comes 4 h x 0.25 too early or late.
+    middles = np.array(burst) @ (np.arange(30) + 0.5) / np.array(burst).sum(axis=1)
+    assert middles.mean() == pytest.approx(12.5, abs=0.1)
+    assert middles.std() == pytest.approx(1.0, rel=0.08)
+
+
+@given(
+    seed=st.integers(0, 2**31 - 1), size=st.floats(0.01, 1), begin=st.integers(4, 24),
+    amounts=st.lists(st.floats(0, 30), min_size=1, max_size=5),
+)
+def test_moved_water_is_all_there(
+    seed: int, size: float, begin: int, amounts: list[float]
+) -> None:
+    """What is taken out of the amounts' factor adds up to what the records have."""
+    rain = np.zeros(200)
+    rain[begin : begin + len(amounts)] = amounts
+    model = ErrorModel(weather_of(rain), seed, size)
+    # So far ahead nothing that was moved there would be cut off, nor by the largest rain.
+    got = model.known(0, 150)[0][0]
+    z = float(np.random.default_rng([seed, 0, hours_since_1970(MIDNIGHT)]).standard_normal())
+    factors = np.array([factor(size, lead, z) for lead in range(150)])
+    assert got.min() >= 0
+    if got.max() < 500:
+        assert (got / factors).sum() == pytest.approx(sum(amounts), rel=1e-9, abs=1e-9)
+
+
+def test_rain_is_never_forecast_that_nobody_would_believe() -> None:
+    """500 mm/h and 50 mm/day at most, which are within the topics' ranges."""
+    weather = weather_of([400.0] * 80, [49.0] * 80)
+    forecasts = [ErrorModel(weather, seed, 3.0).known(0, 48) for seed in range(200)]
+    assert max(float(rain.max()) for rain, _ in forecasts) == 500.0
+    assert max(float(evapotranspiration.max()) for _, evapotranspiration in forecasts) == 50.0
+
+
+def test_same_seed_same_forecast_in_any_run() -> None:
+    """Whatever the start, the length, the controller's parameters, the order of the calls."""
+    common = ("--forecast", "errors", "--forecast-seed", "7", "--forecast-size", "1")
+    planner = ("--controller", "planning_mpc", *common)
+    long = paper_run(*planner, "--start", "2021-07-07T02:00", "--hours", "40").forecast
+    onoff = ("--controller", "anticipating_onoff", *common)
+    short = paper_run(*onoff, "--start", "2021-07-07T09:15", "--hours", "5").forecast
+    for tick in (17999, 0, 9000, 2700, 12345):
+        for one, other in (
+            (short.precipitation(tick), long.precipitation(tick + 26_100)),
+            (short.evapotranspiration(tick), long.evapotranspiration(tick + 26_100)),
+        ):
+            assert one.tobytes() == other.tobytes()
+    other_seed = paper_run(*planner[:-3], "8", *planner[-2:]).forecast
+    assert other_seed.precipitation(0).tobytes() != long.precipitation(0).tobytes()
+
+
+def test_size_zero_is_perfect() -> None:
+    """Bit for bit, and the M ticks are the weather itself again."""
+    options = ("--forecast", "errors", "--forecast-size", "0")
+    assert isinstance(paper_run(*options).forecast, PerfectForecast)
+    weather = weather_of(np.random.default_rng(2).uniform(0, 9, 60))
+    perfect = PerfectModel(weather)
+    members = ErrorModel(weather, 3, 0.0, 4)
+    for hour in range(40):
+        expected, got = perfect.known(hour, 25), members.known(hour, 25)
+        assert all(member.tobytes() == expected[0].tobytes() for member in got[0])
+        assert got[1].tobytes() == expected[1].tobytes()
+
+
+# --- ensembles ---------------------------------------------------------------------------------
+
+
+def test_member_zero_is_the_single_forecast() -> None:
+    """Of the same seed, bit for bit; the others differ from it and from each other in the rain."""
+    weather = weather_of(np.random.default_rng(3).uniform(0, 9, 60))
+    single, members = ErrorModel(weather, 11, 0.5), ErrorModel(weather, 11, 0.5, 6)
+    for hour in (0, 5, 6, 20):
+        (one, dry), (all_of_them, all_dry) = single.known(hour, 30), members.known(hour, 30)
+        assert one.shape == (1, 30) and all_of_them.shape == (6, 30)
+        assert one[0].tobytes() == all_of_them[0].tobytes()
+        assert dry.tobytes() == all_dry.tobytes()
+        assert len({member.tobytes() for member in all_of_them}) == 6
+
+
+def test_members_are_about_the_forecast_and_not_about_what_comes() -> None:
+    """One burst of rain in twelve hours: the members' mean time of it is member 0's, not its own.
+
+    With a hundred members of size 0.5 the timing spreads by 2 h; its mean is good to 0.2 h.
+    """
+    rain = [0.0] * 96
+    rain[36] = 10.0
+    weather = weather_of(rain)
+    hours = np.arange(48) + 0.5
+    away = 0
+    for seed in range(8):
+        members, _ = ErrorModel(weather, seed, 0.5, 100).known(24, 48)
+        times = (members * hours).sum(axis=1) / members.sum(axis=1)
+        assert times[1:].mean() == pytest.approx(times[0], abs=0.8)
+        away += abs(times[1:].mean() - 12.5) > 0.8
+    assert away >= 3
+
+
+def test_who_gets_which_members() -> None:
+    """Member 0 alone, or all of them one after the other."""
+    run = paper_run("--controller", "planning_mpc", "--forecast", "ensemble",
+                    "--forecast-members", "4", "--forecast-seed", "9")
+    single = paper_run("--controller", "planning_mpc", "--forecast", "errors",
+                       "--forecast-seed", "9")
+    everything = make_forecast(
+        run.weather, run.series, run.site, run.start, 12.0, run.forecast_choice, all_members=True
+    )
+    for tick in (0, 5000, 43_200):
+        member_0 = run.forecast.precipitation(tick)
+        assert member_0.tobytes() == single.forecast.precipitation(tick).tobytes()
+        flat = everything.precipitation(tick)
+        assert len(flat) == 4 * len(member_0)
+        assert flat[: len(member_0)].tobytes() == member_0.tobytes()
+        dry = run.forecast.evapotranspiration(tick)
+        assert everything.evapotranspiration(tick).tobytes() == dry.tobytes()
+
+
+# --- files -------------------------------------------------------------------------------------
+
+
+def write(directory: Path, *lines: str) -> Path:
+    """Write a file of forecasts."""
+    path = directory / "archive.csv"
+    path.write_text("\n".join(["# Nowhere", *lines]) + "\n")
+    return path
+
+
+FORECASTS = (
+    "issued,time,member,precipitation [mm/h],evapotranspiration [mm/day]",
+    "2021-07-07T02:00Z,2021-07-07T02:00Z,0,0.5,1.0",
+    "2021-07-07T02:00Z,2021-07-07T02:00Z,1,1.5,9.0",
+    "2021-07-07T02:00Z,2021-07-06T22:00-05:00,0,2.5,2.0",
+    "2021-07-07T02:00Z,2021-07-06T22:00-05:00,1,3.5,9.0",
+    "# members may also come one after the other",
+    "2021-07-07T05:00Z,2021-07-07T05:00Z,1,7.0,9.0",
+    "2021-07-07T05:00Z,2021-07-07T05:00Z,0,6.0,4.0",
+)
+
+
+def test_read_back(tmp_path: Path) -> None:
+    """The numbers as written; each issue from its time on, and its last hour repeated."""
+    file = write(tmp_path, *FORECASTS)
+    first, second = read_forecasts(file)
+    assert first.rain.tolist() == [[0.5, 2.5], [1.5, 3.5]]
+    assert second.rain.tolist() == [[6.0], [7.0]]
+    weather = weather_of([0.1] * 40)
+    model, all_of_them = FileModel(file, weather, False), FileModel(file, weather, True)
+    assert (model.members, all_of_them.members) == (1, 2)
+    for hour, rain, evapotranspiration in (
+        (2, [0.5, 2.5, 2.5], [1.0, 2.0, 2.0]),
+        (3, [2.5, 2.5, 2.5], [2.0, 2.0, 2.0]),
+        (4, [2.5, 2.5, 2.5], [2.0, 2.0, 2.0]),
+        (5, [6.0, 6.0, 6.0], [4.0, 4.0, 4.0]),
+    ):
+        got = model.known(hour, 3)
+        assert (got[0].tolist(), got[1].tolist()) == ([rain], evapotranspiration)
+    assert all_of_them.known(2, 2)[0].tolist() == [[0.5, 2.5], [1.5, 3.5]]
+    assert model.repeats_from(2, 2) is None
+    assert model.repeats_from(2, 3) == MIDNIGHT.replace(hour=4)
+    assert model.repeats_from(4, 1) == MIDNIGHT.replace(hour=4)
+    assert model.repeats_from(6, 1) == MIDNIGHT.replace(hour=6)
+
+
+def test_file_without_evapotranspiration(tmp_path: Path) -> None:
+    """That of the records counts as known, and is repeated past their end."""
+    lines = ["issued,time,precipitation [mm/h]"]
+    lines += [f"2021-07-07T00:00Z,2021-07-07T0{hour}:00Z,0.5" for hour in range(9)]
+    weather = weather_of([0.1] * 6, np.arange(6.0))
+    model = FileModel(write(tmp_path, *lines), weather, True)
+    rain, evapotranspiration = model.known(4, 4)
+    assert rain.tolist() == [[0.5] * 4]
+    assert evapotranspiration.tolist() == [4.0, 5.0, 5.0, 5.0]
+    assert model.repeats_from(4, 2) is None
+    assert model.repeats_from(4, 3) == weather.end
+    assert model.repeats_from(4, 6) == MIDNIGHT.replace(hour=9)
+
+
+def archive(directory: Path, first: str = "2021-07-07T00:00-05:00", hours: int = 30) -> Path:
+    """Write the packaged records as if they had been forecast every six hours."""
+    weather = shared_directory() / "config" / "weather" / "toronto_2021-07.csv"
+    with weather.open() as stream:
+        rows = list(csv.DictReader(line for line in stream if not line.startswith("#")))
+    lines = ["issued,time,precipitation [mm/h],evapotranspiration [mm/day]"]
+    begin = [row["time"] for row in rows].index(first)
+    for issue in range(begin, len(rows) - hours + 1, 6):
+        lines += [
+            f"{rows[issue]['time']},{row['time']},{row['precipitation [mm/h]']},"
+            f"{row['published evapotranspiration [mm/day]']}"
+            for row in rows[issue : issue + hours]
+        ]
+    return write(directory, *lines)
+
+
+def test_a_true_file_is_as_good_as_perfect(tmp_path: Path) -> None:
+    """The records as a file of forecasts: the same numbers, bit for bit, and nothing repeated."""
+    options = ("--controller", "planning_mpc", "--hours", "24")
+    perfect = paper_run(*options)
+    filed = paper_run(*options, "--forecast", str(archive(tmp_path)))
+    for tick in range(0, perfect.steps + 1, 311):
+        for one, other in (
+            (perfect.forecast.precipitation(tick), filed.forecast.precipitation(tick)),
+            (perfect.forecast.evapotranspiration(tick), filed.forecast.evapotranspiration(tick)),
+        ):
+            assert one.tobytes() == other.tobytes()
+    assert filed.forecast.repeats_from is None
+    short = paper_run(*options, "--forecast", str(archive(tmp_path, hours=18)))
+    assert short.forecast.repeats_from is None  # 6 h until the next issue, and 12 h ahead
+    short = paper_run(*options, "--forecast", str(archive(tmp_path, hours=17)))
+    assert str(short.forecast.repeats_from) == "2021-07-07 17:00:00-05:00"
+
+
+def test_end_of_the_records(tmp_path: Path) -> None:
+    """Perfect forecasts and errors repeat the last record then; persistence needs none of them."""
+    options = ("--start", "2021-07-09T00:00", "--hours", "13", "--controller", "planning_mpc")
+    end = "2021-07-10 00:00:00-05:00"
+    for model in ("perfect", "errors", "ensemble"):
+        assert str(paper_run(*options, "--forecast", model).forecast.repeats_from) == end
+    assert paper_run(*options, "--forecast", "persistence").forecast.repeats_from is None
+    for model in ("perfect", "errors"):
+        run = paper_run("--hours", "12", "--forecast", model)
+        assert run.forecast.repeats_from is None
+    # Moved earlier, what comes after them would be rain of these hours.
+    weather = weather_of([1.0] * 30)
+    found = {ErrorModel(weather, seed, 1.0).repeats_from(0, 28) for seed in range(40)}
+    assert found == {None, weather.end}
+
+
+def test_choices() -> None:
+    """Names, files, and the options that they have."""
+    assert choose("ensemble").options() == {"size": 0.5, "seed": 0, "members": 10}
+    assert choose("a/b.csv") == ForecastChoice("file", file=Path("a/b.csv"))
+    assert (str(choose("a/b.csv")), choose("a/b.csv").options()) == ("a/b.csv", {})
+    for wrong in ("file", "Perfect", "", "archive.yaml"):
+        with pytest.raises(ValueError, match="must be one of perfect, persistence, errors, ens"):
+            choose(wrong)
+    assert isinstance(make_model(ForecastChoice(), weather_of([0.0]), True), PerfectModel)
+
+
+# --- the graph ---------------------------------------------------------------------------------
+
+
+def arrays_of(run: Path, topic: str, length: int) -> list[bytes]:
+    """Return the numbers of each message of a topic in a bag, their bytes."""
+    from mcap.reader import make_reader
+
+    with bag_file(run).open("rb") as stream:
+        messages = make_reader(stream).iter_messages(topics=[topic])
+        return [message.data[-8 * length :] for _, _, message in messages]
+
+
+@pytest.mark.parametrize(
+    "options",
+    [
+        "--controller planning_mpc --forecast errors --forecast-seed 4 --forecast-size 0.7",
+        "--controller planning_mpc --forecast ensemble --forecast-members 3",
+        "--controller mpc --forecast archive.csv",
+        "--controller onoff --forecast persistence",
+    ],
+)
+def test_graph_and_simulate_are_told_the_same(
+    domain: int, tmp_path: Path, options: str
+) -> None:
+    """Over an issue, at 06:00 UTC; in the bag is, bit for bit, what was forecast."""
+    pytest.importorskip("rclpy", reason="the graph needs ROS 2")
+    archive(tmp_path)
+    words = [*options.split(), "--start", "2021-07-07T00:55", "--hours", "0.15"]
+    graph = bring_up(domain, tmp_path, *words)
+    subprocess.run(
+        [sys.executable, "-m", "greenroof_ros.simulate", "--output", "inprocess", *words],
+        cwd=tmp_path, env=environment(domain), check=True, capture_output=True,
+    )
+    inprocess = json.loads((tmp_path / "inprocess" / "summary.json").read_text())
+    apart = ("wall_s", "times_real_time", "solver", "messages", "versions")
+    assert {key for key in graph if graph[key] != inprocess[key]} <= set(apart)
+    assert graph["forecast"]["model"] != "perfect"
+    if "archive.csv" in options:
+        assert graph["forecast"] == {"model": "file", "file": "archive.csv"}
+        kept = tmp_path / "run" / "configuration" / "forecast.csv"
+        assert kept.read_bytes() == (tmp_path / "archive.csv").read_bytes()
+        words[words.index("archive.csv")] = str(tmp_path / "archive.csv")
+    run = paper_run(*words)
+    for topic, forecast in (
+        ("/forecast/precipitation", run.forecast.precipitation),
+        ("/forecast/evapotranspiration", run.forecast.evapotranspiration),
+    ):
+        length = len(forecast(0))
+        expected = [struct.pack(f"<{length}d", *forecast(tick)) for tick in range(run.steps + 1)]
+        assert arrays_of(tmp_path / "run", topic, length) == expected, topic
+
+
+@pytest.mark.parametrize(
+    ("parameter", "words"),
+    [
+        ("forecast:=perfekt", ("parameter forecast of weather = 'perfekt'", "must be one of perf")),
+        ("forecast:=absent.csv", ("absent.csv: cannot be read",)),
+        ("forecast_size:=11.0", ("forecast_size", "from 0 to 10")),
+        ("forecast_members:=0", ("forecast_members", "a whole number from 1 to 100")),
+        ("forecast_seed:=0.5", ("forecast_seed", "a whole number from 0")),
+    ],
+)
+def test_wrong_parameters_of_the_node(
+    domain: int, tmp_path: Path, parameter: str, words: tuple[str, ...]
+) -> None:
+    """Exit code 2, one clear message."""
+    pytest.importorskip("rclpy", reason="nodes need ROS 2")
+    done = subprocess.run(
+        [sys.executable, "-m", "greenroof_ros.nodes.weather", "--ros-args", "-p", parameter],
+        cwd=tmp_path, env=environment(domain), capture_output=True, text=True, timeout=60,
+        check=False,
+    )
+    assert done.returncode == 2, done.stderr
+    assert "Traceback" not in done.stderr
+    for word in words:
+        assert word in done.stderr

@@ -1,0 +1,233 @@
+"""What a run does when its nodes die, hang or are missing, and when a person stops it."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+from graphs import (
+    Process,
+    alive,
+    bag_file,
+    bring_up,
+    environment,
+    left_behind,
+    shared_memory_of,
+    wait_for,
+)
+from mcap.reader import make_reader
+
+pytest.importorskip("rclpy", reason="the graph needs ROS 2")
+
+NODES = ["plant", "weather", "mpc", "recorder"]
+
+
+def started(domain: int, cwd: Path, *arguments: str) -> tuple[Process, dict[str, int]]:
+    """Start a long run and wait until it is well under way."""
+    process = Process(domain, "bringup", "--output", "run", *arguments, cwd=cwd)
+    process.wait_for_ticks()
+    nodes = process.nodes()
+    assert sorted(nodes) == sorted(NODES)
+    return process, nodes
+
+
+def assert_gone(nodes: dict[str, int], shared_memory: set[Path]) -> None:
+    """No process and no shared memory of the run stays behind."""
+    assert not [name for name, pid in nodes.items() if alive(pid)]
+    assert shared_memory
+    assert not left_behind(shared_memory)
+
+
+def readable_ticks(run: Path) -> int:
+    """Number of ticks in a closed bag, by its index and with its checksums."""
+    with bag_file(run).open("rb") as stream:
+        reader = make_reader(stream, validate_crcs=True)
+        return sum(channel.topic == "/clock" for _, channel, _ in reader.iter_messages())
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM], ids=["ctrl-c", "sigterm"])
+def test_interrupted(domain: int, tmp_path: Path, number: signal.Signals) -> None:
+    """It ends within seconds with exit code 130, no traceback, and a bag that is closed."""
+    process, nodes = started(domain, tmp_path)
+    shared_memory = shared_memory_of(nodes.values())
+    process.process.send_signal(number)
+    assert process.wait(8) == 130
+    assert "Traceback" not in process.stderr()
+    assert_gone(nodes, shared_memory)
+    assert readable_ticks(tmp_path / "run") > 0
+    assert (tmp_path / "run" / "bag" / "metadata.yaml").exists()
+
+
+@pytest.mark.parametrize("victim", NODES)
+def test_killed_node(domain: int, tmp_path: Path, victim: str) -> None:
+    """kill -9 of any node ends the run at once, with its name, and leaves nothing behind."""
+    process, nodes = started(domain, tmp_path)
+    shared_memory = shared_memory_of(nodes.values())
+    os.kill(nodes[victim], signal.SIGKILL)
+    assert process.wait(8) == 1
+    assert f"node {victim} ended (SIGKILL)" in process.stderr()
+    assert "Traceback" not in process.stderr()
+    assert_gone(nodes, shared_memory)
+
+
+@pytest.mark.parametrize(
+    "victims", [*([node] for node in NODES), ["plant", "weather"]], ids="-".join
+)
+def test_hanging_nodes(domain: int, tmp_path: Path, victims: list[str]) -> None:
+    """Nodes stopped for longer than the limit end the run soon after it, with their names."""
+    process, nodes = started(domain, tmp_path, "--peer-limit", "2")
+    shared_memory = shared_memory_of(nodes.values())
+    for victim in victims:
+        os.kill(nodes[victim], signal.SIGSTOP)
+    stopped = time.monotonic()
+    assert process.wait(12) == 1
+    assert time.monotonic() - stopped > 1.5
+    for victim in victims:
+        # The supervisor says it, or the plant, which waits for what the victim publishes.
+        told = [f"node {victim} (stopped) has not answered for 2 s", f" from {victim}"]
+        assert any(text in process.stderr() for text in told), process.stderr()
+    assert "Traceback" not in process.stderr()
+    assert_gone(nodes, shared_memory)
+
+
+def test_last_words_are_in_the_log(domain: int, tmp_path: Path) -> None:
+    """What a node prints on its way out is kept, too."""
+    # Its alarm is the last thing before its middleware goes, which does not always come back.
+    (tmp_path / "sitecustomize.py").write_text(
+        "import signal; alarm = signal.alarm\n"
+        "signal.alarm = lambda seconds: (print('a last word', flush=True), alarm(seconds))\n"
+    )
+    environ = environment(domain)
+    environ["PYTHONPATH"] = os.pathsep.join([str(tmp_path), environ["PYTHONPATH"]])
+    subprocess.run(
+        [sys.executable, "-m", "greenroof_ros.bringup", "--hours", "0.01", "--output", "run"],
+        cwd=tmp_path, env=environ, capture_output=True, timeout=60, check=True,
+    )
+    for node in NODES:
+        assert "a last word\n" in (tmp_path / "run" / "log" / f"{node}.log").read_text()
+
+
+def test_pause_shorter_than_the_limit_changes_nothing(domain: int, tmp_path: Path) -> None:
+    """Each node stopped for a while, the recorder for 3 s: the bag equals an undisturbed one."""
+    bring_up(domain, tmp_path, "--hours", "1", output="undisturbed")
+    process = Process(domain, "bringup", "--output", "run", "--hours", "1", cwd=tmp_path)
+    process.wait_for_ticks()
+    nodes = process.nodes()
+    for node, seconds in (("recorder", 3.0), ("mpc", 1.0), ("weather", 1.0), ("plant", 1.0)):
+        os.kill(nodes[node], signal.SIGSTOP)
+        time.sleep(seconds)
+        assert process.process.poll() is None, process.stderr()
+        os.kill(nodes[node], signal.SIGCONT)
+        time.sleep(0.2)
+    assert process.wait(60) == 0, process.stderr()
+    undisturbed = bag_file(tmp_path / "undisturbed").read_bytes()
+    assert bag_file(tmp_path / "run").read_bytes() == undisturbed
+
+
+@pytest.mark.parametrize("delay", [0.0, 0.005, 0.01, 0.02, 0.3, 1.0])
+def test_interrupted_while_starting(domain: int, tmp_path: Path, delay: float) -> None:
+    """Ctrl-C at any moment ends the run, and a second and third do not disturb its end."""
+    process = Process(domain, "bringup", "--output", "run", cwd=tmp_path)
+    wait_for((tmp_path / "run" / "log").exists, 20, "the start of the nodes")
+    time.sleep(delay)
+    nodes = process.nodes()
+    for _ in range(3):
+        process.process.send_signal(signal.SIGINT)
+        time.sleep(0.05)
+    assert process.wait(12) == 130
+    assert process.stderr().count("interrupted") == 1
+    assert "Traceback" not in process.stderr()
+    assert not [name for name, pid in nodes.items() if alive(pid)]
+
+
+def test_interrupted_while_ending(domain: int, tmp_path: Path) -> None:
+    """Ctrl-C after a node's death does not keep the rest from being ended, and told."""
+    process, nodes = started(domain, tmp_path)
+    shared_memory = shared_memory_of(nodes.values())
+    os.kill(nodes["weather"], signal.SIGKILL)
+    for _ in range(5):
+        time.sleep(0.1)
+        process.process.send_signal(signal.SIGINT)
+    assert process.wait(12) in (1, 130)
+    assert_gone(nodes, shared_memory)
+    assert (tmp_path / "run" / "bag" / "metadata.yaml").exists()
+
+
+def test_bringup_itself_killed(domain: int, tmp_path: Path) -> None:
+    """kill -9 of bringup: the nodes end by themselves and the bag is closed."""
+    process, nodes = started(domain, tmp_path)
+    process.process.kill()
+    process.process.wait()
+    wait_for(lambda: not any(map(alive, nodes.values())), 8, "the end of all nodes")
+    assert readable_ticks(tmp_path / "run") > 0
+
+
+def test_shared_memory_whose_maker_was_killed(domain: int, tmp_path: Path) -> None:
+    """What a node leaves that is killed while it makes a port does not hang the next run.
+
+    Such a port has its size, but nothing in it yet; those of the domain's first participants are
+    at 7411 + 250 domain + 2 number (RTPS 2.5, 9.6.2.4).
+    """
+    ports = [
+        Path(f"/dev/shm/fastrtps_port{7411 + 250 * domain + 2 * number}") for number in range(8)
+    ]
+    for port in ports:
+        port.write_bytes(bytes(52400))
+        os.utime(port, (time.time() - 10,) * 2)
+    bring_up(domain, tmp_path, "--hours", "0.1")
+    assert not [port for port in ports if port.exists()]
+
+
+def test_graph_that_is_there_already(domain: int, tmp_path: Path) -> None:
+    """A second bringup in the domain is exit code 2 with advice, and the first goes on."""
+    process, _ = started(domain, tmp_path)
+    second = Process(domain, "bringup", "--output", "second", cwd=tmp_path)
+    assert second.wait(20) == 2
+    assert "ROS_DOMAIN_ID=" in second.stderr()
+    assert not (tmp_path / "second").exists()
+    assert process.process.poll() is None
+    process.process.send_signal(signal.SIGINT)
+    assert process.wait(8) == 130
+
+
+def test_nodes_that_are_there_already(domain: int, tmp_path: Path) -> None:
+    """The same for nodes that were started by hand."""
+    weather = subprocess.Popen(
+        [sys.executable, "-m", "greenroof_ros.nodes.weather"],
+        cwd=tmp_path, env=environment(domain),
+    )
+    try:
+        time.sleep(4)  # until it is up
+        process = Process(domain, "bringup", "--output", "run", cwd=tmp_path)
+        assert process.wait(20) == 2
+        assert "ROS_DOMAIN_ID" in process.stderr()
+    finally:
+        weather.send_signal(signal.SIGINT)
+        assert weather.wait(8) == 0
+
+
+def test_node_that_was_never_started(domain: int, tmp_path: Path) -> None:
+    """Plant and weather by hand, no controller: the plant names it and ends within its limit."""
+    environ = environment(domain)
+    weather = subprocess.Popen(
+        [sys.executable, "-m", "greenroof_ros.nodes.weather"], cwd=tmp_path, env=environ
+    )
+    try:
+        plant = subprocess.run(
+            [
+                sys.executable, "-m", "greenroof_ros.nodes.plant",
+                "--ros-args", "-p", "start_limit:=4.0",
+            ],
+            cwd=tmp_path, env=environ, capture_output=True, text=True, timeout=30, check=False,
+        )
+    finally:
+        weather.send_signal(signal.SIGINT)
+        assert weather.wait(8) == 0
+    assert plant.returncode == 1
+    assert "/pump/command from mpc or onoff" in plant.stderr
+    assert "weather" not in plant.stderr

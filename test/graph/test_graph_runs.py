@@ -1,0 +1,196 @@
+"""The graph gives the in-process run's numbers bit for bit, and loses nothing."""
+
+from __future__ import annotations
+
+import csv
+import hashlib
+import json
+import multiprocessing
+import struct
+import subprocess
+import sys
+from collections import Counter
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import pytest
+from graphs import bag_file, bring_up, environment
+from mcap.reader import make_reader
+
+from greenroof_ros.common.files import shared_directory
+
+pytest.importorskip("rclpy", reason="the graph needs ROS 2")
+
+# Of the authors' published code, under GNU Octave: see test/data.
+PUBLISHED_M3 = {"mpc": 7151.7686, "onoff": 9611.9628}
+COLUMNS = {
+    "/cistern/level": "cistern_level_m",
+    "/roof/level": "roof_level_m",
+    "/weather/precipitation": "precipitation_m_per_s",
+    "/weather/evapotranspiration": "evapotranspiration_m3_per_s",
+    "/weather/frost": "frost",
+    "/pump/command": "command",
+    "/pump/flow": "pump_flow_m3_per_s",
+    "/cistern/outflow": "outflow_m3_per_s",
+    "/roof/drainage": "drainage_m3_per_s",
+}
+
+
+def bag_values(run: Path) -> dict[str, list[bytes]]:
+    """Return the eight bytes of each value of each Float64 topic in a bag."""
+    values: dict[str, list[bytes]] = {}
+    with bag_file(run).open("rb") as stream:
+        for schema, channel, message in make_reader(stream, validate_crcs=True).iter_messages():
+            if schema is not None and schema.name == "std_msgs/msg/Float64":
+                values.setdefault(channel.topic, []).append(message.data[4:12])
+    return values
+
+
+OPTIONS: dict[str, tuple[str, ...]] = {
+    "mpc": (),
+    "onoff": (),
+    "planning_mpc": ("--hours", "4"),
+    "anticipating_onoff": ("--hours", "4"),
+    "scenario_mpc": ("--hours", "4", "--forecast", "ensemble", "--forecast-seed", "3"),
+}
+
+
+def assert_same(directory: Path, graph: str) -> list[dict[str, str]]:
+    """A run of the graph has each bit of run.csv, and its summary each figure of inprocess/'s.
+
+    Returns:
+        The rows of run.csv.
+    """
+    with (directory / "run.csv").open(newline="") as stream:
+        rows = list(csv.DictReader(stream))
+    values = bag_values(directory / graph)
+    for topic, column in COLUMNS.items():
+        assert values[topic] == [struct.pack("<d", float(row[column])) for row in rows], topic
+    summary, inprocess = (
+        json.loads((directory / run / "summary.json").read_text()) for run in (graph, "inprocess")
+    )
+    differing = {
+        key
+        for key in summary
+        if summary[key] != inprocess[key]
+        and key not in ("wall_s", "times_real_time", "solver", "messages", "versions")
+    }
+    assert not differing
+    assert summary.keys() == inprocess.keys()
+    return rows
+
+
+@pytest.mark.parametrize("controller", OPTIONS)
+def test_same_bits_as_simulate(domain: int, tmp_path: Path, controller: str) -> None:
+    """Graph and simulate: equal in every bit of every value.
+
+    Of the paper's controllers twelve hours, and a second graph, whose bag is equal in every byte.
+    """
+    options = ("--controller", controller, *OPTIONS[controller])
+    summary = bring_up(domain, tmp_path, *options, output="first")
+    (ticks,) = set(summary["messages"].values())
+    subprocess.run(
+        [
+            sys.executable, "-m", "greenroof_ros.simulate", *options,
+            "--trajectory", "run.csv", "--output", "inprocess",
+        ],
+        cwd=tmp_path, env=environment(domain), check=True, capture_output=True,
+    )
+    assert len(assert_same(tmp_path, "first")) == ticks
+    if controller not in PUBLISHED_M3:
+        return
+    assert ticks == 43_201
+    assert summary["total_deviation_m3"] == pytest.approx(PUBLISHED_M3[controller], rel=2e-4)
+    bring_up(domain, tmp_path, "--controller", controller, output="second")
+    digests = {
+        hashlib.sha256(bag_file(tmp_path / run).read_bytes()).hexdigest()
+        for run in ("first", "second")
+    }
+    assert len(digests) == 1
+
+
+@pytest.mark.parametrize(
+    "controller", ["--controller onoff --fraction 0.1", "--controller planning_mpc"]
+)
+def test_same_bits_on_an_imperfect_site(domain: int, tmp_path: Path, controller: str) -> None:
+    """A sensor with noise and offset, pumps with minimum times, and frost that stops them."""
+    packaged = shared_directory() / "config" / "weather" / "toronto_2021-07.csv"
+    lines = [line for line in packaged.read_text().splitlines() if not line.startswith("#")]
+    columns = lines[0].split(",")
+    for index, line in enumerate(lines):
+        if line.startswith("2021-07-07T03:00"):
+            cells = line.split(",")
+            cells[columns.index("temperature [degC]")] = "-1.0"
+            cells[columns.index("dew point [degC]")] = "-1.0"
+            lines[index] = ",".join(cells)
+    (tmp_path / "weather.csv").write_text("\n".join(lines) + "\n")
+    words = [
+        *controller.split(), "--weather", "weather.csv", "--start", "2021-07-07T02:59",
+        "--hours", "0.05", "--roof-noise", "0.0005", "--roof-offset=-1e-3", "--noise-seed", "8",
+        "--minimum-on", "50", "--minimum-off", "20",
+    ]
+    bring_up(domain, tmp_path, *words)
+    subprocess.run(
+        [
+            sys.executable, "-m", "greenroof_ros.simulate", "--trajectory", "run.csv",
+            "--output", "inprocess", *words,
+        ],
+        cwd=tmp_path, env=environment(domain), check=True, capture_output=True,
+    )
+    rows = assert_same(tmp_path, "run")
+    assert len(rows) == 181
+    flows = [float(row["pump_flow_m3_per_s"]) for row in rows]
+    assert max(flows[:60]) > 0 and max(flows[60:]) == 0  # it freezes from 03:00 on
+    if "onoff" in controller:
+        assert flows[59] > 0
+    errors = [float(row["roof_level_m"]) - float(row["roof_m3"]) / 68.8 for row in rows]
+    assert sum(errors) / 181 == pytest.approx(-1e-3, abs=2e-4)
+
+
+def _spin() -> None:
+    while True:
+        pass
+
+
+@contextmanager
+def busy_core() -> Iterator[None]:
+    """Keep one core busy."""
+    process = multiprocessing.get_context("spawn").Process(target=_spin, daemon=True)
+    process.start()
+    try:
+        yield
+    finally:
+        process.kill()
+        process.join()
+
+
+def assert_complete(run: Path, summary: dict[str, Any], ticks: int) -> None:
+    """Every topic has each tick once, by the bag's own count."""
+    counts: Counter[str] = Counter()
+    sequences: dict[str, list[int]] = {}
+    with bag_file(run).open("rb") as stream:
+        for _, channel, message in make_reader(stream, validate_crcs=True).iter_messages():
+            counts[channel.topic] += 1
+            sequences.setdefault(channel.topic, []).append(message.sequence)
+    assert counts == summary["messages"]
+    assert len(counts) == 14
+    assert all(sequence == list(range(ticks)) for sequence in sequences.values())
+
+
+def test_thirty_starts_in_a_row_lose_nothing(domain: int, tmp_path: Path) -> None:
+    """Thirty cold starts, twenty of them of 2,000 ticks beside a busy core: equal, complete."""
+    digests = set()
+    with busy_core():
+        for number in range(20):
+            output = f"run-{number}"
+            hours = str(2000 / 3600)
+            summary = bring_up(domain, tmp_path, "--hours", hours, output=output)
+            assert_complete(tmp_path / output, summary, 2001)
+            digests.add(hashlib.sha256(bag_file(tmp_path / output).read_bytes()).hexdigest())
+    assert len(digests) == 1
+    for number in range(20, 30):
+        output = f"run-{number}"
+        summary = bring_up(domain, tmp_path, "--hours", "0.02", output=output)
+        assert_complete(tmp_path / output, summary, 73)

@@ -1,0 +1,169 @@
+"""No water appears or vanishes, in any run."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from datetime import datetime
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import example, given
+from hypothesis import strategies as st
+from paper import PAPER_SITE, exact_flows, paper_run, sites
+
+from greenroof_ros.controllers.registry import make_controller
+from greenroof_ros.experiment.closed_loop import closed_loop
+from greenroof_ros.experiment.run import Run
+from greenroof_ros.forecast.resampling import PerfectForecast
+from greenroof_ros.model.metrics import Metrics
+from greenroof_ros.model.plant import Flows, Plant
+from greenroof_ros.model.site import Site
+from greenroof_ros.weather.records import Records
+from greenroof_ros.weather.series import Weather, WeatherSeries
+
+# Rain (m/s), evapotranspiration (m3/s), a command, and the flow of a pump driver (m3/s) that
+# may do as it likes, or None where the command decides.
+TICKS = st.lists(
+    st.tuples(
+        st.floats(0, 1e-3) | st.just(0.0),
+        st.floats(0, 1e-3) | st.just(0.0),
+        st.floats(0, 3),
+        st.none() | st.floats(0, 1),
+    ),
+    min_size=1,
+    max_size=20,
+)
+
+
+@given(
+    site=st.just(PAPER_SITE) | sites(),
+    cistern=st.floats(0, 12) | st.just(0.0),
+    roof=st.floats(0, 4) | st.just(0.0),
+    ticks=TICKS,
+)
+@example(site=PAPER_SITE, cistern=0.04, roof=1e-6, ticks=[(0.0, 1e-3, 0.0, 0.3)] * 5)
+def test_each_tank_changes_by_what_flows(
+    site: Site, cistern: float, roof: float, ticks: list[tuple[float, float, float, float | None]]
+) -> None:
+    """Each tick, to 1e-9 m3; what would overdraw a tank is limited, and only that."""
+    plant = Plant(site, cistern * site.a1, roof * site.a2)
+    tau = site.tau
+    for rain, evaporated, command, external in ticks:
+        x1, x2 = plant.x1, plant.x2
+        wanted = exact_flows(site, x1, x2, command)
+        pump = plant.pump_flow(command) if external is None else external
+        flows = plant.flows(rain, evaporated, pump)
+        plant.step(rain, flows)
+
+        gain_1 = tau * (rain * site.a_in - flows.outflow - flows.pump)
+        leaves = flows.evapotranspiration + flows.drainage
+        gain_2 = tau * (rain * site.a2 + flows.pump - leaves)
+        assert plant.x1 - x1 == pytest.approx(gain_1, abs=1e-9)
+        assert plant.x2 - x2 == pytest.approx(gain_2, abs=1e-9)
+        assert plant.x1 >= 0
+        assert plant.x2 >= 0
+
+        # What would be left without a limit, in a cistern and then in a roof.
+        left_1 = x1 + tau * (rain * site.a_in - wanted[0] - pump)
+        left_2 = x2 + tau * (rain * site.a2 + flows.pump - evaporated - wanted[2])
+        if min(abs(left_1), abs(left_2)) > 1e-9:
+            assert flows.limited == (left_1 < 0 or left_2 < 0)
+        if left_1 > 1e-9:
+            assert (flows.outflow, flows.pump) == pytest.approx((wanted[0], pump), rel=1e-9)
+        elif left_1 < -1e-9:
+            assert plant.x1 == pytest.approx(0, abs=1e-9)
+            assert flows.outflow * pump == pytest.approx(wanted[0] * flows.pump, rel=1e-9)
+        if left_2 > 1e-9:
+            asked = (evaporated, wanted[2])
+            assert (flows.evapotranspiration, flows.drainage) == pytest.approx(asked, rel=1e-9)
+        elif left_2 < -1e-9:
+            assert plant.x2 == pytest.approx(0, abs=1e-9)
+
+
+def assert_balance(run: Run) -> Metrics:
+    """Hold a run's sums against its first and last volumes, each tank to 1e-9 m3."""
+    site, metrics = run.site, Metrics()
+    controller = make_controller(run.controller, site, run.parameters)
+    ticks = list(closed_loop(run, controller, metrics))
+    assert [tick.k for tick in ticks] == list(range(run.steps + 1))
+    rain = site.tau * sum(tick.precipitation for tick in ticks[:-1])
+    gain_1 = rain * site.a_in - metrics.outflow_m3 - metrics.pumped_m3
+    leaves = metrics.drainage_m3 + metrics.evapotranspiration_m3
+    gain_2 = rain * site.a2 + metrics.pumped_m3 - leaves
+    assert ticks[-1].x1 - run.x1 == pytest.approx(gain_1, abs=1e-9)
+    assert ticks[-1].x2 - run.x2 == pytest.approx(gain_2, abs=1e-9)
+    assert metrics.rain_m3 == pytest.approx(rain * (site.a_in + site.a2), rel=1e-9)
+    assert (metrics.final_cistern_m3, metrics.final_roof_m3) == (ticks[-1].x1, ticks[-1].x2)
+    assert min(min(tick.x1, tick.x2) for tick in ticks) >= 0
+    assert metrics.limited_steps == sum(tick.flows.limited for tick in ticks[:-1])
+    running = [False, *(tick.flows.pump > 0 for tick in ticks[:-1])]
+    assert metrics.pump_starts == sum(now and not before for before, now in pairwise(running))
+    assert (metrics.energy_kwh > 0) == (metrics.pumped_m3 > 0)
+    return metrics
+
+
+def test_energy_and_starts_by_hand() -> None:
+    """At 3 m the pumps lift 0.00842205 m3/s over L = phi = 55.2 - 5.78e5 0.00842205^2 = 14.2 m.
+
+    Half of it needs 13 m and a quarter of the 1.2 m of friction, with 9810 N/m3.
+    """
+    metrics = Metrics()
+    full = 0.00842205211502804
+    head = 55.2 - 5.78e5 * full**2
+    for flow in (full, full, 0.0, full / 2, 0.0, 0.0, full):
+        metrics.observe(PAPER_SITE, 75.0, 1.0)
+        metrics.step(PAPER_SITE, 1.0, 0.0, Flows(0.0, flow, 0.0, 0.0, False))
+    joules = 9810 * (3 * full * head + full / 2 * (13 + (head - 13) / 4))
+    assert metrics.energy_kwh == pytest.approx(joules / 3.6e6, rel=1e-9)
+    assert metrics.pump_starts == 3
+
+
+@pytest.mark.parametrize("options", [("mpc", "low-low"), ("mpc", "high-low"), ("onoff", "low-low")])
+def test_the_papers_runs_balance(options: tuple[str, str]) -> None:
+    """12 hours in which no tank runs dry, so nothing is limited."""
+    controller, initial = options
+    metrics = assert_balance(paper_run("--controller", controller, "--initial", initial))
+    assert metrics.limited_steps == 0
+    assert metrics.pumped_m3 > 0
+
+
+def run_of(
+    precipitation: list[float], evapotranspiration: list[float], x1: float, x2: float, v: float
+) -> Run:
+    """Build a run of the paper's site, in ticks of 10 s, over hours of mm/h and mm/day."""
+    site = replace(PAPER_SITE, tau=10.0)
+    first = datetime.fromisoformat("2021-07-07T00:00-05:00")
+    rain = np.array(precipitation)
+    records = Records(Path("drawn.csv"), first, {"precipitation": rain}, "drawn")
+    weather = Weather(records, rain, np.array(evapotranspiration), "drawn", None)
+    steps = 360 * len(precipitation)
+    series = WeatherSeries(weather, site, first, steps)
+    parameters = {"fraction": v}
+    return Run(
+        weather.file, site, weather, series, PerfectForecast(series, site.M), first, steps,
+        "onoff", parameters, "custom", x1, x2,
+    )
+
+
+@given(
+    hours=st.lists(st.tuples(st.floats(0, 500), st.floats(0, 50)), min_size=1, max_size=3),
+    x1=st.floats(0, 200),
+    x2=st.floats(0, 70),
+    v=st.floats(0.01, 3),
+)
+def test_any_run_balances(
+    hours: list[tuple[float, float]], x1: float, x2: float, v: float
+) -> None:
+    """Random hours, from drought to the worst believable rain."""
+    precipitation, evapotranspiration = (list(part) for part in zip(*hours, strict=True))
+    assert_balance(run_of(precipitation, evapotranspiration, x1, x2, v))
+
+
+def test_a_drought_is_counted() -> None:
+    """0.1 m3 on the roof last 251 ticks at 50 mm/day, 3.98e-4 m3 a tick, the last in part."""
+    metrics = assert_balance(run_of([0.0], [50.0], 0.0, 0.1, 1.0))
+    assert metrics.final_roof_m3 == 0
+    assert metrics.evapotranspiration_m3 == pytest.approx(0.1, abs=1e-9)
+    assert metrics.limited_steps == 360 - 251

@@ -1,0 +1,181 @@
+"""The exact plant, Eqs. (1)-(4): worked by hand with the values of Table I."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from paper import PAPER_SITE, exact_flows, site_with, sites
+
+from greenroof_ros.model.plant import (
+    Flows,
+    Plant,
+    drainage_flow,
+    maximum_pump_flow,
+    outlet_flow,
+    pump_flow,
+)
+from greenroof_ros.model.site import Site
+
+# Its thresholds are binary fractions, so that tests hit them to the bit: the target at
+# x2 = 4 m3, the soil's capacity at 32 m3; the suction level stays at 18.75 m3.
+ROUND_SITE = site_with(a2=64.0, z_veg=0.0625, z_soil=0.5)
+
+
+def just_below(value: float) -> float:
+    """Return the greatest number below a value."""
+    return math.nextafter(value, -math.inf)
+
+
+def just_above(value: float) -> float:
+    """Return the least number above a value."""
+    return math.nextafter(value, math.inf)
+
+
+def test_outlet_flow_by_hand() -> None:
+    """A head of 1 m gives c_out = 0.61 pi 0.125^2 sqrt(2 9.81); a head of 1/4 m half of it."""
+    assert outlet_flow(PAPER_SITE, 100.0) == pytest.approx(0.1326322799584, rel=1e-12)
+    assert outlet_flow(PAPER_SITE, 81.25) == pytest.approx(0.0663161399792, rel=1e-12)
+
+
+def test_outlet_flows_above_its_elevation_only() -> None:
+    """Eq. (2): > z_o. The least bit above 75 m3 already flows, at about 3e-9 m3/s."""
+    assert outlet_flow(PAPER_SITE, 75.0) == 0.0
+    assert outlet_flow(PAPER_SITE, 0.0) == 0.0
+    assert 0 < outlet_flow(PAPER_SITE, just_above(75.0)) < 1e-8
+
+
+def test_maximum_pump_flow_by_hand() -> None:
+    """b = 1 / sqrt(328.12 / (19.62 (0.01 pi)^2) + 5.78e5) = 1.29646769e-3, times sqrt(42.2)."""
+    assert maximum_pump_flow(PAPER_SITE, 75.0) == pytest.approx(0.00842205211502804, rel=1e-12)
+
+
+@given(site=sites(), level=st.floats(0, 20))
+def test_maximum_pump_flow_is_where_pump_and_pipe_meet(site: Site, level: float) -> None:
+    """Eq. (3d), phi(y) = L(x, y), which Eq. (3e) solves; the water is above the suction level."""
+    level += site.z_pump + site.z_H
+    y = maximum_pump_flow(site, level * site.a1)
+    head = site.a_hat * y**2 + site.c_hat
+    losses = (site.F * site.l / site.D + site.k_L) * y**2 / (2 * site.g * site.a_pump**2)
+    assert y > 0
+    assert head == pytest.approx(losses + site.d - level, abs=1e-9)
+
+
+def test_maximum_pump_flow_below_the_lift_is_zero() -> None:
+    """A pump of 15 m of head against 16 m of height lifts nothing from less than 1 m of water."""
+    weak = replace(PAPER_SITE, c_hat=15.0)
+    assert maximum_pump_flow(weak, 24.0) == 0.0
+    assert maximum_pump_flow(weak, 25.0) == 0.0
+    assert maximum_pump_flow(weak, 26.0) > 0
+
+
+@pytest.mark.parametrize(
+    ("x1", "x2", "runs"),
+    [
+        (75.0, just_below(4.0), True),
+        (75.0, 4.0, False),
+        (18.75, 0.0, True),
+        (just_below(18.75), 0.0, False),
+        (just_below(18.75), 4.0, False),
+    ],
+)
+def test_pumps_run_between_the_thresholds_only(x1: float, x2: float, runs: bool) -> None:
+    """Eq. (3a): none at x2/a2 >= z_veg, none at x1/a1 < z_pump + z_H."""
+    expected = 0.5 * maximum_pump_flow(ROUND_SITE, x1) if runs else 0.0
+    assert pump_flow(ROUND_SITE, x1, x2, 0.5) == expected
+    assert Plant(ROUND_SITE, x1, x2).pump_flow(0.5) == expected
+
+
+def test_commands_beyond_one_are_not_clamped() -> None:
+    """The paper's on/off runs go up to v = 2: twice the maximum flow at 75 m3."""
+    assert pump_flow(PAPER_SITE, 75.0, 0.0, 2.0) == pytest.approx(0.01684410423005609, rel=1e-12)
+
+
+def test_drainage_by_hand() -> None:
+    """At x2/a2 = z_soil it is 2 K a2; at x2 = 41.28 m3, 0.6 m deep, it is 2.2 K a2."""
+    assert drainage_flow(PAPER_SITE, PAPER_SITE.z_cap) == pytest.approx(1.077408e-5, rel=1e-12)
+    assert drainage_flow(PAPER_SITE, 41.28) == pytest.approx(1.1851488e-5, rel=1e-12)
+
+
+def test_soil_drains_from_its_capacity_on() -> None:
+    """Eq. (4): 0 if x2 < z_cap, so at z_cap it drains."""
+    assert drainage_flow(ROUND_SITE, just_below(32.0)) == 0.0
+    assert drainage_flow(ROUND_SITE, 32.0) == pytest.approx(2 * 7.83e-8 * 64, rel=1e-12)
+
+
+@given(
+    site=st.just(PAPER_SITE) | sites(),
+    cistern=st.floats(0, 20),
+    roof=st.floats(0, 4),
+    command=st.floats(0, 3),
+)
+def test_flows_are_the_papers(site: Site, cistern: float, roof: float, command: float) -> None:
+    """Eqs. (2)-(4) written a second time, at random states of random sites."""
+    x1, x2 = cistern * site.a1, roof * site.a2
+    found = outlet_flow(site, x1), pump_flow(site, x1, x2, command), drainage_flow(site, x2)
+    assert found == pytest.approx(exact_flows(site, x1, x2, command), rel=1e-9, abs=1e-12)
+
+
+@pytest.mark.parametrize(("tau", "changes"), [(1.0, 1), (2.0, 2)])
+def test_step_by_hand(tau: float, changes: int) -> None:
+    """From (80, 2) m3 at half the flow, 3.0 mm/h of rain and 1.22675507 mm/day off the bed.
+
+    A second moves the cistern by 8.3333e-7 0.29225 - 0.0593150 - 0.0042210 m3 and the roof by
+    8.3333e-7 68.8 + 0.0042210 - 9.7686e-7 m3; a tick of two seconds moves them twice as far.
+    """
+    plant = Plant(replace(PAPER_SITE, tau=tau), 80.0, 2.0)
+    rain, evaporated = 8.33333333333333e-7, 9.76860518703704e-7
+    flows = plant.flows(rain, evaporated, plant.pump_flow(0.5))
+    expected = (0.05931495879955296, 0.004220992997036266, 0.0, evaporated, False)
+    assert flows == pytest.approx(expected, rel=1e-12)
+    plant.step(rain, flows)
+    assert plant.x1 - 80 == pytest.approx(changes * -0.06353570825770872, abs=1e-13)
+    assert plant.x2 - 2 == pytest.approx(changes * 0.00427734946985090, abs=1e-13)
+
+
+def test_levels_are_depths() -> None:
+    """50 m3 over 25 m2 are 2 m; 6.88 m3 over 68.8 m2 are 0.1 m."""
+    assert Plant(PAPER_SITE, 50.0, 6.88).levels() == pytest.approx((2.0, 0.1), rel=1e-15)
+
+
+def test_cistern_that_holds_too_little_shares_it_out() -> None:
+    """1 m3 and 0.1 m3/s of rain meet a wish of 2.2 m3/s: half of it flows, and nothing is left."""
+    plant = Plant(PAPER_SITE, 1.0, 0.0)
+    rain = 0.1 / PAPER_SITE.a_in
+    flows = plant.flows(rain, 0.0, 2.2)
+    assert flows == pytest.approx((0.0, 1.1, 0.0, 0.0, True), rel=1e-12)
+    plant.step(rain, flows)
+    assert plant.x1 == 0.0
+    assert plant.x2 == pytest.approx(1.1 + rain * 68.8, rel=1e-12)
+
+
+def test_outlet_and_pump_are_limited_alike() -> None:
+    """From 100 m3, 0.13263 m3/s to the sewer and 199.86737 m3/s pumped make 200: half of each."""
+    outflow = 0.1326322799584
+    flows = Plant(PAPER_SITE, 100.0, 0.0).flows(0.0, 0.0, 200 - outflow)
+    assert flows == pytest.approx((outflow / 2, 100 - outflow / 2, 0.0, 0.0, True), rel=1e-12)
+
+
+def test_roof_that_holds_too_little_dries_out() -> None:
+    """2e-6 m3 cannot lose 3e-6 m3 in a second; drainage and evapotranspiration share alike."""
+    plant = Plant(PAPER_SITE, 10.0, 2e-6)
+    flows = plant.flows(0.0, 3e-6, 0.0)
+    assert flows == pytest.approx((0.0, 0.0, 0.0, 2e-6, True), rel=1e-12)
+    plant.step(0.0, flows)
+    assert plant.x2 == 0.0
+
+    drains = 1.077408e-5
+    flows = Plant(PAPER_SITE, 10.0, 34.4).flows(0.0, 68.8 - drains, 0.0)
+    assert flows == pytest.approx((0.0, 0.0, drains / 2, 34.4 - drains / 2, True), rel=1e-12)
+
+
+def test_exactly_what_a_tank_holds_is_no_limit() -> None:
+    """1 m3 pumped from 1 m3, and 1 m3 evaporated from the 1 m3 pumped, leave nothing over."""
+    plant = Plant(PAPER_SITE, 1.0, 0.0)
+    flows = plant.flows(0.0, 1.0, 1.0)
+    assert flows == Flows(0.0, 1.0, 0.0, 1.0, False)
+    plant.step(0.0, flows)
+    assert (plant.x1, plant.x2) == (0.0, 0.0)

@@ -1,0 +1,89 @@
+"""The pump curve of a data sheet, Eq. (3b)."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from greenroof_ros.model.pump_curve import fit_pump_curve
+
+
+def test_two_points_by_hand() -> None:
+    """50 m at no flow and 46 m at 0.002 m3/s: c_hat = 50, a_hat = -4 / 4e-6."""
+    assert fit_pump_curve([0, 0.002], [50, 46]) == pytest.approx((-1e6, 50), rel=1e-12)
+
+
+def test_three_points_by_hand() -> None:
+    """Heads 6, 4, 1 m at y^2 = 0, 1, 4 (1e-6 m6/s2), by the normal equations.
+
+    The means are 11/3 and 5/3, the sums of products about them -31/3 and 26/3: the slope is
+    -31/26, and the head at 0 is 11/3 + 31/26 5/3 = 147/26.
+    """
+    curve = fit_pump_curve([0, 0.001, 0.002], [6, 4, 1])
+    assert curve == pytest.approx((-31 / 26 * 1e6, 147 / 26), rel=1e-12)
+
+
+def test_the_papers_curve() -> None:
+    """Table I's coefficients back from their own curve; its points were never published."""
+    flow = np.linspace(0, 0.009, 10)
+    curve = fit_pump_curve(flow, -5.78e5 * flow**2 + 55.2)
+    assert (curve.a_hat, curve.c_hat) == pytest.approx((-5.78e5, 55.2), rel=1e-12)
+
+
+@given(
+    a_hat=st.floats(-1e8, -1e2),
+    c_hat=st.floats(1, 200),
+    shares=st.lists(st.integers(0, 1000), min_size=2, max_size=20, unique=True),
+)
+def test_exact_points_give_the_coefficients_back(
+    a_hat: float, c_hat: float, shares: list[int]
+) -> None:
+    """Any curve, from any points on it; at worst their heads are 1e-6 of c_hat apart."""
+    flow = np.array(shares) / 1000 * math.sqrt(c_hat / -a_hat)
+    curve = fit_pump_curve(flow, np.maximum(a_hat * flow**2 + c_hat, 0))
+    assert curve == pytest.approx((a_hat, c_hat), rel=1e-8)
+
+
+@given(
+    shares=st.lists(st.floats(0, 1), min_size=3, max_size=12, unique=True),
+    noise=st.lists(st.floats(-0.05, 0.05), min_size=12, max_size=12),
+)
+def test_noisy_points_are_fitted_by_least_squares(
+    shares: list[float], noise: list[float]
+) -> None:
+    """The residuals are orthogonal to 1 and y^2, and numpy's own line in y^2 is the same."""
+    share = np.array([0.0, *shares, 1.0])
+    flow = 0.009 * share
+    head = np.maximum(50 * (1 - share**2), 0) + 1 + np.resize(noise, share.size)
+    curve = fit_pump_curve(flow.tolist(), head.tolist())
+    residuals = curve.a_hat * flow**2 + curve.c_hat - head
+    assert residuals.sum() == pytest.approx(0, abs=1e-10)
+    assert (residuals * share**2).sum() == pytest.approx(0, abs=1e-10)
+    slope, intercept = np.polyfit(share**2, head, 1)
+    assert curve == pytest.approx((slope / 0.009**2, intercept), rel=1e-10)
+
+
+@pytest.mark.parametrize(
+    ("flow", "head", "reason"),
+    [
+        ([0, 0.01], [50], "two lists of one length"),
+        ([[0, 0.01]], [[50, 40]], "two lists of one length"),
+        (0.01, 50, "two lists of one length"),
+        ([0, math.nan], [50, 40], "must be finite"),
+        ([0, 0.01], [50, math.inf], "must be finite"),
+        ([-0.001, 0.01], [50, 40], "must not be negative"),
+        ([0, 0.01], [50, -1], "must not be negative"),
+        ([], [], "two different flows"),
+        ([0.01], [50], "two different flows"),
+        ([0.01, 0.01], [50, 40], "two different flows"),
+        ([0, 0.01], [40, 50], "must fall"),
+    ],
+)
+def test_refusals(flow: object, head: object, reason: str) -> None:
+    """Each says what it takes."""
+    with pytest.raises(ValueError, match=reason):
+        fit_pump_curve(flow, head)  # type: ignore[arg-type]

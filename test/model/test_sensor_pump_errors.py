@@ -1,0 +1,331 @@
+"""A level sensor that errs and pumps with minimum times: by hand, by statistics, and by rule."""
+
+from __future__ import annotations
+
+import itertools
+import math
+import subprocess
+import sys
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from graphs import environment
+from hypothesis import given
+from hypothesis import strategies as st
+from paper import PAPER_SITE, paper_run
+
+from greenroof_ros.controllers.registry import make_controller
+from greenroof_ros.experiment.closed_loop import Tick, closed_loop
+from greenroof_ros.experiment.run import Run
+from greenroof_ros.model.metrics import Metrics
+from greenroof_ros.model.plant import Plant
+from greenroof_ros.model.sensor_pump_errors import Pump, RoofSensor, SensorPumpErrors
+from greenroof_ros.simulate import TRAJECTORY_COLUMNS, trajectory_row
+
+EMPTY, FULL = 0.0, PAPER_SITE.a2 * PAPER_SITE.z_veg
+
+
+# --- the sensor --------------------------------------------------------------------------------
+
+
+def readings(sensor_pump_errors: SensorPumpErrors, ticks: Sequence[int], level: float) -> list[float]:
+    """Return what a new sensor reads at some ticks."""
+    sensor = RoofSensor(sensor_pump_errors)
+    return [sensor.reading(tick, level) for tick in ticks]
+
+
+def test_noise_is_normal_and_independent() -> None:
+    """Mean, spread, shape and correlation of 200,000 readings, each within five of its errors."""
+    count, noise = 200_000, 0.001
+    imperfect = SensorPumpErrors(roof_noise=noise, roof_offset=0.002, noise_seed=7)
+    errors = (np.array(readings(imperfect, range(count), 0.045)) - 0.047) / noise
+    assert errors.mean() == pytest.approx(0, abs=5 / math.sqrt(count))
+    assert errors.std() == pytest.approx(1, abs=5 / math.sqrt(2 * count))
+    for width, share in ((1, 0.682689), (2, 0.954500), (3, 0.997300)):
+        spread = math.sqrt(share * (1 - share) / count)
+        assert (np.abs(errors) < width).mean() == pytest.approx(share, abs=5 * spread)
+    for lag in (1, 2, 4096):
+        together = (errors[lag:] * errors[:-lag]).mean()
+        assert together == pytest.approx(0, abs=5 / math.sqrt(count - lag))
+
+
+def test_noise_follows_from_seed_and_tick_alone() -> None:
+    """In any order, asked twice, or by another sensor; and no two seeds have the same."""
+    imperfect = SensorPumpErrors(roof_noise=0.001, noise_seed=3)
+    ticks = [0, 1, 4095, 4096, 5, 100_000, 4096, 0]
+    expected = {tick: readings(imperfect, [tick], 0.045)[0] for tick in ticks}
+    assert readings(imperfect, ticks, 0.045) == [expected[tick] for tick in ticks]
+    assert readings(imperfect, ticks[::-1], 0.045) == [expected[tick] for tick in ticks[::-1]]
+    assert len(set(expected.values())) == 6
+    others = [
+        readings(replace(imperfect, noise_seed=seed), [0, 4096], 0.045) for seed in range(100)
+    ]
+    assert len({value for pair in others for value in pair}) == 200
+
+
+def test_offset_by_hand() -> None:
+    """0.5 m read as 0.75 m, or as 0.25 m; 0.125 m less 0.25 m is 0, as a sensor ends there."""
+    assert readings(SensorPumpErrors(roof_offset=0.25), [0, 5000], 0.5) == [0.75, 0.75]
+    assert readings(SensorPumpErrors(roof_offset=-0.25), [0, 5000], 0.5) == [0.25, 0.25]
+    assert readings(SensorPumpErrors(roof_offset=-0.25), [0], 0.125) == [0.0]
+    noisy = readings(SensorPumpErrors(roof_noise=1.0), range(1000), 0.0)
+    assert min(noisy) == 0 and 400 < noisy.count(0.0) < 600
+
+
+@given(level=st.floats(0, 1), tick=st.integers(0, 10**7), seed=st.integers(0, 2**31 - 1))
+def test_an_exact_sensor_reads_the_level(level: float, tick: int, seed: int) -> None:
+    """To the bit, whatever the seed."""
+    assert readings(SensorPumpErrors(noise_seed=seed), [tick], level) == [level]
+
+
+# --- the pump ----------------------------------------------------------------------------------
+
+
+def commands_let_through(
+    sensor_pump_errors: SensorPumpErrors,
+    commands: Sequence[float],
+    frost: Sequence[bool] = (),
+    roofs: Sequence[float] = (),
+    tau: float = 1.0,
+) -> list[float]:
+    """Return the share of the maximum flow delivered in each tick, from 75 m3 in the cistern."""
+    pump = Pump(sensor_pump_errors, tau)
+    most = Plant(PAPER_SITE, 75.0, EMPTY).pump_flow(1.0)
+    shares = []
+    for command, cold, roof in itertools.zip_longest(commands, frost, roofs, fillvalue=0.0):
+        flow = pump.flow(Plant(PAPER_SITE, 75.0, roof), command, bool(cold))
+        shares.append(flow / most)
+    return shares
+
+
+def test_minimum_times_by_hand() -> None:
+    """3 s on and 2 s off: a short command is drawn out, a pause is, and the rest is let through."""
+    times = SensorPumpErrors(minimum_on=3, minimum_off=2)
+    commands = [0, 0.5, 0, 0, 0, 0, 1, 1, 1, 1, 0, 1, 0, 1, 0.25, 0, 0]
+    expected = [0, 0.5, 0.5, 0.5, 0, 0, 1, 1, 1, 1, 0, 0, 0, 1, 0.25, 0.25, 0]
+    assert commands_let_through(times, commands) == expected
+
+
+def test_each_minimum_alone() -> None:
+    """The pumps may start in the first tick: they have been off for long enough."""
+    commands = [1, 0, 0, 0, 1, 0, 1, 1]
+    assert commands_let_through(SensorPumpErrors(minimum_on=3), commands) == [1, 1, 1, 0, 1, 1, 1, 1]
+    assert commands_let_through(SensorPumpErrors(minimum_off=4), commands) == [1, 0, 0, 0, 0, 0, 1, 1]
+
+
+@pytest.mark.parametrize(
+    ("seconds", "tau", "ticks"),
+    [(6, 2.5, 3), (5, 2.5, 2), (1.1, 0.1, 11), (0.7, 0.1, 7), (0.6, 0.2, 3), (0.01, 1, 1)],
+)
+def test_minimum_times_last_whole_ticks(seconds: float, tau: float, ticks: int) -> None:
+    """The first whole number of ticks that is not shorter, whatever the binary digits of tau."""
+    held = commands_let_through(SensorPumpErrors(minimum_on=seconds), [1] + [0] * 20, tau=tau)
+    assert held == [1] * ticks + [0] * (21 - ticks)
+
+
+def test_a_full_roof_stops_them_and_begins_a_time_off() -> None:
+    """Eq. (3a) goes by the true level; what stopped the flow has switched the pumps off."""
+    times = SensorPumpErrors(minimum_on=10, minimum_off=3)
+    roofs = [EMPTY, EMPTY, FULL, EMPTY, EMPTY, EMPTY, FULL]
+    assert commands_let_through(times, [1] * 7, roofs=roofs) == [1, 1, 0, 0, 0, 1, 0]
+
+
+def test_an_empty_cistern_stops_them() -> None:
+    """Held on, they deliver nothing from below the suction level, 18.75 m3."""
+    pump = Pump(SensorPumpErrors(minimum_on=10), 1.0)
+    assert pump.flow(Plant(PAPER_SITE, 20.0, EMPTY), 1.0, False) > 0
+    assert pump.flow(Plant(PAPER_SITE, 18.7, EMPTY), 0.0, False) == 0
+    assert pump.flow(Plant(PAPER_SITE, 20.0, EMPTY), 0.0, False) == 0
+
+
+def test_frost_switches_off_at_once() -> None:
+    """Long before the minimum time on is over; and the time off is kept after it."""
+    times = SensorPumpErrors(minimum_on=100, minimum_off=3)
+    frost = [False, False, True, True, False, False, False]
+    commands = [1, 1, 0, 0, 1, 1, 1]
+    assert commands_let_through(times, commands, frost) == [1, 1, 0, 0, 0, 1, 1]
+    assert commands_let_through(times, [1, 1, 0], [False, False, True]) == [1, 1, 0]
+
+
+@given(
+    on=st.integers(0, 6),
+    off=st.integers(0, 6),
+    ticks=st.lists(
+        st.tuples(st.just(0.0) | st.floats(0.01, 2), st.booleans(), st.booleans()), max_size=60
+    ),
+)
+def test_no_phase_is_too_short(
+    on: int, off: int, ticks: list[tuple[float, bool, bool]]
+) -> None:
+    """A time on ends early only where frost or Eq. (3a) ends it; no time off does.
+
+    And the switch does no more: where nothing forbids it, what flows is what is commanded.
+    """
+    commands = [command for command, _, _ in ticks]
+    # Each of the two in about one of eight ticks, or times on would hardly end by themselves.
+    cold = [frost and index % 4 == 0 for index, (_, frost, _) in enumerate(ticks)]
+    full = [roof and index % 4 == 2 for index, (_, _, roof) in enumerate(ticks)]
+    shares = commands_let_through(
+        SensorPumpErrors(minimum_on=on, minimum_off=off), commands, cold,
+        [FULL if each else EMPTY for each in full],
+    )
+    begin = 0
+    for running, phase in itertools.groupby(share > 0 for share in shares):
+        length = len(list(phase))
+        end = begin + length
+        if running and end < len(shares):
+            assert length >= on or cold[end] or full[end]
+        elif not running and begin > 0 and end < len(shares):
+            assert length >= off
+        for index in range(begin, end):
+            stopped = cold[index] or full[index]
+            may_start = begin == 0 or index - begin >= off
+            if not running:
+                assert stopped or commands[index] == 0 or not may_start
+            elif commands[index] > 0:
+                assert shares[index] == pytest.approx(commands[index], rel=1e-12)
+            else:
+                assert index - begin < on
+                assert shares[index] == shares[index - 1]
+        begin = end
+
+
+@given(cistern=st.floats(0, 150), roof=st.floats(0, 7), command=st.floats(0, 3), cold=st.booleans())
+def test_pumps_without_minimum_times_follow(
+    cistern: float, roof: float, command: float, cold: bool
+) -> None:
+    """To the bit: as if there were no switch."""
+    plant = Plant(PAPER_SITE, cistern, roof)
+    pump = Pump(SensorPumpErrors(roof_noise=0.1), 1.0)
+    for each in (command, 0.0, command):
+        assert pump.flow(plant, each, cold) == plant.pump_flow(each)
+
+
+# --- runs --------------------------------------------------------------------------------------
+
+
+def ticks_of(run: Run) -> tuple[list[Tick], Metrics]:
+    """Run it."""
+    metrics = Metrics()
+    controller = make_controller(run.controller, run.site, run.parameters)
+    return list(closed_loop(run, controller, metrics)), metrics
+
+
+def test_the_controller_sees_the_reading_and_the_sums_the_truth() -> None:
+    """On/off under a sensor that reads 4 mm too much stops 4 mm too early, 0.2752 m3."""
+    options = ("--controller", "onoff", "--hours", "0.2")
+    exact, _ = ticks_of(paper_run(*options))
+    ticks, metrics = ticks_of(paper_run(*options, "--roof-offset", "0.004"))
+    site = PAPER_SITE
+    highest = max(tick.x2 for tick in ticks)
+    assert max(tick.x2 for tick in exact) - highest == pytest.approx(0.2752, abs=0.009)
+    assert ticks[5].roof_level == ticks[5].x2 / site.a2 + 0.004
+    row = dict(zip(TRAJECTORY_COLUMNS, trajectory_row(ticks[5], site.tau), strict=True))
+    assert row["roof_level_m"] == ticks[5].roof_level
+    assert row["roof_m3"] == ticks[5].x2
+    total = sum(abs(tick.x2 - site.x2_star) for tick in ticks)
+    assert metrics.total_deviation_m3 == pytest.approx(total, rel=1e-12)
+    assert metrics.final_roof_m3 == ticks[-1].x2
+
+
+def test_a_noisy_sensor_makes_the_pumps_start_often_and_minimum_times_seldom() -> None:
+    """Where on/off comes near its target, 0.5 mm of noise switch it back and forth."""
+    options = (
+        "--controller", "onoff", "--hours", "0.2", "--fraction", "0.05", "--cistern", "60",
+        "--roof", "3.1",
+    )
+    noise = ("--roof-noise", "0.0005", "--noise-seed", "1")
+    times = ("--minimum-on", "60", "--minimum-off", "60")
+    exact, noisy, spared = (
+        ticks_of(paper_run(*options, *more))[1].pump_starts
+        for more in ((), noise, (*noise, *times))
+    )
+    assert 1 <= exact <= 5  # again when what evaporated has made room
+    assert noisy > 4 * exact
+    assert 1 <= spared <= 6  # 720 s hold no more phases of 60 s
+
+
+def test_zeros_are_no_imperfections() -> None:
+    """The options at their defaults and none at all: the same ticks, to the bit."""
+    options = ("--controller", "onoff", "--hours", "0.2")
+    zeros = ("--roof-noise", "0", "--roof-offset", "0", "--noise-seed", "5", "--minimum-on", "0",
+             "--minimum-off", "0")
+    run = paper_run(*options, *zeros)
+    assert run.sensor_pump_errors.none
+    assert ticks_of(run) == ticks_of(paper_run(*options))
+
+
+def run_module(
+    module: str, directory: Path, *options: str, domain: int = 0
+) -> subprocess.CompletedProcess[str]:
+    """Run a command that must come to an end by itself."""
+    return subprocess.run(
+        [sys.executable, "-m", f"greenroof_ros.{module}", *options], cwd=directory,
+        env=environment(domain), capture_output=True, text=True, timeout=60, check=False,
+    )
+
+
+@pytest.mark.parametrize("module", ["simulate", "bringup"])
+@pytest.mark.parametrize(
+    ("options", "expected"),
+    [
+        ("--roof-noise -0.001", "--roof-noise: invalid number from 0 to 1 value"),
+        ("--roof-noise nan", "--roof-noise: invalid number from 0 to 1 value"),
+        ("--roof-noise 2", "--roof-noise: invalid number from 0 to 1 value"),
+        ("--roof-offset 3", "--roof-offset: invalid number from -1 to 1 value"),
+        ("--noise-seed 0.5", "--noise-seed: invalid whole number from 0 to 2147483647 value"),
+        ("--noise-seed -1", "--noise-seed: invalid whole number from 0"),
+        ("--minimum-on -1", "--minimum-on: invalid number from 0 to 86400 value"),
+        ("--minimum-off 1e9", "--minimum-off: invalid number from 0 to 86400 value"),
+    ],
+)
+def test_wrong_options(tmp_path: Path, module: str, options: str, expected: str) -> None:
+    """Exit code 2, one clear message, nothing written."""
+    done = run_module(module, tmp_path, *options.split())
+    assert done.returncode == 2
+    assert expected in done.stderr
+    assert "Traceback" not in done.stderr
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize("option", ["--minimum-on", "--minimum-off"])
+def test_minimum_times_are_the_drivers_business(tmp_path: Path, option: str) -> None:
+    """Refused with an external pump: its driver does as it must."""
+    done = run_module("bringup", tmp_path, "--pump", "external", option, "60")
+    assert done.returncode == 2
+    assert "are the pump driver's business where the pump is external" in done.stderr
+    assert done.stderr.count("\n") == 1
+    assert not list(tmp_path.iterdir())
+
+
+def test_the_table_names_them(tmp_path: Path) -> None:
+    """On the screen, but only where there are some."""
+    options = ("--controller", "onoff", "--hours", "0.01")
+    plain = run_module("simulate", tmp_path, *options, "--output", "plain", "--noise-seed", "3")
+    assert "sensor_pump_errors" not in plain.stdout
+    told = run_module("simulate", tmp_path, *options, "--output", "told", "--minimum-on", "90")
+    assert "minimum_on 90" in told.stdout
+
+
+@pytest.mark.parametrize(
+    ("parameters", "words"),
+    [
+        (["roof_noise:=-1.0"], "parameter roof_noise of plant"),
+        (["noise_seed:=0.5"], "parameter noise_seed of plant"),
+        (["minimum_on:=1e9"], "from 0 to 86400"),
+        (["pump:=external", "minimum_off:=5.0"], "are the pump driver's business"),
+    ],
+)
+def test_wrong_parameters_of_the_node(
+    domain: int, tmp_path: Path, parameters: list[str], words: str
+) -> None:
+    """Exit code 2, one clear message."""
+    pytest.importorskip("rclpy", reason="nodes need ROS 2")
+    given_ones = [word for parameter in parameters for word in ("-p", parameter)]
+    done = run_module("nodes.plant", tmp_path, "--ros-args", *given_ones, domain=domain)
+    assert done.returncode == 2, done.stderr
+    assert words in done.stderr
+    assert "Traceback" not in done.stderr

@@ -1,0 +1,216 @@
+"""The site file: Table I, and what is refused."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import asdict
+from pathlib import Path
+
+import pytest
+from hypothesis import given
+from paper import PAPER_SITE, TABLE_I, sites
+
+from greenroof_ros.common.errors import ConfigurationError
+from greenroof_ros.common.files import shared_directory
+from greenroof_ros.model.site import Site, read_site
+
+
+def write(directory: Path, *extra: str, **changes: object) -> Path:
+    """Write Table I as a site file, one key a line, with other values (None: without the key)."""
+    values: dict[str, object] = {**TABLE_I, **changes}
+    lines = [f"{key}: {value}" for key, value in values.items() if value is not None]
+    path = directory / "my site.yaml"
+    path.write_text("\n".join([*lines, *extra]) + "\n")
+    return path
+
+
+def refusal(path: Path) -> str:
+    """Return what is said of a site file that must not be taken."""
+    with pytest.raises(ConfigurationError) as caught:
+        read_site(path)
+    return str(caught.value)
+
+
+def line_of(key: str) -> int:
+    """Return the line that :func:`write` puts a key in."""
+    return list(TABLE_I).index(key) + 1
+
+
+def test_packaged_site_is_table_i() -> None:
+    """Every row with the paper's value, and no row more."""
+    site = asdict(read_site(shared_directory() / "config" / "site.yaml"))
+    assert {key: site[key] for key in TABLE_I} == pytest.approx(TABLE_I, rel=1e-15)
+    place = {key: value for key, value in site.items() if key not in TABLE_I}
+    # Toronto City Centre; FAO-56's reference grass; radiation "for coastal locations" (Eq. 50).
+    assert place == {
+        "latitude": 43.63, "longitude": -79.40, "elevation": 77.0, "utc_offset": -5.0,
+        "albedo": 0.23, "k_Rs": 0.19, "wind_height": 10.0, "crop_coefficient": 1.0,
+    }
+    assert (type(site["M"]), type(site["N"])) == (int, int)
+
+
+def test_constants_by_hand() -> None:
+    """c_out and b of Eqs. (2) and (3e), and the suction level, to 12 digits."""
+    assert PAPER_SITE.c_out == pytest.approx(0.132632279958400, rel=1e-12)
+    assert PAPER_SITE.pipe_resistance == pytest.approx(16944.7027404301, rel=1e-12)
+    assert PAPER_SITE.b == pytest.approx(0.00129646769313485, rel=1e-12)
+    assert PAPER_SITE.suction_level == 0.75
+
+
+def test_levels_and_volumes_by_hand() -> None:
+    """Over 25 m2 and 68.8 m2."""
+    assert PAPER_SITE.cistern_level(75.0) == 3.0
+    assert PAPER_SITE.cistern_volume(3.0) == 75.0
+    assert PAPER_SITE.roof_level(34.4) == pytest.approx(0.5, rel=1e-15)
+    assert PAPER_SITE.roof_volume(0.5) == pytest.approx(34.4, rel=1e-15)
+
+
+@given(site=sites())
+def test_any_consistent_site_is_read_back(
+    tmp_path_factory: pytest.TempPathFactory, site: Site
+) -> None:
+    """To the bit; also numbers such as 1e-05, which YAML 1.1 takes for a text."""
+    directory = tmp_path_factory.mktemp("site")
+    assert read_site(write(directory, **asdict(site))) == site
+
+
+POSITIVE = [key for key in TABLE_I if key not in ("a_hat", "k_L", "z_pump", "z_H")]
+
+
+@pytest.mark.parametrize("key", TABLE_I)
+def test_missing(tmp_path: Path, key: str) -> None:
+    """Named with the file."""
+    path = write(tmp_path, **{key: None})
+    assert refusal(path) == f"{path}: {key}: is missing"
+
+
+@pytest.mark.parametrize(
+    ("value", "reason"),
+    [
+        (".nan", "must be finite"),
+        (".inf", "must be finite"),
+        ("-.inf", "must be finite"),
+        ("1e400", "must be finite"),
+        ("three", "must be a number"),
+        ("true", "must be a number"),
+        ("", "must be a number"),
+        ("[3]", "must be a number"),
+        ("2021-07-07", "must be a number"),
+    ],
+)
+@pytest.mark.parametrize("key", ["a1", "a_hat", "k_L", "M"])
+def test_what_is_no_finite_number(tmp_path: Path, key: str, value: str, reason: str) -> None:
+    """Whatever the parameter."""
+    path = write(tmp_path, **{key: value})
+    message = refusal(path)
+    assert message.startswith(f"{path}, line {line_of(key)}: {key}")
+    assert message.endswith(f": {reason}")
+
+
+@pytest.mark.parametrize(
+    ("keys", "value", "reason"),
+    [
+        (POSITIVE, "0", "must be greater than 0"),
+        (POSITIVE, "-1.5", "must be greater than 0"),
+        (["k_L", "z_pump", "z_H"], "-1.0e-9", "must not be negative"),
+        (["a_hat"], "0", "must be negative"),
+        (["a_hat"], "5.78e+5", "must be negative"),
+        (["M", "N"], "10.5", "must be a whole number of ticks"),
+        (["x2_star"], "3.145", "must be a2 z_veg = 3.14416 m3"),
+        (["z_cap"], "34.5", "must be a2 z_soil = 34.4 m3"),
+        (["c_hat"], "15.25", "must exceed d - z_pump - z_H = 15.25 m"),
+        (["c_hat"], "1.0", "must exceed d - z_pump - z_H = 15.25 m"),
+        (["tau"], "1.0000000001", "must be a whole number of nanoseconds"),
+    ],
+)
+def test_wrong_values(tmp_path: Path, keys: list[str], value: str, reason: str) -> None:
+    """Named with file, line, key and value, and what would be right."""
+    for key in keys:
+        path = write(tmp_path, **{key: value})
+        number = str(float(value)) if "." in value else value
+        start = f"{path}, line {line_of(key)}: {key} = {number}: {reason}"
+        assert refusal(path).startswith(start)
+
+
+def test_water_deeper_than_the_soil(tmp_path: Path) -> None:
+    """A z_veg that is z_soil, with the x2_star that belongs to it."""
+    path = write(tmp_path, z_veg=0.5, x2_star=34.4)
+    start = f"{path}, line {line_of('z_veg')}: z_veg = 0.5: must be below z_soil = 0.5 m"
+    assert refusal(path).startswith(start)
+
+
+@pytest.mark.parametrize(
+    ("key", "value", "reason"),
+    [
+        ("latitude", "79.4", "must be from -66 to 66"),
+        ("longitude", "280.6", "must be from -180 to 180"),
+        ("elevation", "77000.0", "must be from -430 to 6000"),
+        ("utc_offset", "-300.0", "must be from -12 to 14"),
+        ("albedo", "23.0", "must be from 0 to 1"),
+        ("k_Rs", "0.5", "must be from 0.1 to 0.25"),
+        ("wind_height", "0.0", "must be from 0.5 to 100"),
+        ("crop_coefficient", "-1.0", "must be from 0.01 to 3"),
+        ("latitude", ".nan", "must be finite"),
+    ],
+)
+def test_wrong_place(tmp_path: Path, key: str, value: str, reason: str) -> None:
+    """It may be left out, but not be wrong."""
+    path = write(tmp_path, f"{key}: {value}")
+    message = refusal(path)
+    assert message.startswith(f"{path}, line {len(TABLE_I) + 1}: {key} = ")
+    assert message.endswith(reason)
+
+
+@pytest.mark.parametrize("key", ["k_L", "z_pump", "z_H"])
+def test_what_may_be_zero(tmp_path: Path, key: str) -> None:
+    """A pipe without bends, pumps on the floor, pumps that suck the last drop."""
+    assert getattr(read_site(write(tmp_path, **{key: 0})), key) == 0
+
+
+def test_pump_that_just_lifts(tmp_path: Path) -> None:
+    """The least head above d - z_pump - z_H is enough."""
+    least = math.nextafter(15.25, 16)
+    assert read_site(write(tmp_path, c_hat=repr(least))).c_hat == least
+
+
+def test_unknown_key(tmp_path: Path) -> None:
+    """A typing error is not passed over; pi is no parameter."""
+    path = write(tmp_path, "pi: 3.14")
+    start = f"{path}, line {len(TABLE_I) + 1}: pi: is not a parameter of a site; they are a1, "
+    assert refusal(path).startswith(start)
+
+
+def test_duplicate_key(tmp_path: Path) -> None:
+    """The second one does not win in silence."""
+    path = write(tmp_path, "a1: 26.0")
+    assert refusal(path) == (
+        f"{path}, line {len(TABLE_I) + 1}: is not valid YAML: a1 is given twice, here and in line 1"
+    )
+
+
+@pytest.mark.parametrize(
+    ("content", "where", "reason"),
+    [
+        (b"", "", "is empty"),
+        (b" \n\n", "", "is empty"),
+        (b"\xef\xbb\xbfa1: 25.0\n", ", line 1", "starts with a byte order mark"),
+        (b"a1: 25.0\n# m\xb2\n", ", line 2", "is not UTF-8 text"),
+        (b"a1: 25.0\n\0\n", ", line 2", "is not a text file"),
+        (b"a1: 25.0\na_in: [0.3\n", ", line 3", "is not valid YAML"),
+        (b"a1: 25.0\na_in: &x *y\n", ", line 2", "is not valid YAML"),
+        (b"a1: 25.0\nz_o: !!python/name:os.system\n", ", line 2", "is not valid YAML"),
+        (b"- 25.0\n- 0.3\n", "", "must hold 'key: value' lines"),
+        (b"25.0\n", "", "must hold 'key: value' lines"),
+    ],
+)
+def test_what_is_no_site_file(tmp_path: Path, content: bytes, where: str, reason: str) -> None:
+    """Named with the line, where there is one."""
+    path = tmp_path / "site.yaml"
+    path.write_bytes(content)
+    assert refusal(path).startswith(f"{path}{where}: {reason}")
+
+
+def test_unreadable_file(tmp_path: Path) -> None:
+    """A file that is not there, and a directory."""
+    assert "cannot be read: No such file" in refusal(tmp_path / "absent.yaml")
+    assert "must be a regular file" in refusal(tmp_path)

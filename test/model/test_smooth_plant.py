@@ -1,0 +1,102 @@
+"""The smooth plant and its linear model, Eqs. (5)-(10)."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from paper import PAPER_SITE, linear_model, site_with, sites
+
+from greenroof_ros.model.site import Site
+from greenroof_ros.model.smooth_plant import linearise, sigmoid, smooth_sqrt, smooth_sqrt_slope
+
+# Every level and volume of a kink is a binary fraction, so that tests hit it to the bit:
+# nu = 0 at x1 = 32 and nu = epsilon at 40, rho = 0 at 16 and rho = epsilon at 24.
+KINKED = site_with(
+    a1=16, z_o=2, epsilon=0.5, c_hat=15, d=16, z_pump=1, z_H=0.5, a2=64, z_veg=0.0625, z_soil=0.5
+)
+
+
+def assert_linear_model(site: Site, point: tuple[float, float, float, float, float]) -> None:
+    """Hold A, B, C and b against complex steps, to 1e-9 of the largest entry of each."""
+    model = linearise(site, *point)
+    slope, B, C, b = linear_model(site, *point)
+    found = np.array(model.A) - np.eye(2)
+    # The identity costs A's entries up to two units in the last place of 1.
+    np.testing.assert_allclose(found, slope, rtol=0, atol=1e-9 * np.abs(slope).max() + 5e-16)
+    # Complex steps lose their digits where a derivative is near the least of all numbers.
+    np.testing.assert_allclose(model.B, B, rtol=0, atol=1e-9 * np.abs(B).max() + 1e-250)
+    np.testing.assert_allclose(model.C, C, rtol=1e-12)
+    # The terms of f cancel; what is left is right to 1e-9 of the terms.
+    terms = np.abs(C) @ np.abs(point[3:]) + np.abs(B * point[2]) + np.abs(b)
+    np.testing.assert_allclose(model.b, b, rtol=0, atol=1e-9 * terms.max())
+
+
+@st.composite
+def states(draw: st.DrawFn, site: Site) -> tuple[float, float]:
+    """Draw volumes anywhere, and often at or near a kink or the middle of a sigmoid."""
+    anywhere = st.floats(0, 1)
+    near = st.sampled_from([-1e-3, -1e-9, 0.0, 1e-9, 1e-3])
+    lift = site.d - site.c_hat
+    suction = site.z_pump + site.z_H
+    kinks = [site.z_o, site.z_o + site.epsilon, lift, lift + site.epsilon, suction]
+    cistern = draw(
+        anywhere.map(lambda share: share * 3 * (site.z_o + site.epsilon))
+        | st.builds(float.__add__, st.sampled_from([float(kink) for kink in kinks]), near)
+    )
+    roof = draw(
+        anywhere.map(lambda share: share * 2 * site.z_soil)
+        | st.builds(float.__add__, st.sampled_from([site.z_veg, site.z_soil]), near)
+    )
+    return max(cistern, 0) * site.a1, max(roof, 0) * site.a2
+
+
+@settings(max_examples=500)
+@given(
+    data=st.data(),
+    site=st.just(PAPER_SITE) | sites(),
+    command=st.floats(0, 3),
+    rain=st.floats(0, 1e-3),
+    evaporated=st.floats(0, 1),
+)
+def test_linear_model_equals_complex_steps(
+    data: st.DataObject, site: Site, command: float, rain: float, evaporated: float
+) -> None:
+    """Eq. (10) at random states of random sites."""
+    assert_linear_model(site, (*data.draw(states(site)), command, rain, evaporated))
+
+
+@pytest.mark.parametrize("kink", [16.0, 24.0, 32.0, 40.0])
+@pytest.mark.parametrize("side", [-math.inf, 0.0, math.inf])
+@pytest.mark.parametrize("x2", [0.0, 4.0, 32.0])
+def test_linear_model_at_the_kinks(kink: float, side: float, x2: float) -> None:
+    """Exactly at rho = 0, rho = epsilon, nu = 0, nu = epsilon, and one bit to either side."""
+    x1 = math.nextafter(kink, side) if side else kink
+    assert_linear_model(KINKED, (x1, x2, 0.7, 1e-5, 1e-6))
+
+
+@pytest.mark.parametrize(
+    ("x1", "x2"),
+    [(0.0, 0.0), (0.0, 1e6), (1e6, 0.0), (1e6, 1e6), (1e6, 4.57e6), (1e5, 5e7)],
+)
+def test_sigmoids_far_out_do_not_overflow(x1: float, x2: float) -> None:
+    """A bed that holds 5e7 m3 puts the exponents at 1e8, where exp overflows."""
+    assert_linear_model(site_with(a2=1e8, a1=1e5), (x1, x2, 1.0, 1e-5, 1e-6))
+
+
+def test_smooth_square_root_by_hand() -> None:
+    """Eq. (6) with epsilon = 0.25, where 2/3 sqrt(epsilon) is 1/3."""
+    third = 1 / 3
+    expected = {-1.0: third, 0.0: third, 0.0625: third + 1 / 48, 0.25: 0.5, 4.0: 2.0}
+    slopes = {-1.0: 0.0, 0.0: 0.0, 0.0625: 0.5, 0.25: 1.0, 4.0: 0.25}
+    assert {y: smooth_sqrt(y, 0.25) for y in expected} == pytest.approx(expected, rel=1e-15)
+    assert {y: smooth_sqrt_slope(y, 0.25) for y in slopes} == pytest.approx(slopes, rel=1e-15)
+
+
+def test_sigmoid_by_hand() -> None:
+    """1 / (1 + exp(-y)): a half at 0, 3/4 at ln 3, and its limits where exp overflows."""
+    expected = {0.0: 0.5, math.log(3): 0.75, -math.log(3): 0.25, 1e4: 1.0, -1e4: 0.0}
+    assert {y: sigmoid(y) for y in expected} == pytest.approx(expected, rel=1e-15, abs=0)

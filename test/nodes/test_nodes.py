@@ -1,0 +1,296 @@
+"""Single nodes in a live graph: parameters, values that are refused, two masters, restarts."""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import pytest
+from graphs import Process, environment, shared_memory_of, wait_for
+
+rclpy = pytest.importorskip("rclpy", reason="nodes need ROS 2")
+
+from rcl_interfaces.msg import Parameter, ParameterType, ParameterValue  # noqa: E402
+from rcl_interfaces.srv import SetParameters  # noqa: E402
+from rclpy.executors import SingleThreadedExecutor  # noqa: E402
+from rclpy.node import Node  # noqa: E402
+from std_msgs.msg import Float64  # noqa: E402
+
+from greenroof_ros.common.interface import read_topics  # noqa: E402
+from greenroof_ros.graph.lockstep import qos_profile  # noqa: E402
+
+
+def qos(topic: str) -> Any:
+    """Return a topic's profile in the contract."""
+    return qos_profile(read_topics()[topic].qos)
+
+
+class Observer:
+    """A node of the test's own."""
+
+    def __init__(self, domain: int) -> None:
+        self.context = rclpy.Context()
+        rclpy.init(args=[], context=self.context, domain_id=domain)
+        self.node = Node("observer", context=self.context, start_parameter_services=False)
+        self.executor = SingleThreadedExecutor(context=self.context)
+        self.executor.add_node(self.node)
+
+    def until(self, condition: Callable[[], Any], seconds: float, what: str) -> Any:
+        """Spin until a condition holds."""
+
+        def spun() -> Any:
+            self.executor.spin_once(timeout_sec=0.05)
+            return condition()
+
+        return wait_for(spun, seconds, what)
+
+
+@pytest.fixture
+def observer(domain: int) -> Iterator[Observer]:
+    it = Observer(domain)
+    yield it
+    it.node.destroy_node()
+    it.context.try_shutdown()
+
+
+@contextmanager
+def nodes(domain: int, cwd: Path, *commands: str) -> Iterator[list[subprocess.Popen[str]]]:
+    """Start nodes by hand, and end them by Ctrl-C."""
+    started = [
+        subprocess.Popen(
+            [sys.executable, "-m", *f"greenroof_ros.nodes.{command}".split()],
+            cwd=cwd, env=environment(domain), stderr=subprocess.PIPE, text=True,
+        )
+        for command in commands
+    ]
+    try:
+        yield started
+    finally:
+        for process in started:
+            process.send_signal(signal.SIGINT)
+        for process in started:
+            process.wait(8)
+
+
+def final_report(observer: Observer, node: str) -> dict[str, Any]:
+    """Wait for what a node says on /diagnostics at the end of a run."""
+    from diagnostic_msgs.msg import DiagnosticArray
+
+    found: dict[str, Any] = {}
+
+    def on_report(array: DiagnosticArray) -> None:
+        for status in array.status:
+            if status.name == node and status.message == "finished":
+                found.update({entry.key: json.loads(entry.value) for entry in status.values})
+
+    observer.node.create_subscription(
+        DiagnosticArray, "/diagnostics", on_report, qos("/diagnostics")
+    )
+    observer.until(lambda: found, 60, f"the final report of {node}")
+    return found
+
+
+@pytest.mark.parametrize("bad", [math.nan, math.inf, -0.5, -math.inf])
+def test_bad_command_acts_as_zero_and_is_counted(
+    domain: int, tmp_path: Path, observer: Observer, bad: float
+) -> None:
+    """A command that is not finite or negative never becomes a flow."""
+    flows: list[float] = []
+    publisher = observer.node.create_publisher(Float64, "/pump/command", qos("/pump/command"))
+    observer.node.create_subscription(
+        Float64, "/roof/level", lambda _: publisher.publish(Float64(data=bad)), qos("/roof/level")
+    )
+    observer.node.create_subscription(
+        Float64, "/pump/flow", lambda message: flows.append(message.data), qos("/pump/flow")
+    )
+    with nodes(domain, tmp_path, "plant --ros-args -p steps:=20", "weather") as started:
+        report = final_report(observer, "plant")
+    assert report["refused"] == {"/pump/command": 21}
+    assert report["metrics"]["pumped_m3"] == 0.0
+    assert flows == [0.0] * 21
+    assert "refused" in started[0].communicate()[1]
+
+
+@pytest.mark.parametrize("level", [math.nan, -1.0, 1e6])
+def test_bad_level_or_frost_stops_the_pump(
+    domain: int, tmp_path: Path, observer: Observer, level: float
+) -> None:
+    """A level that no sensor can have measured is not a dry roof; frost and bad frost pump not."""
+    from std_msgs.msg import Float64MultiArray
+
+    commands: list[float] = []
+    observer.node.create_subscription(
+        Float64, "/pump/command", lambda message: commands.append(message.data),
+        qos("/pump/command"),
+    )
+    publish = {
+        name: observer.node.create_publisher(kind, name, qos(name))
+        for name, kind in (
+            ("/cistern/level", Float64),
+            ("/roof/level", Float64),
+            ("/forecast/precipitation", Float64MultiArray),
+            ("/forecast/evapotranspiration", Float64MultiArray),
+            ("/weather/frost", Float64),
+        )
+    }
+    with nodes(domain, tmp_path, "mpc"):
+        observer.until(
+            lambda: all(each.get_subscription_count() for each in publish.values()), 20, "mpc"
+        )
+        inputs = [(0.03, 0.0), (level, 0.0), (0.03, 0.0), (0.03, 1.0), (0.03, math.nan)]
+        for tick, (roof, frost) in enumerate(inputs):
+            publish["/cistern/level"].publish(Float64(data=2.5))
+            publish["/roof/level"].publish(Float64(data=roof))
+            publish["/weather/frost"].publish(Float64(data=frost))
+            publish["/forecast/precipitation"].publish(Float64MultiArray(data=[0.0] * 10))
+            publish["/forecast/evapotranspiration"].publish(Float64MultiArray(data=[0.0] * 10))
+            observer.until(lambda tick=tick: len(commands) == tick + 1, 10, f"command {tick}")
+    assert commands[0] > 0
+    assert commands[1] == 0.0
+    assert commands[2] > 0
+    assert commands[3:] == [0.0, 0.0]
+
+
+@pytest.mark.parametrize(
+    "when", ["Node.destroy_node = lambda node: hang()", "import atexit; atexit.register(hang)"],
+    ids=["destroy_node", "end of the process"],
+)
+def test_middleware_that_locks_up_at_the_end(domain: int, tmp_path: Path, when: str) -> None:
+    """A teardown that hangs, and lets no Python run: the node ends all the same."""
+    hangs = (
+        "import ctypes; from rclpy.node import Node; from greenroof_ros.nodes.weather import main; "
+        f"hang = lambda: ctypes.PyDLL(None).sleep(60); {when}; main()"
+    )
+    process = subprocess.Popen(
+        [sys.executable, "-c", hangs], cwd=tmp_path, env=environment(domain)
+    )
+    wait_for(lambda: shared_memory_of([process.pid]), 20, "the start of the node")
+    process.send_signal(signal.SIGINT)
+    assert process.wait(8) == -signal.SIGALRM
+
+
+def test_two_masters(domain: int, tmp_path: Path, observer: Observer) -> None:
+    """A second publisher of the command ends the run, and the message names the topic."""
+    process = Process(domain, "bringup", "--output", "run", cwd=tmp_path)
+    process.wait_for_ticks()
+    observer.node.create_publisher(Float64, "/pump/command", qos("/pump/command"))
+    observer.until(lambda: process.process.poll() is not None, 15, "the end of the run")
+    assert process.wait(1) == 1
+    assert "/pump/command has 2 publishers (mpc, observer)" in process.stderr()
+    assert "Traceback" not in process.stderr()
+
+
+def test_weight_is_set_during_a_run(domain: int, tmp_path: Path, observer: Observer) -> None:
+    """A valid weight is taken and recorded with its tick; others are refused with a reason."""
+    process = Process(
+        domain, "bringup", "--output", "run", "--hours", "0.2", "--speed", "100", cwd=tmp_path
+    )
+    client = observer.node.create_client(SetParameters, "/mpc/set_parameters")
+    observer.until(client.service_is_ready, 30, "the parameter service")
+
+    def set_weight(value: float) -> Any:
+        parameter = Parameter(
+            name="weight",
+            value=ParameterValue(type=ParameterType.PARAMETER_DOUBLE, double_value=value),
+        )
+        future = client.call_async(SetParameters.Request(parameters=[parameter]))
+        observer.until(future.done, 10, "an answer")
+        return future.result().results[0]
+
+    for bad in (-1.0, 0.0, math.nan, math.inf):
+        refused = set_weight(bad)
+        assert not refused.successful
+        assert "weight" in refused.reason
+    assert set_weight(0.01).successful
+    assert process.wait(60) == 0, process.stderr()
+    summary = json.loads((tmp_path / "run" / "summary.json").read_text())
+    (change,) = summary["parameter_changes"]
+    assert (change["parameter"], change["value"]) == ("weight", 0.01)
+    assert 0 <= change["tick"] <= 720
+
+
+def test_parameter_file_is_honoured(domain: int, tmp_path: Path, observer: Observer) -> None:
+    """--params-file decides what the node does."""
+    (tmp_path / "plant.yaml").write_text(
+        "plant:\n  ros__parameters:\n    cistern: 50.0\n    roof: 3.0\n    steps: 5\n"
+    )
+    with nodes(
+        domain, tmp_path, "plant --ros-args --params-file plant.yaml", "weather", "onoff"
+    ):
+        report = final_report(observer, "plant")
+    assert report["tick"] == 5
+    assert report["metrics"]["final_cistern_m3"] < 50.0
+    assert report["metrics"]["final_roof_m3"] == pytest.approx(3.0, abs=0.1)
+    assert report["sent"]["/clock"] == 6
+
+
+@pytest.mark.parametrize(
+    ("command", "words"),
+    [
+        ("mpc --ros-args -p weight:=-1.0", ("weight", "-1.0", "1e-09")),
+        ("mpc --ros-args -p weight:=heavy", ("weight", "heavy", "number")),
+        ("onoff --ros-args -p fraction:=.nan", ("fraction",)),
+        ("plant --ros-args -p roof:=-1.0", ("roof", "-1.0")),
+        ("plant --ros-args -p steps:=0", ("steps", "0")),
+        ("plant --ros-args -p pump:=outside", ("pump", "outside", "external")),
+        ("plant --ros-args -p start:=noon", ("start", "noon")),
+        ("plant --ros-args -p site_file:=nowhere.yaml", ("nowhere.yaml",)),
+        ("weather --ros-args -p weather_file:=nowhere.csv", ("nowhere.csv",)),
+        ("weather --ros-args -p steps:=10000000", ("toronto_2021-07.csv",)),
+        ("recorder --ros-args -p directory:=.", ("directory", "exists")),
+        ("recorder --ros-args -p controller:=pid", ("controller", "pid", "mpc")),
+    ],
+)
+def test_wrong_parameters(
+    domain: int, tmp_path: Path, command: str, words: tuple[str, ...]
+) -> None:
+    """Exit code 2 and one clear message, as of the commands."""
+    done = subprocess.run(
+        [sys.executable, "-m", *f"greenroof_ros.nodes.{command}".split()],
+        cwd=tmp_path, env=environment(domain), capture_output=True, text=True, timeout=30,
+        check=False,
+    )
+    assert done.returncode == 2, done.stderr
+    assert done.stderr.count("error:") == 1
+    assert "Traceback" not in done.stderr
+    for word in words:
+        assert word in done.stderr
+
+
+def test_restarted_controller_takes_the_last_levels(
+    domain: int, tmp_path: Path, observer: Observer
+) -> None:
+    """kill -9 of a controller and a new one: the tick waits, the run ends with its numbers."""
+    with nodes(
+        domain, tmp_path,
+        "plant --ros-args -p steps:=600 -p speed:=100.0 -p peer_limit:=20.0", "weather", "onoff",
+    ) as started:
+        seen: list[float] = []
+        observer.node.create_subscription(
+            Float64, "/roof/level", lambda message: seen.append(message.data), qos("/roof/level")
+        )
+        observer.until(lambda: len(seen) > 150, 30, "150 ticks")
+        os.kill(started[2].pid, signal.SIGKILL)
+        time.sleep(3)  # until its lease is over: two controllers are one too many
+        with nodes(domain, tmp_path, "onoff"):
+            report = final_report(observer, "plant")
+    assert report["sent"]["/roof/level"] == 601
+    done = subprocess.run(
+        [
+            sys.executable, "-m", "greenroof_ros.simulate", "--controller", "onoff",
+            "--hours", str(600 / 3600), "--output", "inprocess", "--json",
+        ],
+        cwd=tmp_path, env=environment(domain), capture_output=True, text=True, check=True,
+    )
+    assert report["metrics"]["total_deviation_m3"] == (
+        json.loads(done.stdout)["total_deviation_m3"]
+    )

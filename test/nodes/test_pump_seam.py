@@ -1,0 +1,85 @@
+"""A pump driver that knows nothing of this package takes the simulated pump's place."""
+
+from __future__ import annotations
+
+import math
+import re
+import signal
+import struct
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from graphs import bag_file, bring_up, environment, wait_for
+from mcap.reader import make_reader
+from places import CHECKOUT
+
+pytest.importorskip("rclpy", reason="the graph needs ROS 2")
+
+README = CHECKOUT / "README.md"
+# Table I of the paper.
+A1, A2, A_IN = 25.0, 68.8, 0.305**2 * math.pi
+
+
+def readme_driver() -> str:
+    """Return the driver that the README shows."""
+    blocks = re.findall(r"```python\n(.*?)```", README.read_text(), re.DOTALL)
+    return next(block for block in blocks if "pump/flow" in block)
+
+
+def values(run: Path, topic: str) -> list[float]:
+    """Return a topic's values."""
+    with bag_file(run).open("rb") as stream:
+        return [
+            struct.unpack_from("<d", message.data, 4)[0]
+            for _, _, message in make_reader(stream).iter_messages(topics=[topic])
+        ]
+
+
+def test_driver_of_the_readme(domain: int, tmp_path: Path) -> None:
+    """A thousand ticks through the README's driver, with a lag: the levels follow its flow."""
+    source = readme_driver()
+    assert "greenroof" not in source
+    assert len([line for line in source.splitlines() if line.strip()]) <= 22
+    (tmp_path / "driver.py").write_text(source)
+    driver = subprocess.Popen(
+        [sys.executable, "driver.py"], cwd=tmp_path, env=environment(domain),
+        stderr=subprocess.PIPE, text=True,
+    )
+    try:
+        bring_up(
+            domain, tmp_path, "--pump", "external", "--controller", "onoff", "--fraction", "2",
+            "--hours", str(1000 / 3600),
+        )
+        # The controller is gone: the driver has stopped its pump and says so.
+        assert wait_for(lambda: driver.poll() is not None, 10, "the driver's end")
+        assert "stopped" in driver.communicate()[1]
+    finally:
+        if driver.poll() is None:
+            driver.send_signal(signal.SIGINT)
+            driver.wait(5)
+    run = tmp_path / "run"
+    commands, flows = values(run, "/pump/command"), values(run, "/pump/flow")
+    assert len(flows) == 1001
+    # Its flow: a first-order lag behind its maximum flow times the command, clamped at 1.
+    constants = re.search(r"^MAX_FLOW, LAG, TICK = ([\d., ]+)", source, re.MULTILINE)
+    assert constants
+    maximum, lag, tick = map(float, constants[1].split(","))
+    flow = 0.0
+    for command, measured in zip(commands, flows, strict=True):
+        flow += (min(command, 1.0) * maximum - flow) * (1 - math.exp(-tick / lag))
+        assert measured == pytest.approx(flow, rel=1e-12, abs=1e-300)
+    assert max(commands) == 2.0
+    assert 0.5 * maximum < max(flows) < maximum
+    # The levels: the mass balance with that flow, and not with the simulated pump's.
+    cistern, roof = values(run, "/cistern/level"), values(run, "/roof/level")
+    rain = values(run, "/weather/precipitation")
+    evapotranspiration = values(run, "/weather/evapotranspiration")
+    outflow, drainage = values(run, "/cistern/outflow"), values(run, "/roof/drainage")
+    for k in range(1000):
+        into_cistern = rain[k] * A_IN - outflow[k] - flows[k]
+        into_roof = rain[k] * A2 + flows[k] - evapotranspiration[k] - drainage[k]
+        assert cistern[k + 1] * A1 == pytest.approx(cistern[k] * A1 + into_cistern, abs=1e-9)
+        assert roof[k + 1] * A2 == pytest.approx(roof[k] * A2 + into_roof, abs=1e-9)
+    assert roof[1000] > 0.0457  # it kept flowing for a while after the command fell to 0

@@ -1,0 +1,156 @@
+"""Bags: other people's readers open them, and a crash costs at most the last 32 ticks."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+import yaml
+from graphs import Process, bag_file, bring_up, environment
+from mcap.reader import make_reader
+from rosbags.highlevel import AnyReader
+
+pytest.importorskip("rclpy", reason="the graph needs ROS 2")
+
+
+@pytest.fixture(scope="module")
+def recorded(domain: int, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The directory of a good run of 360 ticks."""
+    cwd = tmp_path_factory.mktemp("recorded")
+    bring_up(domain, cwd, "--hours", "0.1")
+    return cwd / "run"
+
+
+def recover(directory: Path, *arguments: str) -> subprocess.CompletedProcess[str]:
+    """Run the recovery as a user would."""
+    return subprocess.run(
+        [sys.executable, "-m", "greenroof_ros.recover", str(directory), *arguments],
+        env=environment(0), capture_output=True, text=True, check=False,
+    )
+
+
+def test_rosbags_decodes_it(recorded: Path) -> None:
+    """An independent rosbag2 reader finds each message and decodes it."""
+    with AnyReader([recorded / "bag"]) as reader:
+        counts = {connection.topic: connection.msgcount for connection in reader.connections}
+        assert len(counts) == 14
+        assert set(counts.values()) == {361}
+        levels, windows, clocks = [], [], []
+        for connection, time_ns, data in reader.messages():
+            message = reader.deserialize(data, connection.msgtype)
+            if connection.topic == "/roof/level":
+                levels.append((time_ns, message.data))
+            elif connection.topic == "/forecast/precipitation":
+                windows.append(len(message.data))
+            elif connection.topic == "/clock":
+                clocks.append(message.clock.sec * 10**9 + message.clock.nanosec)
+    # Tick 0 is 2021-07-07T02:00-05:00, 1625641200 s after 1970 (date -d ... +%s).
+    assert clocks == [(1_625_641_200 + tick) * 10**9 for tick in range(361)]
+    assert [time_ns for time_ns, _ in levels] == clocks
+    assert levels[0][1] == pytest.approx(0.0457 / 1.3, rel=1e-15)
+    assert windows == [10] * 361
+
+
+def test_metadata_and_channels_agree(recorded: Path) -> None:
+    """One QoS written differently in two places makes readers drop a topic silently."""
+    metadata = yaml.safe_load((recorded / "bag" / "metadata.yaml").read_text())
+    information = metadata["rosbag2_bagfile_information"]
+    assert information["version"] == 9
+    assert information["message_count"] == 361 * 14
+    described = {
+        entry["topic_metadata"]["name"]: entry["topic_metadata"]
+        for entry in information["topics_with_message_count"]
+    }
+    with bag_file(recorded).open("rb") as stream:
+        summary = make_reader(stream, validate_crcs=True).get_summary()
+    assert summary is not None and summary.statistics is not None
+    assert summary.statistics.message_count == 361 * 14
+    assert summary.chunk_indexes
+    for channel in summary.channels.values():
+        topic = described.pop(channel.topic)
+        assert yaml.safe_load(channel.metadata["offered_qos_profiles"]) == (
+            topic["offered_qos_profiles"]
+        )
+        assert channel.metadata["topic_type_hash"] == topic["type_description_hash"]
+        assert summary.schemas[channel.schema_id].name == topic["type"]
+        assert summary.schemas[channel.schema_id].encoding == "ros2msg"
+    assert not described
+
+
+def test_killed_recorder_costs_at_most_32_ticks(domain: int, tmp_path: Path) -> None:
+    """kill -9 in mid-run: recover restores all but what the plant can be ahead of the file."""
+    rclpy = pytest.importorskip("rclpy")
+    from rclpy.executors import SingleThreadedExecutor
+    from rclpy.node import Node
+    from rclpy.qos import QoSProfile
+    from rosgraph_msgs.msg import Clock
+
+    process = Process(domain, "bringup", "--output", "run", cwd=tmp_path)
+    context = rclpy.Context()
+    rclpy.init(args=[], context=context, domain_id=domain)
+    node = Node("observer", context=context, start_parameter_services=False)
+    stamps: list[int] = []
+    node.create_subscription(
+        Clock, "/clock", lambda message: stamps.append(message.clock.sec), QoSProfile(depth=10_000)
+    )
+    executor = SingleThreadedExecutor(context=context)
+    executor.add_node(node)
+    try:
+        process.wait_for_ticks(size=60_000)
+        while not stamps:
+            executor.spin_once(timeout_sec=0.1)
+        os.kill(process.nodes()["recorder"], signal.SIGKILL)
+        assert process.wait(10) == 1
+        until = time.monotonic() + 1
+        while time.monotonic() < until:
+            executor.spin_once(timeout_sec=0.1)
+    finally:
+        node.destroy_node()
+        context.try_shutdown()
+    reached = stamps[-1] - 1_625_641_200  # the tick that the plant had begun
+    done = recover(tmp_path / "run")
+    assert done.returncode == 0, done.stderr
+    with AnyReader([tmp_path / "run" / "bag-recovered"]) as reader:
+        counts = {connection.msgcount for connection in reader.connections}
+    assert len(counts) == 1
+    ticks = counts.pop()
+    assert ticks > 32
+    assert reached - ticks <= 32, f"{reached} ticks begun, {ticks} restored"
+
+
+def test_recovering_a_whole_bag_changes_nothing(recorded: Path, tmp_path: Path) -> None:
+    """Recovery of a bag that is not damaged gives its bytes."""
+    done = recover(recorded, "--output", str(tmp_path / "bag"))
+    assert done.returncode == 0
+    assert bag_file(tmp_path).read_bytes() == bag_file(recorded).read_bytes()
+
+
+def test_full_disk(domain: int, tmp_path: Path) -> None:
+    """A disk that fills up is an error that says so, and the bag can be recovered."""
+    disk = tmp_path / "disk"
+    disk.mkdir()
+    mounted = subprocess.run(
+        ["mount", "-t", "tmpfs", "-o", "size=300k", "tmpfs", str(disk)],
+        capture_output=True, check=False,
+    )
+    if mounted.returncode:
+        pytest.skip("only root can mount a small disk")
+    try:
+        process = Process(domain, "bringup", "--output", str(disk / "run"), cwd=tmp_path)
+        assert process.wait(60) == 1
+        assert "node recorder ended" in process.stderr()
+        assert "No space left on device" in process.stderr()
+        assert "greenroof_ros.recover" in process.stderr()
+        assert "Traceback" not in process.stderr()
+        done = recover(disk / "run", "--output", str(tmp_path / "rescued"))
+        assert done.returncode == 0, done.stderr
+        with AnyReader([tmp_path / "rescued"]) as reader:
+            assert {connection.msgcount for connection in reader.connections} != {0}
+            assert reader.message_count > 14 * 300
+    finally:
+        subprocess.run(["umount", str(disk)], check=True)

@@ -1,0 +1,350 @@
+"""The report's page in a real browser: what it shows, and that it asks for nothing else."""
+
+from __future__ import annotations
+
+import shutil
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from graphs import environment
+from test_report import SEEDED, START, seeded_rows, simulate, write_study
+
+from greenroof_ros.recording.trajectory import Trajectory
+
+playwright = pytest.importorskip("playwright.sync_api", reason="the browser is driven by it")
+CHROMIUM = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))),
+                None)
+WEIGHTS = ("0.00001", "0.0001", "0.001", "0.01", "0.1")
+FRACTIONS = ("0.2", "0.5", "1", "1.5", "2")
+INITIALS = ("low-low", "high-low", "high-high")
+SAMPLES = 43201
+# Marks in a view's scene that belong to the data, by name; and a legend's entry, by its text.
+SCENE = """
+window.marks = (id, type) => {
+  const found = [];
+  const walk = (item) => {
+    if (item.marktype === type && (item.name ?? "").includes("marks") && item.items.length) {
+      found.push(item);
+    }
+    (item.items ?? []).forEach(walk);
+  };
+  walk(window.reportViews.get(id).scenegraph().root);
+  return found;
+};
+// Where the plotting area begins on the canvas.
+window.corner = (view) => view.origin().map((one, i) => one + view.padding()[i ? "top" : "left"]);
+window.legendEntry = (id, text) => {
+  const view = window.reportViews.get(id);
+  let found = null;
+  const walk = (mark, x, y) => {
+    for (const item of mark.items ?? []) {
+      const [left, top] = [x + (item.x ?? 0), y + (item.y ?? 0)];
+      if (mark.role === "legend-label" && item.text === text) found = [left + 3, top];
+      if (mark.marktype === "group") item.items.forEach((one) => walk(one, left, top));
+    }
+  };
+  walk(view.scenegraph().root, ...corner(view));
+  return found;
+};
+"""
+
+
+@pytest.fixture(scope="module")
+def page_file(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The report on a study of the paper's size, of noise, which takes the most room."""
+    directory = tmp_path_factory.mktemp("page")
+    random = np.random.default_rng(1)
+    row = simulate("onoff", "0.5", "low-low", "0.01").row
+    runs = []
+    for initial in INITIALS:
+        for controller, key, values in (
+            ("mpc", "weight", WEIGHTS), ("onoff", "fraction", FRACTIONS)
+        ):
+            for value in values:
+                noise = random.random((9, SAMPLES))
+                noise[2:4] *= 1e-6
+                noise[5:8] *= 1e-2
+                columns = [np.arange(float(SAMPLES)), 50 + noise[0], 3 + noise[1], *noise[2:8]]
+                about = {**row, "initial": initial, "controller": controller, "fraction": "",
+                         "hours": "12", "bound_m3": 30_000.0, key: value}
+                runs.append((about, Trajectory(START, *columns, np.zeros(SAMPLES))))
+    write_study(directory / "study", runs)
+    return reported(directory)
+
+
+@pytest.fixture(scope="module")
+def seeds_file(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The report on 600 runs under forecast errors."""
+    directory = tmp_path_factory.mktemp("seeds")
+    row = simulate("onoff", "0.5", "low-low", "0.01").row
+    write_study(directory / "study", [(one, None) for one in seeded_rows(row)], SEEDED)
+    return reported(directory)
+
+
+def reported(directory: Path) -> Path:
+    """Make the report on a study."""
+    done = subprocess.run(
+        [sys.executable, "-m", "greenroof_ros.report", "study", "--output", "report"],
+        cwd=directory, env=environment(0), capture_output=True, text=True, timeout=300,
+        check=False,
+    )
+    assert done.returncode == 0, done.stderr
+    return directory / "report" / "report.html"
+
+
+@pytest.fixture(scope="module")
+def browser() -> Iterator[Any]:
+    """A browser without a window."""
+    if CHROMIUM is None:
+        pytest.skip("no Chromium on this machine")
+    with playwright.sync_playwright() as driver:
+        started = driver.chromium.launch(
+            executable_path=CHROMIUM,
+            args=["--no-sandbox", "--disable-background-networking",
+                  "--disable-component-update", "--disable-sync"],
+        )
+        yield started
+        started.close()
+
+
+def opened(browser: Any, file: Path, width: int) -> Any:
+    """Open the page and wait until everything is drawn."""
+    page = browser.new_page(viewport={"width": width, "height": 900})
+    page.said = []
+    page.asked = []
+    page.on("console", lambda message: page.said.append(f"{message.type}: {message.text}"))
+    page.on("pageerror", lambda error: page.said.append(str(error)))
+    page.on("request", lambda request: page.asked.append(request.url))
+    page.goto(file.as_uri())
+    page.wait_for_function("document.documentElement.dataset.drawn", timeout=60_000)
+    page.evaluate(f"() => {{ {SCENE} }}")
+    return page
+
+
+@pytest.fixture(scope="module")
+def page(browser: Any, page_file: Path) -> Iterator[Any]:
+    """The page at the width of a desk's screen."""
+    found = opened(browser, page_file, 1280)
+    yield found
+    found.close()
+
+
+def overflow(page: Any) -> int:
+    """By how much the page is wider than the window (px)."""
+    return page.evaluate(
+        "document.documentElement.scrollWidth - document.documentElement.clientWidth"
+    )
+
+
+def test_size(page_file: Path) -> None:
+    """30 runs of 12 h of noise fit into 5 MB."""
+    assert page_file.stat().st_size < 5_000_000
+
+
+def test_silent_and_alone(page: Any, page_file: Path) -> None:
+    """The console stays empty, and no file or server is asked for anything."""
+    assert page.said == []
+    assert page.asked == [page_file.as_uri()]
+    assert page.locator("h1").count() == 1
+
+
+def test_every_figure_has_its_series(page: Any) -> None:
+    """As many lines and marks as there are runs, in every panel."""
+    panels = page.evaluate("[...window.reportViews.keys()]")
+    assert len(panels) == page.locator(".panel canvas").count() == 1 + 3 + 2 + 4 * 2 + 3 * 6 + 2
+
+    def series(panel: str, kind: str) -> list[int]:
+        return page.evaluate(f"marks('{panel}', '{kind}').map((mark) => mark.items.length)")
+
+    for initial in (1, 2, 3):
+        for number in range(1, 7):
+            lines = series(f"trajectories-1-{initial}-panel-{number}", "line")
+            assert len(lines) == 5 and min(lines) > 300
+    for figure in ("time-in-band", "energy", "pump-starts"):
+        for number in (1, 2):
+            assert sum(series(f"{figure}-1-panel-{number}", "symbol")) == 15
+    for number in (1, 2):
+        # The runs' marks, and those of the authors' code; a line of the least possible for each
+        # initial state.
+        assert sum(series(f"total-deviation-1-panel-{number}", "symbol")) == 30
+        assert sum(series(f"total-deviation-1-panel-{number}", "rule")) == 3
+    assert sum(series("water-balance-1-panel-1", "rect")) == 30 * 3
+    assert sum(series("water-balance-1-panel-2", "rect")) == 30 * 4
+    assert len(series("pump-curve-1-panel-1", "line")) == 3
+    assert [len(series(f"pump-smoothing-1-panel-{number}", "line")) for number in (1, 2, 3)] == [
+        2, 2, 2
+    ]
+    assert len(series("weather-1-panel-2", "line")) == 1
+
+
+def test_table_sorts(page: Any) -> None:
+    """By a click, and by the keyboard; numbers as numbers, and the heading says which way."""
+    table = page.locator("table.sortable").nth(1)
+    header = table.locator("thead th", has_text="total deviation")
+    column = header.evaluate("(one) => one.cellIndex")
+
+    def values() -> list[float]:
+        return [
+            float(cell) for cell in
+            table.locator(f"tbody tr > :nth-child({column + 1})").all_inner_texts()
+        ]
+
+    before = values()
+    header.locator("button").click()
+    assert header.get_attribute("aria-sort") == "ascending"
+    assert values() == sorted(before) != before
+    header.locator("button").press("Enter")
+    assert header.get_attribute("aria-sort") == "descending"
+    assert values() == sorted(before, reverse=True)
+    table.locator("thead button").first.click()
+    assert values() == before
+    assert header.get_attribute("aria-sort") is None
+    settings = table.locator("thead th", has_text="setting")
+    settings.locator("button").click()
+    column = settings.evaluate("(one) => one.cellIndex")
+    cells = table.locator(f"tbody tr > :nth-child({column + 1})").all_inner_texts()
+    assert list(dict.fromkeys(cells)) == [
+        *(f"weight {weight}" for weight in WEIGHTS), *(f"fraction {part}" for part in FRACTIONS)
+    ]
+
+
+def click_legend(page: Any, panel: str, text: str) -> None:
+    """Click an entry of a panel's legend."""
+    canvas = page.locator(f"#{panel} canvas")
+    canvas.scroll_into_view_if_needed()
+    x, y = page.evaluate(f"legendEntry('{panel}', '{text}')")
+    canvas.click(position={"x": x, "y": y})
+    page.wait_for_timeout(300)
+
+
+def test_legend_switches_a_run_off_and_on(page: Any) -> None:
+    """In the panel that was clicked, and in those of the same runs; not in the others."""
+    first, same, other = (f"trajectories-1-1-panel-{number}" for number in (1, 3, 2))
+
+    def lines(panel: str) -> set[str]:
+        return set(page.evaluate(
+            f"marks('{panel}', 'line').map((mark) => mark.items[0].datum.setting)"
+        ))
+
+    assert lines(first) == lines(same) == set(WEIGHTS)
+    click_legend(page, first, "0.01")
+    assert lines(first) == lines(same) == set(WEIGHTS) - {"0.01"}
+    assert lines(other) == set(FRACTIONS)
+    click_legend(page, same, "0.1")
+    assert lines(first) == lines(same) == set(WEIGHTS) - {"0.01", "0.1"}
+    click_legend(page, first, "0.01")
+    click_legend(page, first, "0.1")
+    assert lines(first) == lines(same) == set(WEIGHTS)
+
+
+def test_wheel_scrolls_and_zooms_with_shift(page: Any) -> None:
+    """A figure under the pointer does not hold the page."""
+    panel = "trajectories-1-2-panel-1"
+    canvas = page.locator(f"#{panel} canvas")
+    canvas.scroll_into_view_if_needed()
+    canvas.hover(position={"x": 250, "y": 100})
+    domain = f"window.reportViews.get('{panel}').scale('x').domain()"
+    place = page.evaluate("window.scrollY")
+    page.mouse.wheel(0, 120)
+    page.wait_for_timeout(300)
+    assert page.evaluate("window.scrollY") > place
+    assert page.evaluate(domain) == [0, 12]
+    canvas.hover(position={"x": 250, "y": 100})
+    place = page.evaluate("window.scrollY")
+    page.keyboard.down("Shift")
+    page.mouse.wheel(0, -240)
+    page.keyboard.up("Shift")
+    page.wait_for_timeout(300)
+    low, high = page.evaluate(domain)
+    assert 0 < low < high < 12
+    assert page.evaluate("window.scrollY") == place
+    canvas.dblclick(position={"x": 250, "y": 100})
+    page.wait_for_timeout(300)
+    assert page.evaluate(domain) == [0, 12]
+
+
+def test_hover_shows_values(page: Any) -> None:
+    """The pointer on a mark says which run it is, and its value."""
+    panel = "energy-1-panel-1"
+    canvas = page.locator(f"#{panel} canvas")
+    canvas.scroll_into_view_if_needed()
+    x, y = page.evaluate(
+        f"(() => {{ const [x, y] = corner(window.reportViews.get('{panel}')),"
+        f" mark = marks('{panel}', 'symbol')[0].items[0]; return [mark.x + x, mark.y + y]; }})()"
+    )
+    canvas.hover(position={"x": x, "y": y})
+    page.wait_for_selector("#vg-tooltip-element.visible")
+    text = page.locator("#vg-tooltip-element").inner_text()
+    assert "weight" in text and "energy (Wh)" in text
+
+
+def test_widths(browser: Any, page: Any, page_file: Path) -> None:
+    """Two columns or one, never wider than the window, laid out anew when its width changes."""
+    assert overflow(page) == 0
+    narrow = opened(browser, page_file, 400)
+    try:
+        assert narrow.said == []
+        assert overflow(narrow) == 0
+        box = narrow.locator(".scroll").nth(1)
+        assert box.evaluate("(one) => one.scrollWidth > one.clientWidth")
+        box.evaluate("(one) => { one.scrollLeft = 300 }")
+        left = box.evaluate("(one) => one.getBoundingClientRect().left")
+        first = box.locator("tbody th").first
+        assert first.evaluate("(one) => one.getBoundingClientRect().left") == pytest.approx(
+            left, abs=2
+        )
+        lefts = "[...document.querySelectorAll('#energy-1 .panel')].map((p) => p.offsetLeft)"
+        width = "window.reportViews.get('energy-1-panel-1').container().clientWidth"
+        assert len(set(narrow.evaluate(lefts))) == 1
+        assert narrow.evaluate(width) < 400
+        narrow.set_viewport_size({"width": 1280, "height": 900})
+        narrow.wait_for_timeout(500)
+        assert len(set(narrow.evaluate(lefts))) == 2
+        drawn = narrow.locator("#energy-1-panel-1 canvas").bounding_box()
+        assert drawn["width"] == pytest.approx(narrow.evaluate(width), abs=3)
+        assert overflow(narrow) == 0
+    finally:
+        narrow.close()
+
+
+def test_many_seeds(browser: Any, seeds_file: Path) -> None:
+    """A panel for each window and initial state: mean and worst tenth; the legend switches both."""
+    assert seeds_file.stat().st_size < 5_000_000
+    page = opened(browser, seeds_file, 1280)
+    try:
+        assert page.said == []
+        assert page.asked == [seeds_file.as_uri()]
+        assert page.locator("#forecast-errors canvas").count() == 4
+        first, second = (f"forecast-errors-panel-{number}" for number in (1, 2))
+
+        def marks(panel: str, kind: str) -> int:
+            return page.evaluate(
+                f"marks('{panel}', '{kind}').reduce((sum, one) => sum + one.items.length, 0)"
+            )
+
+        # 3 settings, 2 sizes, mean and worst tenth; a line has an item for each of its points.
+        assert marks(first, "symbol") == marks(first, "line") == 12
+        assert marks(first, "rule") == 1
+        click_legend(page, first, "on/off fraction 2")
+        assert marks(first, "symbol") == marks(second, "symbol") == 8
+        click_legend(page, first, "on/off fraction 2")
+        assert marks(first, "symbol") == 12
+        assert page.locator("table.sortable").count() == 1
+        assert overflow(page) == 0
+    finally:
+        page.close()
+
+
+def test_printed_as_lines(page: Any) -> None:
+    """On paper figures are vectors; on the screen they are canvases again afterwards."""
+    panels = page.locator(".panel canvas").count()
+    page.evaluate("window.dispatchEvent(new Event('beforeprint'))")
+    assert page.locator(".panel svg").count() == panels
+    page.evaluate("window.dispatchEvent(new Event('afterprint'))")
+    assert page.locator(".panel canvas").count() == panels
+    assert page.said == []

@@ -1,0 +1,185 @@
+"""Studies: the paper's 30 runs, interruptions, damage, and months."""
+
+from __future__ import annotations
+
+import random
+import re
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+from places import CHECKOUT, DATA
+from studies import CONFIG, GRID, WEATHER, edited, grid, rows_of, study
+
+REAL = DATA
+
+
+@pytest.fixture(scope="module")
+def papers(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The paper's study, as the command without options makes it."""
+    directory = tmp_path_factory.mktemp("study")
+    result = study(directory)
+    assert result.returncode == 0, result.stderr
+    assert "7151.78" in result.stdout
+    return directory / "studies" / "paper"
+
+
+def test_the_papers_table(papers: Path) -> None:
+    """All 30 totals within 0.02 % of those of the authors' code."""
+    rows = rows_of(papers / "results.csv")
+    expected = rows_of(CONFIG / "paper" / "totals.csv")
+    assert len(rows) == len(expected) == 30
+    totals = {}
+    for row in rows:
+        assert (row["status"], row["error"]) == ("done", "")
+        parameter = row["weight"] if row["controller"] == "mpc" else row["fraction"]
+        totals[row["initial"], row["controller"], float(parameter)] = row
+    for row in expected:
+        mine = totals[row["initial"], row["controller"], float(row["parameter"])]
+        assert float(mine["total_deviation_m3"]) == pytest.approx(
+            float(row["total_deviation_m3"]), rel=2e-4
+        )
+        assert float(mine["final_roof_m3"]) == pytest.approx(float(row["final_roof_m3"]), rel=2e-5)
+        assert float(mine["max_command_applied"]) == pytest.approx(
+            float(row["max_command"]), rel=1e-3, abs=1e-9
+        )
+
+
+def test_killed_and_gone_on(papers: Path, tmp_path: Path) -> None:
+    """Killed at a random moment, again and again: the same table, and no run twice."""
+    seed = random.randrange(1000)
+    chance = random.Random(seed)
+    print("seed", seed)
+    for _ in range(3):
+        process = subprocess.Popen(
+            [sys.executable, "-m", "greenroof_ros.study"], cwd=tmp_path,
+            stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, start_new_session=True,
+        )
+        time.sleep(chance.uniform(1, 6))
+        process.kill()
+        process.wait()
+    runs = tmp_path / "studies" / "paper" / "runs"
+    there = {
+        path.name: (path / "outcome.json").read_bytes()
+        for path in runs.glob("*") if path.suffix != ".part"
+    }
+    result = study(tmp_path)
+    assert result.returncode == 0, result.stderr
+    if there:
+        assert f"{len(there)} of 30 runs are there already" in result.stderr
+    for name, outcome in there.items():  # its timings would differ, had it run again
+        assert (runs / name / "outcome.json").read_bytes() == outcome
+    assert not list(runs.glob("*.part"))
+    table = tmp_path / "studies" / "paper" / "results.csv"
+    assert table.read_bytes() == (papers / "results.csv").read_bytes()
+    again = study(tmp_path)
+    assert (again.returncode, again.stdout) == (0, result.stdout)
+
+
+def test_windows_of_july(tmp_path: Path) -> None:
+    """Three windows of the real month, one of them with hours that were missing."""
+    file = REAL / "en_climate_hourly_07-2021.csv"
+    text = GRID.replace(str(WEATHER), str(file)).replace("[published, fao56]", "fao56")
+    text = text.replace("hours: 0.25", "hours: 12").replace(
+        "2021-07-07T02:00", "[2021-07-08T05:00, 2021-07-16T08:00, 2021-07-20T12:00]"
+    )
+    result = study(tmp_path, grid(tmp_path, text), "--output", "out")
+    assert result.returncode == 0, result.stderr
+    assert "NOTE: 6 of 18 runs had missing hours of weather filled in" in result.stdout
+    rows = rows_of(tmp_path / "out" / "results.csv")
+    assert len(rows) == 18
+    for row in rows:
+        assert row["evapotranspiration"] == "fao56"
+        filled = row["start"].startswith("2021-07-20")
+        assert (row["filled_hours"] != "0") == filled
+        assert ("dew point: 2021-07-20T12:00-05:00 to" in row["filled"]) == filled
+    # 23 mm in the storm of 8 July, over the roof and the inlet.
+    storm = 0.023 * (68.8 + 0.2922466566)
+    rain = [float(row["rain_m3"]) for row in rows if row["start"].startswith("2021-07-08")]
+    assert rain == pytest.approx([storm] * 6, rel=0.03)
+
+
+def test_what_was_begun_is_not_mixed_with_something_else(tmp_path: Path) -> None:
+    """Another grid, another engine, other versions, a directory of something else."""
+    small = edited("[published, fao56]", "published").replace("    weight: [1.0e-3, 0.1]\n", "")
+    assert study(tmp_path, grid(tmp_path, small), "--output", "out").returncode == 0
+    before = (tmp_path / "out" / "results.csv").read_bytes()
+
+    def refusal(*options: str) -> str:
+        result = study(tmp_path, "grid.yaml", "--output", "out", *options)
+        assert result.returncode == 2
+        assert result.stderr.count("\n") == 1
+        return result.stderr
+
+    assert "begun with another engine" in refusal("--engine", "ros")
+    assert "begun with trajectories" in refusal("--no-trajectories")
+    grid(tmp_path, small.replace("hours: 0.25", "hours: 0.5"))
+    assert "begun with another grid, or other files" in refusal()
+    grid(tmp_path, small)
+    file = tmp_path / "out" / "configuration" / "study.json"
+    file.write_text(file.read_text().replace('"osqp": "', '"osqp": "0.'))
+    assert "begun with other versions" in refusal()
+    file.write_text("{")
+    assert "study.json: is not valid JSON" in refusal()
+    assert (tmp_path / "out" / "results.csv").read_bytes() == before
+    (tmp_path / "mine").mkdir()
+    (tmp_path / "mine" / "thesis.txt").write_text("42")
+    result = study(tmp_path, "grid.yaml", "--output", "mine")
+    assert result.returncode == 2
+    assert "exists, is not empty and no study" in result.stderr
+    assert [path.name for path in (tmp_path / "mine").iterdir()] == ["thesis.txt"]
+
+
+def test_damaged_outcomes_are_made_again(tmp_path: Path) -> None:
+    """As a power cut leaves them: empty, gone, something else."""
+    name = grid(tmp_path)
+    assert study(tmp_path, name, "--output", "out").returncode == 0
+    table = tmp_path / "out" / "results.csv"
+    before = table.read_bytes()
+    runs = sorted((tmp_path / "out" / "runs").iterdir())
+    (runs[0] / "outcome.json").write_text("")
+    (runs[1] / "outcome.json").unlink()
+    (runs[2] / "outcome.json").write_text("[1, 2]")
+    (tmp_path / "out" / "bounds.json").write_text("{")
+    result = study(tmp_path, name, "--output", "out")
+    assert result.returncode == 0, result.stderr
+    assert "9 of 12 runs are there already" in result.stderr
+    assert table.read_bytes() == before
+
+
+def test_bound_beside_each_run(papers: Path) -> None:
+    """The least possible total from low-low is about 4,422 m3; no run is below its own."""
+    rows = rows_of(papers / "results.csv")
+    bounds = {row["initial"]: float(row["bound_m3"]) for row in rows}
+    assert bounds["low-low"] == pytest.approx(4422, abs=1)
+    for row in rows:
+        ratio = float(row["total_deviation_m3"]) / bounds[row["initial"]]
+        assert float(row["ratio_to_bound"]) == ratio
+        assert ratio > 1 - 1e-9
+
+
+def test_readme_shows_both_kinds_of_evapotranspiration(tmp_path: Path) -> None:
+    """The README's table is what the grid beside it gives, to the digit shown."""
+    result = study(tmp_path, str(CONFIG / "study_evapotranspiration.yaml"), "--output", "out")
+    assert result.returncode == 0, result.stderr
+    totals = {
+        (
+            row["controller"], float(row["weight"] or row["fraction"]), row["initial"],
+            row["evapotranspiration"],
+        ): float(row["total_deviation_m3"])
+        for row in rows_of(tmp_path / "out" / "results.csv")
+    }
+    readme = (CHECKOUT / "README.md").read_text()
+    shown = re.findall(
+        r"^\| (MPC|on/off) ([\d.]+) \| (\d+) \| (\d+) \| (\d+) \| (\d+) \|$", readme, re.MULTILINE
+    )
+    assert len(shown) == 10
+    for controller, parameter, *figures in shown:
+        name = {"MPC": "mpc", "on/off": "onoff"}[controller]
+        expected = [
+            f"{totals[name, float(parameter), initial, method]:.0f}"
+            for initial in ("low-low", "high-low") for method in ("published", "fao56")
+        ]
+        assert figures == expected

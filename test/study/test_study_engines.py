@@ -1,0 +1,265 @@
+"""Studies by every engine: the same table, their workers and their ends."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+from graphs import Process
+from studies import CONFIG, GRID, WEATHER, edited, grid, rows_of, study
+
+from greenroof_ros.recording.trajectory import read_parquet
+from greenroof_ros.report.runs import find_runs
+from greenroof_ros.study.grid import read_grid
+
+
+def children(process: int) -> Iterator[int]:
+    """Yield all processes under a process."""
+    for child in Path(f"/proc/{process}/task/{process}/children").read_text().split():
+        yield int(child)
+        yield from children(int(child))
+
+
+def workers(process: int) -> list[int]:
+    """Return the processes that are on a run: a second's work of the fork server's children."""
+    starters = Path(f"/proc/{process}/task/{process}/children").read_text().split()
+    busy = []
+    for starter in starters:
+        for child in children(int(starter)):
+            ticks = Path(f"/proc/{child}/stat").read_text().rsplit(")", 1)[1].split()
+            if int(ticks[11]) > 100:
+                busy.append(child)
+    return busy
+
+
+def test_a_killed_worker_fails_its_run_alone(tmp_path: Path) -> None:
+    """The others go on; the failure is in the table; the next call makes it good."""
+    text = GRID.replace("hours: 0.25", "hours: 24")
+    process = subprocess.Popen(
+        [sys.executable, "-m", "greenroof_ros.study", grid(tmp_path, text), "--output", "out",
+         "--jobs", "2"],
+        cwd=tmp_path, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True,
+    )
+    until = time.monotonic() + 30
+    while not (found := workers(process.pid)):
+        assert time.monotonic() < until
+        time.sleep(0.05)
+    os.kill(found[0], signal.SIGKILL)
+    _, errors = process.communicate(timeout=200)
+    assert process.returncode == 1
+    assert "failed: mpc" in errors
+    assert "Traceback" not in errors
+    rows = rows_of(tmp_path / "out" / "results.csv")
+    failed = [row for row in rows if row["status"] == "failed"]
+    assert len(failed) == 1
+    assert failed[0]["error"]
+    assert failed[0]["total_deviation_m3"] == ""
+    assert all(row["total_deviation_m3"] for row in rows if row["status"] == "done")
+    result = study(tmp_path, "grid.yaml", "--output", "out")
+    assert result.returncode == 0
+    assert "11 of 12 runs are there already" in result.stderr
+    assert {row["status"] for row in rows_of(tmp_path / "out" / "results.csv")} == {"done"}
+
+
+def test_interrupted(tmp_path: Path) -> None:
+    """Ctrl-C: nothing is left behind, what is finished is in the table, the rest can follow."""
+    scratch = tmp_path / "scratch"
+    scratch.mkdir()
+    process = subprocess.Popen(
+        [sys.executable, "-m", "greenroof_ros.study"], cwd=tmp_path,
+        env={**os.environ, "TMPDIR": str(scratch)},
+        stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True, start_new_session=True,
+    )
+    runs = tmp_path / "studies" / "paper" / "runs"
+    until = time.monotonic() + 60
+    while sum(run.suffix != ".part" for run in runs.glob("*")) < 2:  # whole ones
+        assert time.monotonic() < until
+        time.sleep(0.05)
+    group = list(children(process.pid))
+    os.killpg(process.pid, signal.SIGINT)  # as a terminal does
+    _, errors = process.communicate(timeout=20)
+    assert process.returncode == 130
+    assert "Traceback" not in errors
+    until = time.monotonic() + 5
+    while any(Path(f"/proc/{child}").exists() for child in group):
+        assert time.monotonic() < until
+        time.sleep(0.05)
+    assert not list(scratch.iterdir())
+    status = [row["status"] for row in rows_of(runs.parent / "results.csv")]
+    assert status.count("done") >= 2
+    assert status.count("done") + status.count("not run") == 30
+
+
+def test_engines_give_the_same_table(tmp_path: Path) -> None:
+    """Bit for bit: the loop in process, and real graphs, each in a domain of its own."""
+    name = grid(tmp_path, edited("[low-low, ", "[").replace("[published, fao56]", "fao56"))
+    assert study(tmp_path, name, "--output", "loop").returncode == 0
+    result = study(tmp_path, name, "--output", "graph", "--engine", "ros")
+    assert result.returncode == 0, result.stderr
+    loop, graph = tmp_path / "loop", tmp_path / "graph"
+    assert (loop / "results.csv").read_bytes() == (graph / "results.csv").read_bytes()
+    rows = rows_of(graph / "results.csv")
+    assert len(rows) == 3
+    for row in rows:
+        assert (graph / "runs" / row["run"] / "bag" / "bag_0.mcap").is_file()
+
+
+def archive(directory: Path) -> None:
+    """Write a file of forecasts of which nothing will come true."""
+    lines = ["issued,time,precipitation [mm/h]"]
+    lines += [f"2021-07-07T05:00Z,2021-07-07T{hour:02}:00Z,4.0" for hour in range(5, 22)]
+    (directory / "archive.csv").write_text("\n".join(lines) + "\n")
+
+
+FORECASTS = "forecast: [perfect, {model: errors, size: 0.5, seed: [1, 2]}, archive.csv]\n"
+PLANNED = f"""
+site: {CONFIG / "site.yaml"}
+weather: {{file: {WEATHER}, start: 2021-07-07T00:50, hours: 0.25}}
+initial: low-low
+controllers: {{planning_mpc: }}
+"""
+
+
+def test_forecasts(tmp_path: Path) -> None:
+    """Lists multiply; a window's own come before those of all; each run says which it had."""
+    archive(tmp_path)
+    result = study(tmp_path, grid(tmp_path, PLANNED + FORECASTS), "--output", "out")
+    assert result.returncode == 0, result.stderr
+    assert "errors size 0.5 seed 1" in " ".join(result.stdout.split())
+    rows = rows_of(tmp_path / "out" / "results.csv")
+    columns = ("forecast", "forecast_size", "forecast_seed", "forecast_members")
+    assert [tuple(row[column] for column in columns) for row in rows] == [
+        ("perfect", "", "", ""),
+        ("errors", "0.5", "1", ""),
+        ("errors", "0.5", "2", ""),
+        ("archive.csv", "", "", ""),
+    ]
+    header = list(rows[0])
+    assert header.index("evapotranspiration") + 1 == header.index("forecast")
+    assert header.index("forecast_members") + 1 == header.index("controller")
+    assert len({row["run"] for row in rows}) == 4
+    # Rain is coming by the file alone, so that less is pumped.
+    pumped = [float(row["pumped_m3"]) for row in rows]
+    assert pumped[3] < min(pumped[:3])
+    kept = tmp_path / "out" / "configuration" / "archive.csv"
+    assert kept.read_bytes() == (tmp_path / "archive.csv").read_bytes()
+    report = [run.forecast for run in find_runs([tmp_path / "out"], None).runs]
+    assert report == ["", "errors size 0.5 seed 1", "errors size 0.5 seed 2", "archive.csv"]
+
+    own = PLANNED.replace("hours: 0.25", "hours: 0.25, forecast: persistence") + FORECASTS
+    assert [str(case.forecast) for case in read_grid(tmp_path / grid(tmp_path, own))] == [
+        "persistence"
+    ]
+    before = [case.identity for case in read_grid(tmp_path / grid(tmp_path, PLANNED + FORECASTS))]
+    archived = tmp_path / "archive.csv"
+    archived.write_text(archived.read_text().replace("4.0", "5.0"))
+    after = [case.identity for case in read_grid(tmp_path / "grid.yaml")]
+    assert after[:3] == before[:3] and after[3] != before[3]
+
+
+def test_forecasts_by_both_engines(tmp_path: Path) -> None:
+    """The graph is told the same."""
+    archive(tmp_path)
+    name = grid(tmp_path, PLANNED + "forecast: [archive.csv, {model: ensemble, members: 3}]\n")
+    for engine in ("inprocess", "ros"):
+        result = study(tmp_path, name, "--output", engine, "--engine", engine)
+        assert result.returncode == 0, result.stderr
+    loop, graph = (tmp_path / engine / "results.csv" for engine in ("inprocess", "ros"))
+    assert loop.read_bytes() == graph.read_bytes()
+    # As the page does, of a bag with its summary and of a study alike.
+    bags = [tmp_path / "ros" / "runs" / row["run"] for row in rows_of(graph)]
+    labels = [run.forecast for run in find_runs(bags, None).runs]
+    assert labels == ["archive.csv", "ensemble size 0.5 seed 0 members 3"]
+
+
+IMPERFECT = """
+sensor_pump_errors:
+  - {}
+  - {roof_noise: 0.0005, roof_offset: [-1.0e-5, 0.002], noise_seed: [1, 2], minimum_on: 60,
+     minimum_off: 90}
+"""
+
+
+def test_imperfections_by_both_engines(tmp_path: Path) -> None:
+    """Lists multiply; the same table by both; what a trajectory has of the roof is the truth."""
+    text = PLANNED.replace("planning_mpc:", "onoff: {fraction: 0.3}") + IMPERFECT
+    for engine in ("inprocess", "ros"):
+        result = study(tmp_path, grid(tmp_path, text), "--output", engine, "--engine", engine)
+        assert result.returncode == 0, result.stderr
+    loop, graph = (tmp_path / engine / "results.csv" for engine in ("inprocess", "ros"))
+    assert loop.read_bytes() == graph.read_bytes()
+    rows = rows_of(loop)
+    names = ["roof_noise", "roof_offset", "noise_seed", "minimum_on", "minimum_off"]
+    assert [tuple(float(row[name]) for name in names) for row in rows] == [
+        (0, 0, 0, 0, 0),
+        (0.0005, -1e-5, 1, 60, 90),
+        (0.0005, -1e-5, 2, 60, 90),
+        (0.0005, 0.002, 1, 60, 90),
+        (0.0005, 0.002, 2, 60, 90),
+    ]
+    header = list(rows[0])
+    first = header.index("forecast_members") + 1
+    assert header[first : header.index("controller")] == names
+    assert len({row["run"] for row in rows}) == 5
+    # A sensor that reads too little is overruled by Eq. (3a); one that reads too much is believed.
+    assert len({row["final_roof_m3"] for row in rows}) == 3
+    assert len({row["bound_m3"] for row in rows}) == 1
+    assert all(int(row["pump_starts"]) >= 1 and float(row["energy_kwh"]) > 0 for row in rows)
+    for row in rows:
+        name = Path("runs") / row["run"] / "trajectory.parquet"
+        true, replayed = (
+            read_parquet(tmp_path / engine / name).roof for engine in ("inprocess", "ros")
+        )
+        if row["roof_noise"] == "0.0":
+            assert replayed == pytest.approx(true, rel=1e-12)
+        else:
+            assert replayed.tobytes() == true.tobytes()
+
+    plain = read_grid(tmp_path / grid(tmp_path, PLANNED))
+    told = read_grid(tmp_path / grid(tmp_path, PLANNED + IMPERFECT))
+    assert len({case.identity for case in (*plain, *told)}) == 6
+    assert not set(names) & plain[0].columns().keys()
+
+
+def test_dask(tmp_path: Path) -> None:
+    """The same table from a cluster of two workers; exit code 2 where nobody answers."""
+    from distributed import LocalCluster
+
+    archive(tmp_path)
+    name = grid(tmp_path, GRID.replace("02:00", "01:00") + "forecast: archive.csv\n")
+    assert study(tmp_path, name, "--output", "here").returncode == 0
+    with LocalCluster(
+        n_workers=2, threads_per_worker=1, host="127.0.0.1", dashboard_address=None
+    ) as cluster:
+        result = study(
+            tmp_path, name, "--output", "there", "--scheduler", cluster.scheduler_address
+        )
+    assert result.returncode == 0, result.stderr
+    here, there = (tmp_path / each / "results.csv" for each in ("here", "there"))
+    assert here.read_bytes() == there.read_bytes()
+    result = study(tmp_path, name, "--output", "nowhere", "--scheduler", "tcp://127.0.0.1:9")
+    assert result.returncode == 2
+    assert "--scheduler = 'tcp://127.0.0.1:9': does not answer" in result.stderr
+    assert "Traceback" not in result.stderr
+
+
+def test_ros_in_a_domain_in_use(tmp_path: Path) -> None:
+    """A graph runs in the domain that a run would take first: it takes another."""
+    text = edited("[published, fao56]", "published").replace("0.25", "0.02")
+    text = text.replace("    weight: [1.0e-3, 0.1]\n", "").replace("low-low, ", "")
+    cases = read_grid(tmp_path / grid(tmp_path, text))
+    domain = 1 + int(cases[0].identity, 16) % 101
+    process = Process(
+        domain, "bringup", "--hours", "0.12", "--speed", "20", "--output", "run", cwd=tmp_path
+    )
+    process.wait_for_ticks()
+    result = study(tmp_path, "grid.yaml", "--output", "out", "--engine", "ros")
+    assert result.returncode == 0, result.stderr
+    assert process.process.poll() is None, "the graph had ended; nothing was shown"
+    assert process.wait(90) == 0

@@ -1,0 +1,123 @@
+"""Grids of studies: those that come with it, and wrong ones."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+from studies import CONFIG, GRID, WEATHER, edited, grid, study
+
+from greenroof_ros.study.grid import read_grid
+
+WRONG = {
+    "empty": ("\n", "is empty"),
+    "no-mapping": ("- a\n", "must hold 'key: value' lines"),
+    "no-yaml": ("site: [\n", "is not valid YAML"),
+    "unknown-key": (GRID + "engine: ros\n", "line 14: engine: is not known here"),
+    "no-weather": (GRID[: GRID.index("weather")], "weather: is missing or empty"),
+    "no-site-file": (edited("site.yaml", "absent.yaml"), "absent.yaml: cannot be read"),
+    "no-weather-file": (edited("toronto", "absent"), "cannot be read: No such file"),
+    "no-start": (edited("    start: 2021-07-07T02:00\n", ""), "start: is missing in a window"),
+    "start": (edited("2021-07-07T02:00", "noon"), "line 5: start = 'noon': must be a time such as"),
+    "uncovered": (edited("2021-07-07T02:00", "2022-07-07T02:00"), "but the run is from 2022-07-07"),
+    "hours": (edited("0.25", "0"), "line 6: hours = 0.0: must be a whole number of ticks"),
+    "hours-list": (edited("0.25", "[0.25, -1]"), "line 6: hours = -1.0: must be a whole number"),
+    "files": (edited(str(WEATHER), f"[{WEATHER}, b.csv]"), "line 4: file: must be one value, not"),
+    "names": (edited("name: dry", "name: [a, b]"), "name: must be one value, not a list"),
+    "volumes": (edited("cistern: 40.0", "cistern: [40, 41]"), "cistern: must be one value, not a"),
+    "state-list": (edited("[low-low,", "[[low-low],"), "initial: ['low-low'] must be one of low-l"),
+    "hours-text": (edited("0.25", "long"), "line 6: hours = 'long': must be a number"),
+    "method": (edited("published, fao56", "hargreaves"), "'hargreaves': must be fao56, or publ"),
+    "window": (edited("    hours", "    length"), "line 6: length: is not known here; there are f"),
+    "initial": (edited("low-low", "low"), "line 8: initial: 'low' must be one of low-low, hig"),
+    "volume": (edited("roof: 0.5", "roof: -0.5"), "initial: volumes must not be negative"),
+    "half-state": (edited(", roof: 0.5", ""), "initial: a state has no roof"),
+    "state-twice": (edited("name: dry", "name: low-low"), "initial: has low-low twice"),
+    "level": (edited("cistern: 40.0", "cistern: 4.0e+6"), "m on /cistern/level, where at most 100"),
+    "controller": (edited("onoff:", "pid:"), "line 13: pid: is not known here; there are mpc, o"),
+    "parameter": (edited("weight", "wieght"), "wieght: is not known here; there are weight, max_c"),
+    "value": (edited("0.1]", "-0.1]"), "line 11: weight: -0.1 must be from 1e-09 to 1e+06"),
+    "text-value": (edited("0.1]", "small]"), "line 11: weight: must be a number, or a list"),
+    "nan": (edited("0.1]", ".nan]"), "line 11: weight: must not be nan"),
+    "no-values": (edited("[1.0e-3, 0.1]", "[]"), "line 11: weight: is empty"),
+    "forecast": (
+        GRID + "forecast: perfekt\n",
+        "line 14: forecast = 'perfekt': 'perfekt' must be one of perfect, persistence, errors, ens",
+    ),
+    "forecast-model": (GRID + "forecast: {size: 0.5}\n", "line 14: forecast: None must be one of"),
+    "forecast-key": (
+        GRID + "forecast: {model: errors, sise: 0.5}\n", "line 14: sise: is not known here; there"
+    ),
+    "forecast-option": (
+        GRID + "forecast: {model: errors, members: 3}\n",
+        "line 14: members: is not known here; there are model, size, seed",
+    ),
+    "forecast-size": (
+        GRID + "forecast: {model: errors, size: [0.5, -1]}\n", "size: -1.0 must be from 0.0 to 10"
+    ),
+    "forecast-seed": (
+        GRID + "forecast: {model: errors, seed: 1.5}\n", "seed = 1.5: must be a whole number, or"
+    ),
+    "forecast-members": (
+        GRID + "forecast: {model: ensemble, members: [0]}\n", "members: 0 must be from 1 to 100"
+    ),
+    "forecast-file": (GRID + "forecast: absent.csv\n", "absent.csv: cannot be read: No such file"),
+    "forecast-none": (GRID + "forecast: []\n", "line 14: forecast: is empty"),
+    "forecast-twice": (
+        GRID + "forecast: [errors, {model: errors, seed: 0}]\n", "forecast errors"
+    ),
+    "sensor_pump_errors": (
+        GRID + "sensor_pump_errors: 0.0005\n", "line 14: sensor_pump_errors = 0.0005: must be {roof_noise: "
+    ),
+    "sensor_pump_errors-none": (
+        GRID + "sensor_pump_errors: []\n", "line 14: sensor_pump_errors: must be {roof_noise: 0.0005, roof_o"
+    ),
+    "sensor_pump_errors-key": (
+        GRID + "sensor_pump_errors: {noise: 0.1}\n", "line 14: noise: is not known here; there are roof"
+    ),
+    "sensor_pump_errors-range": (
+        GRID + "sensor_pump_errors: {minimum_on: [60, -1]}\n", "minimum_on: -1.0 must be from 0.0 to 86"
+    ),
+    "sensor_pump_errors-seed": (
+        GRID + "sensor_pump_errors: {noise_seed: 0.5}\n", "noise_seed = 0.5: must be a whole number"
+    ),
+    "sensor_pump_errors-twice": (
+        GRID + "sensor_pump_errors: [{}, {roof_noise: 0}]\n", "forecast perfect, {'roof_noise': 0.0, "
+    ),
+    "twice": (edited("0.1]", "0.001]"), "is the same run twice: mpc {'weight': 0.001"),
+}
+
+
+@pytest.mark.parametrize("name", WRONG)
+def test_wrong_grid(tmp_path: Path, name: str) -> None:
+    """Exit code 2, one line that says where and what, before anything runs or is written."""
+    text, expected = WRONG[name]
+    result = study(tmp_path, grid(tmp_path, text), "--output", "out")
+    assert result.returncode == 2, result.stderr
+    assert expected in result.stderr
+    assert result.stderr.count("\n") == 1
+    assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize(
+    ("options", "expected"),
+    [
+        (["absent.yaml"], "absent.yaml: cannot be read"),
+        (["--jobs", "0"], "argument --jobs: invalid whole number from 1 to 1024 value: '0'"),
+        (["--engine", "gazebo"], "argument --engine: invalid choice: 'gazebo'"),
+        (["--scheduler", "tcp://127.0.0.1:9", "--jobs", "2"], "--jobs: is not an option with"),
+        (["--output", "/proc/study"], "--output = '/proc/study': cannot be written"),
+    ],
+)
+def test_wrong_options(tmp_path: Path, options: list[str], expected: str) -> None:
+    """Exit code 2, and no traceback."""
+    result = study(tmp_path, *options)
+    assert result.returncode == 2
+    assert expected in result.stderr
+    assert "Traceback" not in result.stderr
+
+
+@pytest.mark.parametrize("file", sorted(path.name for path in CONFIG.glob("study*.yaml")))
+def test_grids_that_come_with_it(file: str) -> None:
+    """Each can be run as it is."""
+    assert read_grid(CONFIG / file)

@@ -1,0 +1,290 @@
+"""Hourly bulk files of Environment and Climate Change Canada: real ones, and small ones by hand."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from collections.abc import Callable
+from dataclasses import replace
+from datetime import datetime
+from pathlib import Path
+
+import numpy as np
+import pytest
+from places import DATA
+
+from greenroof_ros.common.errors import ConfigurationError
+from greenroof_ros.common.files import shared_directory
+from greenroof_ros.model.site import read_site
+from greenroof_ros.weather.reading import read_weather
+from greenroof_ros.weather.series import Weather, WeatherSeries
+
+TORONTO = read_site(shared_directory() / "config" / "site.yaml")
+REAL = DATA
+
+COLUMNS = [
+    "Longitude (x)", "Latitude (y)", "Station Name", "Date/Time (LST)", "Year", "Temp (°C)",
+    "Temp Flag", "Dew Point Temp (°C)", "Dew Point Temp Flag", "Precip. Amount (mm)",
+    "Precip. Amount Flag", "Wind Spd (km/h)", "Wind Spd Flag", "Stn Press (kPa)",
+    "Stn Press Flag", "Weather",
+]
+
+
+def row(hour: int, *, padded: bool = False, **changes: str) -> list[str]:
+    """Return an hour of a summer's day, with other cells where told so (by column)."""
+    clock = f"{hour:02}:00" if padded else f"{hour}:00"
+    cells = dict.fromkeys(COLUMNS, "") | {
+        "Longitude (x)": "-79.4", "Latitude (y)": "43.63", "Station Name": "MADE UP, THE",
+        "Date/Time (LST)": f"2021-07-01 {clock}", "Year": "2021", "Temp (°C)": f"{15 + hour / 2}",
+        "Dew Point Temp (°C)": "12.5", "Precip. Amount (mm)": "0", "Wind Spd (km/h)": "9",
+        "Stn Press (kPa)": "100.4", "Weather": "Rain,Fog",
+    }
+    return list((cells | changes).values())
+
+
+def write(directory: Path, rows: list[list[str]], *, quoted: bool = False) -> Path:
+    """Write a file as the service does: with a byte order mark, all quoted or only commas."""
+    def cell(text: str) -> str:
+        return f'"{text}"' if quoted or "," in text else text
+
+    path = directory / "en_climate_hourly.csv"
+    lines = [",".join(cell(text) for text in line) for line in [COLUMNS, *rows]]
+    path.write_text("\ufeff" + "\r\n".join(lines) + "\r\n", encoding="utf-8")
+    return path
+
+
+def day(**changes: dict[str, str]) -> list[list[str]]:
+    """Return 24 hours; ``h9={...}`` changes cells of the hour 9."""
+    return [row(hour, **changes.get(f"h{hour}", {})) for hour in range(24)]
+
+
+def run(weather: Weather, start: str, hours: int) -> WeatherSeries:
+    """Lay a file out for a run of an hour's ticks, which need no second resolution here."""
+    site = replace(TORONTO, tau=600.0, M=1)
+    return WeatherSeries(weather, site, datetime.fromisoformat(start), 6 * hours)
+
+
+@pytest.mark.parametrize("quoted", [False, True])
+def test_quirks(tmp_path: Path, quoted: bool) -> None:
+    """Byte order mark, CRLF, quotes, commas in cells, hours with and without a zero."""
+    rows = [row(hour, padded=quoted) for hour in range(24)]
+    rows[3] = row(3, padded=quoted, **{"Precip. Amount (mm)": "2.4"})
+    weather = read_weather(write(tmp_path, rows, quoted=quoted), TORONTO)
+    assert weather.first.isoformat() == "2021-07-01T00:00:00-05:00"
+    assert weather.end.isoformat() == "2021-07-02T00:00:00-05:00"
+    assert weather.precipitation.tolist() == [0, 0, 0, 2.4] + [0] * 20
+    assert weather.records.values["temperature"].tolist() == [15 + h / 2 for h in range(24)]
+    assert weather.method == "fao56"
+    assert not np.isnan(weather.evapotranspiration).any()
+    assert weather.evapotranspiration.max() > 1
+
+
+def test_short_gap_is_filled_and_told(tmp_path: Path) -> None:
+    """Three hours of temperature between 18.0 at 6 h and 20.0 at 10 h: 18.5, 19.0, 19.5."""
+    gap = {"Temp (°C)": "", "Temp Flag": "M"}
+    weather = read_weather(write(tmp_path, day(h7=gap, h8=gap, h9=gap)), TORONTO)
+    assert weather.records.values["temperature"][6:11].tolist() == [18, 18.5, 19, 19.5, 20]
+    series = run(weather, "2021-07-01T00:00-05:00", 24)
+    assert series.filled == {
+        "temperature": ["2021-07-01T07:00-05:00 to 2021-07-01T09:00-05:00 (3 hours)"]
+    }
+
+
+def test_value_beside_a_missing_flag_is_none(tmp_path: Path) -> None:
+    """The service repeats the last value there: 12.5 for ever is no dew point."""
+    stale = {"Dew Point Temp (°C)": "3.0", "Dew Point Temp Flag": "M"}
+    weather = read_weather(write(tmp_path, day(h7=stale)), TORONTO)
+    assert weather.records.values["dew point"][7] == 12.5  # between 12.5 and 12.5
+    assert weather.records.filled["dew point"].nonzero()[0].tolist() == [7]
+    estimated = {"Dew Point Temp (°C)": "3.0", "Dew Point Temp Flag": "E"}
+    weather = read_weather(write(tmp_path, day(h7=estimated)), TORONTO)
+    assert weather.records.values["dew point"][7] == 3.0
+
+
+@pytest.mark.parametrize(
+    ("column", "quantity", "hours"),
+    [
+        ("Precip. Amount (mm)", "precipitation", [8]),
+        ("Temp (°C)", "temperature", range(6, 13)),
+        ("Wind Spd (km/h)", "wind speed", range(6, 13)),
+        ("Stn Press (kPa)", "station pressure", [0, 1]),
+        ("Dew Point Temp (°C)", "dew point", [22, 23]),
+    ],
+)
+def test_longer_gap_is_refused_by_who_needs_it(
+    tmp_path: Path, column: str, quantity: str, hours: list[int] | range
+) -> None:
+    """Rain is never guessed, temperature and wind for six hours, nothing at the file's ends."""
+    changes = {f"h{hour}": {column: ""} for hour in hours}
+    weather = read_weather(write(tmp_path, day(**changes)), TORONTO)
+    with pytest.raises(ConfigurationError) as caught:
+        run(weather, "2021-07-01T00:00-05:00", 24)
+    message = str(caught.value)
+    assert message.startswith(str(tmp_path / "en_climate_hourly.csv"))
+    assert quantity in message
+    assert f"2021-07-01T{hours[0]:02}:00-05:00" in message
+    assert f"2021-07-01T{hours[-1]:02}:00-05:00" in message
+    if quantity != "temperature":  # of which each hour's radiation needs the whole day
+        run(weather, "2021-07-01T16:00-05:00", 4)
+
+
+def test_six_hours_of_temperature_and_a_day_of_dew_point(tmp_path: Path) -> None:
+    """The longest gaps that are filled."""
+    changes: dict[str, dict[str, str]] = {
+        f"h{hour}": {"Dew Point Temp (°C)": "", "Stn Press (kPa)": ""} for hour in range(1, 23)
+    }
+    for hour in range(6, 12):
+        changes[f"h{hour}"] |= {"Temp (°C)": "", "Wind Spd (km/h)": ""}
+    weather = read_weather(write(tmp_path, day(**changes)), TORONTO)
+    series = run(weather, "2021-07-01T00:00-05:00", 24)
+    assert sorted(series.filled) == ["dew point", "station pressure", "temperature", "wind speed"]
+
+
+def test_frost(tmp_path: Path) -> None:
+    """0.0 degC is frost, 0.1 is not; what fell in it is added up."""
+    changes = {f"h{hour}": {"Temp (°C)": "-3.0"} for hour in range(5)}
+    changes["h5"] = {"Temp (°C)": "0.0", "Precip. Amount (mm)": "1.5"}
+    changes["h6"] = {"Temp (°C)": "0.1", "Precip. Amount (mm)": "4.0"}
+    series = run(
+        read_weather(write(tmp_path, day(**changes)), TORONTO), "2021-07-01T03:30-05:00", 5
+    )
+    assert series.frost_hours == 2.5
+    assert series.precipitation_in_frost == pytest.approx(1.5, rel=1e-12)
+    assert list(series.frost) == [1.0] * 15 + [0.0] * 16
+
+
+def _without(column: str) -> Callable[[Path], Path]:
+    def change(directory: Path) -> Path:
+        index = COLUMNS.index(column)
+        path = write(directory, day())
+        lines = path.read_text(encoding="utf-8").splitlines()
+        cut = [line.split(",") for line in (lines[0], *lines[1:])]
+        path.write_text("\n".join(",".join(c[:index] + c[index + 1 :]) for c in cut))
+        return path
+
+    return change
+
+
+@pytest.mark.parametrize(
+    ("rows", "reason"),
+    [
+        ([], "has a header but no records"),
+        (day(h3={"Date/Time (LST)": "2021-07-01 4:00"}), "line 5: Date/Time (LST) = '2021-07-01 4"),
+        (day(h3={"Date/Time (LST)": "01/07/2021 3:00"}), "line 5: Date/Time (LST) = '01/07/2021 3"),
+        (day(h3={"Date/Time (LST)": "2021-13-01 3:00"}), "line 5: Date/Time (LST) = '2021-13-01 3"),
+        (day(h3={"Temp (°C)": "291.5"}), "line 5: Temp (°C) = '291.5': must be a number from -90"),
+        (day(h3={"Temp (°C)": "warm"}), "line 5: Temp (°C) = 'warm': must be a number from -90"),
+        (day(h3={"Stn Press (kPa)": "1004"}), "line 5: Stn Press (kPa) = '1004': must be a number"),
+        (day(h3={"Precip. Amount (mm)": "-1"}), "line 5: Precip. Amount (mm) = '-1': must be a n"),
+        ([*day()[:5], row(5)[:-1]], "line 7: must have 16 cells as the header has, not 15"),
+        (day(h0={"Longitude (x)": "-123.1"}), "line 2: Longitude (x) = '-123.1': is not near the"),
+    ],
+)
+def test_refused(tmp_path: Path, rows: list[list[str]], reason: str) -> None:
+    """Named with the line, the service's own column, and the value."""
+    path = write(tmp_path, rows)
+    with pytest.raises(ConfigurationError) as caught:
+        read_weather(path, TORONTO)
+    assert str(caught.value).replace(", line", ": line").startswith(f"{path}: {reason}")
+
+
+def test_column_is_missing(tmp_path: Path) -> None:
+    """As in old files, which have no hourly precipitation."""
+    path = _without("Precip. Amount (mm)")(tmp_path)
+    with pytest.raises(ConfigurationError, match=r"line 1: must have a column 'Precip\. Amount"):
+        read_weather(path, TORONTO)
+
+
+def test_local_standard_time_needs_its_offset(tmp_path: Path) -> None:
+    """Which the file does not say."""
+    with pytest.raises(ConfigurationError, match="the site file must say its offset from UTC"):
+        read_weather(write(tmp_path, day()), replace(TORONTO, utc_offset=None))
+
+
+def test_no_published_variant(tmp_path: Path) -> None:
+    """The authors' figures are of their 72 hours alone."""
+    with pytest.raises(ConfigurationError, match="evapotranspiration = 'published': must be fao56"):
+        read_weather(write(tmp_path, day()), TORONTO, "published")
+
+
+def test_july_2021() -> None:
+    """744 hours; what the service flags as missing is filled and named, hour by hour."""
+    weather = read_weather(REAL / "en_climate_hourly_07-2021.csv", TORONTO)
+    assert len(weather.precipitation) == 744
+    assert weather.first.isoformat() == "2021-07-01T00:00:00-05:00"
+    assert weather.end.isoformat() == "2021-08-01T00:00:00-05:00"
+    filled = {name: int(marks.sum()) for name, marks in weather.records.filled.items()}
+    # Counted in the file by eye and by grep: rows whose flag is M.
+    assert filled == {
+        "temperature": 6, "dew point": 32, "wind speed": 1, "station pressure": 6
+    }
+    series = run(weather, "2021-07-01T00:00-05:00", 744)
+    assert series.frost_hours == 0
+    # Rows with an M at any of the quantities used, by grep: 25 from the 20th to the 21st, 6 on the
+    # 30th, 2 on the 31st.
+    assert series.filled_hours == 33
+    assert series.filled["station pressure"] == [
+        "2021-07-20T13:00-05:00 to 2021-07-20T17:00-05:00 (5 hours)", "2021-07-21T11:00-05:00"
+    ]
+    assert series.repeats_from == weather.end  # tick N is the first after the last hour
+    # The hours of the paper's window, as its own 72 hours have them.
+    packaged = read_weather(
+        shared_directory() / "config" / "weather" / "toronto_2021-07.csv", TORONTO, "fao56"
+    )
+    assert weather.precipitation[144:216].tolist() == packaged.precipitation.tolist()
+    # The first night's clouds are those of the evening before, which the 72 hours do not have.
+    assert weather.evapotranspiration[149:216] == pytest.approx(
+        packaged.evapotranspiration[5:], rel=1e-12
+    )
+    # Toronto's July has some 4 to 5 mm of reference evapotranspiration a day.
+    assert 3.5 < weather.evapotranspiration.mean() < 5.5
+
+
+def test_march_2021() -> None:
+    """Another year's form, quoted and padded; 203 hours of frost."""
+    weather = read_weather(REAL / "en_climate_hourly_03-2021.csv", TORONTO)
+    assert len(weather.precipitation) == 744
+    assert weather.frost is not None
+    assert weather.frost.sum() == 203
+    series = run(weather, "2021-03-01T00:00-05:00", 744)
+    assert series.frost_hours == 203
+    assert series.filled == {}
+    assert series.precipitation_in_frost == 0.0  # eight hours of snow, none of it measurable
+
+
+def test_command_line(tmp_path: Path) -> None:
+    """The paper's window out of the whole month, by the options that the month needs."""
+    result = subprocess.run(
+        [
+            sys.executable, "-m", "greenroof_ros.simulate", "--controller", "onoff",
+            "--weather", str(REAL / "en_climate_hourly_07-2021.csv"), "--start", "2021-07-07T02:00",
+            "--hours", "12", "--output", "run",
+        ],
+        cwd=tmp_path, capture_output=True, text=True, timeout=120, check=False,
+    )
+    assert result.returncode == 0, result.stderr
+    assert "(fao56)" in result.stdout
+
+
+def test_nothing_is_pumped_in_frost(tmp_path: Path) -> None:
+    """A night in March with a dry roof: on/off would pump at once."""
+    output = tmp_path / "run.csv"
+    result = subprocess.run(
+        [
+            sys.executable, "-m", "greenroof_ros.simulate", "--controller", "onoff",
+            "--weather", str(REAL / "en_climate_hourly_03-2021.csv"),
+            "--start", "2021-03-02T00:00", "--hours", "24", "--trajectory", str(output),
+            "--output", str(tmp_path / "run"),
+        ],
+        cwd=tmp_path, capture_output=True, text=True, timeout=120, check=False,
+    )
+    assert result.returncode == 0, result.stderr
+    assert "FROST" in result.stdout
+    with output.open() as stream:
+        names = stream.readline().strip().split(",")
+        ticks = np.loadtxt(stream, delimiter=",")
+    frost = ticks[:, names.index("frost")] == 1
+    command = ticks[:, names.index("command")]
+    assert frost[0]
+    assert command[frost].max() == 0
+    assert command[~frost].max() == 1.0

@@ -1,0 +1,282 @@
+"""Hourly weather files and what a run sees of them."""
+
+from __future__ import annotations
+
+import csv
+from dataclasses import replace
+from datetime import datetime, timedelta
+from pathlib import Path
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from paper import PAPER_SITE
+from places import DATA
+
+from greenroof_ros.common.errors import ConfigurationError
+from greenroof_ros.common.files import shared_directory
+from greenroof_ros.common.times import parse_time
+from greenroof_ros.forecast.resampling import PerfectForecast
+from greenroof_ros.weather.reading import read_weather
+from greenroof_ros.weather.series import Weather, WeatherSeries
+
+HEADER = "time,precipitation [mm/h],made up evapotranspiration [mm/day]"
+# A line of comment, the header in line 2, and three hours in lines 3 to 5.
+HOURS = [
+    "2021-07-07T03:00-05:00,0.2,3.44779366",
+    "2021-07-07T04:00-05:00,3.0,1.22675507",
+    "2021-07-07T05:00-05:00,0.0,2.4",
+]
+RAIN = [0.2 / 1000 / 3600, 3.0 / 1000 / 3600, 0.0]
+
+
+def write(directory: Path, *lines: str, header: str = HEADER) -> Path:
+    """Write a weather file."""
+    path = directory / "weather.csv"
+    path.write_text("\n".join(["# Nowhere", header, *lines]) + "\n")
+    return path
+
+
+def series(
+    directory: Path, start: str, steps: int, tau: float = 1.0, lookahead: int = 10
+) -> WeatherSeries:
+    """Lay the three hours out for a run."""
+    site = replace(PAPER_SITE, tau=tau, M=lookahead)
+    weather = read_weather(write(directory, *HOURS), site)
+    return WeatherSeries(weather, site, parse_time(start), steps)
+
+
+def refusal(path: Path) -> str:
+    """Return what is said of a weather file that must not be taken."""
+    with pytest.raises(ConfigurationError) as caught:
+        read_weather(path, PAPER_SITE)
+    return str(caught.value)
+
+
+def test_packaged_weather_is_the_72_hours() -> None:
+    """Every hour's observations, and the evapotranspiration of the authors' published code."""
+    path = shared_directory() / "config" / "weather" / "toronto_2021-07.csv"
+    columns = {
+        "time": "hour_starting",
+        "precipitation [mm/h]": "rain_mm",
+        "published evapotranspiration [mm/day]": "published_et_mm_per_day",
+        "temperature [degC]": "temperature_degC",
+        "dew point [degC]": "dew_point_degC",
+        "wind speed [km/h]": "wind_km_h",
+        "station pressure [kPa]": "station_pressure_kPa",
+    }
+    with path.open() as file:
+        packaged = list(csv.DictReader(line for line in file if not line.startswith("#")))
+    with (DATA / "toronto_hours.csv").open() as file:
+        source = list(csv.DictReader(file))
+    assert len(packaged) == 72
+    assert packaged == [{ours: row[theirs] for ours, theirs in columns.items()} for row in source]
+
+    weather = read_weather(path, PAPER_SITE)
+    assert weather.precipitation.tolist() == [float(row["rain_mm"]) for row in source]
+    published = [float(row["published_et_mm_per_day"]) for row in source]
+    assert weather.evapotranspiration.tolist() == published
+    assert weather.method == "published"
+    assert weather.first.isoformat() == "2021-07-07T00:00:00-05:00"
+    assert weather.end.isoformat() == "2021-07-10T00:00:00-05:00"
+
+
+def test_units_by_hand(tmp_path: Path) -> None:
+    """3.0 mm/h are 1/1,200,000 m/s; 1.22675507 mm/day off 68.8 m2 are 0.0844007 m3 in 86,400 s."""
+    run = series(tmp_path, "2021-07-07T04:00-05:00", 3600)
+    assert run.precipitation[0] == pytest.approx(8.333333333333333e-7, rel=1e-15)
+    assert run.evapotranspiration[0] == pytest.approx(0.084400748816 / 86400, rel=1e-12)
+
+
+def test_an_hour_holds_from_its_time_to_the_next(tmp_path: Path) -> None:
+    """From the middle of the first hour: it ends after 1800 s, the second after 5400 s."""
+    run = series(tmp_path, "2021-07-07T03:30-05:00", 9000)
+    for first, last, hour in ((0, 1799, 0), (1800, 5399, 1), (5400, 9000, 2)):
+        for tick in (first, (first + last) // 2, last):
+            assert run.precipitation[tick] == pytest.approx(RAIN[hour], rel=1e-15)
+    off_bed = [row.split(",")[2] for row in HOURS]
+    for tick, hour in ((0, 0), (1799, 0), (1800, 1), (5399, 1), (5400, 2)):
+        expected = float(off_bed[hour]) / 1000 * 68.8 / 86400
+        assert run.evapotranspiration[tick] == pytest.approx(expected, rel=1e-12)
+
+
+def test_windows_look_ahead(tmp_path: Path) -> None:
+    """Four seconds before the hour, a window of ten is four of this hour and six of the next."""
+    run = PerfectForecast(series(tmp_path, "2021-07-07T03:00-05:00", 7200), 10)
+    assert list(run.precipitation(3596)) == pytest.approx([RAIN[0]] * 4 + [RAIN[1]] * 6, rel=1e-15)
+    evapotranspiration = list(run.evapotranspiration(3596))
+    assert len(set(evapotranspiration[:4])) == len(set(evapotranspiration[4:])) == 1
+    assert evapotranspiration[3] > 2 * evapotranspiration[4]
+    assert len(run.precipitation(7200)) == len(run.evapotranspiration(7200)) == 10
+
+
+@given(
+    tau=st.sampled_from([0.5, 1.0, 7.0, 60.0, 600.0]),
+    lookahead=st.integers(1, 30),
+    offset=st.integers(0, 3600),
+    data=st.data(),
+)
+def test_every_tick_is_in_its_hour(
+    tmp_path_factory: pytest.TempPathFactory,
+    tau: float,
+    lookahead: int,
+    offset: int,
+    data: st.DataObject,
+) -> None:
+    """Any tick, look-ahead and start: entry i of tick k is the hour of start + (k + i) tau."""
+    start = datetime.fromisoformat("2021-07-07T03:00-05:00") + timedelta(seconds=offset)
+    steps = int((3 * 3600 - offset) / tau)
+    directory = tmp_path_factory.mktemp("weather")
+    run = PerfectForecast(
+        series(directory, start.isoformat(), steps, tau, lookahead), lookahead
+    )
+    tick = data.draw(st.integers(0, steps))
+    hours = [min(int((offset + (tick + i) * tau) // 3600), 2) for i in range(lookahead)]
+    assert list(run.precipitation(tick)) == pytest.approx([RAIN[hour] for hour in hours], rel=1e-15)
+
+
+@pytest.mark.parametrize(
+    ("steps", "repeats"), [(3 * 3600, True), (3 * 3600 - 9, True), (3 * 3600 - 10, False)]
+)
+def test_last_record_is_repeated_past_the_end(tmp_path: Path, steps: int, repeats: bool) -> None:
+    """The window of tick N reaches to tick N + 9; the records end with tick 10,799."""
+    hours = [*HOURS[:2], "2021-07-07T05:00-05:00,7.2,2.4"]
+    weather = read_weather(write(tmp_path, *hours), PAPER_SITE)
+    run = WeatherSeries(weather, PAPER_SITE, weather.first, steps)
+    window = PerfectForecast(run, 10).precipitation(steps)
+    assert list(window) == pytest.approx([2e-6] * 10, rel=1e-15)
+    end = parse_time("2021-07-07T06:00-05:00")
+    assert run.repeats_from == (end if repeats else None)
+
+
+@pytest.mark.parametrize(
+    ("start", "steps"),
+    [
+        ("2021-07-07T02:59:59-05:00", 10),
+        ("2021-07-07T03:00-04:00", 10),
+        ("2021-07-07T05:59:59-05:00", 2),
+        ("2021-07-07T03:00-05:00", 10801),
+        ("2022-07-07T03:00-05:00", 10),
+    ],
+)
+def test_run_outside_the_records(tmp_path: Path, start: str, steps: int) -> None:
+    """A second too early, an hour by another offset, a second too long, a year too late."""
+    with pytest.raises(ConfigurationError) as caught:
+        series(tmp_path, start, steps)
+    assert str(caught.value).startswith(
+        f"{tmp_path / 'weather.csv'}: holds 2021-07-07T03:00-05:00 to 2021-07-07T06:00-05:00, but"
+    )
+
+
+@pytest.mark.parametrize(
+    "same",
+    ["2021-07-07T09:00Z", "2021-07-07T09:00z", "2021-07-07T09:00+00:00", "2021-07-07T14:30+05:30"],
+)
+def test_offsets_from_utc(tmp_path: Path, same: str) -> None:
+    """09:00 UTC is 04:00 in Toronto's standard time: the hour of 3.0 mm."""
+    assert parse_time(same) == parse_time("2021-07-07T04:00-05:00")
+    run = series(tmp_path, same, 1)
+    assert run.precipitation[0] == pytest.approx(RAIN[1], rel=1e-15)
+    rows = [f"{same},1.5,2.0", "2021-07-07T10:00+00:00,0.0,2.0"]
+    weather = read_weather(write(tmp_path, *rows), PAPER_SITE)
+    assert weather.first == parse_time("2021-07-07T09:00+00:00")
+    assert weather.end == parse_time("2021-07-07T11:00+00:00")
+
+
+def test_order_of_columns_and_further_ones(tmp_path: Path) -> None:
+    """Columns are found by name; comments and empty lines may stand anywhere."""
+    header = "time, fao56 evapotranspiration [mm/day],dew point [degC],precipitation [mm/h]"
+    path = write(tmp_path, "", "2021-07-07T03:00Z,1.5,-3.5,0.25", "# gauge read", header=header)
+    weather = read_weather(path, PAPER_SITE)
+    assert (weather.precipitation.tolist(), weather.evapotranspiration.tolist()) == ([0.25], [1.5])
+    assert weather.method == "fao56"
+    path = write(tmp_path, HOURS[0], header=HEADER.replace("made up ", ""))
+    unnamed = read_weather(path, PAPER_SITE)
+    assert unnamed.method == "unnamed"
+
+
+def test_records_may_be_read_back(tmp_path: Path) -> None:
+    """The hours as they were written."""
+    weather = read_weather(write(tmp_path, *HOURS), PAPER_SITE)
+    assert isinstance(weather, Weather)
+    assert weather.precipitation.tolist() == [0.2, 3.0, 0.0]
+    assert weather.evapotranspiration.tolist() == [3.44779366, 1.22675507, 2.4]
+    assert weather.method == "made up"
+
+
+@pytest.mark.parametrize(
+    ("header", "reason"),
+    [
+        ("date" + HEADER[4:], "'date': the first column must be 'time'"),
+        (HEADER + ",humidity [%]", "'humidity [%]': is not a known column; they are prec"),
+        (HEADER + ",temperature", "'temperature': a column must be named like"),
+        (HEADER.replace("mm/h]", "mm]"), "'precipitation [mm]': the unit of precipitation must be"),
+        (HEADER.replace("mm/day", "m3/s"), "'made up evapotranspiration [m3/s]': the unit of"),
+        (HEADER + ",precipitation [mm/h]", "'precipitation [mm/h]': there is a column of prec"),
+        (HEADER + ",b evapotranspiration [mm/day]", "'b evapotranspiration [mm/day]': there is a"),
+        ("time,precipitation [mm/h]", "there must be a column 'evapotranspiration [mm/day]', or"),
+        ("time,fao56 evapotranspiration [mm/day]", "there must be a column 'precipitation [mm/h]'"),
+        (HOURS[0], "'2021-07-07T03:00-05:00': the first column must be 'time'"),
+    ],
+)
+def test_refused_headers(tmp_path: Path, header: str, reason: str) -> None:
+    """Named with file, line and cell, and what would be right."""
+    path = write(tmp_path, *HOURS, header=header)
+    assert refusal(path).startswith(f"{path}, line 2: {reason}")
+
+
+RAIN_CELL, ET_CELL = HEADER.split(",")[1:]
+
+
+def test_the_hour_that_is_due_is_named(tmp_path: Path) -> None:
+    """In the offset of the record that is wrong: 04:00-05:00 is 05:00-04:00."""
+    path = write(tmp_path, HOURS[0], "2021-07-07T04:00-04:00,3.0,1.2")
+    assert refusal(path) == (
+        f"{path}, line 4: time = '2021-07-07T04:00-04:00': must be 2021-07-07T05:00-04:00: "
+        "the records must be hour after hour, without gap or repetition"
+    )
+
+
+@pytest.mark.parametrize(
+    ("record", "reason"),
+    [
+        ("2021-07-07T04:00-05:00,3.0", "must have 3 cells as the header has, not 2"),
+        ("2021-07-07T04:00-05:00,3.0,1.2,", "must have 3 cells as the header has, not 4"),
+        ("2021-07-07T04:00,3.0,1.2", "time = '2021-07-07T04:00': must say its offset from UTC"),
+        ("07/07/2021 04:00,3.0,1.2", "time = '07/07/2021 04:00': must be a time such as"),
+        (",3.0,1.2", "time = '': must be a time such as"),
+        ("2021-07-07T05:00-05:00,3.0,1.2", "time = '2021-07-07T05:00-05:00': must be 2021-07-07"),
+        ("2021-07-07T03:00-05:00,3.0,1.2", "time = '2021-07-07T03:00-05:00': must be 2021-07-07"),
+        ("2021-07-07T04:00-04:00,3.0,1.2", "time = '2021-07-07T04:00-04:00': must be 2021-07-07"),
+        ("2021-07-07T04:00:01-05:00,3,1.2", "time = '2021-07-07T04:00:01-05:00': must be 2021-07-"),
+        ("2021-07-07T04:00-05:00,,1.2", f"{RAIN_CELL} = '': must be a number from 0 to 500 mm/h"),
+        ("2021-07-07T04:00-05:00,M,1.2", f"{RAIN_CELL} = 'M': must be a number from 0 to 500 mm/h"),
+        ("2021-07-07T04:00-05:00,-0.1,1.2", f"{RAIN_CELL} = '-0.1': must be a number from 0 to"),
+        ("2021-07-07T04:00-05:00,500.1,1.2", f"{RAIN_CELL} = '500.1': must be a number from 0 to"),
+        ("2021-07-07T04:00-05:00,nan,1.2", f"{RAIN_CELL} = 'nan': must be a number from 0 to 500"),
+        ("2021-07-07T04:00-05:00,inf,1.2", f"{RAIN_CELL} = 'inf': must be a number from 0 to 500"),
+        ("2021-07-07T04:00-05:00,3.0,-1", f"{ET_CELL} = '-1': must be a number from 0 to 50 mm"),
+        ("2021-07-07T04:00-05:00,3.0,50.1", f"{ET_CELL} = '50.1': must be a number from 0 to 50"),
+    ],
+)
+def test_refused_records(tmp_path: Path, record: str, reason: str) -> None:
+    """Named with file, line, column and value, and what would be right."""
+    path = write(tmp_path, HOURS[0], record, HOURS[2])
+    assert refusal(path).startswith(f"{path}, line 4: {reason}")
+
+
+def test_refused_further_columns(tmp_path: Path) -> None:
+    """A column that no run uses is checked all the same."""
+    path = write(tmp_path, HOURS[0] + ",235.7", header=HEADER + ",temperature [degC]")
+    start = f"{path}, line 3: temperature [degC] = '235.7': must be a number from -90 to 60 degC"
+    assert refusal(path).startswith(start)
+
+
+def test_file_without_records(tmp_path: Path) -> None:
+    """Comments only, a header only."""
+    path = write(tmp_path)
+    assert refusal(path) == f"{path}: has a header but no records"
+    path.write_text("# nothing\n")
+    assert refusal(path).startswith(f"{path}: holds comments only")
+    path.write_text("\n")
+    assert refusal(path) == f"{path}: is empty"
