@@ -17,7 +17,7 @@ from rich.table import Table
 from greenroof_ros.common.command_line import EXIT_DONE, EXIT_FAILED, command, within
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.experiment.clairvoyant import _BLOCK_S, Bound, NoBoundError, clairvoyant_bound
-from greenroof_ros.experiment.options import add_run_arguments, run_from_arguments
+from greenroof_ros.experiment.options import add_site_arguments, inputs_from_arguments
 from greenroof_ros.experiment.run import Run
 from greenroof_ros.model.site import Site
 
@@ -116,9 +116,9 @@ def main() -> int:
         prog="python -m greenroof_ros.bound",
         description="Compute the least total deviation that any controller could reach which knows "
         "all weather beforehand, as a lower bound, and beside it what its plan comes to in the "
-        "exact plant: the optimum lies between. The options of controllers make no difference.",
+        "exact plant: the optimum lies between. It is the same for every controller.",
     )
-    add_run_arguments(parser)
+    add_site_arguments(parser)
     group = parser.add_argument_group("the bound")
     group.add_argument(
         "--block", type=within(1e-9, 1e9), metavar="S",
@@ -131,7 +131,7 @@ def main() -> int:
     )
     group.add_argument("--json", action="store_true", help="print JSON instead of a table")
     arguments = parser.parse_args()
-    run = run_from_arguments(arguments)
+    run = inputs_from_arguments(arguments)
     block = None if arguments.block is None else _block_ticks(run.site, arguments.block)
     try:
         with _note_if_slow(f"solving for {run.steps} ticks ..."):

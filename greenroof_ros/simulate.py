@@ -11,12 +11,12 @@ from typing import Any
 
 from greenroof_ros.common.command_line import EXIT_DONE, command
 from greenroof_ros.common.errors import ConfigurationError
-from greenroof_ros.controllers.registry import make_controller
 from greenroof_ros.experiment import summary, summary_table
 from greenroof_ros.experiment.closed_loop import Tick, closed_loop
 from greenroof_ros.experiment.options import (
     add_output_arguments,
     add_run_arguments,
+    parse_run_arguments,
     run_from_arguments,
 )
 from greenroof_ros.experiment.progress import INTERVAL_S, RunProgress
@@ -53,11 +53,11 @@ def main() -> int:
         "--trajectory", type=Path, metavar="FILE.csv",
         help="write every tick 0..N to a new CSV file; the digits are exact",
     )
-    arguments = parser.parse_args()
+    arguments = parse_run_arguments(parser)
     run = run_from_arguments(arguments)
     tau = run.site.tau
     with ExitStack() as stack:
-        directory = make_run_directory(arguments.output, run.controller)
+        directory = make_run_directory(arguments.output, run.controller.name)
         write_configuration(directory, run, {})
         rows: Any = None
         if arguments.trajectory is not None:
@@ -70,7 +70,7 @@ def main() -> int:
                 ) from error
             rows = csv.writer(stream)
             rows.writerow(TRAJECTORY_COLUMNS)
-        controller = make_controller(run.controller, run.site, run.parameters)
+        controller = run.make_controller()
         metrics = Metrics()
         progress = stack.enter_context(RunProgress(run.steps, tau))
         began = shown = time.monotonic()

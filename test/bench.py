@@ -114,15 +114,14 @@ def simulated(*options: str) -> tuple[float, dict[str, float]]:
     """Return a tick of ``simulate`` (s), controller, plant and metrics, and its solver's times."""
     import argparse
 
-    from greenroof_ros.controllers.registry import make_controller
     from greenroof_ros.experiment.closed_loop import closed_loop
     from greenroof_ros.experiment.options import add_run_arguments, run_from_arguments
     from greenroof_ros.model.metrics import Metrics
 
     parser = argparse.ArgumentParser()
-    add_run_arguments(parser)
+    add_run_arguments(parser, options)
     run = run_from_arguments(parser.parse_args(options))
-    controller = make_controller(run.controller, run.site, run.parameters)
+    controller = run.make_controller()
     began = time.perf_counter()
     for _ in closed_loop(run, controller, Metrics()):
         pass

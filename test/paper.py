@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 from hypothesis import strategies as st
 
+from greenroof_ros.controllers.planner import Planner
 from greenroof_ros.experiment.options import add_run_arguments, run_from_arguments
 from greenroof_ros.experiment.run import Run
 from greenroof_ros.model.site import Site
@@ -35,7 +36,7 @@ _STEP = 1e-30
 def paper_run(*options: str) -> Run:
     """Build a run as a command line with these options would."""
     parser = argparse.ArgumentParser()
-    add_run_arguments(parser)
+    add_run_arguments(parser, options)
     return run_from_arguments(parser.parse_args(options))
 
 
@@ -43,6 +44,15 @@ def site_with(**changes: float) -> Site:
     """Return the paper's site with other values, x2_star and z_cap following from them."""
     site = replace(PAPER_SITE, **changes)  # type: ignore[arg-type]
     return replace(site, x2_star=site.a2 * site.z_veg, z_cap=site.a2 * site.z_soil)
+
+
+def planner(site: Site = PAPER_SITE, **changes: Any) -> Planner:
+    """Return a planner of 12 h that takes readings as they are and waits for rain without limit."""
+    given = {
+        "horizon": 12, "max_command": 1.0, "observer_time_constant": 0.0,
+        "max_waiting_loss": math.inf, **changes,
+    }
+    return Planner(site, **given)
 
 
 @st.composite

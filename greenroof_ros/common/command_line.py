@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import argparse
 import functools
 import os
 import sys
@@ -33,7 +34,7 @@ def command(main: Callable[[], int]) -> Callable[[], NoReturn]:
             # What is still to be written would fail once more at the interpreter's end.
             os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
             code = EXIT_FAILED
-        except ConfigurationError as error:
+        except (ConfigurationError, argparse.ArgumentError) as error:
             print(f"error: {error}", file=sys.stderr)
             code = EXIT_USAGE
         except OSError as error:

@@ -4,13 +4,17 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from typing import ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from greenroof_ros.common.errors import ConfigurationError
-from greenroof_ros.controllers.regret_limit import RegretLimit
-from greenroof_ros.controllers.roof_observer import RoofObserver
+from greenroof_ros.common.parameter import Parameter
+from greenroof_ros.controllers.onoff import FRACTION
+from greenroof_ros.controllers.protocol import HORIZON
+from greenroof_ros.controllers.regret_limit import MAX_WAITING_LOSS, RegretLimit
+from greenroof_ros.controllers.roof_observer import OBSERVER_TIME_CONSTANT, RoofObserver
 from greenroof_ros.model.look_ahead import growing_steps
 from greenroof_ros.model.plant import pump_flow
 from greenroof_ros.model.site import Site
@@ -45,8 +49,8 @@ class AnticipatingOnOff:
     For a microcontroller: from the hourly forecast add up rain times the bed's area less
     evapotranspiration, sort the sums, take the one in the middle, once a minute. The level to
     switch at is the target less that volume over the bed's area. Two sums more, kept tick by tick,
-    make it fit for a real site: 
-    :class:`~greenroof_ros.controllers.roof_observer.RoofObserver` smooths the level's readings,
+    make it fit for a real site:
+    :class:`~greenroof_ros.controllers.roof_observer.RoofObserver` averages the level's readings,
     :class:`~greenroof_ros.controllers.regret_limit.RegretLimit` limits what a forecast of rain that
     never comes can do.
 
@@ -54,13 +58,17 @@ class AnticipatingOnOff:
         fraction: v, the command when pumping (share of the maximum flow).
     """
 
+    parameters: ClassVar[tuple[Parameter, ...]] = (
+        HORIZON, FRACTION, OBSERVER_TIME_CONSTANT, MAX_WAITING_LOSS,
+    )
+
     def __init__(
         self,
         site: Site,
         horizon: float,
         fraction: float,
-        observer_time_constant: float = 0.0,
-        max_waiting_loss: float = math.inf,
+        observer_time_constant: float,
+        max_waiting_loss: float,
     ) -> None:
         """Take the site and the parameters.
 

@@ -5,7 +5,8 @@ from __future__ import annotations
 import logging
 import math
 import time
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from typing import ClassVar
 
 import numpy as np
 import osqp
@@ -13,6 +14,7 @@ import scipy.sparse
 from numpy.typing import NDArray
 
 from greenroof_ros.common.errors import ConfigurationError
+from greenroof_ros.common.parameter import Parameter
 from greenroof_ros.controllers.protocol import solver_statistics
 from greenroof_ros.model.site import Site
 from greenroof_ros.model.smooth_plant import linearise
@@ -60,11 +62,25 @@ class Mpc:
         solve_seconds: wall time of each :meth:`command` (s).
     """
 
+    parameters: ClassVar[tuple[Parameter, ...]] = (
+        Parameter(
+            "weight", 0.001, "1", 1e-9, 1e6,
+            "lambda of Eq. (11): price of pumping against deviation", may_change=True,
+        ),
+        Parameter(
+            "max_command", math.inf, "1", 1e-9, math.inf,
+            "largest command; no bound as in the paper, 1 is the most of a real pump",
+        ),
+    )
+    outputs: ClassVar[Mapping[str, str]] = {
+        "/controller/cost": "cost", "/controller/solver_status": "status",
+    }
+
     def __init__(
         self,
         site: Site,
         weight: float,
-        max_command: float = math.inf,
+        max_command: float,
         max_iterations: int = 4000,
     ) -> None:
         """Set up the solver once; every tick only updates it.

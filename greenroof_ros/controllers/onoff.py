@@ -3,8 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import ClassVar
 
+from greenroof_ros.common.parameter import Parameter
 from greenroof_ros.model.site import Site
+
+FRACTION = Parameter(
+    "fraction", 1.0, "1", 1e-9, 1e6,
+    "v of Eq. (12): the command when pumping, share of the maximum flow", may_change=True,
+)
 
 
 class OnOff:
@@ -13,6 +20,8 @@ class OnOff:
     Attributes:
         fraction: v, the command when pumping (share of the maximum flow).
     """
+
+    parameters: ClassVar[tuple[Parameter, ...]] = (FRACTION,)
 
     def __init__(self, site: Site, fraction: float) -> None:
         self._site = site
@@ -25,7 +34,7 @@ class OnOff:
         precipitation: Sequence[float],
         evapotranspiration: Sequence[float],
     ) -> float:
-        """Decide from the levels (m) alone; see :class:`greenroof_ros.controllers.Controller`."""
+        """Decide from the levels (m) alone; it does not look at the forecasts."""
         dry = roof_level < self._site.z_veg
         enough = cistern_level >= self._site.suction_level
         return self.fraction if dry and enough else 0.0

@@ -1,279 +1,47 @@
-"""Predictive controllers that plan half a day ahead: ``planning_mpc`` and ``scenario_mpc``."""
+"""The predictive controller that plans half a day ahead, for one forecast."""
 
 from __future__ import annotations
 
-import logging
-import math
-import time
-from collections.abc import Sequence
+from typing import ClassVar
 
-import numpy as np
-from numpy.typing import NDArray
-
-from greenroof_ros.common.errors import ConfigurationError
-from greenroof_ros.controllers.planning_program import Ensemble, PlanningProgram, Prices
-from greenroof_ros.controllers.protocol import solver_statistics
-from greenroof_ros.controllers.regret_limit import RegretLimit
-from greenroof_ros.controllers.roof_observer import RoofObserver
-from greenroof_ros.model.look_ahead import MOST_MEMBERS, growing_steps
-from greenroof_ros.model.plant import maximum_pump_flow
+from greenroof_ros.common.parameter import Parameter
+from greenroof_ros.controllers.planner import MAX_COMMAND, Planner
+from greenroof_ros.controllers.planning_program import Prices
+from greenroof_ros.controllers.protocol import HORIZON
+from greenroof_ros.controllers.regret_limit import MAX_WAITING_LOSS
+from greenroof_ros.controllers.roof_observer import OBSERVER_TIME_CONSTANT
 from greenroof_ros.model.site import Site
 
-_log = logging.getLogger(__name__)
 
-# A plan is followed this long at most (s), and left when the roof has come this far off it (m3).
-# One for an ensemble takes a hundred times as long to make, and is good for longer: it expects
-# surprises.
-_LONGEST_PLAN_S = 60.0
-_LONGEST_ENSEMBLE_PLAN_S = 600.0
-_OFF_PLAN_M3 = 2e-3
-# Less is the solver's tolerance (share of the maximum flow).
-_LEAST_COMMAND = 1e-5
+class PlanningMpc(Planner):
+    """Plans for the least deviation, and prices of energy and pump starts if there are any."""
 
-Array = NDArray[np.float64]
-
-
-class PlanningMpc:
-    """Plans the pumped flow over steps that grow, and follows the plan until something changes.
-
-    Decided are the volumes P_i (m3) pumped from now to the end of step i. The pump curve is
-    inverted exactly - a command is a flow over the maximum flow at the cistern's level - so that
-    the prediction is the exact mass balance of Eq. (1): the roof deviates from its target by
-    c_i + P_i at the end of step i, where c_i is what state, rain and evapotranspiration make of it
-    alone. With the deviation taken as linear within a step the program is
-
-        minimise    sum_i h_i |m_i + (P_{i-1} + P_i) / 2|,  m_i = (c_{i-1} + c_i) / 2
-        subject to  0 <= P_i - P_{i-1} <= h_i u_max q(x1)     what the pumps can do,
-                    P_i <= max_{j<=i} (-c_j)^+                pumped only while the roof is too dry,
-                    P_i <= what lies above the suction level, and a minute's flow
-                                                              pumped only while the cistern has it,
-
-    plus the price of energy and of pump starts if there is one, or with squares in place of the
-    absolute values. The rules on the third and fourth line are those of Eq. (3a): water is pumped
-    at a time j only if it is missing then, which is more than anything pumped before. What is above
-    the cistern's outlet now is not counted on in the fourth line: it may be gone in minutes. The
-    minute is there because the last tick that pumps may end below the suction level: where a plan
-    asks for no more than there is, that tick has too little of it, and once below, nothing works.
-
-    With an ensemble of forecasts (``scenario_mpc``) each member has such a program; what is pumped
-    until ``recourse`` is the same for all - one decision now - and each may be answered on its own
-    from then on, since by then a newer forecast is there. The objective is the conditional
-    value-at-risk of the deviation over the members: its mean over the worst of them.
-
-    It decides anew when there is no plan, the plan is 60 s old (with an ensemble 600 s, or as long
-    as it is the same for all members), the roof has come 2 litres off it, or the forecast has
-    changed; the last solution, moved on, is the solver's first guess. Where the solver finds no
-    solution the last plan, which was good for the whole horizon, is followed on; ``fallbacks``
-    counts it.
-
-    The roof's level is not taken as read, and forecasts of rain not for ever: see
-    :class:`~greenroof_ros.controllers.roof_observer.RoofObserver` and
-    :class:`~greenroof_ros.controllers.regret_limit.RegretLimit`.
-
-    Attributes:
-        solves: how many programs were solved, or tried.
-        fallbacks: how many of them had no solution.
-        solve_seconds: wall time of each :meth:`command` (s), most of which solve nothing.
-    """
+    parameters: ClassVar[tuple[Parameter, ...]] = (
+        HORIZON,
+        MAX_COMMAND,
+        Parameter("power", 1, "1", 1, 2, "of the deviation in the objective: 1 as the metric, 2 "
+                  "squares it"),
+        Parameter("energy_weight", 0.0, "m3 s/kWh", 0.0, 1e9, "what a kWh of hydraulic energy "
+                  "counts as deviation; with power 2 as its square (m6 s/kWh)"),
+        Parameter("start_weight", 0.0, "m3 s", 0.0, 1e5, "what a pump start at full flow counts, "
+                  "likewise"),
+        OBSERVER_TIME_CONSTANT,
+        MAX_WAITING_LOSS,
+    )
 
     def __init__(
         self,
         site: Site,
         horizon: float,
-        max_command: float = 1.0,
-        power: float = 1.0,
-        prices: Prices | None = None,
-        ensemble: Ensemble | None = None,
-        observer_time_constant: float = 0.0,
-        max_waiting_loss: float = math.inf,
-        max_iterations: int = 10000,
+        max_command: float,
+        power: float,
+        energy_weight: float,
+        start_weight: float,
+        observer_time_constant: float,
+        max_waiting_loss: float,
     ) -> None:
-        """Set the program up once; every decision only updates it.
-
-        Args:
-            site: the parameters of Table I.
-            horizon: how far to plan ahead (h).
-            max_command: upper bound of the commands (1).
-            power: of the deviation in the objective: 1, as in the paper's metric, or 2, as in its
-                controller.
-            prices: of energy and starts; none if not given.
-            ensemble: how to look at the members of a forecast; only single ones if not given.
-            observer_time_constant: over how long (s) readings of the roof's level are averaged.
-            max_waiting_loss: what waiting for rain may cost (h of an empty roof).
-            max_iterations: OSQP's limit.
-
-        Raises:
-            ConfigurationError: the power is neither 1 nor 2.
-        """
-        if power not in (1.0, 2.0):
-            raise ConfigurationError("must be 1 or 2", key="power", value=power)
-        self._site = site
-        self._max_command = max_command
-        self._edges = growing_steps(horizon)
-        self._lengths = np.diff(self._edges)
-        self._power = power
-        self._prices = prices or Prices()
-        self._ensemble = ensemble
-        self._max_iterations = max_iterations
-        self._pumped: Array | None = None  # P at the edges, shape (members, steps + 1)
-        self._inflow: Array | None = None  # to the roof, of the last tick's forecast
-        self._set_up(members=1)
-        self._observer = RoofObserver(site, observer_time_constant)
-        self._regret_limit = RegretLimit(site, max_waiting_loss)
-        self.solves = 0
-        self.fallbacks = 0
-        self.solve_seconds: list[float] = []
-        self._age = 0.0  # of the plan (s)
-        self._expected = math.nan  # x2 at the next tick, if all goes to plan
-        self._off_plan = 0.0  # how far x2 has come off the plan since it was made (m3)
-        self._flow = 0.0  # commanded in the last tick (m3/s)
-
-    def _set_up(self, members: int) -> None:
-        """Set the program up for forecasts of so many members; what is planned for now stays."""
-        self._members = members
-        self._program = PlanningProgram(
-            self._site, self._edges, self._max_command, self._power, self._prices,
-            members, self._ensemble or Ensemble(), self._max_iterations,
+        """Take the site and the parameters; :attr:`parameters` has their units and meanings."""
+        super().__init__(
+            site, horizon, max_command, observer_time_constant, max_waiting_loss,
+            power=power, prices=Prices(energy_weight, start_weight),
         )
-        self._longest = _LONGEST_PLAN_S
-        if members > 1:
-            self._longest = min(_LONGEST_ENSEMBLE_PLAN_S, self._program.shared_s)
-        if self._pumped is not None:
-            self._pumped = np.repeat(self._pumped[:1], members, axis=0)
-        self._inflow = None
-
-    @property
-    def status(self) -> int:
-        """OSQP's status value of the last program, 1 = solved."""
-        return self._program.status
-
-    @property
-    def cost(self) -> float:
-        """Objective of the last program (m3; m6 with squares); NaN if it was not solved."""
-        return self._program.cost
-
-    def command(
-        self,
-        cistern_level: float,
-        roof_level: float,
-        precipitation: Sequence[float],
-        evapotranspiration: Sequence[float],
-    ) -> float:
-        """Follow the plan, or make a new one; see :class:`greenroof_ros.controllers.Controller`.
-
-        The forecasts are means over the steps of
-        :func:`greenroof_ros.model.look_ahead.growing_steps`; of the rain, one member after the
-        other.
-        """
-        started = time.perf_counter()
-        site, steps = self._site, len(self._lengths)
-        members, rest = divmod(len(precipitation), steps)
-        most = 1 if self._ensemble is None else MOST_MEMBERS
-        if rest or len(evapotranspiration) != steps or not 1 <= members <= most:
-            raise ConfigurationError(
-                f"the forecasts have {len(precipitation)} and {len(evapotranspiration)} entries, "
-                f"but the plan has {steps} steps, and at most {most} forecasts of rain; give "
-                "weather and controller the same horizon, and only scenario_mpc all members"
-            )
-        if members != self._members:
-            self._set_up(members)
-        rain = np.array(precipitation).reshape(self._members, steps)
-        evaporated = np.asarray(evapotranspiration)
-        x1 = site.cistern_volume(cistern_level)
-        if not math.isfinite(x1 + roof_level + float(rain.sum() + evaporated.sum())):
-            # Nothing can be planned on it, and OSQP would not refuse it.
-            self.skip()
-            return 0.0
-        x2 = self._observer.correct(roof_level)
-        self._off_plan += x2 - self._expected
-        fraction = min(self._max_command, 1.0)
-        waits = self._prices == Prices() or bool(rain[:, 1:].any())
-        if self._regret_limit.judge(x1, x2, fraction, counts=waits):
-            rain[:, 1:] = 0.0
-        inflow = np.cumsum((rain * site.a2 - evaporated) * self._lengths, axis=1)
-        if self._must_decide(inflow, float(rain.max()), float(evaporated.max())):
-            self._decide(x1, x2, inflow, rain)
-        self._inflow = inflow
-        full = maximum_pump_flow(site, x1)
-        share = self._planned_flow() / full if full > 0 else 0.0
-        dry = x2 < site.x2_star and cistern_level >= site.suction_level
-        if not dry or share < _LEAST_COMMAND:
-            share = 0.0
-        share = min(share, self._max_command)
-        self._flow = share * full
-        self._regret_limit.move(x1, x2, fraction, self._flow)
-        self._expected = self._observer.predict(
-            x2, float(rain[0, 0]), float(evaporated[0]), self._flow
-        )
-        self._age += site.tau
-        self.solve_seconds.append(time.perf_counter() - started)
-        return share
-
-    def skip(self) -> None:
-        """Wait for the next reading; what the plan expected of this tick has not happened."""
-        self._observer.skip()
-        self._regret_limit.skip()
-        self._flow, self._expected = 0.0, math.nan
-        self._age += self._site.tau
-
-    def statistics(self) -> dict[str, float]:
-        """Return what the solver did; see :class:`greenroof_ros.controllers.Controller`."""
-        return solver_statistics(self.solves, self.fallbacks, self.solve_seconds)
-
-    def _must_decide(self, inflow: Array, rain: float, evaporated: float) -> bool:
-        """Whether plan, state or forecast has changed."""
-        if self._pumped is None or self._inflow is None or self._age >= self._longest:
-            return True
-        if not abs(self._off_plan) <= _OFF_PLAN_M3:
-            return True
-        # Moved on by a tick, the same forecast differs by what comes in a tick at its ends.
-        in_a_tick = self._site.tau * (rain * self._site.a2 + evaporated)
-        return bool(np.abs(inflow - self._inflow).max() > 2 * in_a_tick + 1e-9)
-
-    def _planned_flow(self) -> float:
-        """Return the plan's mean flow in the present tick (m3/s); the same for all members."""
-        if self._pumped is None or self._age >= self._edges[-1]:
-            return 0.0
-        tau = self._site.tau
-        begin, end = np.interp((self._age, self._age + tau), self._edges, self._pumped[0])
-        return float((end - begin) / tau)
-
-    def _decide(self, x1: float, x2: float, inflow: Array, rain: Array) -> None:
-        """Make a new plan; keep the old one where the solver finds none."""
-        site = self._site
-        start = np.zeros((self._members, 1))
-        before = x2 - site.x2_star + np.hstack([start, inflow])
-        missing = np.maximum.accumulate(np.maximum(-before, 0.0), axis=1)[:, 1:]
-        # What will be above the suction level by then, and below the outlet.
-        collected = np.cumsum(rain * self._lengths, axis=1) * site.a_in
-        there = np.minimum(x1 + collected, site.a1 * site.z_o)
-        full = maximum_pump_flow(site, x1)
-        slack = max(_LONGEST_PLAN_S, site.tau) * full
-        above = np.maximum(there - site.a1 * site.suction_level + slack, 0.0)
-        self.solves += 1
-        pumped = self._program.solve(
-            (before[:, :-1] + before[:, 1:]) / 2,
-            np.minimum(missing, above),
-            full,
-            self._flow,
-            self._moved_on(),
-        )
-        if pumped is None:
-            self.fallbacks += 1
-            if self.fallbacks == 1:
-                _log.warning(
-                    "OSQP's status is %d; following the last plan; further ones are only counted",
-                    self.status,
-                )
-            return
-        self._pumped = np.hstack([start, pumped])
-        self._age = self._off_plan = 0.0
-
-    def _moved_on(self) -> Array | None:
-        """Return the plan as it is from now on, shape (members, steps)."""
-        if self._pumped is None:
-            return None
-        ends = np.minimum(self._edges[1:] + self._age, self._edges[-1])
-        times = np.concatenate(([self._age], ends))
-        volumes = np.stack([np.interp(times, self._edges, pumped) for pumped in self._pumped])
-        return np.asarray(volumes[:, 1:] - volumes[:, :1])

@@ -60,8 +60,12 @@ class Ensemble(NamedTuple):
     """until then (s) one plan serves all members; later each has its own"""
 
 
+NO_PRICES = Prices()
+MEAN_OF_ALL = Ensemble()
+
+
 class PlanningProgram:
-    """The program of :class:`greenroof_ros.controllers.planning_mpc.PlanningMpc`, set up once.
+    """The program of :class:`greenroof_ros.controllers.planner.Planner`, set up once.
 
     Attributes:
         status: OSQP's status value of the last program, 1 = solved.
@@ -217,7 +221,7 @@ class PlanningProgram:
         friction = 2 * price * site.pipe_resistance * self._full
         step = self._step()
         hessian = [step.T @ scipy.sparse.diags([friction / self._lengths], [0]) @ step]
-        if power == 2.0:
+        if power == 2:
             hessian.append(scipy.sparse.diags([2 / self._weights / n], [0]))
             linear = [volume, np.zeros(n)]
         else:

@@ -1,21 +1,46 @@
-"""What every controller is asked, and answers."""
+"""What every controller is: the class that a user writes, and what it is asked each tick."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import Protocol
+from collections.abc import Mapping, Sequence
+from typing import Any, ClassVar, Protocol
 
 import numpy as np
 
+from greenroof_ros.common.parameter import Parameter
+
+HORIZON = Parameter(
+    "horizon", 12.0, "h", 0.1, 48.0, "how far it looks ahead; the weather node needs the same"
+)
+
 
 class Controller(Protocol):
-    """Anything that decides once a tick how much to pump."""
+    """Anything that decides once a tick how much to pump.
+
+    It is made as ``Class(site, **parameters)``, with a value for each of its parameters, and keeps
+    to one rule: the same inputs give the same commands, whenever and wherever. ``python -m
+    greenroof_ros.check_controller package.module:Class`` holds a class to all of this.
+
+    Two more class attributes are optional:
+
+    - ``ensemble = True``: it takes all members of an ensemble of forecasts. ``precipitation`` is
+      then an array of shape (members, steps); a single forecast has one member.
+    - ``outputs``: topics of ``msg_defs/topics.yaml`` that its node publishes after each command,
+      each with the attribute that holds the value: ``{"/controller/cost": "cost"}``.
+
+    Attributes:
+        parameters: its parameters. One named ``horizon`` (h) says how far the forecasts reach, as
+            means over the steps of :func:`greenroof_ros.model.look_ahead.growing_steps`; without
+            it they are of the M ticks that come.
+    """
+
+    parameters: ClassVar[tuple[Parameter, ...]]
 
     def command(
         self,
         cistern_level: float,
         roof_level: float,
-        precipitation: Sequence[float],
+        precipitation: Sequence[Any],
         evapotranspiration: Sequence[float],
     ) -> float:
         """Decide the command for the present tick.
@@ -23,10 +48,10 @@ class Controller(Protocol):
         Args:
             cistern_level: water depth in the cistern (m).
             roof_level: water depth on the roof (m).
-            precipitation: forecast of rain (m/s), first entry = now: of the M ticks that come, or
-                means over the steps of :func:`greenroof_ros.model.look_ahead.growing_steps`; of an
-                ensemble one member after the other.
-            evapotranspiration: forecast of evapotranspiration (m3/s), likewise, of one member.
+            precipitation: forecast of rain (m/s), the first entry now, shape (steps,); with
+                ``ensemble = True`` shape (members, steps).
+            evapotranspiration: forecast of evapotranspiration off the whole bed (m3/s), likewise,
+                shape (steps,).
 
         Returns:
             Share of the pumps' maximum flow (1), finite and not negative.
@@ -38,7 +63,7 @@ class Controller(Protocol):
         ...
 
     def statistics(self) -> dict[str, float] | None:
-        """Return what its solver did: ``solves``, ``fallbacks``, and times in seconds.
+        """Return the solver's figures: ``solves``, ``fallbacks``, and times in seconds.
 
         ``mean_s``, ``p99_s`` and ``max_s`` are those of a tick, whether something was solved in it
         or not.
@@ -48,8 +73,29 @@ class Controller(Protocol):
         ...
 
 
+class ControllerClass(Protocol):
+    """A class of controllers, as the registry finds it."""
+
+    parameters: tuple[Parameter, ...]
+
+    def __call__(self, site: Any, **parameters: float) -> Controller:
+        """Make a controller for a site, with a value for each parameter."""
+        ...
+
+
+def takes_ensemble(kind: ControllerClass) -> bool:
+    """Whether a class takes all members of an ensemble; the others get the first."""
+    return bool(getattr(kind, "ensemble", False))
+
+
+def outputs_of(kind: ControllerClass) -> Mapping[str, str]:
+    """Return the attribute of each topic that a controller's node publishes beside the command."""
+    outputs: Mapping[str, str] = getattr(kind, "outputs", {})
+    return outputs
+
+
 def solver_statistics(solves: int, fallbacks: int, seconds: Sequence[float]) -> dict[str, float]:
-    """Return what :meth:`Controller.statistics` says of a solver.
+    """Return a solver's figures for :meth:`Controller.statistics`.
 
     Args:
         solves: how many programs were solved, or tried.

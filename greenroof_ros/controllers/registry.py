@@ -1,122 +1,206 @@
-"""The controllers by name, with their parameters."""
+"""The controllers by name: this package's, those of other packages, and any class by its path."""
 
 from __future__ import annotations
 
-import math
+import functools
+import hashlib
+import importlib
+import inspect
+import re
+import sys
+from dataclasses import dataclass
+from importlib import metadata
 from pathlib import Path
+from typing import cast
 
 from greenroof_ros.common.errors import ConfigurationError
-from greenroof_ros.common.files import YamlMapping, number, read_yaml
-from greenroof_ros.controllers.protocol import Controller
+from greenroof_ros.common.files import YamlMapping, number, read_yaml, shared_directory
+from greenroof_ros.common.parameter import Parameter
+from greenroof_ros.controllers.protocol import (
+    Controller,
+    ControllerClass,
+    outputs_of,
+    takes_ensemble,
+)
 from greenroof_ros.model.site import Site
 
-# How far the controllers that plan trust the level sensor (s) and the forecast (h).
-_TRUST = {"observer_time_constant": (0.0, 3600.0), "max_waiting_loss": (0.0, 1e6)}
-
-# The parameters of each controller, in its YAML file and of its node, with their range; whole
-# numbers where its ends are. A planner pumps nothing at commands below 1e-5.
-CONTROLLERS = {
-    "mpc": {"weight": (1e-9, 1e6), "max_command": (1e-9, math.inf)},
-    "onoff": {"fraction": (1e-9, 1e6)},
-    "planning_mpc": {
-        "horizon": (0.1, 48.0),
-        "max_command": (1e-5, math.inf),
-        "power": (1, 2),
-        "energy_weight": (0.0, 1e9),
-        "start_weight": (0.0, 1e5),
-        **_TRUST,
-    },
-    "anticipating_onoff": {"horizon": (0.1, 48.0), "fraction": (1e-9, 1e6), **_TRUST},
-    "scenario_mpc": {
-        "horizon": (0.1, 48.0),
-        "max_command": (1e-5, math.inf),
-        "cvar_level": (0.0, 0.99),
-        "recourse": (0.0, 48.0),
-        **_TRUST,
-    },
+# Other packages add to these by an entry point of this group: NAME = package.module:Class.
+GROUP = "greenroof_ros.controllers"
+_HERE = "greenroof_ros.controllers"
+BUILT_IN = {
+    "mpc": f"{_HERE}.mpc:Mpc",
+    "onoff": f"{_HERE}.onoff:OnOff",
+    "planning_mpc": f"{_HERE}.planning_mpc:PlanningMpc",
+    "anticipating_onoff": f"{_HERE}.anticipating_onoff:AnticipatingOnOff",
+    "scenario_mpc": f"{_HERE}.scenario_mpc:ScenarioMpc",
 }
+# A controller's node is named after it, beside these.
+_OTHER_NODES = {"plant", "weather", "recorder", "pump", "bringup"}
 
-# Those that take all members of an ensemble of forecasts; the others are told its first.
-TAKE_ENSEMBLES = ("scenario_mpc",)
 
+@dataclass(frozen=True)
+class ControllerChoice:
+    """A controller that was chosen, by whatever reference.
 
-def read_parameters(path: Path, controller: str) -> dict[str, float]:
-    """Read a controller's parameters from its ROS 2 parameter file.
-
-    Raises:
-        ConfigurationError: the file or a value in it is wrong.
+    Attributes:
+        name: of its node, its section in a parameter file, and in results.
+        reference: finds it again: the name of a registered one, or ``package.module:Class``.
+        path: ``package.module:Class``.
     """
-    mapping = read_yaml(path)
-    section = mapping.get(controller)
-    if not isinstance(section, YamlMapping) or not isinstance(
-        section.get("ros__parameters"), YamlMapping
-    ):
-        raise ConfigurationError(
-            f"must hold '{controller}:' and in it 'ros__parameters:'", file=path
-        )
-    parameters: YamlMapping = section["ros__parameters"]
-    for key, line in parameters.lines.items():
-        if key not in CONTROLLERS[controller]:
+
+    name: str
+    reference: str
+    path: str
+
+    @functools.cached_property
+    def kind(self) -> ControllerClass:
+        """The class; the solver's library is imported only with a class that uses it.
+
+        Raises:
+            ConfigurationError: it cannot be imported, or is no controller.
+        """
+        module_name, _, class_name = self.path.partition(":")
+        if self.reference == self.path and "" not in sys.path and str(Path.cwd()) not in sys.path:
+            # A console script does not look beside the current directory; python -m does.
+            sys.path.insert(0, str(Path.cwd()))
+        try:
+            kind = getattr(importlib.import_module(module_name), class_name)
+        except Exception as error:  # whatever a user's module raises
             raise ConfigurationError(
-                f"is not a parameter of {controller}; they are "
-                + ", ".join(CONTROLLERS[controller]),
+                f"cannot be imported: {type(error).__name__}: {error}",
+                key="--controller", value=self.reference,
+            ) from error
+        lacking = [
+            name for name in ("parameters", "command", "skip", "statistics")
+            if not hasattr(kind, name)
+        ]
+        if lacking or not all(isinstance(one, Parameter) for one in kind.parameters):
+            raise ConfigurationError(
+                f"is no controller: it lacks {', '.join(lacking) or 'a tuple of Parameter'}; "
+                "'python -m greenroof_ros.check_controller' says what one needs",
+                key="--controller", value=self.reference,
+            )
+        return cast(ControllerClass, kind)
+
+    @property
+    def parameters(self) -> dict[str, Parameter]:
+        """Its parameters, by name."""
+        return {parameter.name: parameter for parameter in self.kind.parameters}
+
+    @property
+    def ensemble(self) -> bool:
+        """Whether it takes all members of an ensemble of forecasts."""
+        return takes_ensemble(self.kind)
+
+    @property
+    def outputs(self) -> dict[str, str]:
+        """Topics that its node publishes beside the command, each with its attribute."""
+        return dict(outputs_of(self.kind))
+
+    @property
+    def source(self) -> str:
+        """Twelve digits that identify the code of a controller of another package; else empty."""
+        if self.reference in BUILT_IN:
+            return ""
+        file = inspect.getsourcefile(cast(type, self.kind))
+        return hashlib.sha256(Path(file).read_bytes()).hexdigest()[:12] if file else ""
+
+    def make(self, site: Site, parameters: dict[str, float]) -> Controller:
+        """Make the controller."""
+        return self.kind(site, **parameters)
+
+    def defaults(self) -> dict[str, float]:
+        """Return the value of each parameter unless a user gives another.
+
+        They are those of ``config/NAME.yaml``, which a user edits, where there is one.
+        """
+        file = shared_directory() / "config" / f"{self.name}.yaml"
+        if self.reference in BUILT_IN and file.is_file():
+            return self.read_parameters(file)
+        return {name: parameter.default for name, parameter in self.parameters.items()}
+
+    def read_parameters(self, path: Path) -> dict[str, float]:
+        """Read its parameters from a ROS 2 parameter file; those that are not there are default.
+
+        The section is named ``/**/NAME``, which holds in any namespace, or ``NAME``.
+
+        Raises:
+            ConfigurationError: the file or a value in it is wrong.
+        """
+        mapping = read_yaml(path)
+        keys = [key for key in (f"/**/{self.name}", self.name, f"/{self.name}") if key in mapping]
+        section = mapping[keys[0]] if keys else None
+        given = section.get("ros__parameters") if isinstance(section, YamlMapping) else None
+        if not isinstance(given, YamlMapping):
+            raise ConfigurationError(
+                f"must hold '/**/{self.name}:' and in it 'ros__parameters:'", file=path
+            )
+        values = {name: parameter.default for name, parameter in self.parameters.items()}
+        for key, line in given.lines.items():
+            self.check_name(key, path, line)
+            value = number(path, given, key)
+            parameter = self.parameters[key]
+            if not parameter.accepts(value):
+                raise ConfigurationError(
+                    parameter.expected, file=path, line=line, key=key, value=given[key]
+                )
+            values[key] = int(value) if parameter.whole else value
+        return values
+
+    def check_name(self, key: str, path: Path, line: int) -> None:
+        """Refuse the name of a parameter that it does not have.
+
+        Raises:
+            ConfigurationError: it has none of that name.
+        """
+        if key not in self.parameters:
+            raise ConfigurationError(
+                f"is not a parameter of {self.name}; they are {', '.join(self.parameters)}",
                 file=path, line=line, key=key,
             )
-    values = {}
-    for key in CONTROLLERS[controller]:
-        if key not in parameters:
-            raise ConfigurationError("is missing", file=path, key=key)
-        values[key] = number(path, parameters, key)
-        wrong = wrong_parameter(controller, key, values[key])
-        if wrong:
+
+
+def controller_names() -> list[str]:
+    """Return the names of the registered controllers, this package's first."""
+    return [*BUILT_IN, *(name for name in _of_other_packages() if name not in BUILT_IN)]
+
+
+def find_controller(reference: str) -> ControllerChoice:
+    """Find a controller.
+
+    Args:
+        reference: a registered name, or ``package.module:Class``.
+
+    Raises:
+        ConfigurationError: there is none of that name.
+    """
+    if ":" not in reference:
+        path = {**_of_other_packages(), **BUILT_IN}.get(reference)
+        if path is None:
             raise ConfigurationError(
-                wrong, file=path, line=parameters.lines[key], key=key, value=parameters[key],
+                f"must be one of {', '.join(controller_names())}, or package.module:Class",
+                key="--controller", value=reference,
             )
-    return values
-
-
-def wrong_parameter(controller: str, key: str, value: float) -> str:
-    """Return what a controller's parameter must be, if it is not; otherwise nothing."""
-    low, high = CONTROLLERS[controller][key]
-    whole = isinstance(low, int)
-    if low <= value <= high and not (whole and value % 1):
-        return ""
-    return f"must be {'a whole number ' if whole else ''}from {low:g} to {high:g}"
-
-
-def make_controller(name: str, site: Site, parameters: dict[str, float]) -> Controller:
-    """Make a controller of the given name; the solver is imported only where it is used."""
-    if name == "mpc":
-        from greenroof_ros.controllers.mpc import Mpc
-
-        return Mpc(site, parameters["weight"], parameters["max_command"])
-    if name == "planning_mpc":
-        from greenroof_ros.controllers.planning_mpc import PlanningMpc
-        from greenroof_ros.controllers.planning_program import Prices
-
-        return PlanningMpc(
-            site, parameters["horizon"], parameters["max_command"], parameters["power"],
-            Prices(parameters["energy_weight"], parameters["start_weight"]),
-            observer_time_constant=parameters["observer_time_constant"],
-            max_waiting_loss=parameters["max_waiting_loss"],
+        return ControllerChoice(reference, reference, path)
+    if not re.fullmatch(r"[A-Za-z_][\w.]*:[A-Za-z_]\w*", reference):
+        raise ConfigurationError(
+            "must be of the form package.module:Class", key="--controller", value=reference
         )
-    if name == "scenario_mpc":
-        from greenroof_ros.controllers.planning_mpc import PlanningMpc
-        from greenroof_ros.controllers.planning_program import Ensemble
-
-        return PlanningMpc(
-            site, parameters["horizon"], parameters["max_command"],
-            ensemble=Ensemble(parameters["cvar_level"], parameters["recourse"] * 3600),
-            observer_time_constant=parameters["observer_time_constant"],
-            max_waiting_loss=parameters["max_waiting_loss"],
+    name = _node_name(reference.partition(":")[2])
+    if name in BUILT_IN or name in _OTHER_NODES:
+        raise ConfigurationError(
+            f"its node would be named {name}, as another one is; rename the class",
+            key="--controller", value=reference,
         )
-    if name == "anticipating_onoff":
-        from greenroof_ros.controllers.anticipating_onoff import AnticipatingOnOff
+    return ControllerChoice(name, reference, reference)
 
-        return AnticipatingOnOff(
-            site, parameters["horizon"], parameters["fraction"],
-            parameters["observer_time_constant"], parameters["max_waiting_loss"],
-        )
-    from greenroof_ros.controllers.onoff import OnOff
 
-    return OnOff(site, parameters["fraction"])
+def _of_other_packages() -> dict[str, str]:
+    """Return the path of each controller that an installed package registers, by name."""
+    return {entry.name: entry.value for entry in metadata.entry_points(group=GROUP)}
+
+
+def _node_name(class_name: str) -> str:
+    """Return a class's name in lower case, its words separated by underscores."""
+    words = re.sub(r"([a-z0-9])([A-Z])|([A-Z])([A-Z][a-z])", r"\1\3_\2\4", class_name)
+    return words.lower().strip("_")

@@ -5,6 +5,7 @@ from __future__ import annotations
 import logging
 import math
 
+from greenroof_ros.common.parameter import Parameter
 from greenroof_ros.model.plant import drainage_flow, maximum_pump_flow, pump_flow
 from greenroof_ros.model.site import Site
 
@@ -13,27 +14,33 @@ _log = logging.getLogger(__name__)
 # Gains and losses fade with this time (s): a week.
 _FADING_S = 604_800.0
 
+MAX_WAITING_LOSS = Parameter(
+    "max_waiting_loss", 1.0, "h", 0.0, 1e6,
+    "what waiting for rain may cost beside plain on/off, as the time with an empty roof that costs "
+    "as much; beyond it forecasts of rain do not count for days",
+)
+
 
 class RegretLimit:
-    """Counts what waiting for rain has cost beside plain on/off, and ends it at a limit.
+    """Counts what waiting for rain has cost beside plain on/off, and ends the waiting at a limit.
 
-    Who leaves room for rain that does not come is worse off than the on/off controller, which has
-    filled the roof, and no rule can avoid that: at the time of waiting the true forecast and the
-    false one are the same. What can be had is a limit to it. This follows what on/off, Eq. (12),
-    would have on the roof now - only the difference, so that errors of model and sensor are in
-    both - and adds up
+    A controller that leaves room for rain which does not come is worse off than the on/off
+    controller, which has filled the roof. No rule can avoid that: while it waits, the true forecast
+    and the false one are the same. What can be had is a limit. This class follows what on/off, Eq.
+    (12), would have on the roof now - only the difference, so that errors of model and sensor are
+    in both - and adds up
 
-        loss = sum of tau (|x2 - x2*| - |x2_onoff - x2*|),
+        loss = sum of tau (|x2 - x2*| - |x2_onoff - x2*|).
 
-    what has been gained by waiting counting as negative. Where the loss, with what it will cost to
-    fill the roof as on/off has, exceeds the max_waiting_loss, forecasts of rain no longer count, which
-    makes the controller fill the roof as on/off does, until the loss has faded to half of the
-    max_waiting_loss, with a time of a week. So trust costs at most the max_waiting_loss at once and as much again
-    each week, whatever the forecasts say; and who has gained may lose that first. Only in frost can
-    nobody fill the roof, and the loss goes on.
+    A gain by waiting counts as negative. Where the loss, with what it will cost to fill the roof as
+    on/off has, exceeds ``max_waiting_loss``, forecasts of rain no longer count, and the controller
+    fills the roof as on/off does. That lasts until the loss has faded to half of the limit, with a
+    time constant of a week. So trust costs at most the limit at once and as much again each week,
+    whatever the forecasts say; a controller that has gained may lose the gain first. In frost
+    nothing may be pumped, and the loss goes on.
 
     The difference rests on pumps that do what is commanded. With minimum times on and off, or
-    another flow than the site file's, the count is wrong by what they pump beside that.
+    another flow than the site file's, the count is wrong by what they pump beside the command.
 
     Attributes:
         loss: so far (m3 s); negative is a gain.
@@ -41,7 +48,7 @@ class RegretLimit:
     """
 
     def __init__(self, site: Site, max_waiting_loss: float) -> None:
-        """Take the site and the max_waiting_loss, as the hours (h) of an empty roof that cost as much."""
+        """Take the site and the limit, as the time (h) with an empty roof that costs as much."""
         self._site = site
         self._max_waiting_loss = max_waiting_loss * 3600 * site.x2_star  # m3 s
         self._more = 0.0  # what on/off would have on the roof beside what is there (m3)
@@ -74,7 +81,7 @@ class RegretLimit:
             if self._max_waiting_loss > 0:
                 _log.warning(
                     "waiting for rain has cost %.0f m3 s more than plain on/off; forecasts of rain "
-                    "do not count until that has faded to half of the max_waiting_loss", self.loss,
+                    "do not count until that has faded to half of max_waiting_loss", self.loss,
                 )
         return self.exhausted
 

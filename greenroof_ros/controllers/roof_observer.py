@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections import deque
 from statistics import fmean
 
+from greenroof_ros.common.parameter import Parameter
 from greenroof_ros.model.plant import drainage_flow
 from greenroof_ros.model.site import Site
 
@@ -17,6 +18,11 @@ _LOST_M = 0.001
 # What happens in a gap of so long (s) is less than what the next readings would take to tell.
 _GAP_S = 15.0
 
+OBSERVER_TIME_CONSTANT = Parameter(
+    "observer_time_constant", 300.0, "s", 0.0, 3600.0,
+    "time over which readings of the roof's level are averaged; 0 takes each as it is",
+)
+
 
 class RoofObserver:
     """Follows the roof's mass balance, Eq. (1), and moves toward what the sensor reads.
@@ -24,12 +30,12 @@ class RoofObserver:
     A controller that pumps whenever the level is read below its target follows the lowest of the
     readings: with a noise of 0.5 mm it soon has a millimetre too much on the roof, and nothing
     takes it off again. So the volume is predicted from rain, evapotranspiration, drainage and what
-    was pumped, and each reading corrects it by one part in (observer_time_constant / tau) of the difference: an
-    observer of first order, which is the steady-state Kalman filter for that ratio of trust in
-    model and sensor. It begins with the mean of the first readings, as that filter would that knows
-    nothing before them. Where both are exact it is the reading, but for roundings.
+    was pumped, and each reading corrects it by one part in (observer_time_constant / tau) of the
+    difference: an observer of first order, which is the steady-state Kalman filter for that ratio
+    of trust in model and sensor. It begins with the mean of the first readings, as that filter
+    would that knows nothing before them. Where both are exact it is the reading, but for roundings.
 
-    Pumps that give more than the model has them give would be left on while the estimate catches
+    Pumps that give more than the model has them give would be left on while the observer catches
     up. So where all readings of fifteen seconds, or ten of them if ticks are long, are more than a
     millimetre off to the same side, it moves by their mean at once; a single one, however far off,
     does no more than any other. After more than fifteen seconds without a reading it begins anew.
@@ -38,7 +44,9 @@ class RoofObserver:
     def __init__(self, site: Site, observer_time_constant: float) -> None:
         """Take the site, and over how long (s) readings are averaged; 0 takes each as it is."""
         self._site = site
-        self._gain = min(1.0, site.tau / observer_time_constant) if observer_time_constant > 0 else 1.0
+        self._gain = 1.0
+        if observer_time_constant > 0:
+            self._gain = min(1.0, site.tau / observer_time_constant)
         self._lost = site.roof_volume(_LOST_M)
         self._predicted: float | None = None
         self._readings = 0  # since it began

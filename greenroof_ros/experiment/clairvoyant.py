@@ -5,12 +5,14 @@ from __future__ import annotations
 from array import array
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import linprog
 from scipy.sparse import diags, hstack, identity
 
+from greenroof_ros.common.parameter import Parameter
 from greenroof_ros.experiment.closed_loop import closed_loop
 from greenroof_ros.experiment.run import Run
 from greenroof_ros.forecast.resampling import PerfectForecast
@@ -318,6 +320,8 @@ class _Plan:
     Attributes:
         tick: the present one; whoever runs the plan keeps it.
     """
+
+    parameters: ClassVar[tuple[Parameter, ...]] = ()
 
     def __init__(self, run: Run, targets: Values, max_command: float) -> None:
         """Take the volumes aimed at in each tick (m3), shape (N+1,), and the largest command."""

@@ -3,13 +3,18 @@
 from __future__ import annotations
 
 import argparse
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
 from greenroof_ros.common.command_line import within
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.files import shared_directory
-from greenroof_ros.controllers.registry import CONTROLLERS, read_parameters
+from greenroof_ros.controllers.registry import (
+    ControllerChoice,
+    controller_names,
+    find_controller,
+)
 from greenroof_ros.experiment.run import DEFAULT_START, Run, build_run, count_ticks
 from greenroof_ros.forecast.choice import MODELS, OPTIONS, ForecastChoice, choose
 from greenroof_ros.model.initial_state import INITIAL_STATES, initial_state
@@ -17,16 +22,72 @@ from greenroof_ros.model.sensor_pump_errors import RANGES, SensorPumpErrors
 from greenroof_ros.model.site import read_site
 from greenroof_ros.weather.reading import read_weather
 
+DEFAULT_CONTROLLER = "mpc"
+_PARAMETER = "parameter_"  # begins the names of the controller's parameters among the arguments
 
-def add_run_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add the options that decide a run's numbers, the same for ``simulate`` and ``bringup``."""
-    group = parser.add_argument_group("the run")
-    group.add_argument(
-        "--controller", choices=sorted(CONTROLLERS), default="mpc",
-        help="mpc, the paper's, sees 10 s ahead, planning_mpc half a day, and scenario_mpc that in "
-        "an ensemble of forecasts; onoff, the paper's, does not look ahead, and anticipating_onoff "
-        "leaves room for what comes (default: %(default)s)",
+
+def add_run_arguments(
+    parser: argparse.ArgumentParser, arguments: Sequence[str] | None = None
+) -> None:
+    """Add the options that decide a run's numbers, the same for ``simulate`` and ``bringup``.
+
+    The controller's parameters are options, too; so the command line is looked at for its name.
+
+    Args:
+        parser: of the command.
+        arguments: the command line that it will parse; ``sys.argv`` if None.
+
+    Raises:
+        ConfigurationError: there is no such controller.
+    """
+    _add_controller_arguments(parser, _named_controller(arguments))
+    add_site_arguments(parser)
+    _add_forecast_arguments(parser)
+    _add_sensor_pump_arguments(parser)
+
+
+def _named_controller(arguments: Sequence[str] | None) -> ControllerChoice:
+    """Return the controller that a command line names."""
+    parser = argparse.ArgumentParser(add_help=False, allow_abbrev=False, exit_on_error=False)
+    parser.add_argument("--controller", nargs="?", default=DEFAULT_CONTROLLER)
+    return find_controller(parser.parse_known_args(arguments)[0].controller or DEFAULT_CONTROLLER)
+
+
+def _add_controller_arguments(
+    parser: argparse.ArgumentParser, controller: ControllerChoice
+) -> None:
+    """Add the choice of the controller and its parameters."""
+    group = parser.add_argument_group(
+        "the controller", f"The parameters are those of {controller.name}; with another "
+        "--controller, --help shows the other's.",
     )
+    group.add_argument(
+        "--controller", default=DEFAULT_CONTROLLER, metavar="NAME",
+        help=f"{', '.join(controller_names())}, or package.module:Class of your own "
+        "(default: %(default)s)",
+    )
+    group.add_argument(
+        "--parameters", type=Path, metavar="FILE",
+        help=f"parameter file (default: config/{controller.name}.yaml)",
+    )
+    for parameter in controller.kind.parameters:
+        low, high = parameter.low, parameter.high
+        group.add_argument(
+            _option(parameter.name), dest=f"{_PARAMETER}{parameter.name}",
+            type=within(int(low), int(high), int) if parameter.whole else within(low, high),
+            metavar=f"[{parameter.unit}]" if parameter.unit != "1" else "X",
+            help=f"{parameter.meaning} (default: that of the parameter file)",
+        )
+
+
+def _option(parameter: str) -> str:
+    """Return a parameter's option."""
+    return f"--{parameter.replace('_', '-')}"
+
+
+def add_site_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the options of site, weather, start and length."""
+    group = parser.add_argument_group("site and weather")
     group.add_argument(
         "--initial", choices=list(INITIAL_STATES), default=None,
         help="initial levels of cistern and roof, Table II of the paper (default: low-low)",
@@ -62,33 +123,17 @@ def add_run_arguments(parser: argparse.ArgumentParser) -> None:
         help="time of the first tick, such as 2021-07-07T02:00-05:00; without an offset it is in "
         f"the weather file's own (default: {DEFAULT_START}, the paper's window)",
     )
-    group.add_argument(
-        "--parameters", type=Path, metavar="FILE",
-        help="the controller's parameter file, with all that has no option of its own: horizon, "
-        "max_command, max_waiting_loss, ... (default: config/ and its name, .yaml)",
-    )
-    group.add_argument(
-        "--weight", type=within(*CONTROLLERS["mpc"]["weight"]), metavar="LAMBDA",
-        help="mpc: price of pumping, lambda in the paper, 1e-5 to 0.1 there "
-        "(default: that of the parameter file)",
-    )
-    group.add_argument(
-        "--fraction", type=within(*CONTROLLERS["onoff"]["fraction"]), metavar="V",
-        help="onoff, anticipating_onoff: command when pumping, v in the paper, 0.2 to 2 there "
-        "(default: that of the parameter file)",
-    )
-    _add_forecast_arguments(group)
-    _add_sensor_pump_arguments(parser)
 
 
-def _add_forecast_arguments(group: argparse._ArgumentGroup) -> None:
-    """Add the options that decide what the controller is told of the weather to come."""
+def _add_forecast_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the options of the forecasts that the controller gets."""
+    group = parser.add_argument_group("forecasts")
     default = ForecastChoice()
     group.add_argument(
         "--forecast", default=default.model, metavar=f"{{{','.join(MODELS)},FILE.csv}}",
-        help="what the controller is told: the weather that comes; that it goes on as it is; the "
-        "weather with errors that grow with the lead, or an ensemble of such; or archived "
-        "forecasts. All but perfect are issued every 6 hours, a file's when it says "
+        help="what the controller knows of the weather ahead. perfect: all of it; persistence: it "
+        "stays as it is; errors: with errors that grow with the lead; ensemble: several such; a "
+        "file: archived forecasts. All but perfect are issued every 6 hours, a file's when it says "
         "(default: %(default)s)",
     )
     group.add_argument(
@@ -108,7 +153,7 @@ def _add_forecast_arguments(group: argparse._ArgumentGroup) -> None:
 
 def _add_sensor_pump_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the options that make the site less perfect than the paper's."""
-    group = parser.add_argument_group("sensor_pump_errors of a real site (default: none)")
+    group = parser.add_argument_group("errors of sensor and pumps (default: none)")
     group.add_argument(
         "--roof-noise", type=within(*RANGES["roof_noise"]), default=0.0, metavar="M",
         help="standard deviation of the roof's level sensor (m), independent each tick",
@@ -164,30 +209,63 @@ def add_output_arguments(parser: argparse.ArgumentParser) -> None:
     )
 
 
+def parse_run_arguments(
+    parser: argparse.ArgumentParser, arguments: Sequence[str] | None = None
+) -> argparse.Namespace:
+    """Parse a command line; where an option is unknown, say which the controller has."""
+    known, unknown = parser.parse_known_args(arguments)
+    if unknown:
+        controller = find_controller(known.controller)
+        parser.error(
+            f"unrecognized arguments: {' '.join(unknown)} (the parameters of {controller.name} "
+            f"are {', '.join(_option(name) for name in controller.parameters)})"
+        )
+    return known
+
+
 def run_from_arguments(arguments: argparse.Namespace) -> Run:
     """Build and check the run that a command line asks for.
 
     Raises:
         ConfigurationError: an option, or a file that it names, is wrong.
     """
-    controller: str = arguments.controller
-    for option in ("weight", "fraction"):
-        if getattr(arguments, option) is not None and option not in CONTROLLERS[controller]:
-            owners = " and ".join(name for name in CONTROLLERS if option in CONTROLLERS[name])
-            raise ConfigurationError(
-                f"is an option of {owners}; the controller is {controller}", key=f"--{option}"
-            )
+    controller = find_controller(arguments.controller)
+    parameters = controller.defaults()
+    if arguments.parameters is not None:
+        parameters = controller.read_parameters(arguments.parameters)
+    for name in parameters:
+        value = getattr(arguments, f"{_PARAMETER}{name}")
+        if value is not None:
+            parameters[name] = value
+    return _run(
+        arguments, controller, parameters, _forecast_choice(arguments),
+        SensorPumpErrors(**{name: getattr(arguments, name) for name in RANGES}),
+    )
+
+
+def inputs_from_arguments(arguments: argparse.Namespace) -> Run:
+    """Build and check a run of which only site, weather and initial state matter.
+
+    Raises:
+        ConfigurationError: an option, or a file that it names, is wrong.
+    """
+    controller = find_controller("onoff")
+    return _run(
+        arguments, controller, controller.defaults(), ForecastChoice(), SensorPumpErrors()
+    )
+
+
+def _run(
+    arguments: argparse.Namespace,
+    controller: ControllerChoice,
+    parameters: dict[str, float],
+    choice: ForecastChoice,
+    sensor_pump_errors: SensorPumpErrors,
+) -> Run:
+    """Build a run in the place and time that a command line asks for."""
     shared = shared_directory()
     site_file: Path = arguments.site or shared / "config" / "site.yaml"
     site = read_site(site_file)
-    parameters = read_parameters(
-        arguments.parameters or shared / "config" / f"{controller}.yaml", controller
-    )
-    if arguments.weight is not None:
-        parameters["weight"] = arguments.weight
-    if arguments.fraction is not None:
-        parameters["fraction"] = arguments.fraction
-
     if (arguments.cistern is None) != (arguments.roof is None):
         raise ConfigurationError("must be given together", key="--cistern and --roof")
     if arguments.cistern is not None:
@@ -207,8 +285,7 @@ def run_from_arguments(arguments: argparse.Namespace) -> Run:
     return build_run(
         site_file, site, weather, arguments.start or DEFAULT_START,
         count_ticks(site, arguments.hours, "--hours"), controller, parameters, initial, volumes,
-        _forecast_choice(arguments),
-        SensorPumpErrors(**{name: getattr(arguments, name) for name in RANGES}),
+        choice, sensor_pump_errors,
     )
 
 

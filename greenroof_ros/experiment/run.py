@@ -10,7 +10,8 @@ from pathlib import Path
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.interface import Topic, read_topics
 from greenroof_ros.common.times import read_start
-from greenroof_ros.controllers.registry import TAKE_ENSEMBLES
+from greenroof_ros.controllers.protocol import Controller
+from greenroof_ros.controllers.registry import ControllerChoice
 from greenroof_ros.forecast.choice import ForecastChoice
 from greenroof_ros.forecast.resampling import Forecast, make_forecast
 from greenroof_ros.model.sensor_pump_errors import SensorPumpErrors
@@ -35,7 +36,7 @@ class Run:
         forecast: what the controller is told of it.
         start: time of tick 0.
         steps: N; the states are x_0..x_N.
-        controller: its name, one of :data:`CONTROLLERS`.
+        controller: which.
         parameters: the controller's.
         initial: name of the initial state, or ``custom``.
         x1: initial volume in the cistern (m3).
@@ -51,13 +52,17 @@ class Run:
     forecast: Forecast
     start: datetime
     steps: int
-    controller: str
+    controller: ControllerChoice
     parameters: dict[str, float]
     initial: str
     x1: float
     x2: float
     forecast_choice: ForecastChoice = field(default_factory=ForecastChoice)
     sensor_pump_errors: SensorPumpErrors = field(default_factory=SensorPumpErrors)
+
+    def make_controller(self) -> Controller:
+        """Make the run's controller."""
+        return self.controller.make(self.site, self.parameters)
 
 
 def count_ticks(site: Site, hours: float | None, key: str) -> int:
@@ -88,7 +93,7 @@ def build_run(
     weather: Weather,
     start: str,
     steps: int,
-    controller: str,
+    controller: ControllerChoice,
     parameters: dict[str, float],
     initial: str,
     volumes: tuple[float, float],
@@ -103,7 +108,7 @@ def build_run(
         weather: hourly records.
         start: time of tick 0, ISO 8601; without an offset from UTC in that of the weather.
         steps: N, its length (ticks).
-        controller: its name.
+        controller: which.
         parameters: its parameters, all of them.
         initial: name of the initial state.
         volumes: of the initial state, in cistern and roof (m3).
@@ -132,7 +137,7 @@ def build_run(
         weather=weather,
         series=series,
         forecast=make_forecast(
-            weather, series, site, first, horizon, choice, controller in TAKE_ENSEMBLES
+            weather, series, site, first, horizon, choice, controller.ensemble
         ),
         start=first,
         steps=steps,

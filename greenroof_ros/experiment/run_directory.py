@@ -10,7 +10,6 @@ from pathlib import Path
 import yaml
 
 from greenroof_ros.common.errors import ConfigurationError
-from greenroof_ros.controllers.registry import TAKE_ENSEMBLES
 from greenroof_ros.experiment.run import Run
 
 
@@ -87,15 +86,15 @@ def _write_configuration(configuration: Path, run: Run, nodes: dict[str, object]
             **common, **span, "weather_file": str(weather_file),
             "evapotranspiration": run.weather.method,
             "horizon": run.parameters.get("horizon", 0.0),
-            "all_members": run.controller in TAKE_ENSEMBLES,
+            "all_members": run.controller.ensemble,
             "forecast": str(choice),
             **{f"forecast_{name}": value for name, value in choice.options().items()},
         },
-        run.controller: {**common, **run.parameters},
+        run.controller.name: {**common, **run.parameters},
         "recorder": {
             **({"peer_limit": nodes["peer_limit"]} if nodes else {}),
             "directory": str(configuration.parent / "bag"),
-            "controller": run.controller,
+            "controller": run.controller.reference,
         },
     }
     file = configuration / "parameters.yaml"

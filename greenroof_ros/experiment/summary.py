@@ -39,7 +39,8 @@ def build(
     repeats_from = run.forecast.repeats_from
     choice = run.forecast_choice
     return {
-        "controller": run.controller,
+        "controller": run.controller.name,
+        "controller_reference": run.controller.reference,
         # JSON has no infinity: null stands for "no bound".
         "parameters": {
             key: value if math.isfinite(value) else None for key, value in run.parameters.items()

@@ -14,6 +14,7 @@ import numpy as np
 
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.files import read_text, shared_directory
+from greenroof_ros.controllers.registry import find_controller
 from greenroof_ros.experiment.clairvoyant import NoBoundError, clairvoyant_bound
 from greenroof_ros.experiment.run import build_run
 from greenroof_ros.forecast.choice import OPTIONS, ForecastChoice
@@ -403,7 +404,7 @@ def _own_bound(
     try:
         run = build_run(
             site_file, site, read_weather(weather_file, site, method),
-            trajectory.start.isoformat(), steps, "onoff", {}, "custom",
+            trajectory.start.isoformat(), steps, find_controller("onoff"), {}, "custom",
             (float(trajectory.cistern[0]), float(trajectory.roof[0])), ForecastChoice(),
         )
         for ours, theirs in (

@@ -16,7 +16,6 @@ from rich.table import Table
 from greenroof_ros.common.command_line import EXIT_DONE, EXIT_FAILED, command, within
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.files import shared_directory
-from greenroof_ros.controllers.registry import TAKE_ENSEMBLES
 from greenroof_ros.forecast.choice import OPTIONS, PERFECT
 from greenroof_ros.model.sensor_pump_errors import RANGES
 from greenroof_ros.study.case_run import ENGINES, Outcome, bound_case, run_case
@@ -131,7 +130,7 @@ def _run(
     ordered = sorted(
         cases,
         key=lambda case: (
-            case.controller not in TAKE_ENSEMBLES, case.controller.endswith("onoff"), -case.hours
+            not case.controller.ensemble, not case.controller.outputs, -case.hours
         ),
     )
     with Progress(
@@ -175,7 +174,7 @@ def _run(
 
 def _name(case: Case) -> str:
     sensor_pump_errors = case.sensor_pump_errors.values() if case.sensor_pump_errors is not None else {}
-    setting = _setting(_setting(case.controller, case.parameters), sensor_pump_errors)
+    setting = _setting(_setting(case.controller.name, case.parameters), sensor_pump_errors)
     return f"{setting}, {case.initial}, from {case.start}, forecast {_forecast(case.columns())}"
 
 

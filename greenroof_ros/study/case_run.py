@@ -20,7 +20,6 @@ import yaml
 from numpy.typing import NDArray
 
 from greenroof_ros.common.processes import end_with_parent
-from greenroof_ros.controllers.registry import make_controller
 from greenroof_ros.experiment import summary
 from greenroof_ros.experiment.clairvoyant import clairvoyant_bound
 from greenroof_ros.experiment.closed_loop import closed_loop
@@ -106,7 +105,7 @@ def _choice(case: Case, directory: Path) -> ForecastChoice:
 
 
 def _run_in_process(run: Run) -> Outcome:
-    controller = make_controller(run.controller, run.site, run.parameters)
+    controller = run.make_controller()
     metrics = Metrics()
     rows = array("d")
     began = time.monotonic()
@@ -129,14 +128,14 @@ def _run_graph(case: Case, directory: Path) -> Outcome:
     """Run bringup in a domain of its own; keep its bag and summary."""
     parameters = directory / "parameters.yaml"
     parameters.write_text(
-        yaml.safe_dump({case.controller: {"ros__parameters": case.parameters}}), encoding="utf-8"
+        yaml.safe_dump({case.controller.name: {"ros__parameters": case.parameters}}), encoding="utf-8"
     )
     output = directory / "run"
     command = [
         sys.executable, "-m", "greenroof_ros.bringup", "--json", "--output", str(output),
         "--site", str(directory / case.site.name), "--weather", str(directory / case.weather.name),
         "--evapotranspiration", case.evapotranspiration, "--start", case.start,
-        "--hours", repr(case.hours), "--controller", case.controller,
+        "--hours", repr(case.hours), "--controller", case.controller.reference,
         "--parameters", str(parameters), "--cistern", repr(case.cistern), "--roof", repr(case.roof),
         "--forecast", str(_choice(case, directory)),
     ]

@@ -13,13 +13,8 @@ from pathlib import Path
 from typing import Any
 
 from greenroof_ros.common.errors import ConfigurationError
-from greenroof_ros.common.files import YamlMapping, read_yaml, shared_directory
-from greenroof_ros.controllers.registry import (
-    CONTROLLERS,
-    TAKE_ENSEMBLES,
-    read_parameters,
-    wrong_parameter,
-)
+from greenroof_ros.common.files import YamlMapping, read_yaml
+from greenroof_ros.controllers.registry import ControllerChoice, find_controller
 from greenroof_ros.experiment.run import build_run, count_ticks
 from greenroof_ros.forecast.choice import OPTIONS, PERFECT, ForecastChoice, choose
 from greenroof_ros.model.initial_state import INITIAL_STATES, initial_state
@@ -53,7 +48,7 @@ class Case:
         evapotranspiration: method.
         forecast: which forecasts; a file of them by its name.
         forecast_file: that file; None where there is none.
-        controller: its name.
+        controller: which.
         parameters: all of the controller's.
         initial: name of the initial state.
         cistern: initial volume (m3).
@@ -68,7 +63,7 @@ class Case:
     evapotranspiration: str
     forecast: ForecastChoice
     forecast_file: InputFile | None
-    controller: str
+    controller: ControllerChoice
     parameters: dict[str, float]
     initial: str
     cistern: float
@@ -93,6 +88,7 @@ class Case:
                 if self.forecast_file is not None else ""
             ),
             "parameters": sorted(self.parameters.items()),
+            "controller": [self.controller.reference, self.controller.source],
         }
         return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()[:12]
 
@@ -100,7 +96,7 @@ class Case:
     def problem(self) -> str:
         """Identity of what every controller is given alike: site, weather, initial state."""
         return replace(
-            self, controller="", parameters={}, forecast=ForecastChoice(), forecast_file=None,
+            self, controller=find_controller("onoff"), parameters={}, forecast=ForecastChoice(), forecast_file=None,
             sensor_pump_errors=None,
         ).identity
 
@@ -115,7 +111,7 @@ class Case:
             "forecast": str(self.forecast),
             **{f"forecast_{name}": self.forecast.options().get(name) for name in OPTIONS},
             **(self.sensor_pump_errors.values() if self.sensor_pump_errors is not None else {}),
-            "controller": self.controller,
+            "controller": self.controller.name,
             "initial": self.initial,
             "cistern_m3": self.cistern,
             "roof_m3": self.roof,
@@ -138,7 +134,7 @@ def read_grid(path: Path) -> list[Case]:
     for case in cases:
         if case.identity in seen:
             raise ConfigurationError(
-                f"is the same run twice: {case.controller} {case.parameters}, {case.initial}, "
+                f"is the same run twice: {case.controller.name} {case.parameters}, {case.initial}, "
                 f"from {case.start}, forecast {case.forecast}"
                 + (f", {case.sensor_pump_errors.values()}" if case.sensor_pump_errors is not None else ""),
                 file=path,
@@ -181,7 +177,7 @@ class _Grid:
         start: str,
         hours: float | None,
         method: str | None,
-        controllers: list[tuple[str, dict[str, float]]],
+        controllers: list[tuple[ControllerChoice, dict[str, float]]],
     ) -> Iterator[Case]:
         """Yield the runs of one site in one window."""
         file = self._one(window, "file", str)
@@ -191,21 +187,21 @@ class _Grid:
             weather = read_weather(self._path.parent / file, site, method)
         # What one controller can run with, the others that are told as much can.
         told = {
-            (parameters.get("horizon"), name in TAKE_ENSEMBLES): (name, parameters)
-            for name, parameters in controllers
+            (parameters.get("horizon"), controller.ensemble): (controller, parameters)
+            for controller, parameters in controllers
         }
         given = window if "forecast" in window else self._mapping
         for choice, (initial, volumes) in itertools.product(
             list(self._forecasts(given)), list(self._initial_states(site))
         ):
-            for name, parameters in told.values():
+            for controller, parameters in told.values():
                 with self._at(window, "start"):
                     run = build_run(
-                        site_file, site, weather, start, steps, name, parameters, initial, volumes,
-                        choice,
+                        site_file, site, weather, start, steps, controller, parameters, initial,
+                        volumes,                        choice,
                     )
             forecast_file = None if choice.file is None else self._input(choice.file)
-            for sensor_pump_errors, (name, parameters) in itertools.product(
+            for sensor_pump_errors, (controller, parameters) in itertools.product(
                 list(self._sensor_pump_errors()), controllers
             ):
                 yield Case(
@@ -219,7 +215,7 @@ class _Grid:
                         else replace(choice, file=Path(forecast_file.name))
                     ),
                     forecast_file=forecast_file,
-                    controller=name,
+                    controller=controller,
                     parameters=parameters,
                     initial=initial,
                     cistern=run.x1,
@@ -343,33 +339,34 @@ class _Grid:
             names.add(name)
             yield name, (volumes[0], volumes[1])
 
-    def _controllers(self) -> Iterator[tuple[str, dict[str, float]]]:
+    def _controllers(self) -> Iterator[tuple[ControllerChoice, dict[str, float]]]:
         """Yield each controller with each combination of its parameters."""
         section = self._mapping["controllers"]
         if not isinstance(section, YamlMapping):
             raise self._refuse(
                 self._mapping, "controllers", "must hold 'mpc:' or other controllers"
             )
-        self._keys(section, tuple(CONTROLLERS))
-        for name in section:
-            defaults = read_parameters(shared_directory() / "config" / f"{name}.yaml", name)
-            given = section[name]
+        for reference in section:
+            with self._at(section, reference):
+                controller = find_controller(reference)
+                defaults = controller.defaults()
+            given = section[reference]
             if given is None:
-                yield name, defaults
+                yield controller, defaults
                 continue
             if not isinstance(given, YamlMapping):
-                raise self._refuse(section, name, "must hold parameters, or nothing")
-            self._keys(given, tuple(CONTROLLERS[name]))
+                raise self._refuse(section, reference, "must hold parameters, or nothing")
             choices = []
             for key in given:
+                controller.check_name(key, self._path, given.lines[key])
+                parameter = controller.parameters[key]
                 values = self._list(given, key, float)
                 for value in values:
-                    wrong = wrong_parameter(name, key, value)
-                    if wrong:
-                        raise self._refuse(given, key, f"{value:g} {wrong}")
-                choices.append(values)
+                    if not parameter.accepts(value):
+                        raise self._refuse(given, key, f"{value:g} {parameter.expected}")
+                choices.append([int(value) if parameter.whole else value for value in values])
             for combination in itertools.product(*choices):
-                yield name, {**defaults, **dict(zip(given, combination, strict=True))}
+                yield controller, {**defaults, **dict(zip(given, combination, strict=True))}
 
     @contextmanager
     def _at(self, mapping: YamlMapping, key: str) -> Iterator[None]:

@@ -12,7 +12,6 @@ from typing import Any, TextIO
 
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.versions import versions
-from greenroof_ros.controllers.registry import CONTROLLERS
 from greenroof_ros.study.case_run import Outcome
 from greenroof_ros.study.grid import Case
 
@@ -175,10 +174,7 @@ class Store:
         Returns:
             The rows of ``results.csv``.
         """
-        used = {case.controller for case in self._cases}
-        parameters = list(dict.fromkeys(
-            key for name, keys in CONTROLLERS.items() if name in used for key in keys
-        ))
+        parameters = list(dict.fromkeys(key for case in self._cases for key in case.parameters))
         rows, timings = [], []
         for case in self._cases:
             identity = case.identity

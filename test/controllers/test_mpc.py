@@ -169,14 +169,14 @@ def test_first_command_of_any_site_is_exact(
     """Random sites, look-aheads, states and weathers; to 1e-8 of the command where it is large."""
     cistern, roof = data.draw(st.floats(0, 2 * site.z_o)), data.draw(st.floats(0, 1.5 * site.z_veg))
     inputs = cistern, roof, [rain] * size, [evaporated] * size
-    command = Mpc(replace(site, M=size), weight).command(*inputs)
+    command = Mpc(replace(site, M=size), weight, math.inf).command(*inputs)
     assert command == pytest.approx(exact_first_command(site, inputs, weight), rel=1e-8, abs=1e-8)
 
 
 def test_equal_inputs_give_equal_bits() -> None:
     """A second controller repeats the first one's commands exactly."""
     run = walk(1e-4)
-    again = Mpc(PAPER_SITE, 1e-4)
+    again = Mpc(PAPER_SITE, 1e-4, math.inf)
     for x, w, u in zip(run.x[:8000], run.w, run.u, strict=False):
         rain, evaporated = w.T.tolist()
         assert again.command(x[0] / 25, x[1] / 68.8, rain, evaporated) == u
@@ -184,7 +184,7 @@ def test_equal_inputs_give_equal_bits() -> None:
 
 def test_weight_may_change_between_two_ticks() -> None:
     """The command is that of the new weight, about the old command."""
-    mpc = Mpc(PAPER_SITE, 1e-3)
+    mpc = Mpc(PAPER_SITE, 1e-3, math.inf)
     before = mpc.command(*first_inputs())
     mpc.weight = 1e-2
     expected = exact_first_command(PAPER_SITE, first_inputs(), 1e-2, before)
@@ -194,7 +194,7 @@ def test_weight_may_change_between_two_ticks() -> None:
 
 def test_unsolved_program_pumps_nothing(caplog: pytest.LogCaptureFixture) -> None:
     """One iteration is too few: OSQP says so, tick after tick, and its numbers are not used."""
-    mpc = Mpc(PAPER_SITE, 1e-3, max_iterations=1)
+    mpc = Mpc(PAPER_SITE, 1e-3, math.inf, max_iterations=1)
     for fallbacks in (1, 2, 3):
         caplog.clear()
         assert mpc.command(*first_inputs()) == 0.0
@@ -205,7 +205,7 @@ def test_unsolved_program_pumps_nothing(caplog: pytest.LogCaptureFixture) -> Non
         assert record.levelno == logging.WARNING
         assert "falling back" in record.getMessage()
     # What failed was that solver's own; the next controller's first tick is right.
-    fresh = Mpc(PAPER_SITE, 1e-3)
+    fresh = Mpc(PAPER_SITE, 1e-3, math.inf)
     expected = exact_first_command(PAPER_SITE, first_inputs(), 1e-3)
     assert fresh.command(*first_inputs()) == pytest.approx(expected, abs=1e-8)
     assert (fresh.status, fresh.fallbacks) == (1, 0)
@@ -217,7 +217,7 @@ def test_level_that_is_no_number_pumps_nothing(
     bad: float, index: int, caplog: pytest.LogCaptureFixture
 ) -> None:
     """The bad tick gets 0, not the tick before's command; the next one is exact again."""
-    mpc = Mpc(PAPER_SITE, 1e-3)
+    mpc = Mpc(PAPER_SITE, 1e-3, math.inf)
     good = first_inputs()
     spoilt: list[Any] = list(good)
     spoilt[index] = bad
@@ -240,7 +240,7 @@ def test_level_that_is_no_number_pumps_nothing(
 @pytest.mark.parametrize("index", [2, 3])
 def test_forecast_that_is_no_number_pumps_nothing(bad: float, index: int) -> None:
     """Somewhere in the look-ahead: 0 for that tick, and the next one is exact again."""
-    mpc = Mpc(PAPER_SITE, 1e-3)
+    mpc = Mpc(PAPER_SITE, 1e-3, math.inf)
     good = first_inputs()
     spoilt: list[Any] = list(good)
     spoilt[index] = [*spoilt[index][:-1], bad]

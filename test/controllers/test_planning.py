@@ -16,16 +16,16 @@ import scipy.sparse
 from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
-from paper import PAPER_SITE, paper_run, site_with
+from paper import PAPER_SITE, paper_run, planner, site_with
 from places import DATA
 from scipy.optimize import linprog
 
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.files import shared_directory
 from greenroof_ros.controllers.anticipating_onoff import AnticipatingOnOff
-from greenroof_ros.controllers.planning_mpc import PlanningMpc
+from greenroof_ros.controllers.planner import Planner
 from greenroof_ros.controllers.planning_program import Ensemble, PlanningProgram, Prices
-from greenroof_ros.controllers.registry import make_controller, read_parameters
+from greenroof_ros.controllers.registry import find_controller
 from greenroof_ros.experiment.clairvoyant import clairvoyant_bound
 from greenroof_ros.experiment.closed_loop import closed_loop
 from greenroof_ros.model.look_ahead import growing_steps
@@ -130,9 +130,9 @@ def dry(hours_of_rain: dict[int, float] | None = None) -> tuple[list[float], lis
     return rain, [0.0] * STEPS
 
 
-def plan_of(prices: Prices | None = None, power: float = 1.0) -> PlanningMpc:
+def plan_of(prices: Prices | None = None, power: float = 1.0) -> Planner:
     """Make a planner for the paper's site."""
-    return PlanningMpc(PAPER_SITE, 12, 1.0, power, prices)
+    return planner(power=power, prices=prices)
 
 
 def test_dry_roof_and_no_rain() -> None:
@@ -148,15 +148,20 @@ def test_rain_that_fills_the_roof_soon() -> None:
     assert plan_of().command(2.3, 0.03, rain, none) == pytest.approx(0.0, abs=2e-3)
 
 
+def anticipating(fraction: float = 1.0) -> AnticipatingOnOff:
+    """Return one that takes each reading as it is and never stops waiting for rain."""
+    return AnticipatingOnOff(PAPER_SITE, 12, fraction, 0.0, math.inf)
+
+
 @pytest.mark.parametrize(
     ("cistern", "roof"), [(0.7, 0.0), (2.3, 0.0457), (2.3, 0.06), (math.nan, 0.0), (2.3, math.nan)]
 )
-@pytest.mark.parametrize("kind", [PlanningMpc, AnticipatingOnOff])
+@pytest.mark.parametrize("make", [planner, anticipating])
 def test_pumps_that_do_not_work_are_not_asked_to(
-    kind: Callable[..., Any], cistern: float, roof: float
+    make: Callable[[], Any], cistern: float, roof: float
 ) -> None:
     """Below the suction level, at and above the target, and on levels that are no numbers."""
-    controller = kind(PAPER_SITE, 12, 1.0)
+    controller = make()
     assert controller.command(cistern, roof, *dry()) == 0.0
     assert controller.command(2.3, 0.02, *dry()) > 0.9
 
@@ -164,7 +169,7 @@ def test_pumps_that_do_not_work_are_not_asked_to(
 def test_what_is_above_the_outlet_is_not_counted_on() -> None:
     """A cistern full to 3.9 m, of which 1.1 m are gone in minutes, for a roof of 91 m3."""
     site = site_with(a2=2000.0)
-    controller = PlanningMpc(site, 12, 1.0)
+    controller = planner(site)
     planned: list[float] = []
     solve = controller._program.solve
 
@@ -185,7 +190,7 @@ def test_pumps_that_cannot_lift() -> None:
     """From so deep that they give nothing, whatever the bound of the commands."""
     site = site_with(c_hat=15.3)
     assert maximum_pump_flow(site, site.cistern_volume(0.6)) == 0
-    controller = PlanningMpc(site, 12, math.inf)
+    controller = planner(site, max_command=math.inf)
     assert controller.command(0.6, 0.0, *dry()) == 0.0
     assert (controller.status, controller.fallbacks) == (1, 0)
 
@@ -230,7 +235,7 @@ def test_low_cistern(cistern: float, roof: float) -> None:
             "--hours", "4",
         )
         metrics = Metrics()
-        for _ in closed_loop(run, make_controller(controller, run.site, run.parameters), metrics):
+        for _ in closed_loop(run, run.make_controller(), metrics):
             pass
         deviation[controller] = metrics.total_deviation_m3
     assert deviation["planning_mpc"] <= deviation["onoff"] * 1.001
@@ -238,21 +243,22 @@ def test_low_cistern(cistern: float, roof: float) -> None:
 
 def test_command_bound() -> None:
     """A pump that gives a third of the flow."""
-    controller = PlanningMpc(PAPER_SITE, 12, 1 / 3)
+    controller = planner(max_command=1 / 3)
     assert controller.command(2.3, 0.0, *dry()) == pytest.approx(1 / 3, rel=2e-3)
 
 
-@pytest.mark.parametrize("kind", [PlanningMpc, AnticipatingOnOff])
-def test_forecast_of_another_horizon(kind: Callable[..., Any]) -> None:
+@pytest.mark.parametrize("make", [planner, anticipating])
+def test_forecast_of_another_horizon(make: Callable[[], Any]) -> None:
     """It is refused, with what must be the same."""
     with pytest.raises(ConfigurationError, match="weather and controller the same"):
-        kind(PAPER_SITE, 12, 1.0).command(2.3, 0.03, [0.0] * 10, [0.0] * 10)
+        make().command(2.3, 0.03, [0.0] * 10, [0.0] * 10)
 
 
 def test_power_is_one_or_two() -> None:
     """Nothing between."""
-    with pytest.raises(ConfigurationError, match=r"power = 1\.5: must be 1 or 2"):
-        plan_of(power=1.5)
+    power = find_controller("planning_mpc").parameters["power"]
+    assert [value for value in (0, 1, 1.5, 2, 3) if power.accepts(value)] == [1, 2]
+    assert power.expected == "must be a whole number from 1 to 2"
 
 
 def test_whole_parameters(tmp_path: Path) -> None:
@@ -260,7 +266,7 @@ def test_whole_parameters(tmp_path: Path) -> None:
     text = (shared_directory() / "config" / "planning_mpc.yaml").read_text()
     (tmp_path / "half.yaml").write_text(text.replace("power: 1.0 ", "power: 1.5 "))
     with pytest.raises(ConfigurationError, match=r"power = 1\.5: must be a whole number from 1"):
-        read_parameters(tmp_path / "half.yaml", "planning_mpc")
+        find_controller("planning_mpc").read_parameters(tmp_path / "half.yaml")
 
 
 WINDOWS: dict[str, tuple[str, ...]] = {
@@ -281,7 +287,7 @@ def result(controller: str, window: str) -> tuple[float, float]:
     """Return a run's total deviation and the least possible one (m3)."""
     run = paper_run("--controller", controller, *WINDOWS[window])
     metrics = Metrics()
-    for _ in closed_loop(run, make_controller(controller, run.site, run.parameters), metrics):
+    for _ in closed_loop(run, run.make_controller(), metrics):
         pass
     return metrics.total_deviation_m3, clairvoyant_bound(run).bound_m3
 
@@ -300,7 +306,7 @@ def test_long_ticks(tmp_path: Path) -> None:
     run = paper_run("--controller", "planning_mpc", "--site", str(tmp_path / "site.yaml"),
                     "--hours", "12")
     metrics = Metrics()
-    for _ in closed_loop(run, make_controller("planning_mpc", run.site, run.parameters), metrics):
+    for _ in closed_loop(run, run.make_controller(), metrics):
         pass
     assert metrics.total_deviation_m3 <= 1.01 * clairvoyant_bound(run).bound_m3
 
@@ -324,7 +330,7 @@ def test_solver_failures(monkeypatch: pytest.MonkeyPatch, options: str) -> None:
     run = paper_run(*options.split())
 
     def outcome() -> tuple[float, float]:
-        controller = make_controller(run.controller, run.site, run.parameters)
+        controller = run.make_controller()
         metrics = Metrics()
         for _ in closed_loop(run, controller, metrics):
             pass
@@ -354,10 +360,10 @@ def test_solver_failures(monkeypatch: pytest.MonkeyPatch, options: str) -> None:
 
 def test_solver_that_gives_up() -> None:
     """A limit of ten iterations: no plan, no pumping, and it is counted."""
-    controller = PlanningMpc(PAPER_SITE, 12, max_iterations=10)
+    controller = planner(max_iterations=10)
     assert controller.command(2.3, 0.03, *dry({12: 1e-6, 20: 1e-6})) == 0.0
     assert (controller.solves, controller.fallbacks) == (1, 1)
-    assert math.isnan(controller.cost)
+    assert math.isnan(controller.planned_deviation)
 
 
 def test_it_decides_when_something_changed() -> None:
@@ -370,7 +376,7 @@ def test_it_decides_when_something_changed() -> None:
             decisions += 1
             return super().solve(*arguments)
 
-    controller = PlanningMpc(PAPER_SITE, 12)
+    controller = planner()
     controller._program = Counting(PAPER_SITE, EDGES, 1.0, 1.0, Prices(), 1, Ensemble(), 20000)
     full = PAPER_SITE.b * math.sqrt(2.3 + PAPER_SITE.c_hat - PAPER_SITE.d)
     x2 = 2.0
@@ -402,7 +408,7 @@ def test_anticipating_level(rates: list[float], roof: float) -> None:
     """Against the definition: half of the horizon the roof alone would be above x2 + m."""
     rain = [max(0.0, rate) / 3.6e6 for rate in rates]
     evaporated = [max(0.0, -rate) / 3.6e6 * PAPER_SITE.a2 for rate in rates]
-    command = AnticipatingOnOff(PAPER_SITE, 12, 0.8).command(2.3, roof, rain, evaporated)
+    command = anticipating(0.8).command(2.3, roof, rain, evaporated)
     seconds = np.repeat(
         [r * PAPER_SITE.a2 - e for r, e in zip(rain, evaporated, strict=True)],
         LENGTHS.astype(int),
@@ -435,8 +441,8 @@ def test_members_are_those_of_the_forecast() -> None:
     """A single forecast is planned on as planning_mpc does; the number may change in a run."""
     rain, evaporated = dry()
     wet = [*[0.0] * (STEPS - 4), *[1e-6] * 4]
-    of_many = PlanningMpc(PAPER_SITE, 12, ensemble=Ensemble(0.5, 7200.0))
-    of_one = PlanningMpc(PAPER_SITE, 12)
+    of_many = planner(ensemble=Ensemble(0.5, 7200.0))
+    of_one = planner()
     for _ in range(3):
         assert of_many.command(2.3, 0.03, wet, evaporated) == of_one.command(
             2.3, 0.03, wet, evaporated
@@ -451,7 +457,7 @@ def test_members_are_those_of_the_forecast() -> None:
 def test_the_last_plan_outlives_its_members(monkeypatch: pytest.MonkeyPatch) -> None:
     """Where the first program for another number of members has no solution, it is followed on."""
     rain, evaporated = dry()
-    controller = PlanningMpc(PAPER_SITE, 12, ensemble=Ensemble(0.5, 7200.0))
+    controller = planner(ensemble=Ensemble(0.5, 7200.0))
     first = controller.command(2.3, 0.0, rain, evaporated)
     assert first == pytest.approx(1.0, abs=2e-3)
     monkeypatch.setattr(PlanningProgram, "solve", lambda *arguments: None)
@@ -463,7 +469,7 @@ def test_the_last_plan_outlives_its_members(monkeypatch: pytest.MonkeyPatch) -> 
 
 def test_without_recourse_the_first_step_is_shared() -> None:
     """One decision now for all members, and a new one before theirs differ."""
-    controller = PlanningMpc(PAPER_SITE, 12, ensemble=Ensemble(0.5, 0.0))
+    controller = planner(ensemble=Ensemble(0.5, 0.0))
     storm = [0.0] * 5 + [4e-6] * (STEPS - 5)
     none, evaporated = dry()
     for _ in range(20):

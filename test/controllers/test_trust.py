@@ -14,13 +14,12 @@ import numpy as np
 import pytest
 from hypothesis import Phase, given, settings
 from hypothesis import strategies as st
-from paper import PAPER_SITE, paper_run
+from paper import PAPER_SITE, paper_run, planner
 
 from greenroof_ros.controllers import regret_limit
 from greenroof_ros.controllers.anticipating_onoff import AnticipatingOnOff
 from greenroof_ros.controllers.onoff import OnOff
-from greenroof_ros.controllers.planning_mpc import PlanningMpc
-from greenroof_ros.controllers.registry import make_controller
+from greenroof_ros.controllers.registry import find_controller
 from greenroof_ros.controllers.regret_limit import RegretLimit
 from greenroof_ros.controllers.roof_observer import RoofObserver
 from greenroof_ros.experiment.closed_loop import closed_loop
@@ -40,7 +39,7 @@ def test_estimate_is_the_truth_where_model_and_sensor_are_exact() -> None:
     """Over the paper's window, with rain, drainage of nothing, and pumps at work."""
     run = paper_run("--controller", "onoff")
     estimate = RoofObserver(PAPER_SITE, 300.0)
-    for tick in closed_loop(run, make_controller("onoff", run.site, run.parameters), Metrics()):
+    for tick in closed_loop(run, run.make_controller(), Metrics()):
         x2 = estimate.correct(tick.roof_level)
         assert x2 == pytest.approx(tick.x2, abs=1e-9)
         estimate.predict(x2, tick.precipitation, tick.evapotranspiration, tick.flows.pump)
@@ -82,7 +81,7 @@ def test_it_begins_with_the_mean() -> None:
 @pytest.mark.parametrize("tau", [1.0, 10.0])
 @pytest.mark.parametrize("noise", [0.001, 0.003, 0.005])
 def test_noise_of_any_size_is_noise(noise: float, tau: float) -> None:
-    """It is averaged over 300 s: the error is that of the observer_time_constant alone, with no jumps to it."""
+    """It is averaged over 300 s: the error is that of the average alone, with no jumps to it."""
     site = replace(PAPER_SITE, tau=tau)
     estimate = RoofObserver(site, 300.0)
     errors = []
@@ -139,15 +138,15 @@ def test_after_ticks_unseen() -> None:
 
 
 CONTROLLERS = {
-    "anticipating_onoff": AnticipatingOnOff,
-    "planning_mpc": PlanningMpc,
+    "anticipating_onoff": lambda: AnticipatingOnOff(PAPER_SITE, 12, 1.0, 300.0, math.inf),
+    "planning_mpc": lambda: planner(observer_time_constant=300.0),
 }
 
 
 @pytest.mark.parametrize("kind", CONTROLLERS.values())
 def test_a_roof_that_filled_unseen_is_not_pumped_on(kind: Callable[..., Any]) -> None:
     """Below its target before hours of frost, a millimetre above after them."""
-    controller = kind(PAPER_SITE, 12, 1.0, observer_time_constant=300.0)
+    controller = kind()
     steps = [0.0] * STEPS
     assert controller.command(2.3, 0.0375, steps, steps) > 0
     for _ in range(3600):
@@ -164,7 +163,7 @@ def test_pumps_of_another_flow(kind: Callable[..., Any], strength: float) -> Non
     Nothing but the controller stops them. The roof ends near its target: what comes in the fifteen
     seconds until the sensor is believed, and a millimetre, are too much at most.
     """
-    controller = kind(PAPER_SITE, 12, 1.0, observer_time_constant=300.0)
+    controller = kind()
     level, steps = 0.035, [0.0] * STEPS
     full = maximum_pump_flow(PAPER_SITE, PAPER_SITE.cistern_volume(2.3)) / PAPER_SITE.a2
     for _ in range(3600):
@@ -204,7 +203,7 @@ class Lie:
 
 def lied_to(run: Run, rain: list[float], **parameters: float) -> tuple[float, RegretLimit]:
     """Return what a run comes to (m3 s) with this forecast, and its stop-loss."""
-    controller = make_controller(run.controller, run.site, {**run.parameters, **parameters})
+    controller = run.controller.make(run.site, {**run.parameters, **parameters})
     metrics = Metrics()
     for _ in closed_loop(replace(run, forecast=Lie(run, rain)), controller, metrics):
         pass
@@ -265,8 +264,8 @@ def test_lies_that_come_and_go() -> None:
         return lies(tick) if tick // 1800 % 2 == 0 else run.forecast.precipitation(tick)
 
     forecast.precipitation = now_and_then  # type: ignore[method-assign]
-    controller = make_controller(
-        "anticipating_onoff", run.site, {**run.parameters, "fraction": 0.005, "max_waiting_loss": 0.1}
+    controller = find_controller("anticipating_onoff").make(
+        run.site, {**run.parameters, "fraction": 0.005, "max_waiting_loss": 0.1}
     )
     metrics = Metrics()
     for _ in closed_loop(replace(run, forecast=forecast), controller, metrics):

@@ -20,10 +20,9 @@ from hypothesis import strategies as st
 from paper import PAPER_SITE, exact_flows, paper_run, site_with, sites
 
 from greenroof_ros import bound as module
-from greenroof_ros.experiment import clairvoyant
 from greenroof_ros.bound import main
 from greenroof_ros.controllers.protocol import Controller
-from greenroof_ros.controllers.registry import make_controller
+from greenroof_ros.experiment import clairvoyant
 from greenroof_ros.experiment.clairvoyant import NoBoundError, clairvoyant_bound
 from greenroof_ros.experiment.closed_loop import closed_loop
 from greenroof_ros.experiment.run import Run
@@ -160,7 +159,7 @@ def test_the_papers_other_windows(initial: str, method: str) -> None:
 def test_the_papers_controllers_are_above(options: tuple[str, ...]) -> None:
     """Up to the command that they give; the paper's controllers know no limit of it."""
     run = paper_run("--controller", *options, "--hours", "1")
-    metrics = cost_of(run, make_controller(run.controller, run.site, run.parameters))
+    metrics = cost_of(run, run.make_controller())
     bound = clairvoyant_bound(run, max(1.0, metrics.max_command))
     assert 0 < bound.bound_m3 <= metrics.total_deviation_m3
 

@@ -18,7 +18,7 @@ from paper import paper_run
 from places import DATA
 
 from greenroof_ros.common.files import shared_directory
-from greenroof_ros.controllers.registry import make_controller
+from greenroof_ros.controllers.registry import find_controller
 from greenroof_ros.experiment.closed_loop import Tick, closed_loop
 from greenroof_ros.model.metrics import Metrics
 
@@ -30,7 +30,7 @@ def loop_of(initial: str, controller: str, parameter: str, metrics: Metrics) -> 
     """Do one of the paper's runs, 12 h, tick by tick."""
     option = {"mpc": "--weight", "onoff": "--fraction"}[controller]
     run = paper_run("--initial", initial, "--controller", controller, option, parameter)
-    return closed_loop(run, make_controller(controller, run.site, run.parameters), metrics)
+    return closed_loop(run, find_controller(controller).make(run.site, run.parameters), metrics)
 
 
 def rows_of(path: Path) -> list[dict[str, str]]:

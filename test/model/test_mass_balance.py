@@ -13,7 +13,6 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 from paper import PAPER_SITE, exact_flows, paper_run, sites
 
-from greenroof_ros.controllers.registry import make_controller
 from greenroof_ros.experiment.closed_loop import closed_loop
 from greenroof_ros.experiment.run import Run
 from greenroof_ros.forecast.resampling import PerfectForecast
@@ -85,7 +84,7 @@ def test_each_tank_changes_by_what_flows(
 def assert_balance(run: Run) -> Metrics:
     """Hold a run's sums against its first and last volumes, each tank to 1e-9 m3."""
     site, metrics = run.site, Metrics()
-    controller = make_controller(run.controller, site, run.parameters)
+    controller = run.controller.make(site, run.parameters)
     ticks = list(closed_loop(run, controller, metrics))
     assert [tick.k for tick in ticks] == list(range(run.steps + 1))
     rain = site.tau * sum(tick.precipitation for tick in ticks[:-1])

@@ -17,7 +17,6 @@ from hypothesis import given
 from hypothesis import strategies as st
 from paper import PAPER_SITE, paper_run
 
-from greenroof_ros.controllers.registry import make_controller
 from greenroof_ros.experiment.closed_loop import Tick, closed_loop
 from greenroof_ros.experiment.run import Run
 from greenroof_ros.model.metrics import Metrics
@@ -210,7 +209,7 @@ def test_pumps_without_minimum_times_follow(
 def ticks_of(run: Run) -> tuple[list[Tick], Metrics]:
     """Run it."""
     metrics = Metrics()
-    controller = make_controller(run.controller, run.site, run.parameters)
+    controller = run.make_controller()
     return list(closed_loop(run, controller, metrics)), metrics
 
 

@@ -11,7 +11,6 @@ from hypothesis import given
 from hypothesis import strategies as st
 from paper import PAPER_SITE, paper_run, site_with
 
-from greenroof_ros.controllers.registry import make_controller
 from greenroof_ros.experiment.closed_loop import closed_loop
 from greenroof_ros.model.metrics import Metrics
 from greenroof_ros.model.plant import head_loss
@@ -139,7 +138,7 @@ def test_the_simulations_own_tally(options: tuple[str, ...]) -> None:
     hours = () if "--hours" in options else ("--hours", "3")
     run = paper_run(*options, *hours)
     metrics = Metrics()
-    controller = make_controller(run.controller, run.site, run.parameters)
+    controller = run.make_controller()
     ticks = list(closed_loop(run, controller, metrics))
     columns = np.array([
         (tick.k * run.site.tau, tick.x1, tick.x2, tick.precipitation, tick.evapotranspiration,

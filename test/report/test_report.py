@@ -26,7 +26,7 @@ from rosbags.rosbag2 import StoragePlugin, Writer
 from rosbags.typesys import Stores, get_typestore
 
 from greenroof_ros.common.errors import ConfigurationError
-from greenroof_ros.controllers.registry import make_controller
+from greenroof_ros.controllers.registry import find_controller
 from greenroof_ros.experiment.clairvoyant import clairvoyant_bound
 from greenroof_ros.experiment.closed_loop import closed_loop
 from greenroof_ros.model.metrics import Metrics
@@ -66,7 +66,7 @@ def simulate(controller: str, option: str, initial: str, hours: str = "0.2") -> 
         "--controller", controller, f"--{key}", option, "--initial", initial, "--hours", hours
     )
     metrics = Metrics()
-    loop = closed_loop(run, make_controller(controller, run.site, run.parameters), metrics)
+    loop = closed_loop(run, find_controller(controller).make(run.site, run.parameters), metrics)
     columns = np.array([
         (tick.k, tick.x1, tick.x2, tick.precipitation, tick.evapotranspiration, tick.command,
          tick.flows.pump, tick.flows.outflow, tick.flows.drainage, 0.0)

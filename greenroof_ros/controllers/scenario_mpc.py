@@ -1,0 +1,47 @@
+"""The predictive controller that plans half a day ahead, for an ensemble of forecasts."""
+
+from __future__ import annotations
+
+from typing import ClassVar
+
+from greenroof_ros.common.parameter import Parameter
+from greenroof_ros.controllers.planner import MAX_COMMAND, Planner
+from greenroof_ros.controllers.planning_program import Ensemble
+from greenroof_ros.controllers.protocol import HORIZON
+from greenroof_ros.controllers.regret_limit import MAX_WAITING_LOSS
+from greenroof_ros.controllers.roof_observer import OBSERVER_TIME_CONSTANT
+from greenroof_ros.model.site import Site
+
+_HOUR_S = 3600.0
+
+
+class ScenarioMpc(Planner):
+    """Plans for the worst members of an ensemble; for a single forecast as ``planning_mpc``."""
+
+    parameters: ClassVar[tuple[Parameter, ...]] = (
+        HORIZON,
+        MAX_COMMAND,
+        Parameter("cvar_level", 0.8, "1", 0.0, 0.99, "level of the conditional value-at-risk: 0 "
+                  "the mean of all members, 0.9 that of the worst tenth"),
+        Parameter("recourse", 6.0, "h", 0.0, 48.0, "until then one plan serves all members; the "
+                  "next forecast is there then"),
+        OBSERVER_TIME_CONSTANT,
+        MAX_WAITING_LOSS,
+    )
+    ensemble: ClassVar[bool] = True
+
+    def __init__(
+        self,
+        site: Site,
+        horizon: float,
+        max_command: float,
+        cvar_level: float,
+        recourse: float,
+        observer_time_constant: float,
+        max_waiting_loss: float,
+    ) -> None:
+        """Take the site and the parameters; :attr:`parameters` has their units and meanings."""
+        super().__init__(
+            site, horizon, max_command, observer_time_constant, max_waiting_loss,
+            ensemble=Ensemble(cvar_level, recourse * _HOUR_S),
+        )
