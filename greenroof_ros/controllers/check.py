@@ -53,12 +53,16 @@ def check_controller(choice: ControllerChoice, site: Site) -> list[Finding]:
     flooded site. What it relies on is what node graph, ``simulate``, studies and reports rely on.
 
     Args:
-        choice: the controller; its class must be importable.
+        choice: the controller.
         site: at which it is tried.
 
     Returns:
         A finding for each check, in the order in which a user should repair them.
+
+    Raises:
+        ConfigurationError: the class cannot be imported, or lacks what every controller has.
     """
+    _ = choice.kind
     findings = []
     for title, check in _CHECKS.items():
         problem = ""
