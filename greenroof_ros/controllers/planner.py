@@ -6,7 +6,7 @@ import logging
 import math
 import time
 from collections.abc import Mapping, Sequence
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -178,28 +178,29 @@ class Planner:
         self,
         cistern_level: float,
         roof_level: float,
-        precipitation: Sequence[float],
+        precipitation: Sequence[Any],
         evapotranspiration: Sequence[float],
     ) -> float:
         """Follow the plan, or make a new one; see :class:`greenroof_ros.controllers.Controller`.
 
         The forecasts are means over the steps of
-        :func:`greenroof_ros.model.look_ahead.growing_steps`; of the rain, one member after the
-        other.
+        :func:`greenroof_ros.model.look_ahead.growing_steps`; of the rain, shape
+        (steps,), or with an ensemble (members, steps).
         """
         started = time.perf_counter()
         site, steps = self._site, len(self._lengths)
-        members, rest = divmod(len(precipitation), steps)
+        rain = np.array(precipitation, dtype=float, ndmin=2)
+        members = len(rain)
         most = 1 if self._ensemble is None else MOST_MEMBERS
-        if rest or len(evapotranspiration) != steps or not 1 <= members <= most:
+        if rain.shape[1] != steps or len(evapotranspiration) != steps or members > most:
             raise ConfigurationError(
-                f"the forecasts have {len(precipitation)} and {len(evapotranspiration)} entries, "
-                f"but the plan has {steps} steps, and at most {most} forecasts of rain; give "
-                "weather and controller the same horizon, and only scenario_mpc all members"
+                f"the forecasts of rain have {members} members of {rain.shape[1]} entries, that of "
+                f"evapotranspiration {len(evapotranspiration)}; the plan has {steps} steps, and at "
+                f"most {most} members; give weather and controller the same horizon, and only "
+                "scenario_mpc all members"
             )
         if members != self._members:
             self._set_up(members)
-        rain = np.array(precipitation).reshape(self._members, steps)
         evaporated = np.asarray(evapotranspiration)
         x1 = site.cistern_volume(cistern_level)
         if not math.isfinite(x1 + roof_level + float(rain.sum() + evaporated.sum())):

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from typing import NamedTuple
 
+from greenroof_ros.controllers.decide import decide
 from greenroof_ros.controllers.protocol import Controller
 from greenroof_ros.experiment.run import Run
 from greenroof_ros.model.metrics import Metrics
@@ -48,16 +49,10 @@ def closed_loop(run: Run, controller: Controller, metrics: Metrics) -> Iterator[
         precipitation = series.precipitation[k]
         evapotranspiration = series.evapotranspiration[k]
         frost = series.frost[k]
-        command = 0.0
-        if frost:
-            controller.skip()
-        else:
-            command = controller.command(
-                cistern_level,
-                roof_level,
-                run.forecast.precipitation(k),
-                run.forecast.evapotranspiration(k),
-            )
+        command = decide(
+            controller, not frost, cistern_level, roof_level,
+            run.forecast.precipitation(k), run.forecast.evapotranspiration(k),
+        )
         pumped = pump.flow(plant, command, frost > 0)
         flows = plant.flows(precipitation, evapotranspiration, pumped)
         metrics.observe(site, plant.x1, plant.x2)

@@ -68,15 +68,16 @@ def _add_controller_arguments(
     )
     group.add_argument(
         "--parameters", type=Path, metavar="FILE",
-        help=f"parameter file (default: config/{controller.name}.yaml)",
+        help="ROS 2 parameter file of the controller (default: config/ and its name, .yaml)",
     )
+    defaults = controller.defaults()
     for parameter in controller.kind.parameters:
         low, high = parameter.low, parameter.high
+        unit = "" if parameter.unit == "1" else f"{parameter.unit}, "
         group.add_argument(
-            _option(parameter.name), dest=f"{_PARAMETER}{parameter.name}",
+            _option(parameter.name), dest=f"{_PARAMETER}{parameter.name}", metavar="X",
             type=within(int(low), int(high), int) if parameter.whole else within(low, high),
-            metavar=f"[{parameter.unit}]" if parameter.unit != "1" else "X",
-            help=f"{parameter.meaning} (default: that of the parameter file)",
+            help=f"{parameter.meaning} ({unit}default: {defaults[parameter.name]:g})",
         )
 
 

@@ -24,7 +24,7 @@ from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.files import shared_directory
 from greenroof_ros.controllers.anticipating_onoff import AnticipatingOnOff
 from greenroof_ros.controllers.planner import Planner
-from greenroof_ros.controllers.planning_program import Ensemble, PlanningProgram, Prices
+from greenroof_ros.controllers.planning_program import NO_PRICES, Ensemble, PlanningProgram, Prices
 from greenroof_ros.controllers.registry import find_controller
 from greenroof_ros.experiment.clairvoyant import clairvoyant_bound
 from greenroof_ros.experiment.closed_loop import closed_loop
@@ -42,7 +42,7 @@ Array = NDArray[np.float64]
 
 def program(
     power: float = 1.0,
-    prices: Prices | None = None,
+    prices: Prices = NO_PRICES,
     members: int = 1,
     ensemble: Ensemble | None = None,
 ) -> PlanningProgram:
@@ -130,7 +130,7 @@ def dry(hours_of_rain: dict[int, float] | None = None) -> tuple[list[float], lis
     return rain, [0.0] * STEPS
 
 
-def plan_of(prices: Prices | None = None, power: float = 1.0) -> Planner:
+def plan_of(prices: Prices = NO_PRICES, power: float = 1.0) -> Planner:
     """Make a planner for the paper's site."""
     return planner(power=power, prices=prices)
 
@@ -264,7 +264,7 @@ def test_power_is_one_or_two() -> None:
 def test_whole_parameters(tmp_path: Path) -> None:
     """A power between one and two is refused, in a parameter file as in a grid."""
     text = (shared_directory() / "config" / "planning_mpc.yaml").read_text()
-    (tmp_path / "half.yaml").write_text(text.replace("power: 1.0 ", "power: 1.5 "))
+    (tmp_path / "half.yaml").write_text(text.replace("power: 1 ", "power: 1.5 "))
     with pytest.raises(ConfigurationError, match=r"power = 1\.5: must be a whole number from 1"):
         find_controller("planning_mpc").read_parameters(tmp_path / "half.yaml")
 
@@ -448,10 +448,10 @@ def test_members_are_those_of_the_forecast() -> None:
             2.3, 0.03, wet, evaporated
         )
     before = of_many.solves
-    assert of_many.command(2.3, 0.03, [*rain, *rain, *wet], evaporated) > 0.0
+    assert of_many.command(2.3, 0.03, [rain, rain, wet], evaporated) > 0.0
     assert of_many.solves == before + 1
     with pytest.raises(ConfigurationError, match="only scenario_mpc all members"):
-        of_one.command(2.3, 0.03, [*rain, *rain], evaporated)
+        of_one.command(2.3, 0.03, [rain, rain], evaporated)
 
 
 def test_the_last_plan_outlives_its_members(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -462,7 +462,7 @@ def test_the_last_plan_outlives_its_members(monkeypatch: pytest.MonkeyPatch) -> 
     assert first == pytest.approx(1.0, abs=2e-3)
     monkeypatch.setattr(PlanningProgram, "solve", lambda *arguments: None)
     for _ in range(3):
-        command = controller.command(2.3, 0.0, [*rain, *rain], evaporated)
+        command = controller.command(2.3, 0.0, [rain, rain], evaporated)
         assert command == pytest.approx(first, abs=2e-3)
     assert controller.fallbacks > 0
 
@@ -473,7 +473,7 @@ def test_without_recourse_the_first_step_is_shared() -> None:
     storm = [0.0] * 5 + [4e-6] * (STEPS - 5)
     none, evaporated = dry()
     for _ in range(20):
-        controller.command(2.3, 0.03, [*none, *storm], evaporated)
+        controller.command(2.3, 0.03, [none, storm], evaporated)
     assert controller.solves == 2
     assert controller._pumped is not None
     assert np.ptp(controller._pumped[:, 1]) < 1e-3 < np.ptp(controller._pumped[:, -1])

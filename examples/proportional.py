@@ -1,0 +1,54 @@
+"""A controller of one's own: the command grows with what is missing on the roof.
+
+    python -m greenroof_ros.simulate --controller examples.proportional:Proportional
+    python -m greenroof_ros.bringup  --controller examples.proportional:Proportional --gain 40
+    python -m greenroof_ros.check_controller examples.proportional:Proportional
+
+A package of its own registers it under a name, in its setup.py:
+
+    entry_points={"greenroof_ros.controllers": ["proportional = my_package:Proportional"]}
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from greenroof_ros.common.parameter import Parameter
+from greenroof_ros.model.site import Site
+
+
+class Proportional:
+    """Commands gain x (target - level), between 0 and 1, while the cistern holds enough.
+
+    Attributes:
+        gain: command for a metre below the target (1/m).
+    """
+
+    parameters = (
+        Parameter(
+            "gain", 20.0, "1/m", 0.0, 1e4, "command for a metre below the target", may_change=True
+        ),
+    )
+
+    def __init__(self, site: Site, gain: float) -> None:
+        self._site = site
+        self.gain = gain
+
+    def command(
+        self,
+        cistern_level: float,
+        roof_level: float,
+        precipitation: Sequence[float],
+        evapotranspiration: Sequence[float],
+    ) -> float:
+        """Decide from the levels (m) alone; it does not look at the forecasts."""
+        if not cistern_level >= self._site.suction_level:
+            return 0.0
+        command = self.gain * (self._site.z_veg - roof_level)
+        return min(command, 1.0) if command > 0 else 0.0
+
+    def skip(self) -> None:
+        """Do nothing: it keeps nothing from tick to tick."""
+
+    def statistics(self) -> None:
+        """Return nothing: it has no solver."""

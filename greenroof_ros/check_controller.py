@@ -1,0 +1,55 @@
+"""Whether a class is a controller: ``python -m greenroof_ros.check_controller``."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+from rich.console import Console
+from rich.table import Table
+
+from greenroof_ros.common.command_line import EXIT_DONE, EXIT_FAILED, command
+from greenroof_ros.common.files import shared_directory
+from greenroof_ros.controllers.check import check_controller
+from greenroof_ros.controllers.registry import controller_names, find_controller
+from greenroof_ros.model.site import read_site
+
+
+@command
+def main() -> int:
+    """Check the controller that the command line names."""
+    parser = argparse.ArgumentParser(
+        prog="python -m greenroof_ros.check_controller",
+        description="Hold a controller to what the node graph, simulate, studies and reports rely "
+        "on: commands finite and not negative, the same for the same inputs, ticks that are "
+        "skipped, missing forecasts, parameters. What fails is named with what would be right.",
+        epilog="example:\n  python -m greenroof_ros.check_controller "
+        "examples.proportional:Proportional\n\n"
+        "exit codes: 0 all is right, 1 a check failed, 2 it cannot be imported",
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    parser.add_argument(
+        "controller", metavar="CONTROLLER",
+        help=f"package.module:Class, or one of {', '.join(controller_names())}",
+    )
+    parser.add_argument(
+        "--site", type=Path, metavar="FILE",
+        help="site at which it is tried (default: the paper's, config/site.yaml)",
+    )
+    arguments = parser.parse_args()
+    choice = find_controller(arguments.controller)
+    site = read_site(arguments.site or shared_directory() / "config" / "site.yaml")
+    findings = check_controller(choice, site)
+    table = Table(title=f"{choice.name}, {choice.path}", title_justify="left")
+    for name in ("check", "result"):
+        table.add_column(name)
+    for finding in findings:
+        table.add_row(finding.check, finding.problem or "right")
+    Console().print(table)
+    failed = [finding for finding in findings if finding.problem]
+    print(f"{len(findings) - len(failed)} of {len(findings)} checks passed")
+    return EXIT_FAILED if failed else EXIT_DONE
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,176 @@
+"""Controllers by name and by path: parameters, files, other packages, wrong references."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+import yaml
+from places import CHECKOUT, CONFIG
+
+from greenroof_ros.common.errors import ConfigurationError
+from greenroof_ros.controllers.registry import BUILT_IN, controller_names, find_controller
+
+EXAMPLE = "examples.proportional:Proportional"
+OPTIONS = ("--hours", "0.02", "--json")
+
+
+def simulate(
+    directory: Path, *options: str, path: Path = CHECKOUT, script: str = "-m"
+) -> subprocess.CompletedProcess[str]:
+    """Run the command in a directory."""
+    code = "from greenroof_ros.simulate import main; main()"
+    start = ("-m", "greenroof_ros.simulate") if script == "-m" else ("-c", code)
+    return subprocess.run(
+        [sys.executable, *(("-P",) if script == "-c" else ()), *start, *OPTIONS, *options],
+        cwd=directory, env={**os.environ, "PYTHONPATH": f"{path}{os.pathsep}{CHECKOUT}"},
+        capture_output=True, text=True, timeout=60, check=False,
+    )
+
+
+@pytest.mark.parametrize("name", BUILT_IN)
+def test_the_file_a_user_edits_has_the_defaults(name: str) -> None:
+    """Names, values, kinds and order; and a key that holds in any namespace."""
+    content = yaml.safe_load((CONFIG / f"{name}.yaml").read_text())
+    assert list(content) == [f"/**/{name}"]
+    given = content[f"/**/{name}"]["ros__parameters"]
+    defaults = {one.name: one.default for one in find_controller(name).kind.parameters}
+    assert list(given.items()) == list(defaults.items())
+    assert [type(value) for value in given.values()] == [type(value) for value in defaults.values()]
+
+
+def test_a_file_may_leave_parameters_out(tmp_path: Path) -> None:
+    """As a node does, it takes the defaults; a plain name is a key, too."""
+    (tmp_path / "mine.yaml").write_text("planning_mpc: {ros__parameters: {horizon: 6}}\n")
+    given = find_controller("planning_mpc").read_parameters(tmp_path / "mine.yaml")
+    assert given["horizon"] == 6
+    assert given["max_waiting_loss"] == 1.0
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("mpc: {}\n", r"must hold '/\*\*/onoff:' and in it 'ros__parameters:'"),
+        (
+            "/**/onoff:\n  ros__parameters:\n    weight: 1.0\n",
+            r"mine.yaml, line 3: weight: is not a parameter of onoff; they are fraction",
+        ),
+        (
+            "/**/onoff:\n  ros__parameters:\n    fraction: -1.0\n",
+            r"mine.yaml, line 3: fraction = -1.0: must be from 1e-09 to 1e\+06",
+        ),
+        (
+            "/**/onoff:\n  ros__parameters:\n    fraction: full\n",
+            r"mine.yaml, line 3: fraction = 'full': must be a number",
+        ),
+    ],
+)
+def test_wrong_files(tmp_path: Path, text: str, message: str) -> None:
+    """Each is refused with file, line, key and value."""
+    (tmp_path / "mine.yaml").write_text(text)
+    with pytest.raises(ConfigurationError, match=message):
+        find_controller("onoff").read_parameters(tmp_path / "mine.yaml")
+
+
+@pytest.mark.parametrize(
+    ("class_name", "node"),
+    [
+        ("Proportional", "proportional"), ("PControl", "p_control"), ("MyMPC2", "my_mpc2"),
+        ("_LongName", "long_name"),
+    ],
+)
+def test_the_node_is_named_after_the_class(class_name: str, node: str) -> None:
+    """In lower case with underscores, as ROS names nodes."""
+    assert find_controller(f"package.module:{class_name}").name == node
+
+
+@pytest.mark.parametrize(
+    ("reference", "message"),
+    [
+        ("onof", "must be one of mpc, onoff, planning_mpc, anticipating_onoff, scenario_mpc, or"),
+        ("a b:C", "must be of the form package.module:Class"),
+        ("package:Plant", "its node would be named plant, as another one is"),
+        ("package:Mpc", "its node would be named mpc"),
+    ],
+)
+def test_wrong_references(reference: str, message: str) -> None:
+    """Refused before anything is imported."""
+    with pytest.raises(ConfigurationError, match=f"--controller = '{reference}': {message}"):
+        find_controller(reference)
+
+
+@pytest.mark.parametrize(
+    ("code", "message"),
+    [
+        ("", "cannot be imported: AttributeError: module 'mine' has no attribute 'Mine'"),
+        ("1 / 0", "cannot be imported: ZeroDivisionError: division by zero"),
+        ("class Mine: pass", "is no controller: it lacks parameters, command, skip, statistics"),
+        (
+            "class Mine:\n parameters = (1,)\n def command(self): pass\n def skip(self): pass\n"
+            " def statistics(self): pass", "is no controller: it lacks a tuple of Parameter",
+        ),
+    ],
+)
+def test_classes_that_are_no_controllers(tmp_path: Path, code: str, message: str) -> None:
+    """One line, exit code 2, no traceback."""
+    (tmp_path / "mine.py").write_text(code)
+    result = simulate(tmp_path, "--controller", "mine:Mine")
+    assert result.returncode == 2
+    assert f"error: --controller = 'mine:Mine': {message}" in result.stderr
+    assert "Traceback" not in result.stderr
+
+
+def test_a_class_beside_the_current_directory_and_its_parameters(tmp_path: Path) -> None:
+    """It is found by a console script, too, and its parameter is an option."""
+    (tmp_path / "mine.py").write_text((CHECKOUT / "examples" / "proportional.py").read_text())
+    results = []
+    for script in ("-m", "-c"):
+        result = simulate(
+            tmp_path, "--controller", "mine:Proportional", "--gain", "40", script=script
+        )
+        assert result.returncode == 0, result.stderr
+        results.append(json.loads(result.stdout))
+    for summary in results:
+        assert summary["controller"] == "proportional"
+        assert summary["controller_reference"] == "mine:Proportional"
+        assert summary["parameters"] == {"gain": 40.0}
+    assert results[0]["total_deviation_m3"] == results[1]["total_deviation_m3"]
+
+
+def test_a_controller_that_a_package_registers(tmp_path: Path) -> None:
+    """An entry point gives it a name, beside this package's."""
+    (tmp_path / "roofs.py").write_text((CHECKOUT / "examples" / "proportional.py").read_text())
+    about = tmp_path / "roofs-1.0.dist-info"
+    about.mkdir()
+    (about / "METADATA").write_text("Metadata-Version: 2.1\nName: roofs\nVersion: 1.0\n")
+    (about / "entry_points.txt").write_text(
+        "[greenroof_ros.controllers]\ngentle = roofs:Proportional\n"
+    )
+    (tmp_path / "gentle.yaml").write_text("/**/gentle: {ros__parameters: {gain: 10.0}}\n")
+    result = simulate(
+        tmp_path, "--controller", "gentle", "--parameters", "gentle.yaml", path=tmp_path
+    )
+    assert result.returncode == 0, result.stderr
+    summary = json.loads(result.stdout)
+    assert summary["controller"] == "gentle"
+    assert summary["parameters"] == {"gain": 10.0}
+    assert "gentle" not in controller_names()  # of this process, which does not see the package
+
+
+def test_an_option_of_another_controller(tmp_path: Path) -> None:
+    """Refused, with what this one has."""
+    result = simulate(tmp_path, "--controller", "onoff", "--weight", "0.1")
+    assert result.returncode == 2
+    assert "--weight 0.1 (the parameters of onoff are --fraction)" in result.stderr
+
+
+@pytest.mark.parametrize("value", ["1.5", "0", "3", "x"])
+def test_a_whole_parameter_on_the_command_line(tmp_path: Path, value: str) -> None:
+    """A power is 1 or 2."""
+    result = simulate(tmp_path, "--controller", "planning_mpc", "--power", value)
+    assert result.returncode == 2
+    assert f"argument --power: invalid whole number from 1 to 2 value: '{value}'" in result.stderr
