@@ -15,7 +15,7 @@ import os
 import re
 import sys
 import tempfile
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -25,7 +25,7 @@ DOC = Path(__file__).resolve().parent
 sys.path.insert(0, str(DOC.parent))
 
 from greenroof_ros.common.files import shared_directory
-from greenroof_ros.common.interface import Topic, read_topics
+from greenroof_ros.common.interface import Topic, markdown_table, read_topics
 from greenroof_ros.common.parameter import Parameter
 from greenroof_ros.controllers.registry import BUILT_IN, find_controller
 from greenroof_ros.model.metrics import METRICS
@@ -93,17 +93,8 @@ def span(low: float, high: float) -> str:
 
 
 def topics() -> str:
-    """Return what each topic carries."""
-    return markdown(
-        ("topic", "type", "unit", "published by", "subscribed to by", "meaning"),
-        (
-            (
-                f"`{topic.name}`", topic.type.replace("/msg/", "/"), topic.unit,
-                ", ".join(topic.publishers), ", ".join(topic.subscribers), topic.meaning,
-            )
-            for topic in read_topics().values()
-        ),
-    )
+    """Return what each topic carries, as the command ``topics`` prints it."""
+    return markdown_table(read_topics().values()) + "\n"
 
 
 def quality() -> str:
@@ -168,8 +159,8 @@ class _Parsed(BaseException):
     """Carries a command's parser out of it."""
 
 
-def _parser(module: str) -> argparse.ArgumentParser:
-    """Return the parser of a command's options."""
+def parser_of(module: str, arguments: Sequence[str] = ()) -> argparse.ArgumentParser:
+    """Return the parser of a command's options, as it is for some arguments."""
 
     def capture(self: argparse.ArgumentParser, *_: Any, **__: Any) -> None:
         raise _Parsed(self)
@@ -177,7 +168,7 @@ def _parser(module: str) -> argparse.ArgumentParser:
     try:
         with (
             mock.patch.object(argparse.ArgumentParser, "parse_args", capture),
-            mock.patch.object(sys, "argv", [module]),
+            mock.patch.object(sys, "argv", [module, *arguments]),
         ):
             importlib.import_module(module).main()
     except _Parsed as parsed:
@@ -188,7 +179,7 @@ def _parser(module: str) -> argparse.ArgumentParser:
 
 def commands() -> str:
     """Return every option of every command."""
-    return "\n".join(_command(name, _parser(module)) for name, module in COMMANDS.items())
+    return "\n".join(_command(name, parser_of(module)) for name, module in COMMANDS.items())
 
 
 def _command(name: str, parser: argparse.ArgumentParser) -> str:

@@ -211,7 +211,7 @@ def measure_do_mpc(steps: int = 30) -> float:
 
 
 def main() -> None:
-    """Measure in rounds and print the table of the README."""
+    """Measure in rounds and print the table of doc/performance.md."""
     rows: dict[str, list[float]] = {
         "tick": [], "bare": [], "record": [], "do_mpc": [], "mean": [], "p99": [], "study": []
     }

@@ -160,8 +160,8 @@ def test_bound_beside_each_run(papers: Path) -> None:
         assert ratio > 1 - 1e-9
 
 
-def test_readme_shows_both_kinds_of_evapotranspiration(tmp_path: Path) -> None:
-    """The README's table is what the grid beside it gives, to the digit shown."""
+def test_results_show_both_methods_of_evapotranspiration(tmp_path: Path) -> None:
+    """The documentation's table is what the grid beside it gives, to the digit shown."""
     result = study(tmp_path, str(CONFIG / "study_evapotranspiration.yaml"), "--output", "out")
     assert result.returncode == 0, result.stderr
     totals = {
@@ -171,9 +171,9 @@ def test_readme_shows_both_kinds_of_evapotranspiration(tmp_path: Path) -> None:
         ): float(row["total_deviation_m3"])
         for row in rows_of(tmp_path / "out" / "results.csv")
     }
-    readme = (CHECKOUT / "README.md").read_text()
+    page = (CHECKOUT / "doc" / "results.md").read_text()
     shown = re.findall(
-        r"^\| (MPC|on/off) ([\d.]+) \| (\d+) \| (\d+) \| (\d+) \| (\d+) \|$", readme, re.MULTILINE
+        r"^\| (MPC|on/off) ([\d.]+) \| (\d+) \| (\d+) \| (\d+) \| (\d+) \|$", page, re.MULTILINE
     )
     assert len(shown) == 10
     for controller, parameter, *figures in shown:
