@@ -36,6 +36,7 @@ nitpick_ignore_regex = [
     (r"py:class", r".*\.plant\.Amount"),
 ]
 
+highlight_language = "none"
 myst_enable_extensions = ["dollarmath", "deflist", "colon_fence", "attrs_inline"]
 myst_heading_anchors = 4
 
