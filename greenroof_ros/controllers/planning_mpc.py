@@ -167,17 +167,18 @@ class PlanningMpc:
         """
         started = time.perf_counter()
         site, steps = self._site, len(self._lengths)
-        members, rest = divmod(len(precipitation), steps)
+        rain = np.array(precipitation)
+        members, rest = divmod(rain.size, steps)
         most = 1 if self._ensemble is None else MOST_MEMBERS
         if rest or len(evapotranspiration) != steps or not 1 <= members <= most:
             raise ConfigurationError(
-                f"the forecasts have {len(precipitation)} and {len(evapotranspiration)} entries, "
+                f"the forecasts have {rain.size} and {len(evapotranspiration)} entries, "
                 f"but the plan has {steps} steps, and at most {most} forecasts of rain; give "
                 "weather and controller the same horizon, and only scenario_mpc all members"
             )
         if members != self._members:
             self._set_up(members)
-        rain = np.array(precipitation).reshape(self._members, steps)
+        rain = rain.reshape(self._members, steps)
         evaporated = np.asarray(evapotranspiration)
         x1 = site.cistern_volume(cistern_level)
         if not math.isfinite(x1 + roof_level + float(rain.sum() + evaporated.sum())):

@@ -30,7 +30,7 @@ class Tick(NamedTuple):
     evapotranspiration: float
     """m3/s, before the limit to what the roof holds"""
     frost: float
-    """1 where there is frost, which commands 0; 0 where there is none or nobody knows"""
+    """1 where there is frost, which commands 0; 0 where there is none or it is unknown"""
     command: float
     """share of the maximum flow"""
     flows: Flows
@@ -55,7 +55,8 @@ def closed_loop(run: Run, controller: Controller, metrics: Metrics) -> Iterator[
             command = controller.command(
                 cistern_level,
                 roof_level,
-                run.forecast.precipitation(k),
+                # All members are given only to a controller that takes them.
+                run.forecast.precipitation(k),  # type: ignore[arg-type]
                 run.forecast.evapotranspiration(k),
             )
         pumped = pump.flow(plant, command, frost > 0)

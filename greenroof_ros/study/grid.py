@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from greenroof_ros.common.errors import ConfigurationError
-from greenroof_ros.common.files import YamlMapping, read_yaml, shared_directory
+from greenroof_ros.common.files import YamlMapping, read_yaml, shared_directory, unique_name
 from greenroof_ros.controllers.registry import (
     CONTROLLERS,
     TAKE_ENSEMBLES,
@@ -25,7 +25,9 @@ from greenroof_ros.forecast.choice import OPTIONS, PERFECT, ForecastChoice, choo
 from greenroof_ros.model.initial_state import INITIAL_STATES, initial_state
 from greenroof_ros.model.sensor_pump_errors import RANGES, SensorPumpErrors
 from greenroof_ros.model.site import Site, read_site
+from greenroof_ros.weather.joining import find_files
 from greenroof_ros.weather.reading import read_weather
+from greenroof_ros.weather.records import name_files
 
 _KEYS = ("site", "weather", "initial", "controllers")
 _OPTIONAL_KEYS = ("forecast", "sensor_pump_errors")
@@ -47,7 +49,7 @@ class Case:
 
     Attributes:
         site: site file.
-        weather: weather file.
+        weather: weather files, joined, in the order of time.
         start: time of tick 0, ISO 8601 with its offset from UTC.
         hours: length (h).
         evapotranspiration: method.
@@ -62,7 +64,7 @@ class Case:
     """
 
     site: InputFile
-    weather: InputFile
+    weather: tuple[InputFile, ...]
     start: str
     hours: float
     evapotranspiration: str
@@ -78,7 +80,7 @@ class Case:
     @property
     def files(self) -> tuple[InputFile, ...]:
         """What it reads."""
-        files = (self.site, self.weather, self.forecast_file)
+        files = (self.site, *self.weather, self.forecast_file)
         return tuple(file for file in files if file is not None)
 
     @property
@@ -87,7 +89,9 @@ class Case:
         content = {
             **self.columns(),
             "site": hashlib.sha256(self.site.content).hexdigest(),
-            "weather": hashlib.sha256(self.weather.content).hexdigest(),
+            "weather": " ".join(
+                hashlib.sha256(file.content).hexdigest() for file in self.weather
+            ),
             "forecast_file": (
                 hashlib.sha256(self.forecast_file.content).hexdigest()
                 if self.forecast_file is not None else ""
@@ -108,7 +112,7 @@ class Case:
         """Return what the table says of the case itself, without its parameters."""
         return {
             "site": self.site.name,
-            "weather": self.weather.name,
+            "weather": name_files([Path(file.name) for file in self.weather]),
             "start": self.start,
             "hours": self.hours,
             "evapotranspiration": self.evapotranspiration,
@@ -184,11 +188,12 @@ class _Grid:
         controllers: list[tuple[str, dict[str, float]]],
     ) -> Iterator[Case]:
         """Yield the runs of one site in one window."""
-        file = self._one(window, "file", str)
+        with self._at(window, "file"):
+            files = find_files(self._list(window, "file", str), "file", self._path.parent)
         with self._at(window, "hours"):
             steps = count_ticks(site, hours, "hours")
         with self._at(window, "evapotranspiration"):
-            weather = read_weather(self._path.parent / file, site, method)
+            weather = read_weather(files, site, method)
         # What one controller can run with, the others that are told as much can.
         told = {
             (parameters.get("horizon"), name in TAKE_ENSEMBLES): (name, parameters)
@@ -210,7 +215,7 @@ class _Grid:
             ):
                 yield Case(
                     site=self._input(site_file),
-                    weather=self._input(weather.file),
+                    weather=tuple(map(self._input, weather.files)),
                     start=run.start.isoformat(),
                     hours=run.steps * site.tau / 3600,
                     evapotranspiration=weather.method,
@@ -291,11 +296,7 @@ class _Grid:
         path = path.resolve()
         if path not in self._files:
             taken = {file.name for file in self._files.values()}
-            name, number = path.name, 1
-            while name in taken:
-                number += 1
-                name = f"{path.stem}-{number}{path.suffix}"
-            self._files[path] = InputFile(name, path.read_bytes())
+            self._files[path] = InputFile(unique_name(path, taken), path.read_bytes())
         return self._files[path]
 
     def _windows(self) -> Iterator[YamlMapping]:
