@@ -10,6 +10,7 @@ from pathlib import Path
 import yaml
 
 from greenroof_ros.common.errors import ConfigurationError
+from greenroof_ros.common.files import unique_name
 from greenroof_ros.experiment.run import Run
 
 
@@ -67,9 +68,14 @@ def write_configuration(directory: Path, run: Run, nodes: dict[str, object]) -> 
 
 def _write_configuration(configuration: Path, run: Run, nodes: dict[str, object]) -> Path:
     site_file = configuration / "site.yaml"
-    weather_file = configuration / "weather.csv"
     shutil.copyfile(run.site_file, site_file)
-    shutil.copyfile(run.weather.file, weather_file)
+    weather = configuration / "weather"
+    weather.mkdir()
+    weather_files: list[str] = []
+    for file in run.weather.files:
+        copy = weather / unique_name(file, [Path(name).name for name in weather_files])
+        shutil.copyfile(file, copy)
+        weather_files.append(str(copy))
     choice = run.forecast_choice
     if choice.file is not None:
         forecast_file = configuration / "forecast.csv"
@@ -83,7 +89,7 @@ def _write_configuration(configuration: Path, run: Run, nodes: dict[str, object]
             **nodes,
         },
         "weather": {
-            **common, **span, "weather_file": str(weather_file),
+            **common, **span, "weather_files": weather_files,
             "evapotranspiration": run.weather.method,
             "horizon": run.parameters.get("horizon", 0.0),
             "all_members": run.controller.ensemble,

@@ -17,7 +17,7 @@ from greenroof_ros.model.site import Site, read_site
 def declare(
     node: Node,
     name: str,
-    default: str | float | int | bool,
+    default: str | float | int | bool | list[str],
     description: str,
     low: float | None = None,
     high: float | None = None,
@@ -31,9 +31,10 @@ def declare(
         ConfigurationError: the value given on the command line or in a file is of the wrong type
             or out of range.
     """
-    kind = {float: "a number such as 1.0", int: "a whole number", bool: "true or false"}.get(
-        type(default), "a text"
-    )
+    kind = {
+        float: "a number such as 1.0", int: "a whole number", bool: "true or false",
+        list: "a list of texts",
+    }.get(type(default), "a text")
     expected = f"must be {kind}"
     descriptor = ParameterDescriptor(description=description, read_only=read_only)
     if low is not None and high is not None:

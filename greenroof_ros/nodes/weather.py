@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import sys
+from array import array
 from dataclasses import replace
-from pathlib import Path
 
 from rclpy.node import Node
 from std_msgs.msg import Float64, Float64MultiArray
@@ -18,6 +18,7 @@ from greenroof_ros.forecast.resampling import make_forecast
 from greenroof_ros.graph.lockstep import Link, LockstepError
 from greenroof_ros.graph.node_process import run_node
 from greenroof_ros.graph.parameters import declare, declare_site
+from greenroof_ros.weather.joining import find_files
 from greenroof_ros.weather.reading import read_weather
 from greenroof_ros.weather.series import WeatherSeries
 
@@ -55,14 +56,16 @@ class WeatherNode:
         """Declare the parameters and open the topics."""
         site = declare_site(node)
         default = shared_directory() / "config" / "weather" / "toronto_2021-07.csv"
-        file = declare(node, "weather_file", str(default), "hourly records")
+        files = declare(node, "weather_files", [str(default)], "hourly records, joined")
         start_text = declare(node, "start", DEFAULT_START, "time of tick 0, ISO 8601")
         self._steps = declare(node, "steps", site.N, "N, ticks to run", low=1, high=2**40)
         method = declare(
             node, "evapotranspiration", "",
             "fao56, or the name of the file's own column; empty: the file's own if it has one",
         )
-        weather = read_weather(Path(file), site, method or None)
+        weather = read_weather(
+            find_files(files, "parameter weather_files of weather"), site, method or None
+        )
         start = read_start(start_text, weather.first.tzinfo)
         horizon = declare(
             node, "horizon", 0.0,
@@ -100,7 +103,8 @@ class WeatherNode:
         # What the controller takes comes first: it needs longest.
         self._value.data = self._series.frost[tick]
         self._publish_frost(self._value)
-        self._window.data = self._forecast.precipitation(tick)
+        rain = self._forecast.precipitation(tick)
+        self._window.data = rain if isinstance(rain, array) else array("d", rain.tobytes())
         self._publish_rain_forecast(self._window)
         self._window.data = self._forecast.evapotranspiration(tick)
         self._publish_evapotranspiration_forecast(self._window)

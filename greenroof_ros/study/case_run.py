@@ -89,7 +89,9 @@ def _laid_out(case: Case) -> Iterator[Path]:
 def _build(case: Case, directory: Path) -> Run:
     site_file = directory / case.site.name
     site = read_site(site_file)
-    weather = read_weather(directory / case.weather.name, site, case.evapotranspiration)
+    weather = read_weather(
+        [directory / file.name for file in case.weather], site, case.evapotranspiration
+    )
     return build_run(
         site_file, site, weather, case.start, count_ticks(site, case.hours, "hours"),
         case.controller, case.parameters, case.initial, (case.cistern, case.roof),
@@ -133,7 +135,8 @@ def _run_graph(case: Case, directory: Path) -> Outcome:
     output = directory / "run"
     command = [
         sys.executable, "-m", "greenroof_ros.bringup", "--json", "--output", str(output),
-        "--site", str(directory / case.site.name), "--weather", str(directory / case.weather.name),
+        "--site", str(directory / case.site.name),
+        "--weather", *(str(directory / file.name) for file in case.weather),
         "--evapotranspiration", case.evapotranspiration, "--start", case.start,
         "--hours", repr(case.hours), "--controller", case.controller.reference,
         "--parameters", str(parameters), "--cistern", repr(case.cistern), "--roof", repr(case.roof),
@@ -218,6 +221,7 @@ def _results(result: dict[str, Any]) -> dict[str, Any]:
         "filled": "; ".join(
             f"{quantity}: {', '.join(hours)}" for quantity, hours in result["filled"].items()
         ),
+        "weather_notes": "; ".join(result["weather_notes"]),
         "forecast_repeats_from": result["forecast_repeats_last_record_from"],
     }
 

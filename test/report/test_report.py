@@ -876,10 +876,10 @@ def test_limits_are_those_of_the_site(tmp_path: Path) -> None:
 def own_run(directory: Path, one: Simulated) -> Path:
     """Write what bringup leaves of a run that was simulated."""
     write_bag(directory / "bag", messages_of(one.trajectory))
-    (directory / "configuration").mkdir()
+    (directory / "configuration" / "weather").mkdir(parents=True)
     shutil.copy(CONFIG / "site.yaml", directory / "configuration")
     shutil.copy(
-        CONFIG / "weather" / "toronto_2021-07.csv", directory / "configuration" / "weather.csv"
+        CONFIG / "weather" / "toronto_2021-07.csv", directory / "configuration" / "weather"
     )
     (directory / "summary.json").write_text(json.dumps({
         "controller": one.row["controller"], "parameters": {"fraction": 2.0},
