@@ -7,6 +7,9 @@ from datetime import datetime, timedelta, tzinfo
 
 from greenroof_ros.common.errors import ConfigurationError
 
+# The paper's window.
+DEFAULT_START = "2021-07-07T02:00-05:00"
+
 FIRST_YEAR, LAST_YEAR = 1971, 2037
 
 

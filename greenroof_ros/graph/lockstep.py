@@ -8,8 +8,9 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Iterable
-from typing import Any
+from typing import Any, cast
 
+from rclpy.clock import ROSClock
 from rclpy.clock_type import ClockType
 from rclpy.duration import Duration
 from rclpy.node import Node
@@ -23,7 +24,7 @@ from greenroof_ros.graph.errors import LockstepError
 from greenroof_ros.graph.publishers import PublisherWatch
 from greenroof_ros.graph.qos import message_class, qos_profile
 from greenroof_ros.graph.reports import Reports
-from greenroof_ros.graph.serialization import decode_clock, encoder
+from greenroof_ros.graph.serialization import encoder
 from greenroof_ros.graph.states import FINISHED, READY, STARTING
 from greenroof_ros.graph.validation import Input
 
@@ -48,6 +49,7 @@ class LockstepNode(Node):
     Attributes:
         sent: how many messages went out, by topic.
         error: why the node cannot go on.
+        acted: whether the run has begun for the node.
     """
 
     def __init__(self, name: str, role: str) -> None:
@@ -69,14 +71,15 @@ class LockstepNode(Node):
         self.sent: dict[str, int] = {}
         self.error: Exception | None = None
         self._role = role
-        self._topics = read_topics()
+        self._ros_clock = cast(ROSClock, self.get_clock())
+        self._interface = read_topics()
         self._inputs: dict[str, Input] = {}
         self._watches: dict[str, PublisherWatch] = {}
         self._bits: dict[str, int] = {}  # of the inputs that must be fresh
         self._fresh = 0
         self._all = 0
         self._joining = True
-        self._acted = False
+        self.acted = False
         self._last_arrival = time.monotonic()
         self._outputs: list[Publisher] = []
         self._reports = Reports(self, self._on_finished)
@@ -126,7 +129,7 @@ class LockstepNode(Node):
     def set_time(self, time_ns: int) -> None:
         """Set the node's clock, which ``get_clock()`` returns, to a simulated time (ns)."""
         now = Time(nanoseconds=time_ns, clock_type=ClockType.ROS_TIME)
-        self.get_clock().set_ros_time_override(now)
+        self._ros_clock.set_ros_time_override(now)
 
     def publish_topic(self, name: str) -> Callable[[Any], None]:
         """Open an output and return what publishes a value on it.
@@ -134,7 +137,7 @@ class LockstepNode(Node):
         Args:
             name: of the topic in the interface.
         """
-        topic = self._topics[name]
+        topic = self._interface[name]
         publisher = self.create_publisher(
             message_class(topic.type), topic.graph_name, qos_profile(topic.qos)
         )
@@ -160,7 +163,7 @@ class LockstepNode(Node):
             raw: the callback gets the serialised message, and the node does not watch whether the
                 publisher lives: it only keeps what is published.
         """
-        topic = self._topics[name]
+        topic = self._interface[name]
         entry = Input(topic, self.resolve_topic_name(topic.graph_name), self.get_logger())
         self._inputs[name] = entry
         if callback is None:
@@ -229,7 +232,7 @@ class LockstepNode(Node):
 
     def _on_second(self, message: str) -> None:
         """Refuse a second publisher: a wrong set-up before the run, in it a failure of the run."""
-        kind = LockstepError if self._acted else ConfigurationError
+        kind = LockstepError if self.acted else ConfigurationError
         self.error = self.error or kind(message)
 
     # --- running ----------------------------------------------------------------------------
@@ -261,14 +264,14 @@ class LockstepNode(Node):
         return "; ".join(
             "{} from {}".format(
                 self._inputs[name].name,
-                " or ".join(who for who in self._topics[name].publishers if who != self._role),
+                " or ".join(who for who in self._interface[name].publishers if who != self._role),
             )
             for name in names
         )
 
     def _act(self) -> None:
         self._fresh = 0
-        self._acted = True
+        self.acted = True
         self.on_inputs()
 
     def check(self) -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable
+from typing import Any
 
 from rclpy.duration import Infinite
 from rclpy.event_handler import SubscriptionEventCallbacks
@@ -60,12 +61,14 @@ class PublisherWatch:
     def events(self) -> SubscriptionEventCallbacks:
         """Return the callbacks of the subscription, which count."""
         if self._lease:
-            return SubscriptionEventCallbacks(
-                liveliness=lambda event: self._on_count(event.alive_count)
-            )
-        return SubscriptionEventCallbacks(
-            matched=lambda event: self._on_count(event.current_count)
-        )
+            return SubscriptionEventCallbacks(liveliness=self._on_liveliness)
+        return SubscriptionEventCallbacks(matched=self._on_matched)
+
+    def _on_liveliness(self, event: Any) -> None:
+        self._on_count(event.alive_count)
+
+    def _on_matched(self, event: Any) -> None:
+        self._on_count(event.current_count)
 
     def _on_count(self, count: int) -> None:
         """Note how many there are, and refuse a second one.

@@ -40,11 +40,12 @@ def encoder(type_name: str) -> Callable[[Any], bytes]:
             ``array("d")`` or of a 2-D numpy array, (member, step), whose shape goes into the
             layout; ``rosgraph_msgs/msg/Clock`` of nanoseconds since 1970.
     """
-    return {
+    encoders: dict[str, Callable[[Any], bytes]] = {
         "std_msgs/msg/Float64": _encode_number,
         "std_msgs/msg/Float64MultiArray": _encode_numbers,
         "rosgraph_msgs/msg/Clock": _encode_clock,
-    }[type_name]
+    }
+    return encoders[type_name]
 
 
 def decoder(type_name: str) -> Callable[[bytes], Any]:
