@@ -41,7 +41,7 @@ def recover(directory: Path, output: Path | None = None) -> tuple[Path, int]:
     for channels, time_ns, messages in read_ticks(files[0]):
         if writer is None:
             names = [channel.topic for channel in channels]
-            namespace = find_namespace(names, ["/clock"])
+            namespace = find_namespace(names, ["/clock"], files[0])
             foreign = [name for name in names if name.removeprefix(namespace) not in topics]
             if foreign:
                 raise ConfigurationError(

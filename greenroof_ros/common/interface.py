@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import math
 import sys
-from collections.abc import Collection, Iterable, Mapping
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 from greenroof_ros.common.errors import ConfigurationError
@@ -115,12 +116,13 @@ def recorded_topics(outputs: Mapping[str, str]) -> list[Topic]:
     ]
 
 
-def find_namespace(names: Collection[str], needed: Iterable[str]) -> str:
+def find_namespace(names: Collection[str], needed: Sequence[str], bag: Path) -> str:
     """Return the namespace of a graph, from the names of its topics on the wire.
 
     Args:
         names: of topics, such as ``/site1/roof/level``.
         needed: names of the interface, such as ``/roof/level``, that a graph must have.
+        bag: that has them, for messages.
 
     Returns:
         What stands before them, such as ``/site1``; empty where nothing does, or where no
@@ -129,7 +131,6 @@ def find_namespace(names: Collection[str], needed: Iterable[str]) -> str:
     Raises:
         ConfigurationError: more than one namespace has.
     """
-    needed = list(needed)
     first = needed[0]
     namespaces = [
         name.removesuffix(first)
@@ -139,7 +140,9 @@ def find_namespace(names: Collection[str], needed: Iterable[str]) -> str:
     ]
     if len(namespaces) > 1:
         raise ConfigurationError(
-            f"holds more than one graph: {', '.join(each or '/' for each in sorted(namespaces))}"
+            "must be of one graph, but holds the topics of namespaces "
+            + ", ".join(each or "/" for each in sorted(namespaces)),
+            file=bag,
         )
     return namespaces[0] if namespaces else ""
 

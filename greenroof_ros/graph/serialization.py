@@ -84,6 +84,8 @@ def decode_clock(message: bytes) -> int:
 
 
 def _encode_numbers(values: array[float] | NDArray[np.float64]) -> bytes:
+    if isinstance(values, np.ndarray) and len(values) == 1:
+        values = array("d", values.tobytes())  # one forecast is no ensemble
     if isinstance(values, array):
         if _LITTLE:
             return _ROW.pack(_HEADER, 0, 0, len(values)) + values.tobytes()

@@ -26,11 +26,11 @@ from rclpy.node import Node  # noqa: E402
 from std_msgs.msg import Float64  # noqa: E402
 
 from greenroof_ros.common.interface import read_topics  # noqa: E402
-from greenroof_ros.graph.lockstep import qos_profile  # noqa: E402
+from greenroof_ros.graph.qos import qos_profile  # noqa: E402
 
 
 def qos(topic: str) -> Any:
-    """Return a topic's profile in the contract."""
+    """Return a topic's profile in the interface."""
     return qos_profile(read_topics()[topic].qos)
 
 
@@ -89,7 +89,7 @@ def final_report(observer: Observer, node: str) -> dict[str, Any]:
 
     def on_report(array: DiagnosticArray) -> None:
         for status in array.status:
-            if status.name == node and status.message == "finished":
+            if status.name == f"/{node}" and status.message == "finished":
                 found.update({entry.key: json.loads(entry.value) for entry in status.values})
 
     observer.node.create_subscription(
@@ -112,7 +112,7 @@ def test_bad_command_acts_as_zero_and_is_counted(
     observer.node.create_subscription(
         Float64, "/pump/flow", lambda message: flows.append(message.data), qos("/pump/flow")
     )
-    with nodes(domain, tmp_path, "plant --ros-args -p steps:=20", "weather") as started:
+    with nodes(domain, tmp_path, "plant --ros-args -p run_length:=20", "weather") as started:
         report = final_report(observer, "plant")
     assert report["refused"] == {"/pump/command": 21}
     assert report["metrics"]["pumped_m3"] == 0.0
@@ -142,7 +142,7 @@ def test_bad_level_or_frost_stops_the_pump(
             ("/weather/frost", Float64),
         )
     }
-    with nodes(domain, tmp_path, "mpc"):
+    with nodes(domain, tmp_path, "controller --controller mpc"):
         observer.until(
             lambda: all(each.get_subscription_count() for each in publish.values()), 20, "mpc"
         )
@@ -221,10 +221,12 @@ def test_weight_is_set_during_a_run(domain: int, tmp_path: Path, observer: Obser
 def test_parameter_file_is_honoured(domain: int, tmp_path: Path, observer: Observer) -> None:
     """--params-file decides what the node does."""
     (tmp_path / "plant.yaml").write_text(
-        "plant:\n  ros__parameters:\n    cistern: 50.0\n    roof: 3.0\n    steps: 5\n"
+        "plant:\n  ros__parameters:\n    initial_cistern_volume: 50.0\n"
+        "    initial_roof_volume: 3.0\n    run_length: 5\n"
     )
     with nodes(
-        domain, tmp_path, "plant --ros-args --params-file plant.yaml", "weather", "onoff"
+        domain, tmp_path, "plant --ros-args --params-file plant.yaml", "weather",
+        "controller --controller onoff",
     ):
         report = final_report(observer, "plant")
     assert report["tick"] == 5
@@ -236,16 +238,17 @@ def test_parameter_file_is_honoured(domain: int, tmp_path: Path, observer: Obser
 @pytest.mark.parametrize(
     ("command", "words"),
     [
-        ("mpc --ros-args -p weight:=-1.0", ("weight", "-1.0", "1e-09")),
-        ("mpc --ros-args -p weight:=heavy", ("weight", "heavy", "number")),
-        ("onoff --ros-args -p fraction:=.nan", ("fraction",)),
-        ("plant --ros-args -p roof:=-1.0", ("roof", "-1.0")),
-        ("plant --ros-args -p steps:=0", ("steps", "0")),
+        ("controller --controller mpc --ros-args -p weight:=-1.0", ("weight", "-1.0", "1e-09")),
+        ("controller --controller mpc --ros-args -p weight:=heavy", ("weight", "heavy", "number")),
+        ("controller --controller pid", ("pid", "mpc", "package.module:Class")),
+        ("controller --controller onoff --ros-args -p fraction:=.nan", ("fraction",)),
+        ("plant --ros-args -p initial_roof_volume:=-1.0", ("initial_roof_volume", "-1.0")),
+        ("plant --ros-args -p run_length:=0", ("run_length", "0")),
         ("plant --ros-args -p pump:=outside", ("pump", "outside", "external")),
         ("plant --ros-args -p start:=noon", ("start", "noon")),
         ("plant --ros-args -p site_file:=nowhere.yaml", ("nowhere.yaml",)),
         ("weather --ros-args -p weather_file:=nowhere.csv", ("nowhere.csv",)),
-        ("weather --ros-args -p steps:=10000000", ("toronto_2021-07.csv",)),
+        ("weather --ros-args -p run_length:=10000000", ("toronto_2021-07.csv",)),
         ("recorder --ros-args -p directory:=.", ("directory", "exists")),
         ("recorder --ros-args -p controller:=pid", ("controller", "pid", "mpc")),
     ],
@@ -272,7 +275,8 @@ def test_restarted_controller_takes_the_last_levels(
     """kill -9 of a controller and a new one: the tick waits, the run ends with its numbers."""
     with nodes(
         domain, tmp_path,
-        "plant --ros-args -p steps:=600 -p speed:=100.0 -p peer_limit:=20.0", "weather", "onoff",
+        "plant --ros-args -p run_length:=600 -p speed:=100.0 -p peer_limit:=20.0", "weather",
+        "controller --controller onoff",
     ) as started:
         seen: list[float] = []
         observer.node.create_subscription(
@@ -281,7 +285,7 @@ def test_restarted_controller_takes_the_last_levels(
         observer.until(lambda: len(seen) > 150, 30, "150 ticks")
         os.kill(started[2].pid, signal.SIGKILL)
         time.sleep(3)  # until its lease is over: two controllers are one too many
-        with nodes(domain, tmp_path, "onoff"):
+        with nodes(domain, tmp_path, "controller --controller onoff"):
             report = final_report(observer, "plant")
     assert report["sent"]["/roof/level"] == 601
     done = subprocess.run(
