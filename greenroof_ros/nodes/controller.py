@@ -19,6 +19,7 @@ from rclpy.utilities import remove_ros_args
 from greenroof_ros.common.command_line import EXIT_USAGE
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.interface import optional_topics
+from greenroof_ros.controllers.decide import decide
 from greenroof_ros.controllers.registry import ControllerChoice, controller_names, find_controller
 from greenroof_ros.graph.lockstep import CLOCK, LockstepNode
 from greenroof_ros.graph.node_process import run_node
@@ -27,11 +28,7 @@ from greenroof_ros.graph.serialization import decode_clock
 
 
 class ControllerNode(LockstepNode):
-    """Runs one controller in the graph.
-
-    A tick in which any input was refused commands 0: what the controller would make of a level
-    that nobody measured must not reach the pump. So does frost, which bursts a running pump's pipe.
-    """
+    """Runs one controller in the graph; it commands 0 where an input was refused, and in frost."""
 
     def __init__(self, choice: ControllerChoice) -> None:
         """Declare the controller's parameters and open the topics."""
@@ -58,21 +55,16 @@ class ControllerNode(LockstepNode):
 
     def on_inputs(self) -> None:
         """Command, and publish what the controller says beside it."""
-        decides = self.good and not self._frost.value
-        command = 0.0
-        if decides:
-            command = self._controller.command(
-                self._cistern.value,
-                self._roof.value,
-                self._rain_forecast(),
-                self._evapotranspiration.value,
+        allowed = self.good and not self._frost.value
+        self._publish_command(
+            decide(
+                self._controller, allowed, self._cistern.value, self._roof.value,
+                self._rain_forecast(), self._evapotranspiration.value,
             )
-        else:
-            self._controller.skip()
-        self._publish_command(command)
+        )
         self._tick += 1
         for publish, attribute, undecided in self._publish_outputs:
-            publish(getattr(self._controller, attribute) if decides else undecided)
+            publish(getattr(self._controller, attribute) if allowed else undecided)
 
     def _rain_forecast(self) -> Any:
         """Return the forecast of rain in the shape that the controller takes.
