@@ -16,8 +16,9 @@ import pytest
 from graphs import Process, wait_for
 from places import CHECKOUT
 
+from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.files import read_yaml, shared_directory
-from greenroof_ros.common.interface import read_topics, recorded_topics
+from greenroof_ros.common.interface import find_namespace, read_topics, recorded_topics
 
 
 def test_readme_shows_the_interface() -> None:
@@ -55,6 +56,25 @@ def test_design_of_the_interface() -> None:
         "/controller/cost", "/controller/planned_deviation", "/controller/solver_status"
     ]
     assert all(topic.qos.depth > 32 for topic in topics.values() if topic.per_tick)
+
+
+def test_namespace_of_a_bag() -> None:
+    """A graph's topics are found by the ends of their names; two graphs are one too many."""
+    needed, bag = ["/roof/level", "/pump/flow"], Path("bag")
+    assert find_namespace({"/roof/level", "/pump/flow", "/clock"}, needed, bag) == ""
+    assert find_namespace({"/a/b/roof/level", "/a/b/pump/flow"}, needed, bag) == "/a/b"
+    # One topic alone is no graph.
+    assert find_namespace({"/roof/level", "/pump/flow", "/s/roof/level"}, needed, bag) == ""
+    with pytest.raises(ConfigurationError, match=r"bag: .*/, /s"):
+        find_namespace(
+            {"/roof/level", "/pump/flow", "/s/roof/level", "/s/pump/flow"}, needed, bag
+        )
+
+
+def test_outputs_of_a_controller_are_optional_topics() -> None:
+    """A controller publishes nothing that another node does."""
+    with pytest.raises(ConfigurationError, match="/pump/flow"):
+        recorded_topics({"/pump/flow": "flow"})
 
 
 def test_types_match_ros() -> None:

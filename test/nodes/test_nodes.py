@@ -20,7 +20,7 @@ from graphs import Process, environment, shared_memory_of, wait_for
 rclpy = pytest.importorskip("rclpy", reason="nodes need ROS 2")
 
 from rcl_interfaces.msg import Parameter, ParameterType, ParameterValue  # noqa: E402
-from rcl_interfaces.srv import SetParameters  # noqa: E402
+from rcl_interfaces.srv import GetParameters, SetParameters  # noqa: E402
 from rclpy.executors import SingleThreadedExecutor  # noqa: E402
 from rclpy.node import Node  # noqa: E402
 from std_msgs.msg import Float64  # noqa: E402
@@ -216,6 +216,52 @@ def test_weight_is_set_during_a_run(domain: int, tmp_path: Path, observer: Obser
     (change,) = summary["parameter_changes"]
     assert (change["parameter"], change["value"]) == ("weight", 0.01)
     assert 0 <= change["tick"] <= 720
+
+
+def test_simulated_time(domain: int, tmp_path: Path, observer: Observer) -> None:
+    """Every node has use_sim_time, follows its own graph's clock, and stamps its reports by it.
+
+    The graph is in a namespace; a clock on /clock, a day later, is not its own.
+    """
+    from diagnostic_msgs.msg import DiagnosticArray
+    from rosgraph_msgs.msg import Clock
+
+    start, ticks = 1_625_641_200, 1800  # 2021-07-07T02:00-05:00 in seconds since 1970
+    stamps: dict[str, list[int]] = {}
+
+    def on_report(array: DiagnosticArray) -> None:
+        for status in array.status:
+            stamps.setdefault(status.name, []).append(array.header.stamp.sec)
+
+    observer.node.create_subscription(
+        DiagnosticArray, "/diagnostics", on_report, qos("/diagnostics")
+    )
+    other = observer.node.create_publisher(Clock, "/clock", 10)
+    message = Clock()
+    message.clock.sec = start + 86_400
+    names = [f"/site1/{name}" for name in ("plant", "weather", "mpc", "recorder")]
+    process = Process(
+        domain, "bringup", "--output", "run", "--namespace", "site1", "--hours", "0.5",
+        "--speed", "300", cwd=tmp_path,
+    )
+    for name in names:
+        client = observer.node.create_client(GetParameters, f"{name}/get_parameters")
+        observer.until(client.service_is_ready, 30, f"the parameters of {name}")
+        future = client.call_async(GetParameters.Request(names=["use_sim_time"]))
+        observer.until(future.done, 10, "an answer")
+        assert future.result().values[0].bool_value is True
+
+    def ended() -> bool:
+        other.publish(message)
+        return process.process.poll() is not None
+
+    observer.until(ended, 60, "the end of the run")
+    assert process.wait(1) == 0, process.stderr()
+    for name in names:
+        # 0 until the first tick, as ROS has it; then it moves with the run, to its end.
+        moved = [stamp - start for stamp in stamps[name] if stamp]
+        assert moved == sorted(moved), name
+        assert 0 <= moved[0] < ticks / 2 < moved[-1] <= ticks, name
 
 
 def test_parameter_file_is_honoured(domain: int, tmp_path: Path, observer: Observer) -> None:
