@@ -9,10 +9,9 @@ NAME = "greenroof_ros"
 SHARE = Path("share") / NAME
 
 # Nodes: ``ros2 run greenroof_ros plant``, or just ``plant`` in a virtual environment.
-NODES = (
-    "plant", "weather", "mpc", "onoff", "planning_mpc", "anticipating_onoff", "scenario_mpc",
-    "recorder",
-)
+NODES = ("plant", "weather", "controller", "recorder")
+# The node of one of this package's controllers, without ``--controller``.
+CONTROLLERS = ("mpc", "onoff", "planning_mpc", "anticipating_onoff", "scenario_mpc")
 # Commands: they start the graph, or need no ROS at all.
 COMMANDS = (
     "bringup", "simulate", "bound", "recover", "topics", "study.__main__", "report.__main__",
@@ -105,6 +104,7 @@ setup(
     entry_points={
         "console_scripts": [
             *(f"{name} = {NAME}.nodes.{name}:main" for name in NODES),
+            *(f"{name} = {NAME}.nodes.controller:{name}" for name in CONTROLLERS),
             *(f"{name.split('.')[0]} = {NAME}.{name}:main" for name in COMMANDS),
         ],
     },

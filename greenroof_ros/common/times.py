@@ -10,7 +10,8 @@ from greenroof_ros.common.errors import ConfigurationError
 # Those that ROS 2 and bag time stamps hold whole.
 FIRST_YEAR, LAST_YEAR = 1971, 2037
 
-EXAMPLE = "2021-07-07T02:00-05:00"
+# The start of the paper's window; also the example of a time in messages.
+DEFAULT_START = "2021-07-07T02:00-05:00"
 
 
 def parse_time(text: str) -> datetime:
@@ -62,13 +63,13 @@ def read_start(text: str, zone: tzinfo | None = None) -> datetime:
         start = parse_time(text)
     except ValueError:
         raise ConfigurationError(
-            f"must be a time such as {EXAMPLE}, from {FIRST_YEAR} to {LAST_YEAR}",
+            f"must be a time such as {DEFAULT_START}, from {FIRST_YEAR} to {LAST_YEAR}",
             key="start", value=text,
         ) from None
     if start.utcoffset() is not None:
         return start
     if zone is None:
         raise ConfigurationError(
-            f"must say its offset from UTC, as in {EXAMPLE}", key="start", value=text
+            f"must say its offset from UTC, as in {DEFAULT_START}", key="start", value=text
         )
     return start.replace(tzinfo=zone)

@@ -10,12 +10,13 @@ from pathlib import Path
 from greenroof_ros.common.command_line import within
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.files import shared_directory
+from greenroof_ros.common.times import DEFAULT_START
 from greenroof_ros.controllers.registry import (
     ControllerChoice,
     controller_names,
     find_controller,
 )
-from greenroof_ros.experiment.run import DEFAULT_START, Run, build_run, count_ticks
+from greenroof_ros.experiment.run import Run, build_run, count_ticks
 from greenroof_ros.forecast.choice import MODELS, OPTIONS, ForecastChoice, choose
 from greenroof_ros.model.initial_state import INITIAL_STATES, initial_state
 from greenroof_ros.model.sensor_pump_errors import RANGES, SensorPumpErrors

@@ -82,11 +82,11 @@ def _write_configuration(configuration: Path, run: Run, nodes: dict[str, object]
         shutil.copyfile(choice.file, forecast_file)
         choice = replace(choice, file=forecast_file)
     common = {"site_file": str(site_file)}
-    span = {"start": run.start.isoformat(), "steps": run.steps}
+    span = {"start": run.start.isoformat(), "run_length": run.steps}
     parameters = {
         "plant": {
-            **common, **span, "cistern": run.x1, "roof": run.x2, **run.sensor_pump_errors.values(),
-            **nodes,
+            **common, **span, "initial_cistern_volume": run.x1, "initial_roof_volume": run.x2,
+            **run.sensor_pump_errors.values(), **nodes,
         },
         "weather": {
             **common, **span, "weather_files": weather_files,

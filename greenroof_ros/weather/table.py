@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.times import (
-    EXAMPLE,
+    DEFAULT_START,
     FIRST_YEAR,
     LAST_YEAR,
     parse_local_time,
@@ -98,10 +98,10 @@ class Row:
             time = parse_time(self.cells[column])
         except ValueError:
             raise self.refuse(
-                f"must be a time such as {EXAMPLE}, {FIRST_YEAR} to {LAST_YEAR}", column
+                f"must be a time such as {DEFAULT_START}, {FIRST_YEAR} to {LAST_YEAR}", column
             ) from None
         if time.utcoffset() is None:
-            raise self.refuse(f"must say its offset from UTC, as in {EXAMPLE}", column)
+            raise self.refuse(f"must say its offset from UTC, as in {DEFAULT_START}", column)
         return time
 
     def local_time(self, column: str, zone: tzinfo, example: str) -> datetime:
