@@ -46,7 +46,7 @@ help:
 	@echo "make run    the 12 h of the paper with the predictive controller, as a node graph"
 	@echo "make study  the 30 runs of the paper, and their report: no ROS"
 	@echo "make test   every test"
-	@echo "make lint   ruff and mypy"
+	@echo "make lint   ruff, mypy, and which room imports from which"
 	@echo "make bench  the speed of graph and controller, as ratios"
 	@echo "make clean  remove .venv and all else that can be made again; runs/ stays"
 
@@ -69,6 +69,7 @@ endif
 lint: $(FOR_TEST)
 	$(BIN)/python -m ruff check .
 	$(BIN)/python -m mypy
+	$(BIN)/lint-imports --no-cache --no-logo
 
 bench: $(FOR_BENCH)
 	@$(BIN)/python test/bench.py

@@ -94,6 +94,7 @@ setup(
             "ruff~=0.17.0",
             "mypy~=2.4.0",
             "types-PyYAML>=6.0",
+            "import-linter>=2.16,<3",  # which room may import from which: pyproject.toml
             # Builds the package in a workspace of its own, as a ROS 2 user does.
             "colcon-ros>=0.5",  # the build type ament_python; brings colcon-core
             "colcon-bash>=0.5",  # install/setup.bash

@@ -82,7 +82,7 @@ def test_it_begins_with_the_mean() -> None:
 @pytest.mark.parametrize("tau", [1.0, 10.0])
 @pytest.mark.parametrize("noise", [0.001, 0.003, 0.005])
 def test_noise_of_any_size_is_noise(noise: float, tau: float) -> None:
-    """It is averaged over 300 s: the error is that of the observer_time_constant alone, with no jumps to it."""
+    """It is averaged over 300 s: the error is that of the averaging alone, with no jumps to it."""
     site = replace(PAPER_SITE, tau=tau)
     estimate = RoofObserver(site, 300.0)
     errors = []
@@ -266,7 +266,8 @@ def test_lies_that_come_and_go() -> None:
 
     forecast.precipitation = now_and_then  # type: ignore[method-assign]
     controller = make_controller(
-        "anticipating_onoff", run.site, {**run.parameters, "fraction": 0.005, "max_waiting_loss": 0.1}
+        "anticipating_onoff", run.site,
+        {**run.parameters, "fraction": 0.005, "max_waiting_loss": 0.1},
     )
     metrics = Metrics()
     for _ in closed_loop(replace(run, forecast=forecast), controller, metrics):

@@ -20,10 +20,10 @@ from hypothesis import strategies as st
 from paper import PAPER_SITE, exact_flows, paper_run, site_with, sites
 
 from greenroof_ros import bound as module
-from greenroof_ros.experiment import clairvoyant
 from greenroof_ros.bound import main
 from greenroof_ros.controllers.protocol import Controller
 from greenroof_ros.controllers.registry import make_controller
+from greenroof_ros.experiment import clairvoyant
 from greenroof_ros.experiment.clairvoyant import NoBoundError, clairvoyant_bound
 from greenroof_ros.experiment.closed_loop import closed_loop
 from greenroof_ros.experiment.run import Run
@@ -413,7 +413,8 @@ def test_no_optimum(
 ) -> None:
     """The solver's own words, and exit code 1."""
     monkeypatch.setattr(
-        clairvoyant, "linprog", lambda *_, **__: SimpleNamespace(status=4, message="numbers too large")
+        clairvoyant, "linprog",
+        lambda *_, **__: SimpleNamespace(status=4, message="numbers too large"),
     )
     with pytest.raises(NoBoundError, match="numbers too large"):
         clairvoyant_bound(run_of(DRY_HOUR, 75.0, 2.0))
