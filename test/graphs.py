@@ -20,8 +20,11 @@ _SHARED_MEMORY = Path("/dev/shm")
 
 @contextmanager
 def own_domain() -> Iterator[int]:
-    """Hold a ROS domain that no other test session on this machine holds."""
-    for domain in range(1, 100):
+    """Hold a ROS domain that no other test session or worker on this machine holds.
+
+    From 51 on they are those of studies.
+    """
+    for domain in range(1, 51):
         lock = Path(tempfile.gettempdir()) / f"greenroof_ros-test-domain-{domain}.lock"
         with lock.open("w") as stream:
             try:
@@ -30,7 +33,7 @@ def own_domain() -> Iterator[int]:
                 continue
             yield domain
             return
-    raise RuntimeError("every ROS domain from 1 to 99 is taken")
+    raise RuntimeError("every ROS domain from 1 to 50 is taken")
 
 
 def environment(domain: int) -> dict[str, str]:

@@ -5,7 +5,9 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
-from studies import CONFIG, GRID, WEATHER, edited, grid, study
+from commands import run_command
+from graphs import environment
+from studies import CONFIG, GRID, WEATHER, edited, grid
 
 from greenroof_ros.study.grid import read_grid
 
@@ -97,7 +99,8 @@ WRONG = {
 def test_wrong_grid(tmp_path: Path, name: str) -> None:
     """Exit code 2, one line that says where and what, before anything runs or is written."""
     text, expected = WRONG[name]
-    result = study(tmp_path, grid(tmp_path, text), "--output", "out")
+    name = grid(tmp_path, text)
+    result = run_command("study", name, "--output", "out", cwd=tmp_path, env=environment(0))
     assert result.returncode == 2, result.stderr
     assert expected in result.stderr
     assert result.stderr.count("\n") == 1
@@ -116,7 +119,7 @@ def test_wrong_grid(tmp_path: Path, name: str) -> None:
 )
 def test_wrong_options(tmp_path: Path, options: list[str], expected: str) -> None:
     """Exit code 2, and no traceback."""
-    result = study(tmp_path, *options)
+    result = run_command("study", *options, cwd=tmp_path, env=environment(0))
     assert result.returncode == 2
     assert expected in result.stderr
     assert "Traceback" not in result.stderr
