@@ -15,8 +15,6 @@ from studies import CONFIG, GRID, WEATHER, edited, grid, rows_of, study
 
 from greenroof_ros.study.grid import read_grid
 
-REAL = DATA
-
 
 def test_the_papers_table(papers: Path) -> None:
     """All 30 totals within 0.02 % of those of the authors' code."""
@@ -74,7 +72,7 @@ def test_killed_and_gone_on(tmp_path: Path) -> None:
 
 def test_windows_of_july(tmp_path: Path) -> None:
     """Three windows of the real month, one of them with hours that were missing."""
-    file = REAL / "en_climate_hourly_07-2021.csv"
+    file = DATA / "en_climate_hourly_07-2021.csv"
     text = GRID.replace(str(WEATHER), str(file)).replace("[published, fao56]", "fao56")
     text = text.replace("[1.0e-3, 0.1]", "0.1").replace("[low-low, ", "[")
     text = text.replace("hours: 0.25", "hours: 12").replace(
