@@ -57,11 +57,10 @@ study: $(FOR_STUDY)
 	@$(BIN)/python -m greenroof_ros.study; code=$$?; rm -rf studies/paper/report; \
 	    $(BIN)/python -m greenroof_ros.report studies/paper && exit $$code
 
-# Without ARGS every test: on all cores what starts no graph, then graph by graph.
+# Without ARGS every test, on all cores: which of them may run side by side, test/conftest.py says.
 test: $(FOR_TEST)
 ifeq ($(ARGS),)
-	@$(BIN)/python -m pytest -m "not graph" --numprocesses auto --dist loadfile
-	@$(BIN)/python -m pytest -m graph
+	@$(BIN)/python -m pytest --numprocesses auto --dist loadgroup --no-loadscope-reorder
 else
 	@$(BIN)/python -m pytest $(ARGS)
 endif

@@ -9,6 +9,7 @@ from pathlib import Path
 import pytest
 from graphs import Process, own_domain
 from hypothesis import settings
+from places import Once
 from studies import study
 
 # The same examples on every machine, and no limit on their time.
@@ -49,9 +50,6 @@ def nothing_left() -> Iterator[None]:
     """A run that a failed test leaves behind must not meet the next test's."""
     yield
     Process.end_all()
-
-
-Once = Callable[[str, Callable[[Path], object]], Path]
 
 
 @pytest.fixture(scope="session")
