@@ -412,7 +412,8 @@ def test_no_optimum(
 ) -> None:
     """The solver's own words, and exit code 1."""
     monkeypatch.setattr(
-        clairvoyant, "linprog", lambda *_, **__: SimpleNamespace(status=4, message="numbers too large")
+        clairvoyant, "linprog",
+        lambda *_, **__: SimpleNamespace(status=4, message="numbers too large"),
     )
     with pytest.raises(NoBoundError, match="numbers too large"):
         clairvoyant_bound(run_of(DRY_HOUR, 75.0, 2.0))

@@ -14,17 +14,16 @@ import yaml
 from bag_topics import MPC_TOPICS
 from graphs import Process, bag_file, bring_up, environment
 from mcap.reader import make_reader
+from places import Once
 from rosbags.highlevel import AnyReader
 
 pytest.importorskip("rclpy", reason="the graph needs ROS 2")
 
 
-@pytest.fixture(scope="module")
-def recorded(domain: int, tmp_path_factory: pytest.TempPathFactory) -> Path:
+@pytest.fixture(scope="session")
+def recorded(domain: int, once: Once) -> Path:
     """The directory of a good run of 360 ticks."""
-    cwd = tmp_path_factory.mktemp("recorded")
-    bring_up(domain, cwd, "--hours", "0.1")
-    return cwd / "run"
+    return once("recorded", lambda cwd: bring_up(domain, cwd, "--hours", "0.1")) / "run"
 
 
 def recover(directory: Path, *arguments: str) -> subprocess.CompletedProcess[str]:
