@@ -49,7 +49,7 @@ help:
 	@echo "make run    the 12 h of the paper with the predictive controller, as a node graph"
 	@echo "make study  the 30 runs of the paper, and their report: no ROS"
 	@echo "make test   every test"
-	@echo "make lint   ruff and mypy"
+	@echo "make lint   ruff, mypy, and which room imports from which"
 	@echo "make docs   the documentation, doc/_build/index.html"
 	@echo "make bench  the speed of graph and controller, as ratios"
 	@echo "make clean  remove .venv and all else that can be made again; runs/ stays"
@@ -61,11 +61,10 @@ study: $(FOR_STUDY)
 	@$(BIN)/python -m greenroof_ros.study; code=$$?; rm -rf studies/paper/report; \
 	    $(BIN)/python -m greenroof_ros.report studies/paper && exit $$code
 
-# Without ARGS every test: on all cores what starts no graph, then graph by graph.
+# Without ARGS every test, on all cores: which of them may run side by side, test/conftest.py says.
 test: $(FOR_TEST)
 ifeq ($(ARGS),)
-	@$(BIN)/python -m pytest -m "not graph" --numprocesses auto --dist loadfile
-	@$(BIN)/python -m pytest -m graph
+	@$(BIN)/python -m pytest --numprocesses auto --dist loadgroup --no-loadscope-reorder
 else
 	@$(BIN)/python -m pytest $(ARGS)
 endif
@@ -73,6 +72,7 @@ endif
 lint: $(FOR_TEST)
 	$(BIN)/python -m ruff check .
 	$(BIN)/python -m mypy
+	$(BIN)/lint-imports --no-cache --no-logo
 
 # Its tables are made again first; a link that leads nowhere is an error.
 docs: $(FOR_DOCS)

@@ -9,10 +9,9 @@ NAME = "greenroof_ros"
 SHARE = Path("share") / NAME
 
 # Nodes: ``ros2 run greenroof_ros plant``, or just ``plant`` in a virtual environment.
-NODES = (
-    "plant", "weather", "mpc", "onoff", "planning_mpc", "anticipating_onoff", "scenario_mpc",
-    "recorder",
-)
+NODES = ("plant", "weather", "controller", "recorder")
+# The node of one of this package's controllers, without ``--controller``.
+CONTROLLERS = ("mpc", "onoff", "planning_mpc", "anticipating_onoff", "scenario_mpc")
 # Commands: they start the graph, or need no ROS at all.
 COMMANDS = (
     "bringup", "simulate", "bound", "recover", "topics", "study.__main__", "report.__main__",
@@ -87,13 +86,14 @@ setup(
         "dask": ["distributed>=2024.1"],  # study --scheduler: more than one machine
         "test": [
             "pytest>=8",
-            "pytest-xdist>=3.6,<4",  # all cores for the tests that start no graph
+            "pytest-xdist>=3.8,<4",  # the tests on all cores; 3.8 is the oldest that was tried
             "hypothesis>=6.100",  # properties of the plant and the controllers
             "playwright>=1.40",  # reads the report's page in the system's Chromium
             # A new minor release of a linter brings new rules; they are taken in on purpose.
             "ruff~=0.17.0",
             "mypy~=2.4.0",
             "types-PyYAML>=6.0",
+            "import-linter>=2.16,<3",  # which room may import from which: pyproject.toml
             # Builds the package in a workspace of its own, as a ROS 2 user does.
             "colcon-ros>=0.5",  # the build type ament_python; brings colcon-core
             "colcon-bash>=0.5",  # install/setup.bash
@@ -111,6 +111,7 @@ setup(
     entry_points={
         "console_scripts": [
             *(f"{name} = {NAME}.nodes.{name}:main" for name in NODES),
+            *(f"{name} = {NAME}.nodes.controller:{name}" for name in CONTROLLERS),
             *(f"{name.split('.')[0]} = {NAME}.{name}:main" for name in COMMANDS),
         ],
     },

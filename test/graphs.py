@@ -15,13 +15,18 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, ClassVar
 
+from mcap.reader import make_reader
+
 _SHARED_MEMORY = Path("/dev/shm")
 
 
 @contextmanager
 def own_domain() -> Iterator[int]:
-    """Hold a ROS domain that no other test session on this machine holds."""
-    for domain in range(1, 100):
+    """Hold a ROS domain that no other test session or worker on this machine holds.
+
+    From 51 on they are those of studies.
+    """
+    for domain in range(1, 51):
         lock = Path(tempfile.gettempdir()) / f"greenroof_ros-test-domain-{domain}.lock"
         with lock.open("w") as stream:
             try:
@@ -30,7 +35,7 @@ def own_domain() -> Iterator[int]:
                 continue
             yield domain
             return
-    raise RuntimeError("every ROS domain from 1 to 99 is taken")
+    raise RuntimeError("every ROS domain from 1 to 50 is taken")
 
 
 def environment(domain: int) -> dict[str, str]:
@@ -155,11 +160,20 @@ def bag_file(run: Path) -> Path:
 def bring_up(
     domain: int, cwd: Path, *arguments: str, output: str = "run", seconds: float = 120
 ) -> dict[str, Any]:
-    """Run bringup to its good end and return the summary."""
+    """Run bringup to its good end and return the summary; the bag has as much of each topic."""
     process = Process(domain, "bringup", "--output", output, *arguments, cwd=cwd)
     code = process.wait(seconds)
     assert code == 0, process.stderr()
-    return json.loads((cwd / output / "summary.json").read_text())
+    summary: dict[str, Any] = json.loads((cwd / output / "summary.json").read_text())
+    with bag_file(cwd / output).open("rb") as stream:
+        index = make_reader(stream).get_summary()
+    assert index is not None and index.statistics is not None
+    counts = index.statistics.channel_message_counts
+    assert summary["messages"] == {
+        channel.topic: counts[number] for number, channel in index.channels.items()
+    }
+    assert len(set(counts.values())) == 1
+    return summary
 
 
 def alive(pid: int) -> bool:

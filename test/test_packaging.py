@@ -12,6 +12,7 @@ from pathlib import Path
 
 import pytest
 import yaml
+from places import CHECKOUT
 
 import greenroof_ros
 
@@ -100,6 +101,8 @@ def assert_installed(module, prefix):
 
 
 PRINT_SHARED_DIRECTORY = """
+from places import CHECKOUT
+
 import greenroof_ros
 from greenroof_ros.common.files import shared_directory
 print(greenroof_ros.__file__)

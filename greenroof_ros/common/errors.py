@@ -1,4 +1,4 @@
-"""The one error that a user can mend by editing a file or an option."""
+"""The one error that a user can repair by editing a file or an option."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ class ConfigurationError(Exception):
         self,
         expected: str,
         *,
-        file: Path | None = None,
+        file: Path | str | None = None,
         line: int | None = None,
         key: str | None = None,
         value: object = None,

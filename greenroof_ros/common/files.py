@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import re
+from collections.abc import Container
 from pathlib import Path
 from typing import Any
 
@@ -31,6 +32,15 @@ def shared_directory() -> Path:
         "install it again with pip or colcon",
         file=package,
     )
+
+
+def unique_name(file: Path, taken: Container[str]) -> str:
+    """Return a name by which a file can lie beside others: its own, or one with -2, -3, ..."""
+    name, number = file.name, 1
+    while name in taken:
+        number += 1
+        name = f"{file.stem}-{number}{file.suffix}"
+    return name
 
 
 def read_text(path: Path, *, byte_order_mark: bool = False) -> str:

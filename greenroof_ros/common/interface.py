@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import math
 import sys
-from collections.abc import Iterable
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
+from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.files import read_yaml, shared_directory
 
 
@@ -16,7 +18,7 @@ class Qos:
     """A quality of service profile; history is always keep-last, liveliness automatic.
 
     Attributes:
-        name: the profile's name in the contract.
+        name: the profile's name in the interface.
         reliability: ``reliable`` or ``best_effort``.
         durability: ``transient_local`` or ``volatile``.
         depth: how many messages are kept.
@@ -44,25 +46,28 @@ class Topic:
     per_tick: bool
     qos: Qos
     meaning: str
+    optional: bool = False
+    undecided: float = math.nan
+    absolute: bool = False
 
     @property
-    def relative_name(self) -> str:
-        """The name that nodes use: relative, so that a namespace holds a roof, except /clock."""
-        return self.name if self.name == "/clock" else self.name.removeprefix("/")
+    def graph_name(self) -> str:
+        """The name in a node's code: relative, so that a namespace holds a whole graph."""
+        return self.name if self.absolute else self.name.removeprefix("/")
 
 
 def read_topics() -> dict[str, Topic]:
-    """Read the contract; the order is that of the file, and of each tick in a bag."""
-    contract: dict[str, Any] = read_yaml(shared_directory() / "msg_defs" / "topics.yaml")
-    profiles = {name: Qos(name=name, **profile) for name, profile in contract["qos"].items()}
+    """Read the interface; the order is that of the file, and of each tick in a bag."""
+    interface: dict[str, Any] = read_yaml(shared_directory() / "msg_defs" / "topics.yaml")
+    profiles = {name: Qos(name=name, **profile) for name, profile in interface["qos"].items()}
     topics = {}
-    for name, entry in contract["topics"].items():
+    for name, entry in interface["topics"].items():
         low, high = entry.get("range", (-math.inf, math.inf))
         topics[name] = Topic(
             name=name,
             type=entry["type"],
             unit=entry["unit"],
-            # No bound in the contract still means a finite value.
+            # No limit there still means a finite value.
             low=max(low, -sys.float_info.max),
             high=min(high, sys.float_info.max),
             publishers=tuple(entry["publishers"]),
@@ -70,23 +75,83 @@ def read_topics() -> dict[str, Topic]:
             per_tick=entry["per_tick"],
             qos=profiles[entry["qos"]],
             meaning=entry["meaning"],
+            optional=entry.get("optional", False),
+            undecided=entry.get("undecided", math.nan),
+            absolute=entry.get("absolute", False),
         )
     return topics
 
 
-def recorded_topics(publishers: Iterable[str]) -> list[Topic]:
-    """Return the topics that a graph of these publishing nodes has each tick, in bag order."""
-    nodes = set(publishers)
+def optional_topics(outputs: Mapping[str, str]) -> list[tuple[Topic, str]]:
+    """Return the topics of a controller's outputs, each with the controller's attribute.
+
+    Raises:
+        ConfigurationError: one is no optional topic of the interface.
+    """
+    topics = {name: topic for name, topic in read_topics().items() if topic.optional}
+    for name in outputs:
+        if name not in topics:
+            raise ConfigurationError(
+                f"is no output of a controller; those of msg_defs/topics.yaml are "
+                f"{', '.join(topics)}",
+                key="outputs", value=name,
+            )
+    return [(topic, outputs[name]) for name, topic in topics.items() if name in outputs]
+
+
+def recorded_topics(outputs: Mapping[str, str]) -> list[Topic]:
+    """Return the topics that a graph has each tick, in bag order.
+
+    Args:
+        outputs: of its controller: of the optional topics it publishes these.
+
+    Raises:
+        ConfigurationError: one of them is no optional topic of the interface.
+    """
+    optional = {topic.name for topic, _ in optional_topics(outputs)}
     return [
         topic
         for topic in read_topics().values()
-        if topic.per_tick and nodes.intersection(topic.publishers)
+        if topic.per_tick and (not topic.optional or topic.name in optional)
     ]
 
 
+def find_namespace(names: Collection[str], needed: Sequence[str], bag: Path) -> str:
+    """Return the namespace of a graph, from the names of its topics on the wire.
+
+    Args:
+        names: of topics, such as ``/site1/roof/level``.
+        needed: names of the interface, such as ``/roof/level``, that a graph must have.
+        bag: that has them, for messages.
+
+    Returns:
+        What stands before them, such as ``/site1``; empty where nothing does, or where no
+        namespace has all that is needed.
+
+    Raises:
+        ConfigurationError: more than one namespace has.
+    """
+    first = needed[0]
+    namespaces = [
+        name.removesuffix(first)
+        for name in names
+        if name.endswith(first)
+        and all(name.removesuffix(first) + other in names for other in needed)
+    ]
+    if len(namespaces) > 1:
+        raise ConfigurationError(
+            "must be of one graph, but holds the topics of namespaces "
+            + ", ".join(each or "/" for each in sorted(namespaces)),
+            file=bag,
+        )
+    return namespaces[0] if namespaces else ""
+
+
 def markdown_table(topics: Iterable[Topic]) -> str:
-    """Return the contract as a Markdown table."""
-    rows = ["| topic | type | unit | published by | taken by | meaning |", "|" + "---|" * 6]
+    """Return the interface as a Markdown table."""
+    rows = [
+        "| topic | type | unit | published by | subscribed to by | meaning |", "|" + "---|" * 6
+    ]
     for topic in topics:
         rows.append(
             f"| `{topic.name}` | {topic.type.replace('/msg/', '/')} | {topic.unit} "

@@ -1,4 +1,4 @@
-"""Times: reading them, and as nanoseconds."""
+"""Times: reading and writing them, and as nanoseconds."""
 
 from __future__ import annotations
 
@@ -7,19 +7,44 @@ from datetime import datetime, timedelta, tzinfo
 
 from greenroof_ros.common.errors import ConfigurationError
 
+# Those that ROS 2 and bag time stamps hold whole.
 FIRST_YEAR, LAST_YEAR = 1971, 2037
+
+# The start of the paper's window; also the example of a time in messages.
+DEFAULT_START = "2021-07-07T02:00-05:00"
 
 
 def parse_time(text: str) -> datetime:
     """Read an ISO 8601 time; a final ``Z`` stands for UTC.
 
     Raises:
-        ValueError: it is not one, or outside the years that ROS 2 and bag time stamps hold.
+        ValueError: it is not one, or not within :data:`FIRST_YEAR` and :data:`LAST_YEAR`.
     """
-    time = datetime.fromisoformat(re.sub(r"[zZ]$", "+00:00", text.strip()))
+    return _within_years(datetime.fromisoformat(re.sub(r"[zZ]$", "+00:00", text.strip())))
+
+
+def parse_local_time(text: str, zone: tzinfo) -> datetime:
+    """Read a time of a clock, such as ``2021-07-01 0:00`` or ``2021-07-01T00:00``, in a zone.
+
+    Raises:
+        ValueError: it is not one, says an offset, or is not within the years.
+    """
+    match = re.fullmatch(r"(\d{4})-(\d\d)-(\d\d)[ T](\d{1,2}):(\d\d)", text.strip())
+    if match is None:
+        raise ValueError
+    year, month, day, hour, minute = (int(part) for part in match.groups())
+    return _within_years(datetime(year, month, day, hour, minute, tzinfo=zone))
+
+
+def _within_years(time: datetime) -> datetime:
     if not FIRST_YEAR <= time.year <= LAST_YEAR:
         raise ValueError
     return time
+
+
+def to_minutes(time: datetime) -> str:
+    """Write a time to the minute, with its offset from UTC: ``2021-07-07T02:00-05:00``."""
+    return time.isoformat(timespec="minutes")
 
 
 def epoch_ns(time: datetime) -> int:
@@ -38,13 +63,13 @@ def read_start(text: str, zone: tzinfo | None = None) -> datetime:
         start = parse_time(text)
     except ValueError:
         raise ConfigurationError(
-            "must be a time such as 2021-07-07T02:00-05:00, from 1971 to 2037",
+            f"must be a time such as {DEFAULT_START}, from {FIRST_YEAR} to {LAST_YEAR}",
             key="start", value=text,
         ) from None
     if start.utcoffset() is not None:
         return start
     if zone is None:
         raise ConfigurationError(
-            "must say its offset from UTC, as in 2021-07-07T02:00-05:00", key="start", value=text
+            f"must say its offset from UTC, as in {DEFAULT_START}", key="start", value=text
         )
     return start.replace(tzinfo=zone)

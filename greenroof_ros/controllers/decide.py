@@ -13,7 +13,7 @@ def decide(
     allowed: bool,
     cistern_level: float,
     roof_level: float,
-    precipitation: Sequence[Any],
+    precipitation: Any,
     evapotranspiration: Sequence[float],
 ) -> float:
     """Return the command of a tick: the controller's where pumping is allowed, 0 elsewhere.
@@ -26,7 +26,7 @@ def decide(
         allowed: whether pumping is.
         cistern_level: m.
         roof_level: m.
-        precipitation: forecast of rain (m/s).
+        precipitation: forecast of rain (m/s), in the shape that the controller takes.
         evapotranspiration: forecast of evapotranspiration (m3/s).
     """
     if allowed:

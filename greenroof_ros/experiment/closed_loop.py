@@ -31,7 +31,7 @@ class Tick(NamedTuple):
     evapotranspiration: float
     """m3/s, before the limit to what the roof holds"""
     frost: float
-    """1 where there is frost, which commands 0; 0 where there is none or nobody knows"""
+    """1 where there is frost, which commands 0; 0 where there is none or it is unknown"""
     command: float
     """share of the maximum flow"""
     flows: Flows

@@ -10,16 +10,18 @@ from pathlib import Path
 from greenroof_ros.common.command_line import within
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.files import shared_directory
+from greenroof_ros.common.times import DEFAULT_START
 from greenroof_ros.controllers.registry import (
     ControllerChoice,
     controller_names,
     find_controller,
 )
-from greenroof_ros.experiment.run import DEFAULT_START, Run, build_run, count_ticks
+from greenroof_ros.experiment.run import Run, build_run, count_ticks
 from greenroof_ros.forecast.choice import MODELS, OPTIONS, ForecastChoice, choose
 from greenroof_ros.model.initial_state import INITIAL_STATES, initial_state
 from greenroof_ros.model.sensor_pump_errors import RANGES, SensorPumpErrors
 from greenroof_ros.model.site import read_site
+from greenroof_ros.weather.joining import find_files
 from greenroof_ros.weather.reading import read_weather
 
 DEFAULT_CONTROLLER = "mpc"
@@ -110,9 +112,12 @@ def add_site_arguments(parser: argparse.ArgumentParser) -> None:
         help="site file (default: the paper's, config/site.yaml)",
     )
     group.add_argument(
-        "--weather", type=Path, metavar="FILE",
-        help="weather file: of this project's form, or an hourly bulk file of Environment and "
-        "Climate Change Canada (default: config/weather/toronto_2021-07.csv)",
+        "--weather", nargs="+", metavar="FILE",
+        help="weather files, joined in the order of time, or a pattern in quotes such as "
+        "'weather/2021_*.csv': CSV of this project's form, hourly bulk files of Environment and "
+        "Climate Change Canada, or hourly CSV of Open-Meteo's archive, whose rain and radiation "
+        "are moved from the end of their hour to its start "
+        "(default: config/weather/toronto_2021-07.csv)",
     )
     group.add_argument(
         "--evapotranspiration", metavar="METHOD",
@@ -278,8 +283,9 @@ def _run(
     else:
         initial = arguments.initial or "low-low"
         volumes = initial_state(site, initial)
+    default = shared / "config" / "weather" / "toronto_2021-07.csv"
     weather = read_weather(
-        arguments.weather or shared / "config" / "weather" / "toronto_2021-07.csv",
+        find_files(arguments.weather or [str(default)], "--weather"),
         site,
         arguments.evapotranspiration,
     )

@@ -18,8 +18,6 @@ from greenroof_ros.model.sensor_pump_errors import SensorPumpErrors
 from greenroof_ros.model.site import Site
 from greenroof_ros.weather.series import Weather, WeatherSeries
 
-DEFAULT_START = "2021-07-07T02:00-05:00"
-
 # A year of seconds, as much as fits into memory and patience.
 _MOST_STEPS = 31_622_400
 

@@ -10,6 +10,7 @@ from pathlib import Path
 import yaml
 
 from greenroof_ros.common.errors import ConfigurationError
+from greenroof_ros.common.files import unique_name
 from greenroof_ros.experiment.run import Run
 
 
@@ -67,23 +68,28 @@ def write_configuration(directory: Path, run: Run, nodes: dict[str, object]) -> 
 
 def _write_configuration(configuration: Path, run: Run, nodes: dict[str, object]) -> Path:
     site_file = configuration / "site.yaml"
-    weather_file = configuration / "weather.csv"
     shutil.copyfile(run.site_file, site_file)
-    shutil.copyfile(run.weather.file, weather_file)
+    weather = configuration / "weather"
+    weather.mkdir()
+    weather_files: list[str] = []
+    for file in run.weather.files:
+        copy = weather / unique_name(file, [Path(name).name for name in weather_files])
+        shutil.copyfile(file, copy)
+        weather_files.append(str(copy))
     choice = run.forecast_choice
     if choice.file is not None:
         forecast_file = configuration / "forecast.csv"
         shutil.copyfile(choice.file, forecast_file)
         choice = replace(choice, file=forecast_file)
     common = {"site_file": str(site_file)}
-    span = {"start": run.start.isoformat(), "steps": run.steps}
+    span = {"start": run.start.isoformat(), "run_length": run.steps}
     parameters = {
         "plant": {
-            **common, **span, "cistern": run.x1, "roof": run.x2, **run.sensor_pump_errors.values(),
-            **nodes,
+            **common, **span, "initial_cistern_volume": run.x1, "initial_roof_volume": run.x2,
+            **run.sensor_pump_errors.values(), **nodes,
         },
         "weather": {
-            **common, **span, "weather_file": str(weather_file),
+            **common, **span, "weather_files": weather_files,
             "evapotranspiration": run.weather.method,
             "horizon": run.parameters.get("horizon", 0.0),
             "all_members": run.controller.ensemble,

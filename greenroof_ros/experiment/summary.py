@@ -50,7 +50,8 @@ def build(
         "steps": run.steps,
         "tau_s": run.site.tau,
         "site": str(run.site_file),
-        "weather": str(run.weather.file),
+        "weather": run.weather.source,
+        "weather_notes": list(run.weather.records.notes),
         "evapotranspiration_method": run.weather.method,
         "forecast": {
             "model": choice.model,

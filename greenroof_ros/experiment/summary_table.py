@@ -73,6 +73,8 @@ def table(summary: Mapping[str, Any]) -> Table:
                 f"{summary['precipitation_in_frost_mm']:.1f} mm of snow or rain taken as rain",
             )
         )
+    for note in summary["weather_notes"]:
+        rows.append(("weather", "moved", note))
     for quantity, hours in summary["filled"].items():
         rows.append(("FILLED", quantity, ", ".join(hours)))
     forecast = dict(summary["forecast"])

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import itertools
-import math
 from dataclasses import dataclass, field
 from datetime import datetime
 from pathlib import Path
@@ -13,23 +12,19 @@ from numpy.typing import NDArray
 
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.files import read_text
-from greenroof_ros.common.times import parse_time
+from greenroof_ros.common.times import to_minutes
 from greenroof_ros.model.look_ahead import MOST_MEMBERS
-from greenroof_ros.weather.own_csv import cells_of, numbered_lines
-from greenroof_ros.weather.records import (
-    EVAPOTRANSPIRATION,
-    HOUR,
-    PRECIPITATION,
-    QUANTITIES,
-)
+from greenroof_ros.weather.records import EVAPOTRANSPIRATION, HOUR, PRECIPITATION, QUANTITIES
+from greenroof_ros.weather.table import Row, Table, numbered_lines
 
-
-def _minutes(time: datetime) -> str:
-    return time.isoformat(timespec="minutes")
+_COLUMNS = {
+    quantity: f"{quantity} [{QUANTITIES[quantity][0]}]"
+    for quantity in (PRECIPITATION, EVAPOTRANSPIRATION)
+}
 
 
 @dataclass(frozen=True)
-class _Issue:
+class Issue:
     """A forecast of a file.
 
     Attributes:
@@ -52,17 +47,14 @@ class _Issue:
 
 @dataclass
 class _Draft:
-    """An issue while it is read: the rows of numbers of each of its members."""
+    """An issue while it is read: of each member, hour by hour, the values of each quantity."""
 
     issued: datetime
     line: int
-    members: dict[int, list[list[float]]] = field(default_factory=dict)
+    members: dict[int, list[dict[str, float]]] = field(default_factory=dict)
 
 
-_UNITS = {quantity: f"{quantity} [{QUANTITIES[quantity][0]}]" for quantity in QUANTITIES}
-
-
-def read_forecasts(path: Path) -> list[_Issue]:
+def read_forecasts(path: Path) -> list[Issue]:
     """Read a file of forecasts, one issue after the other.
 
     Lines that start with ``#`` are comments. The first other line is the header: ``issued``,
@@ -76,124 +68,58 @@ def read_forecasts(path: Path) -> list[_Issue]:
     Raises:
         ConfigurationError: the file breaks any of this; the message names the line and value.
     """
-    lines = numbered_lines(read_text(path))
-    if not lines:
-        raise ConfigurationError("holds comments only; a header and records must follow", file=path)
-    header = _header(path, *lines[0])
+    table = Table(path, numbered_lines(read_text(path)))
+    _check_header(table)
+    quantities = [quantity for quantity, column in _COLUMNS.items() if column in table.header]
     drafts: list[_Draft] = []
-    for line, text in lines[1:]:
-        _add(path, line, dict(zip(header, _cells(path, line, text, len(header)), strict=True)),
-             drafts)
-    if not drafts:
-        raise ConfigurationError("has a header but no records", file=path)
-    has_evapotranspiration = _UNITS[EVAPOTRANSPIRATION] in header
-    return [
-        _finish(path, draft, len(drafts[0].members), has_evapotranspiration) for draft in drafts
-    ]
+    for row in table.rows():
+        _add(row, quantities, drafts)
+    return [_finish(path, draft, len(drafts[0].members)) for draft in drafts]
 
 
-def _cells(path: Path, line: int, text: str, count: int) -> list[str]:
-    """Split a line of CSV, which must have a number of cells; 0 stands for any."""
-    cells = [cell.strip() for cell in cells_of(path, line, text)]
-    if count and len(cells) != count:
-        raise ConfigurationError(
-            f"must have {count} cells as the header has, not {len(cells)}", file=path, line=line
-        )
-    return cells
-
-
-def _header(path: Path, line: int, text: str) -> list[str]:
-    """Return the names of the columns."""
-    cells = _cells(path, line, text, 0)
-    expected = ["issued", "time", "member", _UNITS[PRECIPITATION], _UNITS[EVAPOTRANSPIRATION]]
-    if "member" not in cells:
+def _check_header(table: Table) -> None:
+    """Refuse other columns, or another order of them."""
+    expected = ["issued", "time", "member", *_COLUMNS.values()]
+    if "member" not in table.header:
         expected.remove("member")
-    if len(cells) < len(expected):
+    if len(table.header) < len(expected):
         del expected[-1]
-    for cell, due in itertools.zip_longest(cells, expected):
+    for cell, due in itertools.zip_longest(table.header, expected):
         if due is None:
-            raise ConfigurationError(
-                f"is one column too many; they are {', '.join(expected)}",
-                file=path, line=line, value=cell,
-            )
+            raise table.refuse(f"is one column too many; they are {', '.join(expected)}", cell)
         if cell != due:
-            raise ConfigurationError(
-                f"the column must be '{due}'; they are {', '.join(expected)}",
-                file=path, line=line, value=cell or "",
+            raise table.refuse(
+                f"the column must be '{due}'; they are {', '.join(expected)}", cell or ""
             )
-    return cells
 
 
-def _add(path: Path, line: int, row: dict[str, str], drafts: list[_Draft]) -> None:
+def _add(row: Row, quantities: list[str], drafts: list[_Draft]) -> None:
     """Add a line to its issue, the last of the drafts or a new one."""
-    issued, time = _time(path, line, row, "issued"), _time(path, line, row, "time")
+    issued, time = row.time("issued"), row.time("time")
     if not drafts or issued > drafts[-1].issued:
-        drafts.append(_Draft(issued, line))
+        drafts.append(_Draft(issued, row.line))
     draft = drafts[-1]
     if issued < draft.issued:
-        raise ConfigurationError(
-            f"must not be before {_minutes(draft.issued)}, as above: the issues must be in the "
+        raise row.refuse(
+            f"must not be before {to_minutes(draft.issued)}, as above: the issues must be in the "
             "order of time",
-            file=path, line=line, key="issued", value=row["issued"],
+            "issued",
         )
-    rows = draft.members.setdefault(_member(path, line, row), [])
-    due = issued + len(rows) * HOUR
-    if time != due:
-        raise ConfigurationError(
-            f"must be {_minutes(due.astimezone(time.tzinfo))}: each forecast must be hour after "
-            "hour from its issue on, without gap or repetition",
-            file=path, line=line, key="time", value=row["time"],
-        )
-    rows.append([
-        _number(path, line, row, quantity)
-        for quantity in (PRECIPITATION, EVAPOTRANSPIRATION) if _UNITS[quantity] in row
-    ])
+    hours = draft.members.setdefault(_member(row), [])
+    row.check_due("time", time, issued + len(hours) * HOUR, "from its issue on, each forecast")
+    hours.append({quantity: row.value(_COLUMNS[quantity], quantity) for quantity in quantities})
 
 
-def _time(path: Path, line: int, row: dict[str, str], key: str) -> datetime:
-    """Return a time with its offset from UTC."""
-    try:
-        time = parse_time(row[key])
-    except ValueError:
-        time = None
-    if time is None or time.utcoffset() is None:
-        raise ConfigurationError(
-            "must be a time with its offset from UTC, such as 2021-07-07T02:00-05:00, "
-            "1971 to 2037",
-            file=path, line=line, key=key, value=row[key],
-        )
-    return time
-
-
-def _member(path: Path, line: int, row: dict[str, str]) -> int:
+def _member(row: Row) -> int:
     """Return a line's member, 0 where the file has but one."""
-    text = row.get("member", "0")
+    text = row.cells.get("member", "0")
     most = MOST_MEMBERS - 1
     if not (text.isascii() and text.isdecimal() and int(text) <= most):
-        raise ConfigurationError(
-            f"must be a whole number from 0 to {most}",
-            file=path, line=line, key="member", value=text,
-        )
+        raise row.refuse(f"must be a whole number from 0 to {most}", "member")
     return int(text)
 
 
-def _number(path: Path, line: int, row: dict[str, str], quantity: str) -> float:
-    """Return a number that can be believed."""
-    unit, least, largest = QUANTITIES[quantity]
-    text = row[_UNITS[quantity]]
-    try:
-        value = float(text)
-    except ValueError:
-        value = math.nan
-    if not least <= value <= largest:
-        raise ConfigurationError(
-            f"must be a number from {least:g} to {largest:g} {unit}",
-            file=path, line=line, key=_UNITS[quantity], value=text,
-        )
-    return value
-
-
-def _finish(path: Path, draft: _Draft, members: int, has_evapotranspiration: bool) -> _Issue:
+def _finish(path: Path, draft: _Draft, members: int) -> Issue:
     """Return a whole issue.
 
     Raises:
@@ -202,20 +128,20 @@ def _finish(path: Path, draft: _Draft, members: int, has_evapotranspiration: boo
     found = sorted(draft.members)
     if found != list(range(members)):
         raise ConfigurationError(
-            f"the issue of {_minutes(draft.issued)} has members {', '.join(map(str, found))}, but "
-            f"must have 0 to {members - 1}: without gap, and as many as the first issue",
+            f"the issue of {to_minutes(draft.issued)} has members {', '.join(map(str, found))}, "
+            f"but must have 0 to {members - 1}: without gap, and as many as the first issue",
             file=path, line=draft.line,
         )
-    hours = [len(draft.members[member]) for member in found]
-    if min(hours) != max(hours):
+    lengths = [len(draft.members[member]) for member in found]
+    if min(lengths) != max(lengths):
         raise ConfigurationError(
-            f"the issue of {_minutes(draft.issued)} must have as many hours of each member; "
-            f"member {hours.index(min(hours))} has {min(hours)}, "
-            f"member {hours.index(max(hours))} has {max(hours)}",
+            f"the issue of {to_minutes(draft.issued)} must have as many hours of each member; "
+            f"member {lengths.index(min(lengths))} has {min(lengths)}, "
+            f"member {lengths.index(max(lengths))} has {max(lengths)}",
             file=path, line=draft.line,
         )
-    values = np.array([draft.members[member] for member in found])
-    return _Issue(
-        draft.issued, draft.line, values[:, :, 0],
-        values[0, :, 1] if has_evapotranspiration else None,
-    )
+    rain = [[hour[PRECIPITATION] for hour in draft.members[member]] for member in found]
+    evaporated = None
+    if EVAPOTRANSPIRATION in draft.members[0][0]:
+        evaporated = np.array([hour[EVAPOTRANSPIRATION] for hour in draft.members[0]])
+    return Issue(draft.issued, draft.line, np.array(rain), evaporated)

@@ -8,7 +8,6 @@ from pathlib import Path
 from greenroof_ros.model.look_ahead import MOST_MEMBERS
 
 PERFECT = "perfect"
-
 FILE = "file"
 
 # Each model and those of OPTIONS that it has; a file is named by its path.
@@ -19,7 +18,7 @@ MODELS: dict[str, tuple[str, ...]] = {
     "ensemble": ("size", "seed", "members"),
 }
 
-# Range of each option; all but the size are whole numbers.
+# Range of each option; those with whole ends are whole numbers.
 OPTIONS = {"size": (0.0, 10.0), "seed": (0, 2**31 - 1), "members": (1, MOST_MEMBERS)}
 
 
@@ -42,7 +41,7 @@ class ForecastChoice:
     file: Path | None = None
 
     def __str__(self) -> str:
-        """The model's name or the file's path, as the option ``--forecast`` takes it."""
+        """The model's name or the file's path, as the option ``--forecast`` has it."""
         return self.model if self.file is None else str(self.file)
 
     def options(self) -> dict[str, float]:

@@ -1,12 +1,11 @@
-"""Hourly forecasts as weather services make them: issued at times, good for hours, and wrong.
+"""Models of hourly forecasts, which are issued at certain times and have errors.
 
 A forecast is issued every 6 hours, at 00, 06, 12 and 18 UTC. It is known from its time of issue on
-and the newest until the next. Where records do not begin on a whole hour of UTC, an issue counts
-from the first hour of the records that begins after it. The present hour is observed, not forecast:
-:class:`greenroof_ros.forecast.SteppedForecast` sees to that. The issue that is the newest where the
-records begin was made before them; it counts as made at its own time, and the first record stands
-for the hours before it. Only a perfect forecast and a file have no such issues: the one knows all,
-and the other has the times of its own.
+and is the newest until the next. Where records do not begin on a whole hour of UTC, an issue counts
+from the first hour of the records that begins after it. The present hour is observed, not forecast;
+:class:`greenroof_ros.forecast.resampling.SteppedForecast` takes it from the records. The issue that
+is the newest where the records begin was made before them: it keeps its own time, and the first
+record stands for the hours before it. A perfect forecast has no issues; a file has its own.
 """
 
 from __future__ import annotations
@@ -22,7 +21,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from greenroof_ros.common.errors import ConfigurationError
-from greenroof_ros.forecast.archive import _Issue, _minutes, read_forecasts
+from greenroof_ros.common.times import to_minutes
+from greenroof_ros.forecast.archive import Issue, read_forecasts
 from greenroof_ros.forecast.choice import PERFECT, ForecastChoice
 from greenroof_ros.weather.records import (
     EVAPOTRANSPIRATION,
@@ -101,8 +101,8 @@ class PerfectModel:
     def known(self, hour: int, hours: int) -> tuple[Array, Array]:
         """Return the records; see :class:`ForecastModel`."""
         index = np.arange(hour, hour + hours)
-        rain = _taken(self._weather, PRECIPITATION, index)
-        return rain[None, :], _taken(self._weather, EVAPOTRANSPIRATION, index)
+        rain = _records_at(self._weather, PRECIPITATION, index)
+        return rain[None, :], _records_at(self._weather, EVAPOTRANSPIRATION, index)
 
     def repeats_from(self, hour: int, hours: int) -> datetime | None:
         """Return the end of the records, if the hours are past it."""
@@ -111,7 +111,7 @@ class PerfectModel:
 
 
 class PersistenceModel:
-    """Says that it will go on as it is.
+    """Forecasts that it will go on as it is.
 
     The rain is for all hours that of the hour of issue. Evapotranspiration follows the day: it is
     that of the same hour of the last day that is known at the issue, or where the records do not
@@ -119,7 +119,7 @@ class PersistenceModel:
     """
 
     def __init__(self, weather: Weather) -> None:
-        """Take the records, of which none after the hour of issue is looked at."""
+        """Take the records; none after the hour of issue is used."""
         self._weather = weather
 
     def known(self, hour: int, hours: int) -> tuple[Array, Array]:
@@ -128,12 +128,12 @@ class PersistenceModel:
         issued = max(_newest_issue(weather.first, hour)[1], 0)
         lead = hour - issued + np.arange(hours)
         before = issued + lead - 24 * -(-lead // 24)
-        now = _taken(weather, EVAPOTRANSPIRATION, np.array([issued]))
+        now = _records_at(weather, EVAPOTRANSPIRATION, np.array([issued]))
         evapotranspiration = np.where(
             before < 0, now, weather.evapotranspiration[np.maximum(before, 0)]
         )
         evapotranspiration = np.where(np.isnan(evapotranspiration), now, evapotranspiration)
-        rain = np.full((1, hours), _taken(weather, PRECIPITATION, np.array([issued])))
+        rain = np.full((1, hours), _records_at(weather, PRECIPITATION, np.array([issued])))
         return rain, evapotranspiration
 
     def repeats_from(self, hour: int, hours: int) -> None:
@@ -156,9 +156,9 @@ class ErrorModel:
     :data:`greenroof_ros.weather.records.QUANTITIES` believes is never forecast.
 
     Member 0 of an ensemble is the single forecast of the same seed. The others are that forecast
-    with such errors once more: they lie about what was forecast, as an ensemble's do, and not about
-    what comes, whose mean would give it away. What comes differs from the forecast as they do.
-    Members differ in the rain only.
+    with such errors once more: they scatter about what was forecast, as an ensemble's do, and not
+    about what comes, which their mean would else give away. What comes differs from the forecast as
+    they do. Members differ in the rain only.
     """
 
     def __init__(self, weather: Weather, seed: int, size: float, members: int = 1) -> None:
@@ -176,7 +176,7 @@ class ErrorModel:
         draws = [self._draw(issue, member) for member in range(self.members)]
 
         def records(leads: NDArray[np.intp]) -> Array:
-            return _taken(self._weather, PRECIPITATION, issued + leads)
+            return _records_at(self._weather, PRECIPITATION, issued + leads)
 
         def forecast(leads: NDArray[np.intp]) -> Array:
             return self._disturbed(records, np.append(leads, leads[-1] + 1), draws[0])
@@ -185,9 +185,8 @@ class ErrorModel:
             self._disturbed(forecast if member else records, ends, draw)
             for member, draw in enumerate(draws)
         ])
-        evapotranspiration = _taken(self._weather, EVAPOTRANSPIRATION, issued + lead) * _factor(
-            _EVAPOTRANSPIRATION_SHARE * self._size, lead, draws[0][2]
-        )
+        evapotranspiration = _records_at(self._weather, EVAPOTRANSPIRATION, issued + lead)
+        evapotranspiration *= _factor(_EVAPOTRANSPIRATION_SHARE * self._size, lead, draws[0][2])
         return (
             np.minimum(rain, QUANTITIES[PRECIPITATION][2]),
             np.minimum(evapotranspiration, QUANTITIES[EVAPOTRANSPIRATION][2]),
@@ -258,9 +257,9 @@ class FileModel:
         for issue in self._issues:
             if (issue.issued - weather.first) % HOUR:
                 raise ConfigurationError(
-                    f"must be a whole number of hours from {_minutes(weather.first)}, where "
-                    f"{weather.file} begins",
-                    file=file, line=issue.line, key="issued", value=_minutes(issue.issued),
+                    f"must be a whole number of hours from {to_minutes(weather.first)}, where "
+                    f"{weather.source} begins",
+                    file=file, line=issue.line, key="issued", value=to_minutes(issue.issued),
                 )
         self._hours = [(issue.issued - weather.first) // HOUR for issue in self._issues]
         self.members = len(self._issues[0].rain) if all_members else 1
@@ -272,7 +271,7 @@ class FileModel:
         rain = issue.rain[: self.members, index]
         if issue.evapotranspiration is not None:
             return rain, issue.evapotranspiration[index]
-        return rain, _taken(self._weather, EVAPOTRANSPIRATION, np.arange(hour, hour + hours))
+        return rain, _records_at(self._weather, EVAPOTRANSPIRATION, np.arange(hour, hour + hours))
 
     def repeats_from(self, hour: int, hours: int) -> datetime | None:
         """Return the end of the issue, or of records that it needs, if the hours are past it."""
@@ -283,13 +282,13 @@ class FileModel:
         past = needed and hour + hours > len(self._weather.precipitation)
         return self._weather.end if past else None
 
-    def _newest(self, hour: int) -> tuple[_Issue, int]:
+    def _newest(self, hour: int) -> tuple[Issue, int]:
         """Return the newest issue in an hour, and how long ago it was made (h)."""
         number = bisect.bisect_right(self._hours, hour) - 1
         if number < 0:
             raise ConfigurationError(
-                f"holds forecasts from {_minutes(self._issues[0].issued)} on, but the run needs "
-                f"one at {_minutes(self._weather.first + hour * HOUR)}",
+                f"holds forecasts from {to_minutes(self._issues[0].issued)} on, but the run needs "
+                f"one at {to_minutes(self._weather.first + hour * HOUR)}",
                 file=self._file,
             )
         return self._issues[number], hour - self._hours[number]
@@ -311,7 +310,7 @@ def _newest_issue(first: datetime, hour: int) -> tuple[int, int]:
     return issue, issue - since_1970
 
 
-def _taken(weather: Weather, quantity: str, hours: NDArray[np.intp]) -> Array:
+def _records_at(weather: Weather, quantity: str, hours: NDArray[np.intp]) -> Array:
     """Return records; the first stands for those before it, and the last for those after it.
 
     Raises:
@@ -325,7 +324,7 @@ def _taken(weather: Weather, quantity: str, hours: NDArray[np.intp]) -> Array:
         raise ConfigurationError(
             f"{quantity} is missing at {', '.join(name_hours(weather.first, missing))}, of which "
             "the run's forecasts are made; choose another window or another kind of forecast",
-            file=weather.file,
+            file=weather.source,
         )
     return values
 

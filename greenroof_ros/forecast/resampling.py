@@ -1,11 +1,11 @@
-"""Forecasts: what a controller is told, at each tick, about the time that follows."""
+"""Forecasts at a controller's steps: what it is given, at each tick, of the time that follows."""
 
 from __future__ import annotations
 
 import math
 from array import array
 from datetime import datetime
-from typing import Protocol
+from typing import Protocol, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,6 +17,9 @@ from greenroof_ros.model.site import Site
 from greenroof_ros.weather.series import Weather, WeatherSeries
 
 Array = NDArray[np.float64]
+Rain: TypeAlias = "array[float] | Array"
+"""A single forecast of rain, shape (steps,), or all members of an ensemble, (members, steps)."""
+
 _HOUR_S = 3600.0
 
 
@@ -28,8 +31,8 @@ class Forecast(Protocol):
         """The earliest time from which on a forecast only repeats its last hour, if one does."""
         ...
 
-    def precipitation(self, tick: int) -> array[float]:
-        """Mean rain of each step (m/s), shape (steps,), or one member after the other."""
+    def precipitation(self, tick: int) -> Rain:
+        """Mean rain of each step (m/s), shape (steps,); of all members, (members, steps)."""
         ...
 
     def evapotranspiration(self, tick: int) -> array[float]:
@@ -69,6 +72,7 @@ class SteppedForecast:
         start: datetime,
         edges: Array,
         steps: int,
+        all_members: bool = False,
     ) -> None:
         """Prepare for a run, and ask for all that it needs, so that nothing is missing later.
 
@@ -79,11 +83,13 @@ class SteppedForecast:
             start: time of tick 0.
             edges: ends of the steps, in seconds from now, the first 0, shape (steps + 1,).
             steps: N of the run (ticks).
+            all_members: whether rain is that of all members, otherwise that of the only one.
 
         Raises:
             ConfigurationError: there is no forecast for a part of the run.
         """
         self._model = model
+        self._all_members = all_members
         self._weather = weather
         self._site = site
         self._offset = (start - weather.first).total_seconds()
@@ -93,19 +99,19 @@ class SteppedForecast:
         self._hour = -1
         self._rates = self._sums = np.empty((0, 0))
         self._tick = -1
-        self._means: tuple[array[float], array[float]] = (array("d"), array("d"))
+        self._means: tuple[Rain, array[float]] = (array("d"), array("d"))
         self.repeats_from = self._ask_for_all()
 
-    def precipitation(self, tick: int) -> array[float]:
-        """Return mean rain (m/s), shape (members * steps,), one member after the other."""
+    def precipitation(self, tick: int) -> Rain:
+        """Return mean rain (m/s), shape (steps,); of all members, (members, steps)."""
         return self._at(tick)[0]
 
     def evapotranspiration(self, tick: int) -> array[float]:
         """Return mean evapotranspiration off the whole bed (m3/s), shape (steps,)."""
         return self._at(tick)[1]
 
-    def _at(self, tick: int) -> tuple[array[float], array[float]]:
-        """Return both for a tick."""
+    def _at(self, tick: int) -> tuple[Rain, array[float]]:
+        """Return rain and evapotranspiration of a tick, which are computed together."""
         if tick != self._tick:
             self._tick = tick
             time = self._offset + tick * self._site.tau
@@ -121,7 +127,7 @@ class SteppedForecast:
             sums = self._sums[:, index] + self._rates[:, index] * into
             means = np.diff(sums) / self._lengths
             self._means = (
-                array("d", means[:-1].tobytes()),
+                means[:-1] if self._all_members else array("d", means[0].tobytes()),
                 array("d", means[-1].tobytes()),
             )
         return self._means
@@ -165,7 +171,7 @@ def make_forecast(
     choice: ForecastChoice,
     all_members: bool = False,
 ) -> Forecast:
-    """Return what a controller is told.
+    """Return the forecast that a controller is given.
 
     Args:
         weather: hourly records.
@@ -174,14 +180,14 @@ def make_forecast(
         start: time of tick 0.
         horizon: 0 for the M ticks that come, one by one; otherwise hours, in steps that grow.
         choice: which forecasts.
-        all_members: of an ensemble, one after the other; otherwise the first.
+        all_members: of an ensemble; otherwise the first.
 
     Raises:
         ConfigurationError: a file of forecasts is wrong, or there is none for a part of the run.
     """
     model = make_model(choice, weather, all_members)
-    if not horizon and isinstance(model, PerfectModel):
+    if not horizon and not all_members and isinstance(model, PerfectModel):
         return PerfectForecast(series, site.M)
     edges = growing_steps(horizon) if horizon else site.tau * np.arange(site.M + 1.0)
     steps = len(series.precipitation) - site.M
-    return SteppedForecast(model, weather, site, start, edges, steps)
+    return SteppedForecast(model, weather, site, start, edges, steps, all_members)

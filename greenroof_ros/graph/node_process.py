@@ -1,4 +1,4 @@
-"""A node as a process: set up, spun, told to stop, and its exit code."""
+"""A node as a process: set up, spun, asked to stop, and its exit code."""
 
 from __future__ import annotations
 
@@ -10,13 +10,13 @@ from typing import Any
 
 import rclpy
 from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
-from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
 
 from greenroof_ros.common.command_line import EXIT_DONE, EXIT_FAILED, EXIT_USAGE
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.files import shared_directory
-from greenroof_ros.graph.lockstep import Link, LockstepError
+from greenroof_ros.graph.errors import LockstepError
+from greenroof_ros.graph.lockstep import LockstepNode
 from greenroof_ros.graph.shared_memory import remove_unfinished
 
 # How long the middleware may take to go (s); it is a fraction of a second.
@@ -32,16 +32,15 @@ def make_executor() -> Any:
     return EventsExecutor()
 
 
-def run_node(name: str, build: Callable[[Node], Link], args: list[str] | None = None) -> int:
-    """Run one node until it is told to stop or fails; the process has to end with it, soon.
+def run_node(make: Callable[[], LockstepNode], args: list[str] | None = None) -> int:
+    """Run one node until it is asked to stop or fails; the process has to end with it, soon.
 
     Args:
-        name: of the node.
-        build: declares the node's parameters, makes its parts and returns its link.
+        make: the node's class, or what else returns the node.
         args: ROS arguments; ``sys.argv`` if None.
 
     Returns:
-        An exit code: 0 told to stop, 1 failed, 2 wrong arguments or parameters.
+        An exit code: 0 asked to stop, 1 failed, 2 wrong arguments or parameters.
     """
     os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
     profiles = str(shared_directory() / "config" / "fastdds.xml")
@@ -63,42 +62,48 @@ def run_node(name: str, build: Callable[[Node], Link], args: list[str] | None = 
     remove_unfinished()
     try:
         rclpy.init(args=args, signal_handler_options=SignalHandlerOptions.NO)
-        node = Node(name)
-    except RuntimeError as error:  # of rcl: arguments or a parameter file that it cannot read
+    except RuntimeError as error:  # of rcl: arguments that it cannot read
         print(f"error: {' '.join(str(error).split())}", file=sys.stderr)
         return EXIT_USAGE
     code = EXIT_DONE
-    link: Link | None = None
+    node: LockstepNode | None = None
     try:
-        link = build(node)
+        node = make()
         executor = make_executor()
         executor.add_node(node)
         while not stopping:
-            executor.spin_once(timeout_sec=link.turn())
-            if link.error is not None:
-                raise link.error
-            link.check()
+            executor.spin_once(timeout_sec=node.on_idle())
+            node.check()
     except ConfigurationError as error:
         print(f"error: {error}", file=sys.stderr)
         code = EXIT_USAGE
     except (LockstepError, OSError) as error:
-        node.get_logger().fatal(str(error))
+        _fail(node, error)
         code = EXIT_FAILED
     except ExternalShutdownException:
         pass
     finally:
-        if link is not None:
+        if node is not None:
             try:
-                link.stop()
+                node.on_stop()
             except OSError as error:
-                node.get_logger().fatal(str(error))
+                _fail(node, error)
                 code = EXIT_FAILED
-            link.flush()
+            node.flush()
         # All is said and written. Fast DDS can lock up, and spin, in taking itself down while a
         # peer does the same, be it here or where Python frees the last of it at the process's end;
         # no Python would run then, so that the kernel has to end it.
         signal.signal(signal.SIGALRM, signal.SIG_DFL)
         signal.alarm(_TAKING_DOWN_S)
-        node.destroy_node()
+        if node is not None:
+            node.destroy_node()
         rclpy.try_shutdown()
     return code
+
+
+def _fail(node: LockstepNode | None, error: Exception) -> None:
+    """Log what ends the node; before there is one, print it."""
+    if node is None:
+        print(f"error: {error}", file=sys.stderr)
+    else:
+        node.get_logger().fatal(str(error))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
@@ -11,13 +12,22 @@ from rclpy.node import Node
 
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.files import shared_directory
+from greenroof_ros.common.parameter import Parameter
 from greenroof_ros.model.site import Site, read_site
+
+_KINDS = {
+    float: "a number such as 1.0",
+    int: "a whole number",
+    bool: "true or false",
+    str: "a text",
+    list: "a list of texts",
+}
 
 
 def declare(
     node: Node,
     name: str,
-    default: str | float | int | bool,
+    default: str | float | int | bool | list[str],
     description: str,
     low: float | None = None,
     high: float | None = None,
@@ -31,9 +41,7 @@ def declare(
         ConfigurationError: the value given on the command line or in a file is of the wrong type
             or out of range.
     """
-    kind = {float: "a number such as 1.0", int: "a whole number", bool: "true or false"}.get(
-        type(default), "a text"
-    )
+    kind = _KINDS[type(default)]
     expected = f"must be {kind}"
     descriptor = ParameterDescriptor(description=description, read_only=read_only)
     if low is not None and high is not None:
@@ -55,6 +63,21 @@ def declare(
     if among and value not in among:
         raise ConfigurationError(expected, key=key, value=value)
     return value
+
+
+def declare_table(node: Node, table: Iterable[Parameter]) -> dict[str, float]:
+    """Declare the parameters of a controller, and return their values by name.
+
+    Raises:
+        ConfigurationError: a value is of the wrong type or out of range.
+    """
+    return {
+        one.name: declare(
+            node, one.name, one.default, f"{one.meaning} ({one.unit})", one.low, one.high,
+            read_only=not one.may_change,
+        )
+        for one in table
+    }
 
 
 def declare_site(node: Node) -> Site:

@@ -17,11 +17,11 @@ from typing import Any
 
 from greenroof_ros.common.command_line import EXIT_DONE, EXIT_FAILED, EXIT_USAGE
 from greenroof_ros.common.processes import end_with_parent
-from greenroof_ros.graph.reports import REPORT_PIPE
 from greenroof_ros.graph.shared_memory import remove_left, segments_of
+from greenroof_ros.graph.states import REPORT_PIPE
 
-# Patience with a process that was told to end, before the next, harder signal (s).
-_PATIENCE_S = {signal.SIGINT: 4.0, signal.SIGTERM: 1.0, signal.SIGKILL: 5.0}
+# How long to wait for a process that was asked to end, before the next, harder signal (s).
+_ENDING_S = {signal.SIGINT: 4.0, signal.SIGTERM: 1.0, signal.SIGKILL: 5.0}
 _LAST_LINES = 15
 # Nodes that report four times a second fall silent for one reason within this time (s).
 _SAME_SILENCE_S = 0.5
@@ -56,10 +56,19 @@ class Supervisor:
         nodes: the processes, by node.
     """
 
-    def __init__(self, logs: Path) -> None:
-        """Make the directory for what the nodes print, one file each."""
+    def __init__(self, logs: Path, parameters: Path, namespace: str) -> None:
+        """Make the directory for what the nodes print, one file each.
+
+        Args:
+            logs: that directory.
+            parameters: ROS 2 parameter file of all nodes.
+            namespace: of all nodes, such as ``/site1``; empty for none.
+        """
         self.nodes: dict[str, subprocess.Popen[bytes]] = {}
         self._logs = logs
+        self._ros_arguments = ["--ros-args", "--params-file", str(parameters)]
+        if namespace:
+            self._ros_arguments += ["-r", f"__ns:={namespace}"]
         self._pipes = selectors.DefaultSelector()
         self._reports: list[tuple[str, dict[str, Any]]] = []
         self._last_lines: dict[str, deque[str]] = {}
@@ -97,18 +106,19 @@ class Supervisor:
             print(f"error: {message}", file=sys.stderr)
         remove_left(set().union(*self._segments.values()))
 
-    def start(self, node: str, parameters: Path) -> None:
+    def start(self, node: str, module: str, *arguments: str) -> None:
         """Start one node; it does not see the terminal's Ctrl-C, which is this process's.
 
         Args:
-            node: its name, and that of its module.
-            parameters: ROS 2 parameter file.
+            node: its name.
+            module: of :mod:`greenroof_ros.nodes`.
+            arguments: of the module's command line, beside those for ROS.
         """
         reading, writing = os.pipe()
         self.nodes[node] = process = subprocess.Popen(
             [
-                sys.executable, "-m", f"greenroof_ros.nodes.{node}",
-                "--ros-args", "--params-file", str(parameters),
+                sys.executable, "-m", f"greenroof_ros.nodes.{module}", *arguments,
+                *self._ros_arguments,
             ],
             stdin=subprocess.DEVNULL,
             stdout=subprocess.PIPE,
@@ -182,7 +192,7 @@ class Supervisor:
 
         Args:
             limit: longest silence (s); half a second later, when all that it silenced are silent
-                for as long, it is told.
+                for as long, it is reported.
 
         Raises:
             NodeFailed: one has ended, or some were silent for longer.
@@ -219,11 +229,11 @@ class Supervisor:
         return "\n".join([f"{message}; its last lines:", *quoted])
 
     def _end(self, processes: list[subprocess.Popen[bytes]]) -> None:
-        for number, patience in _PATIENCE_S.items():
+        for number, limit in _ENDING_S.items():
             running = [process for process in processes if process.poll() is None]
             for process in running:
                 process.send_signal(number)
-            until = time.monotonic() + patience
+            until = time.monotonic() + limit
             for process in running:
                 while process.poll() is None and time.monotonic() < until:
                     self._read_pipes(0.02)

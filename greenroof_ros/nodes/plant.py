@@ -9,14 +9,13 @@ from __future__ import annotations
 import sys
 import time
 from dataclasses import asdict
+from typing import Any
 
 from rclpy.node import Node
-from rosgraph_msgs.msg import Clock
-from std_msgs.msg import Float64
 
-from greenroof_ros.common.times import epoch_ns, read_start
-from greenroof_ros.experiment.run import DEFAULT_START
-from greenroof_ros.graph.lockstep import LISTEN_S, Link, LockstepError
+from greenroof_ros.common.times import DEFAULT_START, epoch_ns, read_start
+from greenroof_ros.graph.errors import LockstepError
+from greenroof_ros.graph.lockstep import CLOCK, LISTEN_S, LockstepNode
 from greenroof_ros.graph.node_process import run_node
 from greenroof_ros.graph.parameters import declare, declare_site
 from greenroof_ros.model.initial_state import initial_state
@@ -29,7 +28,7 @@ _AHEAD = 32
 
 
 def _declare_sensor_pump_errors(node: Node) -> SensorPumpErrors:
-    """Declare the sensor_pump_errors of the site, each a parameter, and return them."""
+    """Declare the sensor and pump errors of the site, each a parameter, and return them."""
     descriptions = {
         "roof_noise": "standard deviation of the roof's level sensor (m)",
         "roof_offset": "what that sensor reads above the true level (m)",
@@ -44,44 +43,52 @@ def _declare_sensor_pump_errors(node: Node) -> SensorPumpErrors:
     })
 
 
-class PlantNode:
+class PlantNode(LockstepNode):
     """Holds the plant and drives the ticks."""
 
-    def __init__(self, node: Node) -> None:
+    def __init__(self) -> None:
         """Declare the parameters and open the topics."""
-        site = declare_site(node)
+        super().__init__("plant", "plant")
+        site = declare_site(self)
+        self._site = site
         cistern, roof = initial_state(site, "low-low")
-        x1 = declare(node, "cistern", cistern, "initial volume there (m3)", low=0, high=1e9)
-        x2 = declare(node, "roof", roof, "initial volume there (m3)", low=0, high=1e9)
-        start = declare(node, "start", DEFAULT_START, "time of tick 0, ISO 8601 with its offset")
-        self._steps = declare(node, "steps", site.N, "N, ticks to run", low=1, high=2**40)
+        self._plant = Plant(
+            site,
+            declare(
+                self, "initial_cistern_volume", cistern, "volume in the cistern at tick 0 (m3)",
+                low=0, high=1e9,
+            ),
+            declare(
+                self, "initial_roof_volume", roof, "volume on the roof at tick 0 (m3)",
+                low=0, high=1e9,
+            ),
+        )
+        start = declare(self, "start", DEFAULT_START, "time of tick 0, ISO 8601 with its offset")
+        self._run_length = declare(self, "run_length", site.N, "N (ticks)", low=1, high=2**40)
         self._speed = declare(
-            node, "speed", 0.0, "simulated per wall time, 0 = as fast as it goes", low=0, high=1e9
+            self, "speed", 0.0, "simulated per wall time, 0 = as fast as it goes", low=0, high=1e9
         )
         self._external = (
             declare(
-                node, "pump", "internal", "internal, or external: /pump/flow is a driver's",
+                self, "pump", "internal", "internal, or external: /pump/flow is a driver's",
                 among=("internal", "external"),
             )
             == "external"
         )
-        sensor_pump_errors = _declare_sensor_pump_errors(node)
+        errors = _declare_sensor_pump_errors(self)
         if self._external:
-            sensor_pump_errors.refuse_external_pump()
-        self._record = declare(node, "record", False, "wait for a recorder")
+            errors.refuse_external_pump()
+        self._record = declare(self, "record", False, "wait for a recorder")
         self._limit = declare(
-            node, "peer_limit", 5.0, "longest wait for another node (s of wall time)",
+            self, "peer_limit", 5.0, "longest wait for another node (s of wall time)",
             low=2, high=1e6,
         )
         self._start_limit = declare(
-            node, "start_limit", 30.0, "longest wait for the other nodes to come (s of wall time)",
+            self, "start_limit", 30.0, "longest wait for the other nodes to come (s of wall time)",
             low=0.1, high=1e6,
         )
-        self._node = node
-        self._site = site
-        self._plant = Plant(site, x1, x2)
-        self._sensor = RoofSensor(sensor_pump_errors)
-        self._pump = Pump(sensor_pump_errors, site.tau)
+        self._sensor = RoofSensor(errors)
+        self._pump = Pump(errors, site.tau)
         self._metrics = Metrics()
         self._start_ns = epoch_ns(read_start(start))
         self._tick_ns = round(site.tau * 1e9)
@@ -91,34 +98,29 @@ class PlantNode:
         self._running = False
         self._held = False  # the tick is due, but not yet allowed: pace or recorder
         self._done = False
+        self._wall_s = 0.0
         self._began = self._waiting_since = time.monotonic()
 
-        self.link = link = Link(node, "plant", self._on_inputs)
-        link.progress = self._progress
-        link.turn = self._turn
-        self._publish_clock = link.publish_topic("/clock")
-        self._publish_cistern = link.publish_topic("/cistern/level")
-        self._publish_roof = link.publish_topic("/roof/level")
-        self._publish_outflow = link.publish_topic("/cistern/outflow")
-        self._publish_drainage = link.publish_topic("/roof/drainage")
-        self._rain = link.take_topic("/weather/precipitation")
-        self._evapotranspiration = link.take_topic("/weather/evapotranspiration")
+        self._publish_clock = self.publish_topic(CLOCK)
+        self._publish_cistern = self.publish_topic("/cistern/level")
+        self._publish_roof = self.publish_topic("/roof/level")
+        self._publish_outflow = self.publish_topic("/cistern/outflow")
+        self._publish_drainage = self.publish_topic("/roof/drainage")
+        self._rain = self.subscribe("/weather/precipitation")
+        self._evapotranspiration = self.subscribe("/weather/evapotranspiration")
         # Frost ends a minimum time on; without one there is nothing but the command to obey.
-        self._frost = link.take_topic("/weather/frost") if sensor_pump_errors.minimum_on else None
-        self._command_input = link.take_topic("/pump/command")
+        self._frost = self.subscribe("/weather/frost") if errors.minimum_on else None
+        self._command_input = self.subscribe("/pump/command")
         if self._external:
-            self._flow = link.take_topic("/pump/flow")
+            self._flow = self.subscribe("/pump/flow")
         else:
-            self._publish_flow = link.publish_topic("/pump/flow")
+            self._publish_flow = self.publish_topic("/pump/flow")
         if self._record:
-            link.take_topic("/recorder/written", self._on_written)
-        self._clock = Clock()
-        self._level = Float64()
-        self._value = Float64()
-        link.start_fresh()
+            self.subscribe("/recorder/written", self._on_written)
+        self.start_fresh()
 
-    def _on_written(self, message: Float64) -> None:
-        self._written = int(message.data)
+    def _on_written(self, ticks: float) -> None:
+        self._written = int(ticks)
 
     def _behind(self) -> bool:
         """Whether the recorder is as far behind as it may be."""
@@ -139,17 +141,15 @@ class PlantNode:
     def _publish_tick(self) -> None:
         """Publish the time and the levels of the present tick."""
         now = self._start_ns + self._tick * self._tick_ns
-        self._clock.clock.sec, self._clock.clock.nanosec = divmod(now, 1_000_000_000)
-        self._publish_clock(self._clock)
+        self._publish_clock(now)
         cistern, roof = self._levels()
-        self._level.data = cistern
-        self._publish_cistern(self._level)
-        self._level.data = roof
-        self._publish_roof(self._level)
+        self._publish_cistern(cistern)
+        self._publish_roof(roof)
         self._held = False
         self._waiting_since = time.monotonic()
+        self.set_time(now)
 
-    def _on_inputs(self) -> None:
+    def on_inputs(self) -> None:
         """Step the plant: weather and command, or flow, of this tick are here."""
         if self._tick == 0:
             self._began = time.monotonic()  # before that the others were still joining
@@ -162,13 +162,13 @@ class PlantNode:
             pump = self._pump.flow(self._plant, command, frost)
         flows = self._plant.flows(rain, self._evapotranspiration.value, pump)
         self._metrics.observe(self._site, self._plant.x1, self._plant.x2)
-        if self._tick == self._steps:
+        if self._tick == self._run_length:
             self._publish_flows(flows)
             self._done = True
-            wall = time.monotonic() - self._began
-            self.link.finish(metrics=asdict(self._metrics), wall_s=wall)
-            self._node.get_logger().info(
-                f"finished {self._steps} ticks in {wall:.1f} s; total deviation "
+            self._wall_s = time.monotonic() - self._began
+            self.finish()
+            self.get_logger().info(
+                f"finished {self._run_length} ticks in {self._wall_s:.1f} s; total deviation "
                 f"{self._metrics.total_deviation_m3:.2f} m3"
             )
             return
@@ -185,27 +185,24 @@ class PlantNode:
         self._publish_flows(flows)
 
     def _publish_flows(self, flows: Flows) -> None:
-        self._value.data = flows.outflow
-        self._publish_outflow(self._value)
-        self._value.data = flows.drainage
-        self._publish_drainage(self._value)
+        self._publish_outflow(flows.outflow)
+        self._publish_drainage(flows.drainage)
         if not self._external:
-            self._value.data = flows.pump
-            self._publish_flow(self._value)
+            self._publish_flow(flows.pump)
 
-    def _turn(self) -> float:
+    def on_idle(self) -> float:
         """Start when the graph is whole, let a held tick go, and watch the clock."""
         now = time.monotonic()
         if self._done:
             return LISTEN_S
         if not self._running:
-            if self.link.ready:
+            if self.ready:
                 self._running = True
                 self._began = now
                 self._publish_tick()
             elif now - self._began > self._start_limit:
                 raise LockstepError(
-                    f"no start within {self._start_limit:g} s: {self.link.absent()}"
+                    f"no start within {self._start_limit:g} s: {self.absent()}"
                 )
             return LISTEN_S
         if self._held and not self._behind():
@@ -215,13 +212,14 @@ class PlantNode:
             self._publish_tick()
             return LISTEN_S
         if now - self._waiting_since > self._limit:
-            missing = "/recorder/written from recorder" if self._held else self.link.missing()
+            missing = "/recorder/written from recorder" if self._held else self.missing()
             raise LockstepError(
                 f"tick {self._tick}: nothing came within {self._limit:g} s on {missing}"
             )
         return LISTEN_S
 
-    def _progress(self) -> dict[str, float]:
+    def progress(self) -> dict[str, Any]:
+        """Return tick, levels (m) and command."""
         cistern, roof = self._levels()
         return {
             "tick": self._tick,
@@ -230,10 +228,14 @@ class PlantNode:
             "command": self._command,
         }
 
+    def summary(self) -> dict[str, Any]:
+        """Return the run's metrics, and how long it took (s of wall time)."""
+        return {"metrics": asdict(self._metrics), "wall_s": self._wall_s}
+
 
 def main(args: list[str] | None = None) -> None:
     """Run the node."""
-    sys.exit(run_node("plant", lambda node: PlantNode(node).link, args))
+    sys.exit(run_node(PlantNode, args))
 
 
 if __name__ == "__main__":

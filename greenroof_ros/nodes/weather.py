@@ -4,20 +4,19 @@ from __future__ import annotations
 
 import sys
 from dataclasses import replace
-from pathlib import Path
 
 from rclpy.node import Node
-from std_msgs.msg import Float64, Float64MultiArray
 
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.files import shared_directory
-from greenroof_ros.common.times import epoch_ns, read_start
-from greenroof_ros.experiment.run import DEFAULT_START
+from greenroof_ros.common.times import DEFAULT_START, epoch_ns, read_start
 from greenroof_ros.forecast.choice import MODELS, OPTIONS, ForecastChoice, choose
 from greenroof_ros.forecast.resampling import make_forecast
-from greenroof_ros.graph.lockstep import Link, LockstepError
+from greenroof_ros.graph.errors import LockstepError
+from greenroof_ros.graph.lockstep import CLOCK, LockstepNode
 from greenroof_ros.graph.node_process import run_node
 from greenroof_ros.graph.parameters import declare, declare_site
+from greenroof_ros.weather.joining import find_files
 from greenroof_ros.weather.reading import read_weather
 from greenroof_ros.weather.series import WeatherSeries
 
@@ -48,71 +47,68 @@ def _declare_forecast(node: Node) -> ForecastChoice:
     )
 
 
-class WeatherNode:
+class WeatherNode(LockstepNode):
     """Holds the weather of a run."""
 
-    def __init__(self, node: Node) -> None:
+    def __init__(self) -> None:
         """Declare the parameters and open the topics."""
-        site = declare_site(node)
+        super().__init__("weather", "weather")
+        site = declare_site(self)
         default = shared_directory() / "config" / "weather" / "toronto_2021-07.csv"
-        file = declare(node, "weather_file", str(default), "hourly records")
-        start_text = declare(node, "start", DEFAULT_START, "time of tick 0, ISO 8601")
-        self._steps = declare(node, "steps", site.N, "N, ticks to run", low=1, high=2**40)
+        files = declare(self, "weather_files", [str(default)], "hourly records, joined")
+        start_text = declare(self, "start", DEFAULT_START, "time of tick 0, ISO 8601")
+        self._run_length = declare(self, "run_length", site.N, "N (ticks)", low=1, high=2**40)
         method = declare(
-            node, "evapotranspiration", "",
+            self, "evapotranspiration", "",
             "fao56, or the name of the file's own column; empty: the file's own if it has one",
         )
-        weather = read_weather(Path(file), site, method or None)
+        weather = read_weather(
+            find_files(files, "parameter weather_files of weather"), site, method or None
+        )
         start = read_start(start_text, weather.first.tzinfo)
         horizon = declare(
-            node, "horizon", 0.0,
+            self, "horizon", 0.0,
             "h that the forecasts reach, in steps that grow; 0: the M ticks that come", 0.0, 48.0,
         )
         all_members = declare(
-            node, "all_members", False, "of an ensemble: for scenario_mpc; otherwise the first"
+            self, "all_members", False, "of an ensemble: for scenario_mpc; otherwise the first"
         )
-        self._series = WeatherSeries(weather, site, start, self._steps)
+        self._series = WeatherSeries(weather, site, start, self._run_length)
         self._forecast = make_forecast(
-            weather, self._series, site, start, horizon, _declare_forecast(node), all_members
+            weather, self._series, site, start, horizon, _declare_forecast(self), all_members
         )
         self._start_ns = epoch_ns(start)
         self._tick_ns = round(site.tau * 1e9)
 
-        self.link = link = Link(node, "weather", self._on_clock)
-        self._clock = link.take_topic("/clock")
-        self._publish_rain_forecast = link.publish_topic("/forecast/precipitation")
-        self._publish_evapotranspiration_forecast = link.publish_topic(
+        self._time = self.subscribe(CLOCK)
+        self._publish_rain_forecast = self.publish_topic("/forecast/precipitation")
+        self._publish_evapotranspiration_forecast = self.publish_topic(
             "/forecast/evapotranspiration"
         )
-        self._publish_rain = link.publish_topic("/weather/precipitation")
-        self._publish_evapotranspiration = link.publish_topic("/weather/evapotranspiration")
-        self._publish_frost = link.publish_topic("/weather/frost")
-        self._window = Float64MultiArray()
-        self._value = Float64()
+        self._publish_rain = self.publish_topic("/weather/precipitation")
+        self._publish_evapotranspiration = self.publish_topic("/weather/evapotranspiration")
+        self._publish_frost = self.publish_topic("/weather/frost")
 
-    def _on_clock(self) -> None:
-        tick, rest = divmod(self._clock.value - self._start_ns, self._tick_ns)
-        if rest or not 0 <= tick <= self._steps:
+    def on_inputs(self) -> None:
+        """Publish the weather of the tick, and the forecasts that are known at it."""
+        tick, rest = divmod(self._time.value - self._start_ns, self._tick_ns)
+        if rest or not 0 <= tick <= self._run_length:
             raise LockstepError(
-                f"/clock is at tick {tick} of a run of {self._steps}; plant and weather were "
+                f"/clock is at tick {tick} of a run of {self._run_length}; plant and weather were "
                 "started for different runs"
             )
-        # What the controller takes comes first: it needs longest.
-        self._value.data = self._series.frost[tick]
-        self._publish_frost(self._value)
-        self._window.data = self._forecast.precipitation(tick)
-        self._publish_rain_forecast(self._window)
-        self._window.data = self._forecast.evapotranspiration(tick)
-        self._publish_evapotranspiration_forecast(self._window)
-        self._value.data = self._series.precipitation[tick]
-        self._publish_rain(self._value)
-        self._value.data = self._series.evapotranspiration[tick]
-        self._publish_evapotranspiration(self._value)
+        # What the controller waits for comes first: it needs longest.
+        self._publish_frost(self._series.frost[tick])
+        self._publish_rain_forecast(self._forecast.precipitation(tick))
+        self._publish_evapotranspiration_forecast(self._forecast.evapotranspiration(tick))
+        self._publish_rain(self._series.precipitation[tick])
+        self._publish_evapotranspiration(self._series.evapotranspiration[tick])
+        self.set_time(self._time.value)
 
 
 def main(args: list[str] | None = None) -> None:
     """Run the node."""
-    sys.exit(run_node("weather", lambda node: WeatherNode(node).link, args))
+    sys.exit(run_node(WeatherNode, args))
 
 
 if __name__ == "__main__":

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from greenroof_ros.common.errors import ConfigurationError
-from greenroof_ros.common.interface import read_topics
+from greenroof_ros.common.interface import find_namespace, read_topics
 from greenroof_ros.model.plant import maximum_pump_flow
 from greenroof_ros.model.site import Site
 from greenroof_ros.recording.trajectory import Trajectory
@@ -149,9 +149,9 @@ def _limits(site: Site, values: Mapping[str, _Values], own: bool) -> dict[str, _
         ),
     }
     limits = {}
-    contract = read_topics()
+    interface = read_topics()
     for topic in values:
-        low, high, unit = contract[topic].low, contract[topic].high, contract[topic].unit
+        low, high, unit = interface[topic].low, interface[topic].high, interface[topic].unit
         of_site, why = highs.get(topic, (high, ""))
         # Not a number, where a command of the bag is none: the interface's limit holds.
         if of_site * _ROUNDING < high:
@@ -213,7 +213,6 @@ def _hole_note(samples: _Stamps, holes: NDArray[np.intp], zone: tzinfo) -> str:
 def _read_topics(bag: Path, mend: str) -> tuple[dict[str, _Stamps], dict[str, _Values]]:
     """Return the log times (ns) and values of each topic that the report uses, in time's order."""
     highlevel, typesys = _rosbags()
-    wanted = {**_NEEDED, **_OPTIONAL}
     times: dict[str, list[int]] = {}
     values: dict[str, list[float]] = {}
     try:
@@ -221,12 +220,16 @@ def _read_topics(bag: Path, mend: str) -> tuple[dict[str, _Stamps], dict[str, _V
             [bag], default_typestore=typesys.get_typestore(typesys.Stores.ROS2_JAZZY)
         ) as reader:
             found = {connection.topic: connection.msgtype for connection in reader.connections}
-            _check_topics(bag, found)
-            connections = [one for one in reader.connections if one.topic in wanted]
+            # /site1/roof/level is /roof/level of a graph in the namespace /site1.
+            namespace = find_namespace(found, list(_NEEDED), bag)
+            topics = {namespace + topic: topic for topic in (*_NEEDED, *_OPTIONAL)}
+            _check_topics(bag, {topics.get(name, name): kind for name, kind in found.items()})
+            connections = [one for one in reader.connections if one.topic in topics]
             for connection, stamp, raw in reader.messages(connections=connections):
+                topic = topics[connection.topic]
                 value = reader.deserialize(raw, connection.msgtype).data
-                times.setdefault(connection.topic, []).append(stamp)
-                values.setdefault(connection.topic, []).append(value)
+                times.setdefault(topic, []).append(stamp)
+                values.setdefault(topic, []).append(value)
     except ConfigurationError:
         raise
     except Exception as error:  # rosbags hands on whatever its storages and codecs raise

@@ -142,7 +142,7 @@ class BagWriter:
         """Finish the file and write ``metadata.yaml``.
 
         Raises:
-            OSError: for instance on a full disk; ``python -m greenroof_ros.recover`` then mends
+            OSError: for instance on a full disk; ``python -m greenroof_ros.recover`` then repairs
                 the bag.
         """
         self._writer.finish()

@@ -14,6 +14,7 @@ from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.files import YamlMapping, read_text, read_yaml
 from greenroof_ros.forecast.choice import OPTIONS, PERFECT
 from greenroof_ros.model.sensor_pump_errors import RANGES
+from greenroof_ros.weather.records import name_files
 
 Parameters = dict[str, "float | str"]
 
@@ -99,7 +100,8 @@ def _node_parameters(file: Path) -> dict[str, Any]:
             key: value
             for key, value in nodes.get(str(controller), empty).items() if key != "site_file"
         },
-        "weather": weather.get("weather_file"),
+        "weather": name_files([Path(file) for file in weather["weather_files"]])
+        if weather.get("weather_files") else None,
         "evapotranspiration_method": weather.get("evapotranspiration"),
         "forecast": {
             "model": weather.get("forecast"),
@@ -123,7 +125,8 @@ def _understand(content: dict[str, Any]) -> About:
     if not isinstance(content["controller"], str):
         raise TypeError
     initial, forecast = content.get("initial"), content.get("forecast") or {}
-    notes = [
+    notes = list(content.get("weather_notes") or [])
+    notes += [
         f"{quantity} was missing and filled in: {', '.join(hours)}"
         for quantity, hours in (content.get("filled") or {}).items()
     ]

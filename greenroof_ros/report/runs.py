@@ -326,6 +326,8 @@ def _study_notes(file: Path, line: int, row: Mapping[str, str]) -> tuple[str, ..
         note = f"{hours:g} hours of its weather were missing and filled in"
         named = row.get("filled")
         notes.append(f"{note}: {named}" if named else note)
+    if row.get("weather_notes"):
+        notes.append(row["weather_notes"])
     fallbacks, limited = (_cell(file, line, row, key) for key in ("fallbacks", "limited_steps"))
     return (*notes, *run_notes(fallbacks, row.get("forecast_repeats_from"), limited))
 
@@ -381,7 +383,7 @@ def _bag_entry(path: Path, name: str, site_file: Path | None, given: Site | None
         forecast=about.forecast,
         # What a sensor reads is neither the roof's initial volume nor its deviation.
         bound=(
-            partial(_own_bound, run / "configuration" / "weather.csv", own_site, site,
+            partial(_own_bound, run / "configuration" / "weather", own_site, site,
                     about.method)
             if about.exact_sensor else _as_given(None)
         ),
@@ -390,20 +392,21 @@ def _bag_entry(path: Path, name: str, site_file: Path | None, given: Site | None
 
 
 def _own_bound(
-    weather_file: Path, site_file: Path, site: Site, method: str, trajectory: Trajectory
+    weather: Path, site_file: Path, site: Site, method: str, trajectory: Trajectory
 ) -> float | None:
     """Return the least total deviation (m3) that a controller could reach in a run's own weather.
 
-    None where that is unknown: there is no weather file, or it is not what the bag has.
+    None where that is unknown: there are no weather files, or they are not what the bag has.
     """
     steps = len(trajectory.time) - 1
-    if not weather_file.is_file() or not np.allclose(
+    weather_files = sorted(weather.glob("*"))
+    if not weather_files or not np.allclose(
         trajectory.time, site.tau * np.arange(steps + 1), rtol=0, atol=1e-6
     ):
         return None
     try:
         run = build_run(
-            site_file, site, read_weather(weather_file, site, method),
+            site_file, site, read_weather(weather_files, site, method),
             trajectory.start.isoformat(), steps, find_controller("onoff"), {}, "custom",
             (float(trajectory.cistern[0]), float(trajectory.roof[0])), ForecastChoice(),
         )

@@ -36,7 +36,8 @@ from greenroof_ros.weather.reading import read_weather
 
 ENGINES = ("inprocess", "ros")
 # The domains to try, one after the other, until one is free (bringup refuses one that is not).
-_DOMAINS = range(1, 102)
+# Those below are left to graphs that somebody starts beside a study.
+_DOMAINS = range(51, 102)
 
 
 @dataclass(frozen=True)
@@ -89,7 +90,9 @@ def _laid_out(case: Case) -> Iterator[Path]:
 def _build(case: Case, directory: Path) -> Run:
     site_file = directory / case.site.name
     site = read_site(site_file)
-    weather = read_weather(directory / case.weather.name, site, case.evapotranspiration)
+    weather = read_weather(
+        [directory / file.name for file in case.weather], site, case.evapotranspiration
+    )
     return build_run(
         site_file, site, weather, case.start, count_ticks(site, case.hours, "hours"),
         case.controller, case.parameters, case.initial, (case.cistern, case.roof),
@@ -133,7 +136,8 @@ def _run_graph(case: Case, directory: Path) -> Outcome:
     output = directory / "run"
     command = [
         sys.executable, "-m", "greenroof_ros.bringup", "--json", "--output", str(output),
-        "--site", str(directory / case.site.name), "--weather", str(directory / case.weather.name),
+        "--site", str(directory / case.site.name),
+        "--weather", *(str(directory / file.name) for file in case.weather),
         "--evapotranspiration", case.evapotranspiration, "--start", case.start,
         "--hours", repr(case.hours), "--controller", case.controller.reference,
         "--parameters", str(parameters), "--cistern", repr(case.cistern), "--roof", repr(case.roof),
@@ -157,7 +161,7 @@ def _run_graph(case: Case, directory: Path) -> Outcome:
         if f"already in ROS domain {domain}" not in process.stderr:
             raise RuntimeError(process.stderr.strip().removeprefix("error: "))
     else:
-        raise RuntimeError("no ROS domain from 1 to 101 is free")
+        raise RuntimeError(f"no ROS domain from {_DOMAINS[0]} to {_DOMAINS[-1]} is free")
     result = json.loads((output / "summary.json").read_text(encoding="utf-8"))
     trajectory, _ = find_runs([output], None).runs[0].load()
     if case.sensor_pump_errors is not None and not case.sensor_pump_errors.exact_sensor:
@@ -218,6 +222,7 @@ def _results(result: dict[str, Any]) -> dict[str, Any]:
         "filled": "; ".join(
             f"{quantity}: {', '.join(hours)}" for quantity, hours in result["filled"].items()
         ),
+        "weather_notes": "; ".join(result["weather_notes"]),
         "forecast_repeats_from": result["forecast_repeats_last_record_from"],
     }
 

@@ -13,14 +13,16 @@ from pathlib import Path
 from typing import Any
 
 from greenroof_ros.common.errors import ConfigurationError
-from greenroof_ros.common.files import YamlMapping, read_yaml
+from greenroof_ros.common.files import YamlMapping, read_yaml, unique_name
 from greenroof_ros.controllers.registry import ControllerChoice, find_controller
 from greenroof_ros.experiment.run import build_run, count_ticks
 from greenroof_ros.forecast.choice import OPTIONS, PERFECT, ForecastChoice, choose
 from greenroof_ros.model.initial_state import INITIAL_STATES, initial_state
 from greenroof_ros.model.sensor_pump_errors import RANGES, SensorPumpErrors
 from greenroof_ros.model.site import Site, read_site
+from greenroof_ros.weather.joining import find_files
 from greenroof_ros.weather.reading import read_weather
+from greenroof_ros.weather.records import name_files
 
 _KEYS = ("site", "weather", "initial", "controllers")
 _OPTIONAL_KEYS = ("forecast", "sensor_pump_errors")
@@ -42,7 +44,7 @@ class Case:
 
     Attributes:
         site: site file.
-        weather: weather file.
+        weather: weather files, joined, in the order of time.
         start: time of tick 0, ISO 8601 with its offset from UTC.
         hours: length (h).
         evapotranspiration: method.
@@ -57,7 +59,7 @@ class Case:
     """
 
     site: InputFile
-    weather: InputFile
+    weather: tuple[InputFile, ...]
     start: str
     hours: float
     evapotranspiration: str
@@ -73,7 +75,7 @@ class Case:
     @property
     def files(self) -> tuple[InputFile, ...]:
         """What it reads."""
-        files = (self.site, self.weather, self.forecast_file)
+        files = (self.site, *self.weather, self.forecast_file)
         return tuple(file for file in files if file is not None)
 
     @property
@@ -82,7 +84,9 @@ class Case:
         content = {
             **self.columns(),
             "site": hashlib.sha256(self.site.content).hexdigest(),
-            "weather": hashlib.sha256(self.weather.content).hexdigest(),
+            "weather": " ".join(
+                hashlib.sha256(file.content).hexdigest() for file in self.weather
+            ),
             "forecast_file": (
                 hashlib.sha256(self.forecast_file.content).hexdigest()
                 if self.forecast_file is not None else ""
@@ -104,7 +108,7 @@ class Case:
         """Return what the table says of the case itself, without its parameters."""
         return {
             "site": self.site.name,
-            "weather": self.weather.name,
+            "weather": name_files([Path(file.name) for file in self.weather]),
             "start": self.start,
             "hours": self.hours,
             "evapotranspiration": self.evapotranspiration,
@@ -180,11 +184,12 @@ class _Grid:
         controllers: list[tuple[ControllerChoice, dict[str, float]]],
     ) -> Iterator[Case]:
         """Yield the runs of one site in one window."""
-        file = self._one(window, "file", str)
+        with self._at(window, "file"):
+            files = find_files(self._list(window, "file", str), "file", self._path.parent)
         with self._at(window, "hours"):
             steps = count_ticks(site, hours, "hours")
         with self._at(window, "evapotranspiration"):
-            weather = read_weather(self._path.parent / file, site, method)
+            weather = read_weather(files, site, method)
         # What one controller can run with, the others that are told as much can.
         told = {
             (parameters.get("horizon"), controller.ensemble): (controller, parameters)
@@ -206,7 +211,7 @@ class _Grid:
             ):
                 yield Case(
                     site=self._input(site_file),
-                    weather=self._input(weather.file),
+                    weather=tuple(map(self._input, weather.files)),
                     start=run.start.isoformat(),
                     hours=run.steps * site.tau / 3600,
                     evapotranspiration=weather.method,
@@ -287,11 +292,7 @@ class _Grid:
         path = path.resolve()
         if path not in self._files:
             taken = {file.name for file in self._files.values()}
-            name, number = path.name, 1
-            while name in taken:
-                number += 1
-                name = f"{path.stem}-{number}{path.suffix}"
-            self._files[path] = InputFile(name, path.read_bytes())
+            self._files[path] = InputFile(unique_name(path, taken), path.read_bytes())
         return self._files[path]
 
     def _windows(self) -> Iterator[YamlMapping]:

@@ -1,18 +1,18 @@
-"""Hourly bulk files of Environment and Climate Change Canada, as downloaded."""
+"""Hourly bulk files of Environment and Climate Change Canada (ECCC), as downloaded."""
 
 from __future__ import annotations
 
-import csv
 import math
-import re
-from datetime import datetime, timedelta, timezone
+from datetime import timedelta, timezone
+from functools import partial
 from pathlib import Path
-
-import numpy as np
 
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.model.site import Site
-from greenroof_ros.weather.records import HOUR, QUANTITIES, Records
+from greenroof_ros.weather.records import Records
+from greenroof_ros.weather.table import Row, Table, numbered_lines, read_hours
+
+BYTE_ORDER_MARK = True
 
 _TIME = "Date/Time (LST)"
 _LONGITUDE = "Longitude (x)"
@@ -31,28 +31,21 @@ _MISSING_FLAGS = {"M", "NA"}
 _MOST_FROM_SOLAR_TIME = 2.5
 
 
-def is_eccc(text: str) -> bool:
-    """Whether a text starts like such a file."""
+def recognises(text: str, /) -> bool:
+    """Whether the first line has the service's column of local standard time."""
     return _TIME in text.split("\n", 1)[0]
 
 
-def _time(text: str, zone: timezone) -> datetime:
-    """Read ``2021-07-01 0:00`` or ``2021-03-01 00:00``."""
-    match = re.fullmatch(r"(\d{4})-(\d\d)-(\d\d) (\d{1,2}):(\d\d)", text.strip())
-    if match is None:
-        raise ValueError
-    year, month, day, hour, minute = (int(part) for part in match.groups())
-    return datetime(year, month, day, hour, minute, tzinfo=zone)
-
-
-def parse(path: Path, text: str, site: Site) -> Records:
+def parse(file: Path, text: str, site: Site, /) -> Records:
     """Parse a bulk file; times are local standard time, at the site's offset from UTC.
 
-    Flags ``M`` (missing) and ``NA`` make a value missing even where one is given. Other flags, such
-    as ``E`` (estimated by the service), do not.
+    A record is taken as of the hour that starts at its time, as in the paper. Flags ``M`` (missing)
+    and ``NA`` make a value missing even where one is given. Other flags, such as ``E`` (estimated
+    by the service), do not. A row that ends before the first observation, as the service writes
+    them for hours of which it has nothing, is an hour in which all are missing.
 
     Args:
-        path: for messages.
+        file: for messages.
         text: its content, without a byte order mark.
         site: gives the offset of local standard time, which the file does not.
 
@@ -64,84 +57,39 @@ def parse(path: Path, text: str, site: Site) -> Records:
         raise ConfigurationError(
             f"is in local standard time ({_TIME}); the site file must say its offset from UTC, "
             "as in 'utc_offset: -5.0'",
-            file=path, line=1,
+            file=file, line=1,
         )
     zone = timezone(timedelta(hours=site.utc_offset))
-    reader = csv.reader(text.splitlines(), strict=True)
-    try:
-        rows = [(reader.line_num, row) for row in reader if row]
-    except csv.Error as error:
-        raise ConfigurationError(
-            f"is not valid CSV: {error}", file=path, line=reader.line_num
-        ) from error
-    header = [cell.strip() for cell in rows[0][1]]
-    needed = [_TIME, _LONGITUDE, *(name for pair in _COLUMNS.values() for name in pair)]
-    for name in needed:
-        if name not in header:
-            raise ConfigurationError(
-                f"must have a column '{name}', as hourly bulk files have", file=path, line=1
-            )
-    index = {name: header.index(name) for name in needed}
-    if len(rows) == 1:
-        raise ConfigurationError("has a header but no records", file=path)
-    first: datetime | None = None
-    values: dict[str, list[float]] = {quantity: [] for quantity in _COLUMNS}
-    for number, (line, row) in enumerate(rows[1:]):
-        if len(row) != len(header):
-            raise ConfigurationError(
-                f"must have {len(header)} cells as the header has, not {len(row)}",
-                file=path, line=line,
-            )
-        try:
-            time = _time(row[index[_TIME]], zone)
-        except ValueError:
-            raise ConfigurationError(
-                "must be a time such as 2021-07-01 0:00",
-                file=path, line=line, key=_TIME, value=row[index[_TIME]],
-            ) from None
-        if first is None:
-            first = time
-            _check_zone(path, line, row[index[_LONGITUDE]], site.utc_offset)
-        due = first + number * HOUR
-        if time != due:
-            raise ConfigurationError(
-                f"must be {due:%Y-%m-%d %H:%M}: the records must be hour after hour",
-                file=path, line=line, key=_TIME, value=row[index[_TIME]],
-            )
-        for quantity, (column, flag) in _COLUMNS.items():
-            values[quantity].append(
-                _value(path, line, quantity, column, row[index[column]], row[index[flag]])
-            )
-    assert first is not None
-    return Records(path, first, {key: np.array(value) for key, value in values.items()})
+    table = Table(file, numbered_lines(text))
+    observed = [name for pair in _COLUMNS.values() for name in pair]
+    table.require((_TIME, _LONGITUDE, *observed), "hourly bulk files")
+    observed_from = min(map(table.header.index, observed))
+    _check_zone(next(table.rows(observed_from)), site.utc_offset)
+    first, values = read_hours(
+        table.rows(observed_from), _TIME,
+        lambda row: row.local_time(_TIME, zone, "2021-07-01 0:00"),
+        {quantity: partial(_value, quantity=quantity) for quantity in _COLUMNS},
+    )
+    return Records((file,), first, values)
 
 
-def _value(path: Path, line: int, quantity: str, column: str, text: str, flag: str) -> float:
+def _value(row: Row, quantity: str) -> float:
     """Return a value, NaN if it is missing."""
-    if not text.strip() or flag.strip() in _MISSING_FLAGS:
+    column, flag = _COLUMNS[quantity]
+    if row.cells[flag] in _MISSING_FLAGS:
         return math.nan
-    unit, least, largest = QUANTITIES[quantity]
-    try:
-        value = float(text)
-    except ValueError:
-        value = math.nan
-    if not least <= value <= largest:
-        raise ConfigurationError(
-            f"must be a number from {least:g} to {largest:g} {unit}, or empty",
-            file=path, line=line, key=column, value=text,
-        )
-    return value
+    return row.value(column, quantity, missing=("",))
 
 
-def _check_zone(path: Path, line: int, text: str, utc_offset: float) -> None:
+def _check_zone(row: Row, utc_offset: float) -> None:
     """Refuse a station at which the sun is not near the site's standard time."""
     try:
-        longitude = float(text)
+        longitude = float(row.cells[_LONGITUDE])
     except ValueError:
         longitude = math.nan
     if not abs(longitude / 15 - utc_offset) <= _MOST_FROM_SOLAR_TIME:
-        raise ConfigurationError(
+        raise row.refuse(
             f"is not near the standard time of the site, utc_offset = {utc_offset:g} h, which "
             f"belongs to a longitude of about {15 * utc_offset:g}",
-            file=path, line=line, key=_LONGITUDE, value=text,
+            _LONGITUDE,
         )

@@ -14,7 +14,14 @@ from numpy.typing import NDArray
 
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.model.site import Site
-from greenroof_ros.weather.records import FOR_EVAPOTRANSPIRATION, HOUR, Records, gaps, name_hours
+from greenroof_ros.weather.records import (
+    FOR_EVAPOTRANSPIRATION,
+    HOUR,
+    RADIATION,
+    Records,
+    gaps,
+    name_hours,
+)
 
 FAO56 = "fao56"
 _PLACE = ("latitude", "longitude", "elevation", "utc_offset")
@@ -66,8 +73,8 @@ def hourly(
         "U_z": values["wind speed"] * _METRES_PER_SECOND,
         "P": values["station pressure"],
     }
-    if "solar radiation" in values:
-        data["R_s"] = values["solar radiation"] * _MJ_PER_M2_AND_HOUR
+    if RADIATION in values:
+        data["R_s"] = values[RADIATION] * _MJ_PER_M2_AND_HOUR
     else:
         data["T_min"], data["T_max"] = values["Tmin"], values["Tmax"]
 
@@ -92,9 +99,9 @@ def hourly(
 def fao56(records: Records, site: Site) -> NDArray[np.float64]:
     """Evapotranspiration of the vegetation (mm/day) in each hour, shape (hours,).
 
-    It is the site's crop coefficient times the reference evapotranspiration. Without measured solar
-    radiation only whole days, 0 to 24 h of local standard time, have one. NaN where it has none for
-    want of records.
+    It is the site's crop coefficient times the reference evapotranspiration, and NaN where records
+    are missing. Without measured solar radiation it needs the whole day, 0 to 24 h of local
+    standard time.
 
     Raises:
         ConfigurationError: the file lacks a quantity, or the site its place on earth.
@@ -102,8 +109,8 @@ def fao56(records: Records, site: Site) -> NDArray[np.float64]:
     lacking = [name for name in FOR_EVAPOTRANSPIRATION if name not in records.values]
     if lacking:
         raise ConfigurationError(
-            f"has no {', '.join(lacking)}, of which {FAO56} is computed",
-            file=records.file,
+            f"has no {', '.join(lacking)}, from which {FAO56} is computed",
+            file=records.source,
         )
     lacking = [name for name in _PLACE if getattr(site, name) is None]
     if lacking:
@@ -111,9 +118,9 @@ def fao56(records: Records, site: Site) -> NDArray[np.float64]:
             f"{FAO56} needs {', '.join(lacking)} in the site file (see config/site.yaml)"
         )
     values = {name: records.values[name] for name in FOR_EVAPOTRANSPIRATION}
-    measured = records.values.get("solar radiation")
+    measured = records.values.get(RADIATION)
     if measured is not None:
-        values["solar radiation"] = measured
+        values[RADIATION] = measured
     else:
         values["Tmin"], values["Tmax"] = _daily_extremes(records, site)
     unknown = np.isnan(sum(values.values()))  # a sum with a NaN is one
@@ -150,7 +157,9 @@ def why_missing(records: Records, hours: NDArray[np.int64]) -> str:
     """
     reasons = []
     near = range(max(0, int(hours.min()) - 24), min(records.hours, int(hours.max()) + 25))
-    for name in FOR_EVAPOTRANSPIRATION:
+    for name in (*FOR_EVAPOTRANSPIRATION, RADIATION):
+        if name not in records.values:
+            continue
         missing = [hour for hour in near if np.isnan(records.values[name][hour])]
         if missing:
             reasons.append(f"{name} at {', '.join(name_hours(records.first, missing))}")

@@ -1,17 +1,23 @@
-"""Weather files: which format one has, and what is made of it."""
+"""Weather files: their formats, and the weather that they give."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
+from typing import Protocol
 
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.files import read_text
 from greenroof_ros.model.site import Site
-from greenroof_ros.weather import eccc, own_csv
+from greenroof_ros.weather import eccc, open_meteo, own_csv
 from greenroof_ros.weather.evapotranspiration import FAO56, fao56
+from greenroof_ros.weather.joining import join
 from greenroof_ros.weather.records import (
     EVAPOTRANSPIRATION,
+    HOUR,
     PRECIPITATION,
+    Records,
     fill_gaps,
 )
 from greenroof_ros.weather.series import Weather
@@ -20,26 +26,47 @@ from greenroof_ros.weather.series import Weather
 _FREEZING = 0.0
 
 
-def read_weather(path: Path, site: Site, method: str | None = None) -> Weather:
-    """Read a weather file: of this project's form, or an hourly bulk file of ECCC.
+class Format(Protocol):
+    """A format of weather files: a module with these names."""
 
-    Gaps of at most :data:`greenroof_ros.weather.records.LONGEST_GAP` hours are filled and noted in
-    the records; a run that needs an hour of a longer one is refused by :class:`WeatherSeries`.
+    BYTE_ORDER_MARK: bool
+    """whether a file may begin with one, which is not part of its text"""
+
+    def recognises(self, text: str, /) -> bool:
+        """Whether a text looks like a file of this format."""
+        ...
+
+    def parse(self, file: Path, text: str, site: Site, /) -> Records:
+        """Return the records of a file, each for the hour that starts at its time.
+
+        Raises:
+            ConfigurationError: the file is not as the format must be.
+        """
+        ...
+
+
+FORMATS: tuple[Format, ...] = (eccc, open_meteo, own_csv)
+"""All formats; the first that recognises a text reads it, the last recognises any."""
+
+
+def read_weather(files: Sequence[Path], site: Site, method: str | None = None) -> Weather:
+    """Read weather files, each of one of :data:`FORMATS`, and join them.
+
+    Gaps of at most :data:`greenroof_ros.weather.records.LONGEST_GAP` hours, within a file or
+    between two, are filled and noted in the records; a run that needs an hour of a longer one is
+    refused by :class:`greenroof_ros.weather.series.WeatherSeries`.
 
     Args:
-        path: the file.
-        site: its place on earth, where evapotranspiration is computed or the file is ECCC's.
-        method: of the evapotranspiration: ``fao56``, or that of the file's own column. The
+        files: one or more.
+        site: its place on earth, where evapotranspiration is computed or a format needs it.
+        method: of the evapotranspiration: ``fao56``, or that of the files' own column. The
             latter if there is one and otherwise ``fao56``, unless given.
 
     Raises:
-        ConfigurationError: the file is broken, or cannot give the method.
+        ConfigurationError: a file is broken, two contradict each other, or they cannot give the
+            method.
     """
-    text = read_text(path, byte_order_mark=True)
-    if eccc.is_eccc(text):
-        records = fill_gaps(eccc.parse(path, text, site))
-    else:
-        records = own_csv.parse(path, read_text(path))
+    records = fill_gaps(_whole_hours(join([_read(file, site) for file in files])))
     frost = None
     if "temperature" in records.values:
         frost = records.values["temperature"] <= _FREEZING
@@ -50,7 +77,30 @@ def read_weather(path: Path, site: Site, method: str | None = None) -> Weather:
     else:
         own = f", or {records.method} from its own column" if records.method else ""
         raise ConfigurationError(
-            f"must be {FAO56}{own}: {path} has no evapotranspiration of another name",
+            f"must be {FAO56}{own}: {records.source} has no evapotranspiration of another name",
             key="evapotranspiration", value=method,
         )
     return Weather(records, records.values[PRECIPITATION], evapotranspiration, method, frost)
+
+
+def _read(file: Path, site: Site) -> Records:
+    """Read a file in the first format that recognises it."""
+    text = read_text(file, byte_order_mark=True)
+    form = next(form for form in FORMATS if form.recognises(text))
+    if not form.BYTE_ORDER_MARK:
+        text = read_text(file)
+    return form.parse(file, text, site)
+
+
+def _whole_hours(records: Records) -> Records:
+    """Leave out the first and last hour where a shift has left each with a part of its quantities.
+
+    This comes after joining: the last hour of one file is completed by the first of the next.
+    """
+    if not records.shifted:
+        return records
+    return replace(
+        records,
+        first=records.first + HOUR,
+        values={quantity: series[1:-1] for quantity, series in records.values.items()},
+    )

@@ -3,16 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from datetime import datetime, timedelta
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
+from greenroof_ros.common.times import to_minutes
+
 HOUR = timedelta(hours=1)
 PRECIPITATION = "precipitation"
 EVAPOTRANSPIRATION = "evapotranspiration"
+RADIATION = "solar radiation"
 
 # Quantity: unit, least and largest believable value. More than the world's record of an hour's
 # rain, or of a day's evapotranspiration, is a wrong unit and not weather.
@@ -23,10 +26,10 @@ QUANTITIES = {
     "dew point": ("degC", -90.0, 60.0),
     "wind speed": ("km/h", 0.0, 500.0),
     "station pressure": ("kPa", 50.0, 110.0),
-    "solar radiation": ("W/m2", 0.0, 1500.0),
+    RADIATION: ("W/m2", 0.0, 1500.0),
 }
 
-# What evapotranspiration is computed of, where it is not given.
+# What evapotranspiration is computed from, where it is not given.
 FOR_EVAPOTRANSPIRATION = ("temperature", "dew point", "wind speed", "station pressure")
 
 # The longest gap that is filled, by a straight line between the hours before and after it (h).
@@ -40,24 +43,48 @@ class Records:
     """Hour after hour, each record for the hour that starts at its time.
 
     Attributes:
-        file: where they come from.
+        files: where they come from, in the order of time.
         first: start of the first hour, with its offset from UTC.
-        values: of each quantity of :data:`QUANTITIES` that the file has, in its unit there,
+        values: of each quantity of :data:`QUANTITIES` that the files have, in its unit there,
             shape (hours,); NaN where missing.
-        method: how the evapotranspiration among them was made; empty if there is none.
+        method: of the evapotranspiration among them; empty if there is none.
+        shifted: quantities that the files have at the end of their hour, moved to its start.
         filled: for each quantity, whether an hour was missing and filled, shape (hours,).
     """
 
-    file: Path
+    files: tuple[Path, ...]
     first: datetime
     values: dict[str, NDArray[np.float64]]
     method: str = ""
+    shifted: tuple[str, ...] = ()
     filled: dict[str, NDArray[np.bool_]] = field(default_factory=dict)
 
     @property
     def hours(self) -> int:
         """How many there are."""
         return len(self.values[PRECIPITATION])
+
+    @property
+    def source(self) -> str:
+        """The files by one name, for messages and tables."""
+        return name_files(self.files)
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """What was done with the files' values, other than filling gaps."""
+        if not self.shifted:
+            return ()
+        return (
+            f"{' and '.join(self.shifted)} of the files are of the hour before their time, and "
+            "were moved an hour back",
+        )
+
+
+def name_files(files: Sequence[Path]) -> str:
+    """Return one name for files: the path of a single one, or their number, first and last."""
+    if len(files) == 1:
+        return str(files[0])
+    return str(files[0].parent / f"{len(files)} files, {files[0].name} to {files[-1].name}")
 
 
 def gaps(missing: NDArray[np.bool_]) -> list[tuple[int, int]]:
@@ -82,7 +109,7 @@ def fill_gaps(records: Records) -> Records:
                 )
         values[quantity] = series
         filled[quantity] = missing & ~np.isnan(series)
-    return Records(records.file, records.first, values, records.method, filled)
+    return replace(records, values=values, filled=filled)
 
 
 def name_hours(first: datetime, hours: Iterable[int]) -> list[str]:
@@ -103,9 +130,9 @@ def name_hours(first: datetime, hours: Iterable[int]) -> list[str]:
     marks[list(indices)] = True
     spans = []
     for low, high in gaps(marks):
-        text = (first + low * HOUR).isoformat(timespec="minutes")
+        text = to_minutes(first + low * HOUR)
         if high - low > 1:
-            last = (first + (high - 1) * HOUR).isoformat(timespec="minutes")
+            last = to_minutes(first + (high - 1) * HOUR)
             text += f" to {last} ({high - low} hours)"
         spans.append(text)
     return spans

@@ -11,14 +11,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from greenroof_ros.common.errors import ConfigurationError
+from greenroof_ros.common.times import to_minutes
 from greenroof_ros.model.site import Site
 from greenroof_ros.weather.evapotranspiration import FAO56, why_missing
-from greenroof_ros.weather.records import (
-    HOUR,
-    PRECIPITATION,
-    Records,
-    name_hours,
-)
+from greenroof_ros.weather.records import HOUR, PRECIPITATION, Records, name_hours
 
 _HOUR_NS = 3_600_000_000_000
 
@@ -32,8 +28,8 @@ class Weather:
         precipitation: depth of rain in each hour (mm/h), shape (hours,); NaN where missing.
         evapotranspiration: depth over the vegetation bed (mm/day), shape (hours,); NaN where
             missing.
-        method: how the evapotranspiration was made: ``fao56``, computed here, or as the file's
-            header names it.
+        method: of the evapotranspiration: ``fao56``, computed here, or as the file's header
+            names it.
         frost: whether the air is at or below 0 degC, shape (hours,); None where the file has no
             temperature.
     """
@@ -45,9 +41,14 @@ class Weather:
     frost: NDArray[np.bool_] | None
 
     @property
-    def file(self) -> Path:
-        """Where the records come from."""
-        return self.records.file
+    def files(self) -> tuple[Path, ...]:
+        """Where the records come from, in the order of time."""
+        return self.records.files
+
+    @property
+    def source(self) -> str:
+        """The files by one name, for messages and tables."""
+        return self.records.source
 
     @property
     def first(self) -> datetime:
@@ -66,7 +67,7 @@ class WeatherSeries:
     Attributes:
         precipitation: rain (m/s), shape (ticks,); beyond the last tick for M ticks more.
         evapotranspiration: off the whole bed (m3/s), shape (ticks,).
-        frost: 1 where there is frost and 0 where there is none or nobody knows, shape (ticks,).
+        frost: 1 where there is frost, 0 where there is none or it is unknown, shape (ticks,).
         repeats_from: the time from which on the last record is repeated, because some tick's
             window of M ticks reaches past the end of the file; None if none does.
         filled: hours of the run's days and the day before that were missing and filled, named, by
@@ -77,7 +78,7 @@ class WeatherSeries:
     """
 
     def __init__(self, weather: Weather, site: Site, start: datetime, steps: int) -> None:
-        """Lay the hours out over the ticks 0..steps and the last tick's window.
+        """Give each of the ticks 0..steps, and of the last tick's window, the values of its hour.
 
         Args:
             weather: hourly records that cover the run.
@@ -92,10 +93,9 @@ class WeatherSeries:
         before = (weather.end - start).total_seconds()
         if start < weather.first or steps * site.tau > before:
             raise ConfigurationError(
-                f"holds {weather.first.isoformat(timespec='minutes')} to "
-                f"{weather.end.isoformat(timespec='minutes')}, but the run is from "
-                f"{start.isoformat(timespec='minutes')} on for {steps * site.tau / 3600:g} hours",
-                file=weather.file,
+                f"holds {to_minutes(weather.first)} to {to_minutes(weather.end)}, but the run is "
+                f"from {to_minutes(start)} on for {steps * site.tau / 3600:g} hours",
+                file=weather.source,
             )
         ticks = steps + site.M
         offset_ns = round((start - weather.first) / timedelta(microseconds=1)) * 1000
@@ -141,12 +141,12 @@ def _check_known(weather: Weather, hours: NDArray[np.int64]) -> None:
             raise ConfigurationError(
                 f"{quantity} is missing at {', '.join(name_hours(first, missing))}; choose another "
                 "window, or put in what another station has",
-                file=weather.file,
+                file=weather.source,
             )
     unknown = hours[np.isnan(weather.evapotranspiration[hours])]
     if unknown.size:
         raise ConfigurationError(
             f"there is no {FAO56} evapotranspiration for {', '.join(name_hours(first, unknown))}: "
             + why_missing(records, unknown),
-            file=weather.file,
+            file=weather.source,
         )

@@ -1,4 +1,4 @@
-"""The contract, msg_defs/, against the README and against a live graph."""
+"""The interface, msg_defs/, against the README and against a live graph."""
 
 from __future__ import annotations
 
@@ -16,8 +16,9 @@ import pytest
 from graphs import Process, wait_for
 from places import CHECKOUT
 
+from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.files import read_yaml, shared_directory
-from greenroof_ros.common.interface import read_topics, recorded_topics
+from greenroof_ros.common.interface import find_namespace, read_topics, recorded_topics
 
 
 def test_documentation_shows_the_interface() -> None:
@@ -30,7 +31,7 @@ def test_documentation_shows_the_interface() -> None:
     assert printed in (CHECKOUT / "doc" / "reference" / "topics.md").read_text()
 
 
-def test_design_of_the_contract() -> None:
+def test_design_of_the_interface() -> None:
     """Names, types and units are those that the graph's users rely on."""
     topics = read_topics()
     expected = {
@@ -45,11 +46,35 @@ def test_design_of_the_contract() -> None:
         "/weather/evapotranspiration": ("std_msgs/msg/Float64", "m3/s"),
         "/forecast/precipitation": ("std_msgs/msg/Float64MultiArray", "m/s"),
         "/forecast/evapotranspiration": ("std_msgs/msg/Float64MultiArray", "m3/s"),
+        "/controller/cost": ("std_msgs/msg/Float64", "m2"),
+        "/controller/planned_deviation": ("std_msgs/msg/Float64", "m3"),
         "/recorder/written": ("std_msgs/msg/Float64", "1"),
     }
     for name, (kind, unit) in expected.items():
         assert (topics[name].type, topics[name].unit) == (kind, unit)
+    assert [name for name, topic in topics.items() if topic.optional] == [
+        "/controller/cost", "/controller/planned_deviation", "/controller/solver_status"
+    ]
     assert all(topic.qos.depth > 32 for topic in topics.values() if topic.per_tick)
+
+
+def test_namespace_of_a_bag() -> None:
+    """A graph's topics are found by the ends of their names; two graphs are one too many."""
+    needed, bag = ["/roof/level", "/pump/flow"], Path("bag")
+    assert find_namespace({"/roof/level", "/pump/flow", "/clock"}, needed, bag) == ""
+    assert find_namespace({"/a/b/roof/level", "/a/b/pump/flow"}, needed, bag) == "/a/b"
+    # One topic alone is no graph.
+    assert find_namespace({"/roof/level", "/pump/flow", "/s/roof/level"}, needed, bag) == ""
+    with pytest.raises(ConfigurationError, match=r"bag: .*/, /s"):
+        find_namespace(
+            {"/roof/level", "/pump/flow", "/s/roof/level", "/s/pump/flow"}, needed, bag
+        )
+
+
+def test_outputs_of_a_controller_are_optional_topics() -> None:
+    """A controller publishes nothing that another node does."""
+    with pytest.raises(ConfigurationError, match="/pump/flow"):
+        recorded_topics({"/pump/flow": "flow"})
 
 
 def test_types_match_ros() -> None:
@@ -75,9 +100,15 @@ def test_types_match_ros() -> None:
             assert {"type_name": name, "hash_string": entry["hash"]} in described
 
 
-@pytest.mark.parametrize("controller", ["mpc", "onoff"])
-def test_live_graph_is_the_contract(domain: int, tmp_path: Path, controller: str) -> None:
-    """Every topic of the contract is in the graph, and no other: types, QoS, nodes."""
+OUTPUTS = {
+    "mpc": {"/controller/cost": "cost", "/controller/solver_status": "status"},
+    "onoff": {},
+}
+
+
+@pytest.mark.parametrize("controller", OUTPUTS)
+def test_live_graph_is_the_interface(domain: int, tmp_path: Path, controller: str) -> None:
+    """Every topic of the interface is in the graph, and no other: types, QoS, nodes."""
     rclpy = pytest.importorskip("rclpy", reason="the graph needs ROS 2")
     from rclpy.node import Node
 
@@ -89,9 +120,12 @@ def test_live_graph_is_the_contract(domain: int, tmp_path: Path, controller: str
     node = Node(
         "observer", context=context, start_parameter_services=False, enable_rosout=False
     )
-    nodes = {"plant", "weather", controller, "recorder"}
+    names = {
+        "plant": "plant", "weather": "weather", "controller": controller, "recorder": "recorder"
+    }
     try:
         process.wait_for_ticks()
+        nodes = set(names.values())
         wait_for(lambda: nodes <= set(node.get_node_names()), 10, "discovery of the nodes")
         time.sleep(3.5)  # of their topics, too
         live = {
@@ -99,19 +133,19 @@ def test_live_graph_is_the_contract(domain: int, tmp_path: Path, controller: str
             for name, kinds in node.get_topic_names_and_types()
             if name not in ("/rosout", "/parameter_events")
         }
-        contract = {
+        interface = {
             name: topic
             for name, topic in read_topics().items()
-            if nodes.intersection(topic.publishers)
+            if not topic.optional or name in OUTPUTS[controller]
         }
-        assert live == {name: [topic.type] for name, topic in contract.items()}
-        for name, topic in contract.items():
+        assert live == {name: [topic.type] for name, topic in interface.items()}
+        for name, topic in interface.items():
             publishers = node.get_publishers_info_by_topic(name)
             subscribers = node.get_subscriptions_info_by_topic(name)
-            expected = nodes.intersection(topic.publishers)
+            expected = {names[role] for role in topic.publishers if role in names}
             if name == "/pump/flow":
                 expected = {"plant"}
-            takers = nodes.intersection(topic.subscribers) - (
+            takers = {names[role] for role in topic.subscribers if role in names} - (
                 {"plant"} if name in ("/pump/flow", "/weather/frost") else set()
             )
             assert sorted(info.node_name for info in publishers) == sorted(expected)
@@ -122,11 +156,14 @@ def test_live_graph_is_the_contract(domain: int, tmp_path: Path, controller: str
                 assert profile.durability.name.lower() == topic.qos.durability
                 assert profile.liveliness.name == "AUTOMATIC"
                 lease = profile.liveliness_lease_duration
-                # Who only records does not watch.
-                if math.isfinite(topic.qos.lease_s) and info.node_name != "recorder":
+                # A node that only records, or reads the time, does not watch.
+                watches = info.node_name != "recorder" and (name, info.node_name) != (
+                    "/clock", controller
+                )
+                if math.isfinite(topic.qos.lease_s) and (watches or info in publishers):
                     assert lease.nanoseconds == topic.qos.lease_s * 1e9
-        assert {topic.name for topic in recorded_topics(nodes)} == {
-            name for name, topic in contract.items() if topic.per_tick
+        assert {topic.name for topic in recorded_topics(OUTPUTS[controller])} == {
+            name for name, topic in interface.items() if topic.per_tick
         }
     finally:
         node.destroy_node()

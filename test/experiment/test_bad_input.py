@@ -7,6 +7,7 @@ import sys
 from pathlib import Path
 
 import pytest
+from commands import run_command
 from graphs import environment
 from places import CHECKOUT
 
@@ -276,28 +277,20 @@ def test_refused(
     content: bytes | None,
     words: tuple[str, ...],
 ) -> None:
-    """Both commands, one beside the other, say what is wrong, where, and what would be right."""
+    """Both commands say what is wrong, where, and what would be right."""
     (tmp_path / "full").mkdir()
     (tmp_path / "full" / "something").touch()
     (tmp_path / "file.txt").touch()
     if content is not None:
         (tmp_path / options.split()[-1]).write_bytes(content)
     before = sorted(tmp_path.rglob("*"))
-    started = [
-        subprocess.Popen(
-            [sys.executable, "-m", f"greenroof_ros.{command}", *options.split()],
-            cwd=tmp_path, env=environment(unused_domain), text=True,
-            stdout=subprocess.PIPE, stderr=subprocess.PIPE,
-        )
-        for command in ("simulate", "bringup")
-    ]
-    for process in started:
-        printed, errors = process.communicate(timeout=60)
-        assert process.returncode == 2, errors
-        assert printed == ""
-        assert errors.count("error:") == 1, errors
-        assert "Traceback" not in errors
-        message = errors.partition("error:")[2]
+    for command in ("simulate", "bringup"):
+        done = run_command(command, *options.split(), cwd=tmp_path, env=environment(unused_domain))
+        assert done.returncode == 2, done.stderr
+        assert done.stdout == ""
+        assert done.stderr.count("error:") == 1, done.stderr
+        assert "Traceback" not in done.stderr
+        message = done.stderr.partition("error:")[2]
         for word in words:
             assert word in message
         if content is not None:

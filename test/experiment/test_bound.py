@@ -45,12 +45,12 @@ def run_of(
     """Build a run of some hours, or of fewer steps."""
     first = datetime.fromisoformat("2021-07-07T00:00-05:00")
     rain, evapotranspiration, frost = (np.array(part) for part in zip(*hours, strict=True))
-    records = Records(Path("drawn.csv"), first, {"precipitation": rain}, "drawn")
+    records = Records((Path("drawn.csv"),), first, {"precipitation": rain}, "drawn")
     weather = Weather(records, rain, evapotranspiration, "drawn", frost)
     steps = steps or round(len(hours) * 3600 / site.tau)
     series = WeatherSeries(weather, site, first, steps)
     return Run(
-        weather.file, site, weather, series, PerfectForecast(series, site.M), first, steps,
+        weather.files[0], site, weather, series, PerfectForecast(series, site.M), first, steps,
         "onoff", {"fraction": 1.0}, "custom", x1, x2,
     )
 
@@ -412,7 +412,8 @@ def test_no_optimum(
 ) -> None:
     """The solver's own words, and exit code 1."""
     monkeypatch.setattr(
-        clairvoyant, "linprog", lambda *_, **__: SimpleNamespace(status=4, message="numbers too large")
+        clairvoyant, "linprog",
+        lambda *_, **__: SimpleNamespace(status=4, message="numbers too large"),
     )
     with pytest.raises(NoBoundError, match="numbers too large"):
         clairvoyant_bound(run_of(DRY_HOUR, 75.0, 2.0))

@@ -9,28 +9,17 @@ tolerances below leave room for that and for the digits of the files, and for no
 from __future__ import annotations
 
 import csv
-from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
 import pytest
-from paper import paper_run
 from places import DATA
 
 from greenroof_ros.common.files import shared_directory
-from greenroof_ros.controllers.registry import find_controller
-from greenroof_ros.experiment.closed_loop import Tick, closed_loop
-from greenroof_ros.model.metrics import Metrics
+from greenroof_ros.recording.trajectory import Trajectory, read_parquet
 
 TOTALS = shared_directory() / "config" / "paper" / "totals.csv"
 VOLUME = 2e-5  # m3
-
-
-def loop_of(initial: str, controller: str, parameter: str, metrics: Metrics) -> Iterator[Tick]:
-    """Do one of the paper's runs, 12 h, tick by tick."""
-    option = {"mpc": "--weight", "onoff": "--fraction"}[controller]
-    run = paper_run("--initial", initial, "--controller", controller, option, parameter)
-    return closed_loop(run, find_controller(controller).make(run.site, run.parameters), metrics)
 
 
 def rows_of(path: Path) -> list[dict[str, str]]:
@@ -39,40 +28,55 @@ def rows_of(path: Path) -> list[dict[str, str]]:
         return list(csv.DictReader(file))
 
 
+def run_of(
+    papers: Path, initial: str, controller: str, parameter: str
+) -> tuple[dict[str, str], Trajectory]:
+    """Return a run of the paper's study, 12 h: its row and its ticks."""
+    name = {"mpc": "weight", "onoff": "fraction"}[controller]
+    (row,) = (
+        row for row in rows_of(papers / "results.csv")
+        if (row["initial"], row["controller"]) == (initial, controller)
+        and float(row[name]) == float(parameter)
+    )
+    return row, read_parquet(papers / "runs" / row["run"] / "trajectory.parquet")
+
+
 @pytest.mark.parametrize(
     "row",
     rows_of(TOTALS),
     ids=lambda row: f"{row['initial']} {row['controller']} {row['parameter']}",
 )
-def test_each_of_the_papers_runs(row: dict[str, str]) -> None:
+def test_each_of_the_papers_runs(papers: Path, row: dict[str, str]) -> None:
     """Table II times five weights and five fractions: Figs. 6 to 10 in numbers."""
-    metrics = Metrics()
-    pumping = 0
-    for tick in loop_of(row["initial"], row["controller"], row["parameter"], metrics):
-        pumping += tick.command > 0 and tick.k < 43200
-    total = float(row["total_deviation_m3"])
-    assert metrics.total_deviation_m3 == pytest.approx(total, rel=5e-5)
-    assert metrics.final_cistern_m3 == pytest.approx(float(row["final_cistern_m3"]), abs=VOLUME)
-    assert metrics.final_roof_m3 == pytest.approx(float(row["final_roof_m3"]), abs=VOLUME)
+    mine, ticks = run_of(papers, row["initial"], row["controller"], row["parameter"])
+    assert len(ticks.command) == 43201
+    for name, tolerance in (
+        ("total_deviation_m3", {"rel": 5e-5}),
+        ("final_cistern_m3", {"abs": VOLUME}),
+        ("final_roof_m3", {"abs": VOLUME}),
+    ):
+        assert float(mine[name]) == pytest.approx(float(row[name]), **tolerance), name
     largest = float(row["max_command"])
-    assert metrics.max_command == pytest.approx(largest, rel=1e-5)
+    assert float(mine["max_command_applied"]) == pytest.approx(largest, rel=1e-5)
+    pumping = int((ticks.command[:-1] > 0).sum())
     assert pumping == int(row["seconds_with_command_above_zero"])
-    assert metrics.limited_steps == 0
+    assert int(mine["limited_steps"]) == 0
 
 
 @pytest.mark.parametrize(
     ("controller", "parameter", "command"), [("mpc", "0.001", 2e-7), ("onoff", "1", 0.0)]
 )
-def test_trajectory(controller: str, parameter: str, command: float) -> None:
+def test_trajectory(papers: Path, controller: str, parameter: str, command: float) -> None:
     """State and command on the way, from low-low; 2e-5 m3 move the MPC's command by 2e-7."""
-    ticks = list(loop_of("low-low", controller, parameter, Metrics()))
+    _, ticks = run_of(papers, "low-low", controller, parameter)
     rows = rows_of(DATA / f"trajectory_low-low_{controller}_{parameter}.csv")
-    found = [ticks[int(row["t_s"])] for row in rows]
-    for field, column, tolerance in (
-        ("x1", "cistern_m3", VOLUME),
-        ("x2", "roof_m3", VOLUME),
-        ("command", "command_applied_at_t", command),
+    times = [int(row["t_s"]) for row in rows]
+    for values, column, tolerance in (
+        (ticks.cistern, "cistern_m3", VOLUME),
+        (ticks.roof, "roof_m3", VOLUME),
+        (ticks.command, "command_applied_at_t", command),
     ):
-        actual = [getattr(tick, field) for tick in found]
         expected = [float(row[column]) for row in rows]
-        np.testing.assert_allclose(actual, expected, rtol=0, atol=tolerance, err_msg=column)
+        np.testing.assert_allclose(
+            values[times], expected, rtol=0, atol=tolerance, err_msg=column
+        )

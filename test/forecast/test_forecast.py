@@ -1,4 +1,4 @@
-"""What controllers are told: issues, errors, ensembles and files, and their means over steps."""
+"""What controllers are given: issues, errors, ensembles and files, and their means over steps."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ def weather_of(
     fallen = np.array(rain, dtype=float)
     if evapotranspiration is None:
         evapotranspiration = np.full(len(fallen), 2.0)
-    records = Records(Path("drawn.csv"), first, {"precipitation": fallen}, "drawn")
+    records = Records((Path("drawn.csv"),), first, {"precipitation": fallen}, "drawn")
     return Weather(records, fallen, np.array(evapotranspiration, dtype=float), "drawn", None)
 
 
@@ -95,7 +95,7 @@ def test_means_are_those_of_every_second(
     start = MIDNIGHT + timedelta(seconds=offset)
     edges = growing_steps(horizon) if horizon else tau * np.arange(site.M + 1.0)
     steps = (6 * 3600 - offset) // tau
-    forecast = SteppedForecast(model, weather, site, start, edges, steps)
+    forecast = SteppedForecast(model, weather, site, start, edges, steps, all_members=True)
     for tick in data.draw(st.lists(st.integers(0, steps), min_size=1, max_size=3)):
         now = offset + tick * tau
         seconds = now + np.arange(int(edges[-1]))
@@ -105,7 +105,7 @@ def test_means_are_those_of_every_second(
         for member in range(2):
             rates = np.where(lead > 0, rain[member][lead], weather.precipitation[present])
             means = [part.mean() for part in np.split(rates, edges[1:-1].astype(int))]
-            got = forecast.precipitation(tick)[member * len(means) : (member + 1) * len(means)]
+            got = forecast.precipitation(tick)[member]
             assert list(got) == pytest.approx([mean / 3.6e6 for mean in means], rel=1e-9)
         rates = np.where(
             lead > 0, evapotranspiration[lead], weather.evapotranspiration[present]
@@ -381,7 +381,7 @@ def test_members_are_about_the_forecast_and_not_about_what_comes() -> None:
 
 
 def test_who_gets_which_members() -> None:
-    """Member 0 alone, or all of them one after the other."""
+    """Member 0 alone, flat, or all of them as rows."""
     run = paper_run("--controller", "planning_mpc", "--forecast", "ensemble",
                     "--forecast-members", "4", "--forecast-seed", "9")
     single = paper_run("--controller", "planning_mpc", "--forecast", "errors",
@@ -392,9 +392,9 @@ def test_who_gets_which_members() -> None:
     for tick in (0, 5000, 43_200):
         member_0 = run.forecast.precipitation(tick)
         assert member_0.tobytes() == single.forecast.precipitation(tick).tobytes()
-        flat = everything.precipitation(tick)
-        assert len(flat) == 4 * len(member_0)
-        assert flat[: len(member_0)].tobytes() == member_0.tobytes()
+        members = everything.precipitation(tick)
+        assert np.shape(members) == (4, len(member_0))
+        assert members[0].tobytes() == member_0.tobytes()
         dry = run.forecast.evapotranspiration(tick)
         assert everything.evapotranspiration(tick).tobytes() == dry.tobytes()
 

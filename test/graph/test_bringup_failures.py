@@ -24,7 +24,8 @@ from mcap.reader import make_reader
 
 pytest.importorskip("rclpy", reason="the graph needs ROS 2")
 
-NODES = ["plant", "weather", "mpc", "recorder"]
+# The name of the node that each module runs.
+NODES = {"plant": "plant", "weather": "weather", "controller": "mpc", "recorder": "recorder"}
 
 
 def started(domain: int, cwd: Path, *arguments: str) -> tuple[Process, dict[str, int]]:
@@ -70,7 +71,7 @@ def test_killed_node(domain: int, tmp_path: Path, victim: str) -> None:
     shared_memory = shared_memory_of(nodes.values())
     os.kill(nodes[victim], signal.SIGKILL)
     assert process.wait(8) == 1
-    assert f"node {victim} ended (SIGKILL)" in process.stderr()
+    assert f"node {NODES[victim]} ended (SIGKILL)" in process.stderr()
     assert "Traceback" not in process.stderr()
     assert_gone(nodes, shared_memory)
 
@@ -89,7 +90,7 @@ def test_hanging_nodes(domain: int, tmp_path: Path, victims: list[str]) -> None:
     assert time.monotonic() - stopped > 1.5
     for victim in victims:
         # The supervisor says it, or the plant, which waits for what the victim publishes.
-        told = [f"node {victim} (stopped) has not answered for 2 s", f" from {victim}"]
+        told = [f"node {NODES[victim]} (stopped) has not answered for 2 s", f" from {victim}"]
         assert any(text in process.stderr() for text in told), process.stderr()
     assert "Traceback" not in process.stderr()
     assert_gone(nodes, shared_memory)
@@ -108,7 +109,7 @@ def test_last_words_are_in_the_log(domain: int, tmp_path: Path) -> None:
         [sys.executable, "-m", "greenroof_ros.bringup", "--hours", "0.01", "--output", "run"],
         cwd=tmp_path, env=environ, capture_output=True, timeout=60, check=True,
     )
-    for node in NODES:
+    for node in NODES.values():
         assert "a last word\n" in (tmp_path / "run" / "log" / f"{node}.log").read_text()
 
 
@@ -118,7 +119,7 @@ def test_pause_shorter_than_the_limit_changes_nothing(domain: int, tmp_path: Pat
     process = Process(domain, "bringup", "--output", "run", "--hours", "1", cwd=tmp_path)
     process.wait_for_ticks()
     nodes = process.nodes()
-    for node, seconds in (("recorder", 3.0), ("mpc", 1.0), ("weather", 1.0), ("plant", 1.0)):
+    for node, seconds in (("recorder", 3.0), ("controller", 1.0), ("weather", 1.0), ("plant", 1.0)):
         os.kill(nodes[node], signal.SIGSTOP)
         time.sleep(seconds)
         assert process.process.poll() is None, process.stderr()
@@ -229,5 +230,5 @@ def test_node_that_was_never_started(domain: int, tmp_path: Path) -> None:
         weather.send_signal(signal.SIGINT)
         assert weather.wait(8) == 0
     assert plant.returncode == 1
-    assert "/pump/command from mpc or onoff" in plant.stderr
+    assert "/pump/command from controller" in plant.stderr
     assert "weather" not in plant.stderr

@@ -135,13 +135,13 @@ def run_of(
     site = replace(PAPER_SITE, tau=10.0)
     first = datetime.fromisoformat("2021-07-07T00:00-05:00")
     rain = np.array(precipitation)
-    records = Records(Path("drawn.csv"), first, {"precipitation": rain}, "drawn")
+    records = Records((Path("drawn.csv"),), first, {"precipitation": rain}, "drawn")
     weather = Weather(records, rain, np.array(evapotranspiration), "drawn", None)
     steps = 360 * len(precipitation)
     series = WeatherSeries(weather, site, first, steps)
     parameters = {"fraction": v}
     return Run(
-        weather.file, site, weather, series, PerfectForecast(series, site.M), first, steps,
+        weather.files[0], site, weather, series, PerfectForecast(series, site.M), first, steps,
         "onoff", parameters, "custom", x1, x2,
     )
 

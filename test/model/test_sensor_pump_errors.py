@@ -30,9 +30,9 @@ EMPTY, FULL = 0.0, PAPER_SITE.a2 * PAPER_SITE.z_veg
 # --- the sensor --------------------------------------------------------------------------------
 
 
-def readings(sensor_pump_errors: SensorPumpErrors, ticks: Sequence[int], level: float) -> list[float]:
+def readings(errors: SensorPumpErrors, ticks: Sequence[int], level: float) -> list[float]:
     """Return what a new sensor reads at some ticks."""
-    sensor = RoofSensor(sensor_pump_errors)
+    sensor = RoofSensor(errors)
     return [sensor.reading(tick, level) for tick in ticks]
 
 
@@ -111,8 +111,9 @@ def test_minimum_times_by_hand() -> None:
 def test_each_minimum_alone() -> None:
     """The pumps may start in the first tick: they have been off for long enough."""
     commands = [1, 0, 0, 0, 1, 0, 1, 1]
-    assert commands_let_through(SensorPumpErrors(minimum_on=3), commands) == [1, 1, 1, 0, 1, 1, 1, 1]
-    assert commands_let_through(SensorPumpErrors(minimum_off=4), commands) == [1, 0, 0, 0, 0, 0, 1, 1]
+    on, off = SensorPumpErrors(minimum_on=3), SensorPumpErrors(minimum_off=4)
+    assert commands_let_through(on, commands) == [1, 1, 1, 0, 1, 1, 1, 1]
+    assert commands_let_through(off, commands) == [1, 0, 0, 0, 0, 0, 1, 1]
 
 
 @pytest.mark.parametrize(

@@ -20,17 +20,17 @@ from graphs import Process, environment, shared_memory_of, wait_for
 rclpy = pytest.importorskip("rclpy", reason="nodes need ROS 2")
 
 from rcl_interfaces.msg import Parameter, ParameterType, ParameterValue  # noqa: E402
-from rcl_interfaces.srv import SetParameters  # noqa: E402
+from rcl_interfaces.srv import GetParameters, SetParameters  # noqa: E402
 from rclpy.executors import SingleThreadedExecutor  # noqa: E402
 from rclpy.node import Node  # noqa: E402
 from std_msgs.msg import Float64  # noqa: E402
 
 from greenroof_ros.common.interface import read_topics  # noqa: E402
-from greenroof_ros.graph.lockstep import qos_profile  # noqa: E402
+from greenroof_ros.graph.qos import qos_profile  # noqa: E402
 
 
 def qos(topic: str) -> Any:
-    """Return a topic's profile in the contract."""
+    """Return a topic's profile in the interface."""
     return qos_profile(read_topics()[topic].qos)
 
 
@@ -89,7 +89,7 @@ def final_report(observer: Observer, node: str) -> dict[str, Any]:
 
     def on_report(array: DiagnosticArray) -> None:
         for status in array.status:
-            if status.name == node and status.message == "finished":
+            if status.name == f"/{node}" and status.message == "finished":
                 found.update({entry.key: json.loads(entry.value) for entry in status.values})
 
     observer.node.create_subscription(
@@ -112,7 +112,7 @@ def test_bad_command_acts_as_zero_and_is_counted(
     observer.node.create_subscription(
         Float64, "/pump/flow", lambda message: flows.append(message.data), qos("/pump/flow")
     )
-    with nodes(domain, tmp_path, "plant --ros-args -p steps:=20", "weather") as started:
+    with nodes(domain, tmp_path, "plant --ros-args -p run_length:=20", "weather") as started:
         report = final_report(observer, "plant")
     assert report["refused"] == {"/pump/command": 21}
     assert report["metrics"]["pumped_m3"] == 0.0
@@ -142,7 +142,7 @@ def test_bad_level_or_frost_stops_the_pump(
             ("/weather/frost", Float64),
         )
     }
-    with nodes(domain, tmp_path, "mpc"):
+    with nodes(domain, tmp_path, "controller --controller mpc"):
         observer.until(
             lambda: all(each.get_subscription_count() for each in publish.values()), 20, "mpc"
         )
@@ -218,13 +218,61 @@ def test_weight_is_set_during_a_run(domain: int, tmp_path: Path, observer: Obser
     assert 0 <= change["tick"] <= 720
 
 
+def test_simulated_time(domain: int, tmp_path: Path, observer: Observer) -> None:
+    """Every node has use_sim_time, follows its own graph's clock, and stamps its reports by it.
+
+    The graph is in a namespace; a clock on /clock, a day later, is not its own.
+    """
+    from diagnostic_msgs.msg import DiagnosticArray
+    from rosgraph_msgs.msg import Clock
+
+    start, ticks = 1_625_641_200, 1800  # 2021-07-07T02:00-05:00 in seconds since 1970
+    stamps: dict[str, list[int]] = {}
+
+    def on_report(array: DiagnosticArray) -> None:
+        for status in array.status:
+            stamps.setdefault(status.name, []).append(array.header.stamp.sec)
+
+    observer.node.create_subscription(
+        DiagnosticArray, "/diagnostics", on_report, qos("/diagnostics")
+    )
+    other = observer.node.create_publisher(Clock, "/clock", 10)
+    message = Clock()
+    message.clock.sec = start + 86_400
+    names = [f"/site1/{name}" for name in ("plant", "weather", "mpc", "recorder")]
+    process = Process(
+        domain, "bringup", "--output", "run", "--namespace", "site1", "--hours", "0.5",
+        "--speed", "300", cwd=tmp_path,
+    )
+    for name in names:
+        client = observer.node.create_client(GetParameters, f"{name}/get_parameters")
+        observer.until(client.service_is_ready, 30, f"the parameters of {name}")
+        future = client.call_async(GetParameters.Request(names=["use_sim_time"]))
+        observer.until(future.done, 10, "an answer")
+        assert future.result().values[0].bool_value is True
+
+    def ended() -> bool:
+        other.publish(message)
+        return process.process.poll() is not None
+
+    observer.until(ended, 60, "the end of the run")
+    assert process.wait(1) == 0, process.stderr()
+    for name in names:
+        # 0 until the first tick, as ROS has it; then it moves with the run, to its end.
+        moved = [stamp - start for stamp in stamps[name] if stamp]
+        assert moved == sorted(moved), name
+        assert 0 <= moved[0] < ticks / 2 < moved[-1] <= ticks, name
+
+
 def test_parameter_file_is_honoured(domain: int, tmp_path: Path, observer: Observer) -> None:
     """--params-file decides what the node does."""
     (tmp_path / "plant.yaml").write_text(
-        "plant:\n  ros__parameters:\n    cistern: 50.0\n    roof: 3.0\n    steps: 5\n"
+        "plant:\n  ros__parameters:\n    initial_cistern_volume: 50.0\n"
+        "    initial_roof_volume: 3.0\n    run_length: 5\n"
     )
     with nodes(
-        domain, tmp_path, "plant --ros-args --params-file plant.yaml", "weather", "onoff"
+        domain, tmp_path, "plant --ros-args --params-file plant.yaml", "weather",
+        "controller --controller onoff",
     ):
         report = final_report(observer, "plant")
     assert report["tick"] == 5
@@ -236,16 +284,17 @@ def test_parameter_file_is_honoured(domain: int, tmp_path: Path, observer: Obser
 @pytest.mark.parametrize(
     ("command", "words"),
     [
-        ("mpc --ros-args -p weight:=-1.0", ("weight", "-1.0", "1e-09")),
-        ("mpc --ros-args -p weight:=heavy", ("weight", "heavy", "number")),
-        ("onoff --ros-args -p fraction:=.nan", ("fraction",)),
-        ("plant --ros-args -p roof:=-1.0", ("roof", "-1.0")),
-        ("plant --ros-args -p steps:=0", ("steps", "0")),
+        ("controller --controller mpc --ros-args -p weight:=-1.0", ("weight", "-1.0", "1e-09")),
+        ("controller --controller mpc --ros-args -p weight:=heavy", ("weight", "heavy", "number")),
+        ("controller --controller pid", ("pid", "mpc", "package.module:Class")),
+        ("controller --controller onoff --ros-args -p fraction:=.nan", ("fraction",)),
+        ("plant --ros-args -p initial_roof_volume:=-1.0", ("initial_roof_volume", "-1.0")),
+        ("plant --ros-args -p run_length:=0", ("run_length", "0")),
         ("plant --ros-args -p pump:=outside", ("pump", "outside", "external")),
         ("plant --ros-args -p start:=noon", ("start", "noon")),
         ("plant --ros-args -p site_file:=nowhere.yaml", ("nowhere.yaml",)),
-        ("weather --ros-args -p weather_file:=nowhere.csv", ("nowhere.csv",)),
-        ("weather --ros-args -p steps:=10000000", ("toronto_2021-07.csv",)),
+        ("weather --ros-args -p weather_files:=[nowhere.csv]", ("nowhere.csv",)),
+        ("weather --ros-args -p run_length:=10000000", ("toronto_2021-07.csv",)),
         ("recorder --ros-args -p directory:=.", ("directory", "exists")),
         ("recorder --ros-args -p controller:=pid", ("controller", "pid", "mpc")),
     ],
@@ -272,7 +321,8 @@ def test_restarted_controller_takes_the_last_levels(
     """kill -9 of a controller and a new one: the tick waits, the run ends with its numbers."""
     with nodes(
         domain, tmp_path,
-        "plant --ros-args -p steps:=600 -p speed:=100.0 -p peer_limit:=20.0", "weather", "onoff",
+        "plant --ros-args -p run_length:=600 -p speed:=100.0 -p peer_limit:=20.0", "weather",
+        "controller --controller onoff",
     ) as started:
         seen: list[float] = []
         observer.node.create_subscription(
@@ -281,7 +331,7 @@ def test_restarted_controller_takes_the_last_levels(
         observer.until(lambda: len(seen) > 150, 30, "150 ticks")
         os.kill(started[2].pid, signal.SIGKILL)
         time.sleep(3)  # until its lease is over: two controllers are one too many
-        with nodes(domain, tmp_path, "onoff"):
+        with nodes(domain, tmp_path, "controller --controller onoff"):
             report = final_report(observer, "plant")
     assert report["sent"]["/roof/level"] == 601
     done = subprocess.run(

@@ -11,19 +11,19 @@ from pathlib import Path
 
 import pytest
 import yaml
+from bag_topics import MPC_TOPICS
 from graphs import Process, bag_file, bring_up, environment
 from mcap.reader import make_reader
+from places import Once
 from rosbags.highlevel import AnyReader
 
 pytest.importorskip("rclpy", reason="the graph needs ROS 2")
 
 
-@pytest.fixture(scope="module")
-def recorded(domain: int, tmp_path_factory: pytest.TempPathFactory) -> Path:
+@pytest.fixture(scope="session")
+def recorded(domain: int, once: Once) -> Path:
     """The directory of a good run of 360 ticks."""
-    cwd = tmp_path_factory.mktemp("recorded")
-    bring_up(domain, cwd, "--hours", "0.1")
-    return cwd / "run"
+    return once("recorded", lambda cwd: bring_up(domain, cwd, "--hours", "0.1")) / "run"
 
 
 def recover(directory: Path, *arguments: str) -> subprocess.CompletedProcess[str]:
@@ -38,7 +38,7 @@ def test_rosbags_decodes_it(recorded: Path) -> None:
     """An independent rosbag2 reader finds each message and decodes it."""
     with AnyReader([recorded / "bag"]) as reader:
         counts = {connection.topic: connection.msgcount for connection in reader.connections}
-        assert len(counts) == 14
+        assert set(counts) == MPC_TOPICS
         assert set(counts.values()) == {361}
         levels, windows, clocks = [], [], []
         for connection, time_ns, data in reader.messages():
@@ -61,7 +61,7 @@ def test_metadata_and_channels_agree(recorded: Path) -> None:
     metadata = yaml.safe_load((recorded / "bag" / "metadata.yaml").read_text())
     information = metadata["rosbag2_bagfile_information"]
     assert information["version"] == 9
-    assert information["message_count"] == 361 * 14
+    assert information["message_count"] == 361 * len(MPC_TOPICS)
     described = {
         entry["topic_metadata"]["name"]: entry["topic_metadata"]
         for entry in information["topics_with_message_count"]
@@ -69,7 +69,7 @@ def test_metadata_and_channels_agree(recorded: Path) -> None:
     with bag_file(recorded).open("rb") as stream:
         summary = make_reader(stream, validate_crcs=True).get_summary()
     assert summary is not None and summary.statistics is not None
-    assert summary.statistics.message_count == 361 * 14
+    assert summary.statistics.message_count == 361 * len(MPC_TOPICS)
     assert summary.chunk_indexes
     for channel in summary.channels.values():
         topic = described.pop(channel.topic)
@@ -151,6 +151,6 @@ def test_full_disk(domain: int, tmp_path: Path) -> None:
         assert done.returncode == 0, done.stderr
         with AnyReader([tmp_path / "rescued"]) as reader:
             assert {connection.msgcount for connection in reader.connections} != {0}
-            assert reader.message_count > 14 * 300
+            assert reader.message_count > len(MPC_TOPICS) * 300
     finally:
         subprocess.run(["umount", str(disk)], check=True)

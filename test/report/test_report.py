@@ -17,6 +17,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import pytest
+from commands import run_command
 from graphs import bring_up, environment
 from hypothesis import given
 from hypothesis import strategies as st
@@ -876,10 +877,10 @@ def test_limits_are_those_of_the_site(tmp_path: Path) -> None:
 def own_run(directory: Path, one: Simulated) -> Path:
     """Write what bringup leaves of a run that was simulated."""
     write_bag(directory / "bag", messages_of(one.trajectory))
-    (directory / "configuration").mkdir()
+    (directory / "configuration" / "weather").mkdir(parents=True)
     shutil.copy(CONFIG / "site.yaml", directory / "configuration")
     shutil.copy(
-        CONFIG / "weather" / "toronto_2021-07.csv", directory / "configuration" / "weather.csv"
+        CONFIG / "weather" / "toronto_2021-07.csv", directory / "configuration" / "weather"
     )
     (directory / "summary.json").write_text(json.dumps({
         "controller": one.row["controller"], "parameters": {"fraction": 2.0},
@@ -1287,7 +1288,8 @@ def test_refused(tmp_path: Path, name: str) -> None:
     prepare, options, words = WRONG[name]
     prepare(tmp_path)
     before = sorted(tmp_path.rglob("*"))
-    done = command("in", *options.split(), "--output", "report", cwd=tmp_path)
+    arguments = ("report", "in", *options.split(), "--output", "report")
+    done = run_command(*arguments, cwd=tmp_path, env=environment(0))
     assert done.returncode == 2, done.stderr
     assert "Traceback" not in done.stderr and done.stdout == ""
     assert done.stderr.count("error:") == 1, done.stderr

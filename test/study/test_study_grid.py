@@ -5,7 +5,9 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
-from studies import CONFIG, GRID, WEATHER, edited, grid, study
+from commands import run_command
+from graphs import environment
+from studies import CONFIG, GRID, WEATHER, edited, grid
 
 from greenroof_ros.study.grid import read_grid
 
@@ -22,7 +24,8 @@ WRONG = {
     "uncovered": (edited("2021-07-07T02:00", "2022-07-07T02:00"), "but the run is from 2022-07-07"),
     "hours": (edited("0.25", "0"), "line 6: hours = 0.0: must be a whole number of ticks"),
     "hours-list": (edited("0.25", "[0.25, -1]"), "line 6: hours = -1.0: must be a whole number"),
-    "files": (edited(str(WEATHER), f"[{WEATHER}, b.csv]"), "line 4: file: must be one value, not"),
+    "files": (edited(str(WEATHER), f"[{WEATHER}, b.csv]"), "b.csv: cannot be read"),
+    "pattern": (edited(str(WEATHER), "b-*.csv"), "line 4: file = 'b-*.csv': matches no file"),
     "names": (edited("name: dry", "name: [a, b]"), "name: must be one value, not a list"),
     "volumes": (edited("cistern: 40.0", "cistern: [40, 41]"), "cistern: must be one value, not a"),
     "state-list": (edited("[low-low,", "[[low-low],"), "initial: ['low-low'] must be one of low-l"),
@@ -67,22 +70,27 @@ WRONG = {
         GRID + "forecast: [errors, {model: errors, seed: 0}]\n", "forecast errors"
     ),
     "sensor_pump_errors": (
-        GRID + "sensor_pump_errors: 0.0005\n", "line 14: sensor_pump_errors = 0.0005: must be {roof_noise: "
+        GRID + "sensor_pump_errors: 0.0005\n",
+        "line 14: sensor_pump_errors = 0.0005: must be {roof_noise: ",
     ),
     "sensor_pump_errors-none": (
-        GRID + "sensor_pump_errors: []\n", "line 14: sensor_pump_errors: must be {roof_noise: 0.0005, roof_o"
+        GRID + "sensor_pump_errors: []\n",
+        "line 14: sensor_pump_errors: must be {roof_noise: 0.0005, roof_o",
     ),
     "sensor_pump_errors-key": (
-        GRID + "sensor_pump_errors: {noise: 0.1}\n", "line 14: noise: is not known here; there are roof"
+        GRID + "sensor_pump_errors: {noise: 0.1}\n",
+        "line 14: noise: is not known here; there are roof",
     ),
     "sensor_pump_errors-range": (
-        GRID + "sensor_pump_errors: {minimum_on: [60, -1]}\n", "minimum_on: -1.0 must be from 0.0 to 86"
+        GRID + "sensor_pump_errors: {minimum_on: [60, -1]}\n",
+        "minimum_on: -1.0 must be from 0.0 to 86",
     ),
     "sensor_pump_errors-seed": (
         GRID + "sensor_pump_errors: {noise_seed: 0.5}\n", "noise_seed = 0.5: must be a whole number"
     ),
     "sensor_pump_errors-twice": (
-        GRID + "sensor_pump_errors: [{}, {roof_noise: 0}]\n", "forecast perfect, {'roof_noise': 0.0, "
+        GRID + "sensor_pump_errors: [{}, {roof_noise: 0}]\n",
+        "forecast perfect, {'roof_noise': 0.0, ",
     ),
     "twice": (edited("0.1]", "0.001]"), "is the same run twice: mpc {'weight': 0.001"),
 }
@@ -92,7 +100,8 @@ WRONG = {
 def test_wrong_grid(tmp_path: Path, name: str) -> None:
     """Exit code 2, one line that says where and what, before anything runs or is written."""
     text, expected = WRONG[name]
-    result = study(tmp_path, grid(tmp_path, text), "--output", "out")
+    name = grid(tmp_path, text)
+    result = run_command("study", name, "--output", "out", cwd=tmp_path, env=environment(0))
     assert result.returncode == 2, result.stderr
     assert expected in result.stderr
     assert result.stderr.count("\n") == 1
@@ -111,7 +120,7 @@ def test_wrong_grid(tmp_path: Path, name: str) -> None:
 )
 def test_wrong_options(tmp_path: Path, options: list[str], expected: str) -> None:
     """Exit code 2, and no traceback."""
-    result = study(tmp_path, *options)
+    result = run_command("study", *options, cwd=tmp_path, env=environment(0))
     assert result.returncode == 2
     assert expected in result.stderr
     assert "Traceback" not in result.stderr

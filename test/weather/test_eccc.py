@@ -69,7 +69,7 @@ def test_quirks(tmp_path: Path, quoted: bool) -> None:
     """Byte order mark, CRLF, quotes, commas in cells, hours with and without a zero."""
     rows = [row(hour, padded=quoted) for hour in range(24)]
     rows[3] = row(3, padded=quoted, **{"Precip. Amount (mm)": "2.4"})
-    weather = read_weather(write(tmp_path, rows, quoted=quoted), TORONTO)
+    weather = read_weather([write(tmp_path, rows, quoted=quoted)], TORONTO)
     assert weather.first.isoformat() == "2021-07-01T00:00:00-05:00"
     assert weather.end.isoformat() == "2021-07-02T00:00:00-05:00"
     assert weather.precipitation.tolist() == [0, 0, 0, 2.4] + [0] * 20
@@ -82,7 +82,7 @@ def test_quirks(tmp_path: Path, quoted: bool) -> None:
 def test_short_gap_is_filled_and_told(tmp_path: Path) -> None:
     """Three hours of temperature between 18.0 at 6 h and 20.0 at 10 h: 18.5, 19.0, 19.5."""
     gap = {"Temp (°C)": "", "Temp Flag": "M"}
-    weather = read_weather(write(tmp_path, day(h7=gap, h8=gap, h9=gap)), TORONTO)
+    weather = read_weather([write(tmp_path, day(h7=gap, h8=gap, h9=gap))], TORONTO)
     assert weather.records.values["temperature"][6:11].tolist() == [18, 18.5, 19, 19.5, 20]
     series = run(weather, "2021-07-01T00:00-05:00", 24)
     assert series.filled == {
@@ -93,11 +93,11 @@ def test_short_gap_is_filled_and_told(tmp_path: Path) -> None:
 def test_value_beside_a_missing_flag_is_none(tmp_path: Path) -> None:
     """The service repeats the last value there: 12.5 for ever is no dew point."""
     stale = {"Dew Point Temp (°C)": "3.0", "Dew Point Temp Flag": "M"}
-    weather = read_weather(write(tmp_path, day(h7=stale)), TORONTO)
+    weather = read_weather([write(tmp_path, day(h7=stale))], TORONTO)
     assert weather.records.values["dew point"][7] == 12.5  # between 12.5 and 12.5
     assert weather.records.filled["dew point"].nonzero()[0].tolist() == [7]
     estimated = {"Dew Point Temp (°C)": "3.0", "Dew Point Temp Flag": "E"}
-    weather = read_weather(write(tmp_path, day(h7=estimated)), TORONTO)
+    weather = read_weather([write(tmp_path, day(h7=estimated))], TORONTO)
     assert weather.records.values["dew point"][7] == 3.0
 
 
@@ -116,7 +116,7 @@ def test_longer_gap_is_refused_by_who_needs_it(
 ) -> None:
     """Rain is never guessed, temperature and wind for six hours, nothing at the file's ends."""
     changes = {f"h{hour}": {column: ""} for hour in hours}
-    weather = read_weather(write(tmp_path, day(**changes)), TORONTO)
+    weather = read_weather([write(tmp_path, day(**changes))], TORONTO)
     with pytest.raises(ConfigurationError) as caught:
         run(weather, "2021-07-01T00:00-05:00", 24)
     message = str(caught.value)
@@ -135,9 +135,24 @@ def test_six_hours_of_temperature_and_a_day_of_dew_point(tmp_path: Path) -> None
     }
     for hour in range(6, 12):
         changes[f"h{hour}"] |= {"Temp (°C)": "", "Wind Spd (km/h)": ""}
-    weather = read_weather(write(tmp_path, day(**changes)), TORONTO)
+    weather = read_weather([write(tmp_path, day(**changes))], TORONTO)
     series = run(weather, "2021-07-01T00:00-05:00", 24)
     assert sorted(series.filled) == ["dew point", "station pressure", "temperature", "wind speed"]
+
+
+def test_short_rows_are_missing_hours(tmp_path: Path) -> None:
+    """The service ends a row before its first observation where it has none of an hour."""
+    index = COLUMNS.index("Temp (°C)")
+    rows = day()
+    rows[9], rows[10] = rows[9][:index], rows[10][:index]
+    weather = read_weather([write(tmp_path, rows)], TORONTO)
+    assert np.isnan(weather.precipitation).nonzero()[0].tolist() == [9, 10]
+    # Between 19.0 degC at 8 h and 20.5 at 11 h.
+    assert weather.records.values["temperature"][8:12].tolist() == [19, 19.5, 20, 20.5]
+    run(weather, "2021-07-01T11:00-05:00", 12)
+    with pytest.raises(ConfigurationError) as caught:
+        run(weather, "2021-07-01T08:00-05:00", 4)
+    assert "2021-07-01T09:00-05:00 to 2021-07-01T10:00-05:00 (2 hours)" in str(caught.value)
 
 
 def test_frost(tmp_path: Path) -> None:
@@ -146,7 +161,7 @@ def test_frost(tmp_path: Path) -> None:
     changes["h5"] = {"Temp (°C)": "0.0", "Precip. Amount (mm)": "1.5"}
     changes["h6"] = {"Temp (°C)": "0.1", "Precip. Amount (mm)": "4.0"}
     series = run(
-        read_weather(write(tmp_path, day(**changes)), TORONTO), "2021-07-01T03:30-05:00", 5
+        read_weather([write(tmp_path, day(**changes))], TORONTO), "2021-07-01T03:30-05:00", 5
     )
     assert series.frost_hours == 2.5
     assert series.precipitation_in_frost == pytest.approx(1.5, rel=1e-12)
@@ -176,6 +191,8 @@ def _without(column: str) -> Callable[[Path], Path]:
         (day(h3={"Temp (°C)": "warm"}), "line 5: Temp (°C) = 'warm': must be a number from -90"),
         (day(h3={"Stn Press (kPa)": "1004"}), "line 5: Stn Press (kPa) = '1004': must be a number"),
         (day(h3={"Precip. Amount (mm)": "-1"}), "line 5: Precip. Amount (mm) = '-1': must be a n"),
+        ([*day()[:5], row(5)[:6]], "line 7: must have 16 cells as the header has, not 6"),
+        ([*day()[:5], row(5)[:3]], "line 7: Date/Time (LST) = '': must be a time such as 2021-0"),
         ([*day()[:5], row(5)[:-1]], "line 7: must have 16 cells as the header has, not 15"),
         (day(h0={"Longitude (x)": "-123.1"}), "line 2: Longitude (x) = '-123.1': is not near the"),
     ],
@@ -184,7 +201,7 @@ def test_refused(tmp_path: Path, rows: list[list[str]], reason: str) -> None:
     """Named with the line, the service's own column, and the value."""
     path = write(tmp_path, rows)
     with pytest.raises(ConfigurationError) as caught:
-        read_weather(path, TORONTO)
+        read_weather([path], TORONTO)
     assert str(caught.value).replace(", line", ": line").startswith(f"{path}: {reason}")
 
 
@@ -192,24 +209,24 @@ def test_column_is_missing(tmp_path: Path) -> None:
     """As in old files, which have no hourly precipitation."""
     path = _without("Precip. Amount (mm)")(tmp_path)
     with pytest.raises(ConfigurationError, match=r"line 1: must have a column 'Precip\. Amount"):
-        read_weather(path, TORONTO)
+        read_weather([path], TORONTO)
 
 
 def test_local_standard_time_needs_its_offset(tmp_path: Path) -> None:
     """Which the file does not say."""
     with pytest.raises(ConfigurationError, match="the site file must say its offset from UTC"):
-        read_weather(write(tmp_path, day()), replace(TORONTO, utc_offset=None))
+        read_weather([write(tmp_path, day())], replace(TORONTO, utc_offset=None))
 
 
-def test_no_published_variant(tmp_path: Path) -> None:
+def test_no_published_method(tmp_path: Path) -> None:
     """The authors' figures are of their 72 hours alone."""
     with pytest.raises(ConfigurationError, match="evapotranspiration = 'published': must be fao56"):
-        read_weather(write(tmp_path, day()), TORONTO, "published")
+        read_weather([write(tmp_path, day())], TORONTO, "published")
 
 
 def test_july_2021() -> None:
     """744 hours; what the service flags as missing is filled and named, hour by hour."""
-    weather = read_weather(REAL / "en_climate_hourly_07-2021.csv", TORONTO)
+    weather = read_weather([REAL / "en_climate_hourly_07-2021.csv"], TORONTO)
     assert len(weather.precipitation) == 744
     assert weather.first.isoformat() == "2021-07-01T00:00:00-05:00"
     assert weather.end.isoformat() == "2021-08-01T00:00:00-05:00"
@@ -229,7 +246,7 @@ def test_july_2021() -> None:
     assert series.repeats_from == weather.end  # tick N is the first after the last hour
     # The hours of the paper's window, as its own 72 hours have them.
     packaged = read_weather(
-        shared_directory() / "config" / "weather" / "toronto_2021-07.csv", TORONTO, "fao56"
+        [shared_directory() / "config" / "weather" / "toronto_2021-07.csv"], TORONTO, "fao56"
     )
     assert weather.precipitation[144:216].tolist() == packaged.precipitation.tolist()
     # The first night's clouds are those of the evening before, which the 72 hours do not have.
@@ -242,7 +259,7 @@ def test_july_2021() -> None:
 
 def test_march_2021() -> None:
     """Another year's form, quoted and padded; 203 hours of frost."""
-    weather = read_weather(REAL / "en_climate_hourly_03-2021.csv", TORONTO)
+    weather = read_weather([REAL / "en_climate_hourly_03-2021.csv"], TORONTO)
     assert len(weather.precipitation) == 744
     assert weather.frost is not None
     assert weather.frost.sum() == 203

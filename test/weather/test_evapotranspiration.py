@@ -120,7 +120,7 @@ def day_of_records(**changes: NDArray[np.float64]) -> Records:
         "station pressure": np.full(24, 100.5),
         **changes,
     }
-    return Records(Path("day.csv"), datetime.fromisoformat("2021-07-15T00:00-05:00"), values)
+    return Records((Path("day.csv"),), datetime.fromisoformat("2021-07-15T00:00-05:00"), values)
 
 
 def test_radiation_of_the_days_temperatures() -> None:

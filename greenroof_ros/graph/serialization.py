@@ -1,0 +1,119 @@
+"""Values to messages and back, as the bytes that go over the wire (CDR, XCDR version 1).
+
+For a number, a row of numbers and the clock this does what the generated code of the message types
+does, in a third of its time: the generated code makes a Python object of each field first. It
+writes little-endian, whatever the machine, and the header of each message says so. Whatever else
+comes - big-endian, a layout - is left to the generated code.
+"""
+
+from __future__ import annotations
+
+import math
+import struct
+import sys
+from array import array
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from rclpy.serialization import deserialize_message, serialize_message
+from rosgraph_msgs.msg import Clock
+from std_msgs.msg import Float64, Float64MultiArray, MultiArrayDimension, MultiArrayLayout
+
+from greenroof_ros.graph.errors import LockstepError
+
+_HEADER = b"\x00\x01\x00\x00"  # little-endian, no options
+_NUMBER = struct.Struct("<4sd")
+_CLOCK = struct.Struct("<4siI")
+# Length of the list of dimensions, offset, length of the data, and padding, which the generated code
+# leaves as it was in memory; then the numbers.
+_ROW = struct.Struct("<4sIII4x")
+_NS = 1_000_000_000
+_LITTLE = sys.byteorder == "little"  # rows are copied as they lie in memory
+
+
+def encoder(type_name: str) -> Callable[[Any], bytes]:
+    """Return what makes messages of a type.
+
+    Args:
+        type_name: ``std_msgs/msg/Float64`` of a number; ``std_msgs/msg/Float64MultiArray`` of an
+            ``array("d")`` or of a 2-D numpy array, (member, step), whose shape goes into the
+            layout; ``rosgraph_msgs/msg/Clock`` of nanoseconds since 1970.
+    """
+    encoders: dict[str, Callable[[Any], bytes]] = {
+        "std_msgs/msg/Float64": _encode_number,
+        "std_msgs/msg/Float64MultiArray": _encode_numbers,
+        "rosgraph_msgs/msg/Clock": _encode_clock,
+    }
+    return encoders[type_name]
+
+
+def decoder(type_name: str) -> Callable[[bytes], Any]:
+    """Return what takes the value out of a message of a type; see :func:`encoder`."""
+    return {
+        "std_msgs/msg/Float64": _decode_number,
+        "std_msgs/msg/Float64MultiArray": _decode_numbers,
+        "rosgraph_msgs/msg/Clock": decode_clock,
+    }[type_name]
+
+
+def _encode_number(value: float) -> bytes:
+    return _NUMBER.pack(_HEADER, value)
+
+
+def _decode_number(message: bytes) -> float:
+    if len(message) == _NUMBER.size:
+        header, value = _NUMBER.unpack(message)
+        if header == _HEADER:
+            return float(value)
+    return float(deserialize_message(message, Float64).data)
+
+
+def _encode_clock(time_ns: int) -> bytes:
+    return _CLOCK.pack(_HEADER, *divmod(time_ns, _NS))
+
+
+def decode_clock(message: bytes) -> int:
+    """Return the time of a clock message (ns since 1970)."""
+    if len(message) == _CLOCK.size:
+        header, seconds, nanoseconds = _CLOCK.unpack(message)
+        if header == _HEADER:
+            return int(seconds) * _NS + int(nanoseconds)
+    stamp = deserialize_message(message, Clock).clock
+    return int(stamp.sec) * _NS + int(stamp.nanosec)
+
+
+def _encode_numbers(values: array[float] | NDArray[np.float64]) -> bytes:
+    if isinstance(values, np.ndarray) and len(values) == 1:
+        values = array("d", values.tobytes())  # one forecast is no ensemble
+    if isinstance(values, array):
+        if _LITTLE:
+            return _ROW.pack(_HEADER, 0, 0, len(values)) + values.tobytes()
+        return serialize_message(Float64MultiArray(data=values))
+    members, steps = values.shape
+    layout = MultiArrayLayout(
+        dim=[
+            MultiArrayDimension(label="member", size=members, stride=members * steps),
+            MultiArrayDimension(label="step", size=steps, stride=steps),
+        ]
+    )
+    data = array("d", values.tobytes())
+    return serialize_message(Float64MultiArray(layout=layout, data=data))
+
+
+def _decode_numbers(message: bytes) -> array[float] | NDArray[np.float64]:
+    if _LITTLE and len(message) >= _ROW.size:
+        head = _ROW.unpack_from(message)
+        if head == (_HEADER, 0, 0, (len(message) - _ROW.size) // 8):
+            values = array("d")
+            values.frombytes(message[_ROW.size :])
+            return values
+    received = deserialize_message(message, Float64MultiArray)
+    data: array[float] = received.data[received.layout.data_offset :]
+    shape = [dimension.size for dimension in received.layout.dim]
+    if len(shape) < 2:
+        return data
+    if math.prod(shape) != len(data):
+        raise LockstepError(f"a message has {len(data)} values, but its layout is {shape}")
+    return np.asarray(data).reshape(shape)

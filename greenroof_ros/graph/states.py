@@ -1,0 +1,10 @@
+"""What a node says of itself, and where a started node says it to the process that started it."""
+
+from __future__ import annotations
+
+# The states of a node: not all its peers are there; they are; the run is over.
+STARTING, READY, FINISHED = "starting", "ready", "finished"
+
+# The environment variable that holds the file descriptor to which a started node writes its
+# reports, one JSON object a line with the key "state".
+REPORT_PIPE = "GREENROOF_ROS_REPORT_PIPE"

@@ -1,0 +1,20 @@
+"""The topics of a bag by msg_defs/topics.yaml, without the package's own reader."""
+
+from __future__ import annotations
+
+import yaml
+from places import CHECKOUT
+
+
+def bag_topics(*outputs: str) -> set[str]:
+    """Return the topics of each tick, with these of the optional ones."""
+    topics = yaml.safe_load((CHECKOUT / "msg_defs" / "topics.yaml").read_text())["topics"]
+    return {
+        name
+        for name, entry in topics.items()
+        if entry["per_tick"] and (name in outputs or not entry.get("optional"))
+    }
+
+
+# Those of a run with mpc.
+MPC_TOPICS = bag_topics("/controller/cost", "/controller/solver_status")

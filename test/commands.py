@@ -1,0 +1,89 @@
+"""Commands that are to be refused, in processes that need not import anything first.
+
+A process of Python's own takes a second to import what the commands need, and two hundred tests of
+wrong options and files need nothing else of it. Here one process has imported it, and forks itself
+for each command: its own directory, environment, output and exit code, as with ``python -m``.
+"""
+
+from __future__ import annotations
+
+import importlib
+import json
+import os
+import runpy
+import subprocess
+import sys
+import tempfile
+import traceback
+from functools import cache
+from pathlib import Path
+
+_IMPORTED = (
+    "experiment.options", "experiment.summary_table", "graph.supervisor", "report.page",
+    "report.runs", "report.figures", "study.grid", "study.store", "study.workers",
+)
+
+
+def run_command(
+    module: str, *arguments: str, cwd: Path, env: dict[str, str]
+) -> subprocess.CompletedProcess[str]:
+    """Run ``python -m greenroof_ros.module`` to its end."""
+    server = _server()
+    assert server.stdin is not None and server.stdout is not None
+    with tempfile.TemporaryDirectory() as scratch:
+        out, err = (Path(scratch) / name for name in ("out", "err"))
+        request = (f"greenroof_ros.{module}", arguments, str(cwd), env, str(out), str(err))
+        server.stdin.write(json.dumps(request) + "\n")
+        server.stdin.flush()
+        code = int(server.stdout.readline())
+        return subprocess.CompletedProcess(arguments, code, out.read_text(), err.read_text())
+
+
+@cache
+def _server() -> subprocess.Popen[str]:
+    """Start the process that imports everything; it ends with this one, whose end it reads."""
+    return subprocess.Popen(
+        [sys.executable, __file__], text=True, stdin=subprocess.PIPE, stdout=subprocess.PIPE
+    )
+
+
+def _serve() -> None:
+    """Fork for each request, and answer with the exit code."""
+    sys.path[0] = str(Path(__file__).resolve().parent.parent)
+    for name in _IMPORTED:
+        importlib.import_module(f"greenroof_ros.{name}")
+    for line in sys.stdin:
+        child = os.fork()
+        if child == 0:
+            _become(*json.loads(line))
+        _, status = os.waitpid(child, 0)
+        print(os.waitstatus_to_exitcode(status), flush=True)
+
+
+def _become(
+    module: str, arguments: list[str], cwd: str, env: dict[str, str], out: str, err: str
+) -> None:
+    """Be the command."""
+    null = os.open(os.devnull, os.O_RDONLY)
+    outputs = [os.open(file, os.O_WRONLY | os.O_CREAT) for file in (out, err)]
+    for number, stream in enumerate((null, *outputs)):
+        os.dup2(stream, number)
+    os.chdir(cwd)
+    os.environ.clear()
+    os.environ.update(env)
+    sys.argv = [module, *arguments]
+    code = 0
+    try:
+        runpy.run_module(module, run_name="__main__", alter_sys=True)
+    except SystemExit as end:
+        code = end.code if isinstance(end.code, int) else int(end.code is not None)
+    except BaseException:
+        traceback.print_exc()
+        code = 1
+    finally:
+        sys.stdout.flush()
+        os._exit(code)
+
+
+if __name__ == "__main__":
+    _serve()

@@ -1,0 +1,123 @@
+"""Two graphs side by side in one domain, each in a namespace of its own."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from bag_topics import MPC_TOPICS, bag_topics
+from graphs import Process, bag_file, bring_up, environment, wait_for
+from mcap.reader import make_reader
+
+pytest.importorskip("rclpy", reason="the graph needs ROS 2")
+
+# Each with a parameter file of its own, which holds in a namespace; the first is of the paper's
+# controller.
+FILES = {
+    "site1": "/**/mpc:\n  ros__parameters:\n    weight: 0.02\n",
+    "site2": "/**/onoff:\n  ros__parameters:\n    fraction: 0.4\n",
+}
+OPTIONS = {
+    "site1": ("--namespace", "site1", "--controller", "mpc", "--hours", "0.5"),
+    "site2": ("--namespace", "/site2", "--controller", "onoff", "--hours", "0.5"),
+}
+TOPICS = {"site1": MPC_TOPICS, "site2": bag_topics()}
+
+
+def options(cwd: Path, site: str) -> tuple[str, ...]:
+    """Return a site's options; its parameter file is written."""
+    file = cwd / f"{site}.yaml"
+    file.write_text(FILES[site])
+    return (*OPTIONS[site], "--parameters", file.name)
+
+
+def bag_names(run: Path) -> set[str]:
+    """Return the names of the topics in a bag."""
+    with bag_file(run).open("rb") as stream:
+        summary = make_reader(stream).get_summary()
+    assert summary is not None
+    return {channel.topic for channel in summary.channels.values()}
+
+
+def summary_of(run: Path) -> dict[str, object]:
+    return json.loads((run / "summary.json").read_text())
+
+
+def test_two_at_once(domain: int, tmp_path: Path) -> None:
+    """Their bags have each byte of those of runs alone, and names in their namespace."""
+    together = {
+        site: Process(
+            domain, "bringup", "--output", f"{site}-together", *options(tmp_path, site),
+            cwd=tmp_path,
+        )
+        for site in OPTIONS
+    }
+    for process in together.values():
+        assert process.wait(120) == 0, process.stderr()
+    for site in OPTIONS:
+        bring_up(domain, tmp_path, *options(tmp_path, site), output=f"{site}-alone")
+        alone, beside = tmp_path / f"{site}-alone", tmp_path / f"{site}-together"
+        assert bag_file(beside).read_bytes() == bag_file(alone).read_bytes()
+        for file in ("metadata.yaml",):
+            assert (beside / "bag" / file).read_bytes() == (alone / "bag" / file).read_bytes()
+        assert bag_names(beside) == {f"/{site}{topic}" for topic in TOPICS[site]}
+    assert summary_of(tmp_path / "site1-together")["parameters"]["weight"] == 0.02
+    # The file took effect in the node: on/off commands its fraction, and nothing else.
+    assert summary_of(tmp_path / "site2-together")["max_command"] == 0.4
+    # What is recorded under a namespace is recovered under it.
+    done = subprocess.run(
+        [
+            sys.executable, "-m", "greenroof_ros.recover", "site1-alone",
+            "--output", str(tmp_path / "again" / "bag"),
+        ],
+        cwd=tmp_path, env=environment(domain), capture_output=True, text=True, check=False,
+    )
+    assert done.returncode == 0, done.stderr
+    assert bag_file(tmp_path / "again").read_bytes() == (
+        bag_file(tmp_path / "site1-alone").read_bytes()
+    )
+
+
+def test_killed_node_of_one_leaves_the_other_alone(domain: int, tmp_path: Path) -> None:
+    """kill -9 of a node in one namespace: its run ends, and the other's bag is as ever."""
+    bring_up(domain, tmp_path, *options(tmp_path, "site2"), output="alone")
+    first = Process(
+        domain, "bringup", "--output", "run", "--namespace", "site1", cwd=tmp_path
+    )
+    first.wait_for_ticks()
+    second = Process(
+        domain, "bringup", "--output", "other", *options(tmp_path, "site2"), cwd=tmp_path
+    )
+    file = bag_file(tmp_path / "other")
+    wait_for(lambda: file.exists() and file.stat().st_size > 10_000, 60, "the other's bag")
+    os.kill(first.nodes()["weather"], signal.SIGKILL)
+    assert first.wait(10) == 1
+    assert "node weather ended (SIGKILL)" in first.stderr()
+    assert second.wait(120) == 0, second.stderr()
+    assert file.read_bytes() == bag_file(tmp_path / "alone").read_bytes()
+
+
+def test_namespace_that_is_taken(domain: int, tmp_path: Path) -> None:
+    """A second bringup in the namespace is refused, with advice."""
+    first = Process(domain, "bringup", "--output", "run", "--namespace", "site1", cwd=tmp_path)
+    first.wait_for_ticks()
+    second = Process(domain, "bringup", "--output", "second", "--namespace", "/site1", cwd=tmp_path)
+    assert second.wait(20) == 2
+    assert "namespace /site1" in second.stderr()
+    assert "--namespace" in second.stderr()
+    first.process.send_signal(signal.SIGINT)
+    assert first.wait(8) == 130
+
+
+@pytest.mark.parametrize("name", ["site 1", "1", "a//b", "roof-1"])
+def test_wrong_namespace(unused_domain: int, tmp_path: Path, name: str) -> None:
+    """What ROS does not take as a namespace is refused before anything starts."""
+    process = Process(unused_domain, "bringup", "--namespace", name, cwd=tmp_path)
+    assert process.wait(20) == 2
+    assert name in process.stderr()
+    assert "such as site1" in process.stderr()

@@ -1,0 +1,234 @@
+"""Several weather files as one."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import yaml
+from paper import paper_run
+from places import CONFIG, DATA
+
+from greenroof_ros.common.errors import ConfigurationError
+from greenroof_ros.common.times import parse_time
+from greenroof_ros.experiment.run_directory import write_configuration
+from greenroof_ros.model.site import read_site
+from greenroof_ros.weather.joining import find_files
+from greenroof_ros.weather.reading import read_weather
+from greenroof_ros.weather.series import Weather, WeatherSeries
+
+TORONTO = read_site(CONFIG / "site.yaml")
+JULY, MARCH = DATA / "en_climate_hourly_07-2021.csv", DATA / "en_climate_hourly_03-2021.csv"
+
+
+def piece(directory: Path, name: str, first: int, last: int, change: str = "") -> Path:
+    """Write the records first..last (from 0) of July; ``change`` is the first one's rain."""
+    header, *records = JULY.read_text(encoding="utf-8-sig").splitlines()
+    chosen = records[first : last + 1]
+    if change:
+        cells = chosen[0].split(",")
+        cells[header.replace('"', "").split(",").index("Precip. Amount (mm)")] = change
+        chosen[0] = ",".join(cells)
+    path = directory / name
+    path.write_text("\n".join([header, *chosen]) + "\n", encoding="utf-8")
+    return path
+
+
+def same(one: Weather, other: Weather) -> None:
+    """Hold two weathers equal bit for bit, but for their files."""
+    assert (one.first, one.end, one.method) == (other.first, other.end, other.method)
+    assert one.precipitation.tobytes() == other.precipitation.tobytes()
+    assert one.evapotranspiration.tobytes() == other.evapotranspiration.tobytes()
+    for quantity, series in one.records.values.items():
+        assert series.tobytes() == other.records.values[quantity].tobytes()
+        if quantity in one.records.filled:
+            filled = other.records.filled[quantity]
+            assert one.records.filled[quantity].tobytes() == filled.tobytes()
+
+
+@pytest.mark.parametrize(
+    "spans",
+    [
+        [(0, 299), (300, 743)],
+        [(481, 743), (0, 480)],  # in a gap of station pressure, 20 July 13:00 to 17:00
+        [(0, 400), (200, 600), (100, 150), (550, 743)],
+    ],
+)
+def test_pieces_of_a_month_are_the_month(tmp_path: Path, spans: list[tuple[int, int]]) -> None:
+    """In any order, with overlaps that are equal: each gap is filled as in the whole file."""
+    files = [piece(tmp_path, f"{first}.csv", first, last) for first, last in spans]
+    joined = read_weather(files, TORONTO)
+    same(joined, read_weather([JULY], TORONTO))
+    assert [int(file.stem) for file in joined.files] == sorted(first for first, _ in spans)
+
+
+def test_months_far_from_each_other() -> None:
+    """March and July: 1,488 hours with records, 2,928 between them without.
+
+    From 1 April to 30 June are 91 days, of which there is nothing; 31 + 91 + 31 are 153 days.
+    """
+    weather = read_weather([JULY, MARCH], TORONTO)
+    assert weather.files == (MARCH, JULY)
+    assert len(weather.precipitation) == 153 * 24
+    march, july = read_weather([MARCH], TORONTO), read_weather([JULY], TORONTO)
+    assert weather.precipitation[:744].tobytes() == march.precipitation.tobytes()
+    assert np.isnan(weather.precipitation[744:-744]).all()
+    assert weather.evapotranspiration[-744:].tobytes() == july.evapotranspiration.tobytes()
+    site = replace(TORONTO, tau=600.0, M=1)
+    alone = WeatherSeries(july, site, july.first, 743 * 6)
+    there = WeatherSeries(weather, site, july.first, 743 * 6)
+    assert there.precipitation.tobytes() == alone.precipitation.tobytes()
+    assert (there.filled, there.filled_hours) == (alone.filled, alone.filled_hours)
+    with pytest.raises(ConfigurationError) as caught:
+        WeatherSeries(weather, site, parse_time("2021-03-31T12:00-05:00"), 6 * 24)
+    assert str(caught.value).startswith(
+        f"{DATA / '2 files'}, {MARCH.name} to {JULY.name}: precipitation is missing at "
+        "2021-04-01T00:00-05:00 to 2021-04-01T12:00-05:00 (13 hours)"
+    )
+
+
+def test_short_gap_between_files(tmp_path: Path) -> None:
+    """Between 05:00 and 08:00 of 1 July: 23.9 and 25.6 degC of the service, a straight line."""
+    files = [piece(tmp_path, "a.csv", 0, 5), piece(tmp_path, "b.csv", 8, 743)]
+    weather, whole = read_weather(files, TORONTO), read_weather([JULY], TORONTO)
+    values, known = weather.records.values, whole.records.values
+    begin, end = known["temperature"][5], known["temperature"][8]
+    assert values["temperature"][6:8] == pytest.approx(
+        [(2 * begin + end) / 3, (begin + 2 * end) / 3], rel=1e-12
+    )
+    assert weather.records.filled["temperature"][:10].nonzero()[0].tolist() == [6, 7]
+    assert np.isnan(weather.precipitation[6:8]).all()  # rain is never guessed
+    assert not np.isnan(weather.precipitation[[5, 8]]).any()
+
+
+def test_value_that_one_file_lacks(tmp_path: Path) -> None:
+    """It is the other's, whichever comes first."""
+    lacking = piece(tmp_path, "a.csv", 0, 30, change=" ")
+    whole = piece(tmp_path, "b.csv", 0, 743)
+    expected = read_weather([JULY], TORONTO)
+    for files in ([lacking, whole], [whole, lacking]):
+        same(read_weather(files, TORONTO), expected)
+
+
+def test_overlaps_that_differ(tmp_path: Path) -> None:
+    """Both files, the hour, the quantity and both values are named."""
+    one = piece(tmp_path, "one.csv", 0, 200)
+    other = piece(tmp_path, "other.csv", 100, 743, change="9.9")
+    with pytest.raises(ConfigurationError) as caught:
+        read_weather([other, one], TORONTO)
+    # Record 100 is 5 July, 04:00; it did not rain then.
+    assert str(caught.value) == (
+        f"{other}: precipitation at 2021-07-05T04:00-05:00 = 9.9: must be 0, as in {one}, or the "
+        "files must not overlap"
+    )
+
+
+def own(directory: Path, name: str, first: str, column: str, *values: float) -> Path:
+    """Write a file of this project's form."""
+    begin = np.datetime64(first)
+    lines = [f"time,precipitation [mm/h],{column}"]
+    lines += [
+        f"{begin + np.timedelta64(hour, 'h')}:00-05:00,0.1,{value}"
+        for hour, value in enumerate(values)
+    ]
+    path = directory / name
+    path.write_text("\n".join(lines) + "\n")
+    return path
+
+
+def test_what_cannot_be_joined(tmp_path: Path) -> None:
+    """Other quantities, another method, hours that begin at another minute."""
+    column = "published evapotranspiration [mm/day]"
+    one = own(tmp_path, "one.csv", "2021-07-01T00:00:00", column, 1.0, 2.0)
+    for name, first, other_column, reason in (
+        ("a", "2021-07-01T02:00:00", "lysimeter evapotranspiration [mm/day]",
+         f"must have the same method of evapotranspiration as {one}, published; it has lysimeter"),
+        ("b", "2021-07-01T02:30:00", column,
+         "its hours begin at 2021-07-01T02:30-05:00, which must be a whole number of hours from "
+         f"2021-07-01T00:00-05:00, as in {one}"),
+    ):
+        other = own(tmp_path, f"{name}.csv", first, other_column, 3.0)
+        # The file's times say no seconds.
+        other.write_text(other.read_text().replace(":00:00-", ":00-"))
+        with pytest.raises(ConfigurationError) as caught:
+            read_weather([one, other], TORONTO)
+        assert str(caught.value) == f"{other}: {reason}"
+    with pytest.raises(ConfigurationError) as caught:
+        read_weather([one, JULY], TORONTO)
+    assert str(caught.value) == (
+        f"{JULY}: must have the same quantities as {one}, evapotranspiration, precipitation; it "
+        "has dew point, precipitation, station pressure, temperature, wind speed"
+    )
+
+
+def test_names_and_patterns(tmp_path: Path) -> None:
+    """A name as it is, a pattern sorted, each file once; what is there is no pattern."""
+    for name in ("b-1.csv", "b-2.csv", "a.csv", "c[1].csv"):
+        (tmp_path / name).write_text("")
+    def found(*names: str) -> list[str]:
+        return [path.name for path in find_files(names, "--weather", tmp_path)]
+
+    assert found("b-*.csv") == ["b-1.csv", "b-2.csv"]
+    assert found("b-2.csv", "b-?.csv", "a.csv") == ["b-2.csv", "b-1.csv", "a.csv"]
+    assert found("c[1].csv") == ["c[1].csv"]
+    assert found("absent.csv") == ["absent.csv"]  # which reading it refuses
+    assert find_files([str(tmp_path / "b-[1].csv")], "--weather") == [tmp_path / "b-1.csv"]
+    with pytest.raises(ConfigurationError, match=r"--weather = 'd-\*\.csv': matches no file"):
+        found("a.csv", "d-*.csv")
+
+
+def test_run_directory_keeps_all_files(tmp_path: Path) -> None:
+    """Under names of their own, and the node's parameter names them in the order of time."""
+    parts: list[Path] = []
+    for name, first, last in (("late", 200, 400), ("early", 0, 199)):
+        (tmp_path / name).mkdir()
+        parts.append(piece(tmp_path / name, "july.csv", first, last))
+    run = paper_run(
+        "--weather", *map(str, parts), "--controller", "onoff", "--start", "2021-07-07T02:00",
+        "--hours", "1",
+    )
+    assert run.weather.source == str(tmp_path / "early" / "2 files, july.csv to july.csv")
+    (tmp_path / "run" / "configuration").mkdir(parents=True)
+    file = write_configuration(tmp_path / "run", run, {})
+    kept = tmp_path / "run" / "configuration" / "weather"
+    assert (kept / "july.csv").read_bytes() == parts[1].read_bytes()
+    assert (kept / "july-2.csv").read_bytes() == parts[0].read_bytes()
+    parameters = yaml.safe_load(file.read_text())["/**/weather"]["ros__parameters"]
+    assert parameters["weather_files"] == [str(kept / "july.csv"), str(kept / "july-2.csv")]
+    same(read_weather(sorted(kept.glob("*")), TORONTO), run.weather)
+
+
+def simulate(directory: Path, *options: str) -> subprocess.CompletedProcess[str]:
+    """Run the command for an hour of July."""
+    return subprocess.run(
+        [
+            sys.executable, "-m", "greenroof_ros.simulate", "--controller", "onoff",
+            "--start", "2021-07-07T02:00", "--hours", "1", "--json", *options,
+        ],
+        cwd=directory, capture_output=True, text=True, timeout=120, check=False,
+    )
+
+
+def test_command_line(tmp_path: Path) -> None:
+    """Two files, a pattern, and a pattern that matches nothing."""
+    piece(tmp_path, "july-1.csv", 0, 150)
+    piece(tmp_path, "july-2.csv", 151, 743)
+
+    def results(*options: str) -> list[str]:
+        done = simulate(tmp_path, *options)
+        assert done.returncode == 0, done.stderr
+        names = ("total_deviation_m3", "rain_m3", "evapotranspiration_m3", "filled_hours")
+        return [line for line in done.stdout.splitlines() if any(name in line for name in names)]
+
+    expected = results("--weather", str(JULY))
+    assert len(expected) == 4
+    assert results("--weather", "july-2.csv", "july-1.csv") == expected
+    assert results("--weather", "july-*.csv") == expected
+    done = simulate(tmp_path, "--weather", "june-*.csv")
+    assert done.returncode == 2
+    assert "--weather = 'june-*.csv': matches no file" in done.stderr
+    assert "Traceback" not in done.stderr

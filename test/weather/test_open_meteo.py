@@ -1,0 +1,308 @@
+"""Open-Meteo's hourly archive CSV; every figure of these files is made up."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from places import CONFIG
+
+from greenroof_ros.common.errors import ConfigurationError
+from greenroof_ros.common.times import parse_time
+from greenroof_ros.model.site import read_site
+from greenroof_ros.weather.reading import read_weather
+from greenroof_ros.weather.series import WeatherSeries
+
+TORONTO = read_site(CONFIG / "site.yaml")
+PLACE = "latitude,longitude,elevation,utc_offset_seconds,timezone,timezone_abbreviation"
+VALUES = "43.620384,-79.41748,77.0,-18000,America/Toronto,GMT-5"
+HEADER = (
+    "time,temperature_2m (°C),precipitation (mm),dew_point_2m (°C),wind_speed_10m (km/h),"
+    "surface_pressure (hPa),shortwave_radiation (W/m²)"
+)
+# Six hours from 10:00 on: rain 0.1, 0.2, ... mm and radiation 100, 110, ... W/m2 in each hour
+# before its time; 20, 20.5, ... degC at it.
+HOURS = [
+    f"2021-07-07T{10 + i}:00,{20 + i / 2:.1f},{(i + 1) / 10:.2f},{12 + i / 10:.1f},{9 + i}.0,"
+    f"100{i}.5,{100 + 10 * i}.0"
+    for i in range(6)
+]
+
+
+def write(
+    directory: Path, hours: list[str] = HOURS, header: str = HEADER, values: str = VALUES,
+    place: str = PLACE, name: str = "open-meteo.csv",
+) -> Path:
+    """Write a file as the service does."""
+    path = directory / name
+    path.write_text("\n".join([place, values, "", header, *hours]) + "\n", encoding="utf-8")
+    return path
+
+
+def edited(line: int, old: str, new: str) -> list[str]:
+    """Return the hours with other text in one of them."""
+    assert old in HOURS[line]
+    return [hour.replace(old, new, 1) if i == line else hour for i, hour in enumerate(HOURS)]
+
+
+def test_rain_and_radiation_are_of_the_hour_before(tmp_path: Path) -> None:
+    """What stands at 11:00 fell from 10:00 to 11:00; temperature stands at its time.
+
+    So the five hours 10:00 to 15:00 are known whole: of 9:00 there is no temperature, and of 15:00
+    no rain.
+    """
+    weather = read_weather([write(tmp_path)], TORONTO)
+    assert weather.first.isoformat() == "2021-07-07T10:00:00-05:00"
+    assert weather.end.isoformat() == "2021-07-07T15:00:00-05:00"
+    assert weather.precipitation.tolist() == [0.2, 0.3, 0.4, 0.5, 0.6]
+    values = weather.records.values
+    assert values["solar radiation"].tolist() == [110, 120, 130, 140, 150]
+    assert values["temperature"].tolist() == [20, 20.5, 21, 21.5, 22]
+    assert values["dew point"].tolist() == [12, 12.1, 12.2, 12.3, 12.4]
+    assert values["wind speed"].tolist() == [9, 10, 11, 12, 13]
+    # 1000.5 hPa are 100.05 kPa.
+    assert values["station pressure"] == pytest.approx([100.05, 100.15, 100.25, 100.35, 100.45])
+    assert weather.method == "fao56"
+    assert not np.isnan(weather.evapotranspiration).any()
+    assert weather.records.notes == (
+        "precipitation and solar radiation of the files are of the hour before their time, and "
+        "were moved an hour back",
+    )
+
+
+def test_order_of_columns_and_further_variables(tmp_path: Path) -> None:
+    """Columns are found by name; what no run needs is not read. Without radiation there is none."""
+    def cells(line: str) -> str:
+        parts = line.split(",")[:-1]
+        return ",".join([parts[0], *reversed(parts[1:]), "no number"])
+
+    header = cells(HEADER).replace("no number", "weather_code (wmo code)")
+    weather = read_weather([write(tmp_path, [cells(hour) for hour in HOURS], header)], TORONTO)
+    assert weather.precipitation.tolist() == [0.2, 0.3, 0.4, 0.5, 0.6]
+    assert weather.records.values["temperature"].tolist() == [20, 20.5, 21, 21.5, 22]
+    assert weather.records.shifted == ("precipitation",)
+    assert np.isnan(weather.evapotranspiration).all()  # which then needs whole days
+
+
+@pytest.mark.parametrize(
+    ("offset", "first"),
+    [
+        ("0,GMT,GMT", "2021-07-07T10:00:00+00:00"),
+        ("-14400,America/Toronto,GMT-4", "2021-07-07T10:00:00-04:00"),
+        ("19800,Asia/Kolkata,GMT+5:30", "2021-07-07T10:00:00+05:30"),
+    ],
+)
+def test_times_are_at_the_offset_of_the_header(tmp_path: Path, offset: str, first: str) -> None:
+    """UTC, daylight saving time, half an hour; the site's own is not asked."""
+    values = f"43.620384,-79.41748,77.0,{offset}"
+    weather = read_weather([write(tmp_path, values=values)], TORONTO)
+    assert weather.first.isoformat() == first
+    assert weather.end - weather.first == 5 * (parse_time(HOURS[1][:16]) - parse_time(HOURS[0][:16]))
+
+
+def test_one_offset_over_a_change_of_daylight_saving_time(tmp_path: Path) -> None:
+    """Toronto's clocks skip 02:00 on 14 March 2021; the file does not."""
+    hours = [
+        f"2021-03-14T0{hour}:00,5.0,0.0{hour},1.0,10.0,1000.0,0.0" for hour in range(5)
+    ]
+    weather = read_weather([write(tmp_path, hours)], TORONTO)
+    assert weather.precipitation.tolist() == [0.01, 0.02, 0.03, 0.04]
+    assert weather.end.isoformat() == "2021-03-14T04:00:00-05:00"
+
+
+@pytest.mark.parametrize(
+    ("theirs", "ours", "cells", "quantity", "expected"),
+    [
+        # 68 degF are 20 degC; 1 inch is 25.4 mm; 10 m/s are 36 km/h; 100 mph are 160.9344 km/h;
+        # 10 kn are 18.52 km/h.
+        ("temperature_2m (°C)", "temperature_2m (°F)", (",20.0,", ",68.0,"), "temperature", 20.0),
+        ("dew_point_2m (°C)", "dew_point_2m (°F)", (",12.0,", ",50.0,"), "dew point", 10.0),
+        ("wind_speed_10m (km/h)", "wind_speed_10m (m/s)", (",9.0,", ",10.0,"), "wind speed", 36.0),
+        (
+            "wind_speed_10m (km/h)", "wind_speed_10m (mp/h)", (",9.0,", ",100.0,"),
+            "wind speed", 160.9344,
+        ),
+        ("wind_speed_10m (km/h)", "wind_speed_10m (kn)", (",9.0,", ",10.0,"), "wind speed", 18.52),
+    ],
+)
+def test_units(
+    tmp_path: Path, theirs: str, ours: str, cells: tuple[str, str], quantity: str, expected: float
+) -> None:
+    """Each that the service has is converted."""
+    path = write(tmp_path, edited(0, *cells), HEADER.replace(theirs, ours))
+    values = read_weather([path], TORONTO).records.values
+    assert values[quantity][0] == pytest.approx(expected, rel=1e-12)
+
+
+def test_inches(tmp_path: Path) -> None:
+    """An inch that stands at 11:00 is 25.4 mm from 10:00 to 11:00."""
+    path = write(
+        tmp_path, edited(1, ",0.20,", ",1.00,"), HEADER.replace("tion (mm)", "tion (inch)")
+    )
+    assert read_weather([path], TORONTO).precipitation[0] == pytest.approx(25.4, rel=1e-12)
+
+
+@pytest.mark.parametrize("missing", ["", "NaN"])
+def test_missing_cells(tmp_path: Path, missing: str) -> None:
+    """Temperature is filled between 20.0 and 21.0 degC; rain and radiation never are."""
+    weather = read_weather([write(tmp_path, edited(1, ",20.5,", f",{missing},"))], TORONTO)
+    assert weather.records.values["temperature"].tolist() == [20, 20.5, 21, 21.5, 22]
+    assert weather.records.filled["temperature"].tolist() == [False, True, False, False, False]
+    weather = read_weather([write(tmp_path, edited(2, ",0.30,", f",{missing},"))], TORONTO)
+    assert np.isnan(weather.precipitation[1])
+    site = replace(TORONTO, tau=600.0, M=1)
+    WeatherSeries(weather, site, parse_time("2021-07-07T12:00-05:00"), 12)
+    with pytest.raises(ConfigurationError, match=r"precipitation is missing at 2021-07-07T11:00-0"):
+        WeatherSeries(weather, site, weather.first, 12)
+    weather = read_weather([write(tmp_path, edited(2, ",120.0", f",{missing}"))], TORONTO)
+    with pytest.raises(ConfigurationError, match=r"missing are solar radiation at 2021-07-07T11:0"):
+        WeatherSeries(weather, site, weather.first, 12)
+
+
+WRONG_PLACES = {
+    "offset-text": ("-18000", "EST", "utc_offset_seconds = 'EST': must be a whole number of seco"),
+    "offset-large": ("-18000", "-99999", "utc_offset_seconds = '-99999': must be a whole number"),
+    "latitude": ("43.620384", "45.5", "latitude = '45.5': must be within 0.5 degrees of the site'"),
+    "longitude": ("-79.41748", "79.4", "longitude = '79.4': must be within 0.5 degrees of the si"),
+    "elevation": (",77.0,", ",900.0,", "elevation = '900.0': must be within 300 m of the site's "),
+    "no-number": ("43.620384", "north", "latitude = 'north': must be a number from -90 to 90"),
+    "beyond": ("43.620384", "91", "latitude = '91': must be a number from -90 to 90"),
+    "cells": (",GMT-5", "", "must have 6 cells as the header has, not 5"),
+}
+
+
+@pytest.mark.parametrize("name", WRONG_PLACES)
+def test_refused_places(tmp_path: Path, name: str) -> None:
+    """Named with file, line, key and value."""
+    old, new, reason = WRONG_PLACES[name]
+    assert old in VALUES
+    path = write(tmp_path, values=VALUES.replace(old, new))
+    with pytest.raises(ConfigurationError) as caught:
+        read_weather([path], TORONTO)
+    assert str(caught.value).startswith(f"{path}, line 2: {reason}")
+
+
+def test_place_without_elevation_and_site_without_place(tmp_path: Path) -> None:
+    """An elevation that the service does not know is NaN; a site without a place is near any."""
+    path = write(tmp_path, values=VALUES.replace("77.0", "NaN"))
+    assert read_weather([path], TORONTO).method == "fao56"
+    path = write(tmp_path, values="-33.9,151.2,9000.0,36000,Australia/Sydney,GMT+10")
+    anywhere = replace(TORONTO, latitude=None, longitude=None, elevation=None)
+    with pytest.raises(ConfigurationError, match="fao56 needs latitude, longitude, elevation in t"):
+        read_weather([path], anywhere)
+
+
+def test_longitude_across_the_date_line(tmp_path: Path) -> None:
+    """179.9 degrees east and west are 0.2 degrees from each other."""
+    path = write(tmp_path, values=VALUES.replace("-79.41748", "-179.9"))
+    east = replace(TORONTO, longitude=179.9, utc_offset=12.0)
+    assert len(read_weather([path], east).precipitation) == 5
+
+
+@pytest.mark.parametrize(
+    ("hours", "reason"),
+    [
+        (edited(2, "T12:00", "T12:30"), "line 7: time = '2021-07-07T12:30': must be 2021-07-07T12:00"),
+        (edited(2, "T12:00", "T11:00"), "line 7: time = '2021-07-07T11:00': must be 2021-07-07T12:00"),
+        (edited(2, "T12:00", "T12:00Z"), "line 7: time = '2021-07-07T12:00Z': must be a time such"),
+        (edited(2, "2021-07-07T12:00", "1625670000"), "line 7: time = '1625670000': must be a time"),
+        (edited(2, ",21.0,", ",warm,"), "line 7: temperature_2m (°C) = 'warm': must be a number fr"),
+        (edited(2, ",21.0,", ",294.0,"), "line 7: temperature_2m (°C) = '294.0': must be a number "),
+        (edited(2, ",0.30,", ",-0.3,"), "line 7: precipitation (mm) = '-0.3': must be a number from"),
+        (edited(2, "1002.5", "100.25"), "line 7: surface_pressure (hPa) = '100.25': must be a numb"),
+        (edited(2, ",120.0", ",2000"), "line 7: shortwave_radiation (W/m²) = '2000': must be a num"),
+        (edited(2, ",120.0", ""), "line 7: must have 7 cells as the header has, not 6"),
+        (edited(2, ",120.0", ',"120'), "line 7: is not valid CSV"),
+        ([*HOURS, "", "time,precipitation_sum (mm)", "2021-07-07,3.1"], "line 12: must have 7 cells"),
+        ([], "has a header but no records"),
+    ],
+)
+def test_refused_hours(tmp_path: Path, hours: list[str], reason: str) -> None:
+    """Named with file, line, column and value; also hours in seconds, and a second table of days."""
+    path = write(tmp_path, hours)
+    with pytest.raises(ConfigurationError) as caught:
+        read_weather([path], TORONTO)
+    assert str(caught.value).replace(", line", ": line").startswith(f"{path}: {reason}")
+
+
+def test_range_is_said_in_the_unit_of_the_file(tmp_path: Path) -> None:
+    """-90 to 60 degC are -130 to 140 degF."""
+    path = write(tmp_path, edited(0, ",20.0,", ",200,"), HEADER.replace("_2m (°C)", "_2m (°F)", 1))
+    with pytest.raises(ConfigurationError) as caught:
+        read_weather([path], TORONTO)
+    assert str(caught.value) == (
+        f"{path}, line 5: temperature_2m (°F) = '200': must be a number from -130 to 140 °F, or "
+        "empty"
+    )
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "reason"),
+    [
+        ("time,", "date,", "must have a column 'time', as Open-Meteo's hourly files have"),
+        ("precipitation (mm)", "rain (mm)", "must have a column 'precipitation (mm)', as Open-M"),
+        ("surface_pressure (hPa)", "pressure_msl (hPa)", "must have a column 'surface_pressure (h"),
+        ("pressure (hPa)", "pressure (inHg)", "'surface_pressure (inHg)': must be surface_press"),
+        ("(km/h)", "(Bft)", "'wind_speed_10m (Bft)': must be wind_speed_10m (km/h) or wind_speed_10"),
+        ("(W/m²)", "(kW/m²)", "'shortwave_radiation (kW/m²)': must be shortwave_radiation (W/m²)"),
+        ("dew_point_2m (°C)", "temperature_2m (°C)", "'temperature_2m (°C)': is the name of two"),
+        ("dew_point_2m (°C)", "temperature_2m (°F)", "'temperature_2m (°F)': must be temperature_2"),
+    ],
+)
+def test_refused_headers(tmp_path: Path, old: str, new: str, reason: str) -> None:
+    """An unknown unit is never guessed."""
+    assert old in HEADER
+    path = write(tmp_path, header=HEADER.replace(old, new))
+    with pytest.raises(ConfigurationError) as caught:
+        read_weather([path], TORONTO)
+    assert str(caught.value).startswith(f"{path}, line 4: {reason}")
+
+
+def test_several_places(tmp_path: Path) -> None:
+    """The service can write many into a file."""
+    path = write(tmp_path, place=f"location_id,{PLACE}", values=f"1,{VALUES}")
+    with pytest.raises(ConfigurationError, match="line 2: location_id = '1': must be of one place"):
+        read_weather([path], TORONTO)
+    path.write_text(f"{PLACE}\n{VALUES}\n")
+    with pytest.raises(ConfigurationError, match="must have two lines about the place, then"):
+        read_weather([path], TORONTO)
+
+
+def test_shifted_files_join_without_a_gap(tmp_path: Path) -> None:
+    """The rain of one file's last hour stands at the next one's first time."""
+    both = [
+        write(tmp_path, HOURS[3:], name="later.csv"), write(tmp_path, HOURS[:3], name="early.csv")
+    ]
+    whole, joined = read_weather([write(tmp_path)], TORONTO), read_weather(both, TORONTO)
+    assert joined.first == whole.first
+    assert sorted(joined.records.values) == sorted(whole.records.values)
+    for quantity, series in whole.records.values.items():
+        assert joined.records.values[quantity].tolist() == series.tolist()
+    assert joined.evapotranspiration.tobytes() == whole.evapotranspiration.tobytes()
+
+
+def test_run_says_what_was_moved(tmp_path: Path) -> None:
+    """In the summary and in the table of a run."""
+    write(tmp_path)
+    command = [
+        sys.executable, "-m", "greenroof_ros.simulate", "--controller", "onoff",
+        "--weather", "open-meteo.csv", "--start", "2021-07-07T10:30", "--hours", "1",
+        "--output", "run",
+    ]
+    done = subprocess.run(
+        command, cwd=tmp_path, capture_output=True, text=True, timeout=120, check=False
+    )
+    assert done.returncode == 0, done.stderr
+    assert "moved an hour back" in " ".join(done.stdout.split())
+    summary = json.loads((tmp_path / "run" / "summary.json").read_text())
+    assert summary["weather_notes"] == [
+        "precipitation and solar radiation of the files are of the hour before their time, and "
+        "were moved an hour back"
+    ]
+    # Half an hour of 0.2 mm and half an hour of 0.3 mm on roof (68.8 m2) and inlet (0.2922467 m2).
+    assert summary["rain_m3"] == pytest.approx(0.25e-3 * (68.8 + 0.2922466566), rel=1e-9)
