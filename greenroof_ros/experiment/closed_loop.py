@@ -66,5 +66,5 @@ def closed_loop(run: Run, controller: Controller, metrics: Metrics) -> Iterator[
             precipitation, evapotranspiration, frost, command, flows,
         )
         if k < run.steps:
-            metrics.step(site, command, precipitation, flows)
+            metrics.step(command, precipitation, flows)
             plant.step(precipitation, flows)

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import sys
 import time
-from dataclasses import asdict
 
 from rclpy.node import Node
 from rosgraph_msgs.msg import Clock
@@ -166,13 +165,14 @@ class PlantNode:
             self._publish_flows(flows)
             self._done = True
             wall = time.monotonic() - self._began
-            self.link.finish(metrics=asdict(self._metrics), wall_s=wall)
+            metrics = self._metrics.results()
+            self.link.finish(metrics=metrics, wall_s=wall)
             self._node.get_logger().info(
                 f"finished {self._steps} ticks in {wall:.1f} s; total deviation "
-                f"{self._metrics.total_deviation_m3:.2f} m3"
+                f"{metrics['total_deviation_m3']:.2f} m3"
             )
             return
-        self._metrics.step(self._site, command, rain, flows)
+        self._metrics.step(command, rain, flows)
         self._plant.step(rain, flows)
         self._tick += 1
         # The next tick first where it may go: the others start on it while this node still

@@ -149,21 +149,21 @@ def test_the_simulations_own_tally(options: tuple[str, ...]) -> None:
     found = assess(run.site, Trajectory(run.start, *columns), Assumptions())
     rain = found.rain_cistern_m3 + found.rain_roof_m3
     for ours, theirs in (
-        (found.total_deviation_m3, metrics.total_deviation_m3),
-        (found.pumped_m3, metrics.pumped_m3),
-        (found.outflow_m3, metrics.outflow_m3),
-        (found.drainage_m3, metrics.drainage_m3),
-        (rain, metrics.rain_m3),
-        (found.evapotranspiration_m3, metrics.evapotranspiration_m3),
-        (found.largest_command, metrics.max_command),
-        (found.final_cistern_m3, metrics.final_cistern_m3),
-        (found.final_roof_m3, metrics.final_roof_m3),
+        (found.total_deviation_m3, metrics["total_deviation_m3"]),
+        (found.pumped_m3, metrics["pumped_m3"]),
+        (found.outflow_m3, metrics["outflow_m3"]),
+        (found.drainage_m3, metrics["drainage_m3"]),
+        (rain, metrics["rain_m3"]),
+        (found.evapotranspiration_m3, metrics["evapotranspiration_m3"]),
+        (found.largest_command, metrics["max_command"]),
+        (found.final_cistern_m3, metrics["final_cistern_m3"]),
+        (found.final_roof_m3, metrics["final_roof_m3"]),
     ):
         assert ours == pytest.approx(theirs, rel=1e-9, abs=1e-12)
     assert found.cistern_residual_m3 == pytest.approx(0, abs=1e-9)
     assert found.roof_residual_m3 == pytest.approx(0, abs=1e-9)
     if "--roof" in options:
-        assert metrics.limited_steps > 0
+        assert metrics["limited_steps"] > 0
 
 
 @given(data=st.data(), samples=st.integers(2, 40))
