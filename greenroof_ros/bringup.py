@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Any
 
 from greenroof_ros.common.command_line import EXIT_DONE, EXIT_INTERRUPTED, command, within
-from greenroof_ros.common.errors import ConfigurationError
+from greenroof_ros.common.errors import ConfigurationError, OccupiedError
 from greenroof_ros.controllers.registry import CONTROLLERS
 from greenroof_ros.experiment import summary, summary_table
 from greenroof_ros.experiment.options import (
@@ -76,7 +76,7 @@ def _parser() -> argparse.ArgumentParser:
         "process, run them in lockstep on simulated time, and end them. While it runs, "
         "'ros2 topic echo /roof/level' shows the roof.",
         epilog="exit codes: 0 done, 1 a node failed, 2 bad usage or configuration, "
-        "130 interrupted",
+        "3 the ROS domain has another graph, 130 interrupted",
     )
     add_run_arguments(parser)
     add_output_arguments(parser)
@@ -94,9 +94,9 @@ def _parser() -> argparse.ArgumentParser:
     return parser
 
 
-def _company(what: str) -> ConfigurationError:
+def _company(what: str) -> OccupiedError:
     domain = _domain()
-    return ConfigurationError(
+    return OccupiedError(
         f"{what} already in ROS domain {domain}; end it, or take another domain: "
         f"ROS_DOMAIN_ID={domain % 100 + 1} python -m greenroof_ros.bringup ..."
     )

@@ -9,6 +9,8 @@ from greenroof_ros.common.errors import ConfigurationError
 
 FIRST_YEAR, LAST_YEAR = 1971, 2037
 
+_EPOCH = datetime.fromisoformat("1970-01-01T00:00+00:00")
+
 
 def parse_time(text: str) -> datetime:
     """Read an ISO 8601 time; a final ``Z`` stands for UTC.
@@ -24,8 +26,12 @@ def parse_time(text: str) -> datetime:
 
 def epoch_ns(time: datetime) -> int:
     """Nanoseconds since 1970-01-01 UTC, without a rounding on the way."""
-    epoch = datetime.fromisoformat("1970-01-01T00:00+00:00")
-    return (time - epoch) // timedelta(microseconds=1) * 1000
+    return (time - _EPOCH) // timedelta(microseconds=1) * 1000
+
+
+def from_epoch_ns(nanoseconds: int) -> datetime:
+    """Return the time in UTC that is so many nanoseconds after 1970-01-01, to the microsecond."""
+    return _EPOCH + timedelta(microseconds=nanoseconds // 1000)
 
 
 def read_start(text: str, zone: tzinfo | None = None) -> datetime:

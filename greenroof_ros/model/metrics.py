@@ -40,7 +40,7 @@ class Samples:
         command: as given (1); a pump driver makes of it what it can.
         precipitation: rain (m/s).
         outflow: from the cistern to the sewer (m3/s).
-        pump_flow: from the cistern to the roof (m3/s).
+        pump: from the cistern to the roof (m3/s).
         drainage: off the roof (m3/s).
         evapotranspiration: off the roof, at most what it held (m3/s).
         limited: 1 where a tank held less than was asked of it, else 0; None where that is unknown.
@@ -53,7 +53,7 @@ class Samples:
     command: Values
     precipitation: Values
     outflow: Values
-    pump_flow: Values
+    pump: Values
     drainage: Values
     evapotranspiration: Values
     limited: Values | None = None
@@ -104,24 +104,29 @@ class Metric:
     form: str = ".4g"
     most: float = math.inf
 
+    @property
+    def description(self) -> str:
+        """Unit and meaning, as a table has them beside the number."""
+        return self.meaning if self.unit == "1" else f"{self.unit}, {self.meaning}"
+
 
 # --- what each sample gives ----------------------------------------------------------------------
 
 
 def _pump_starts(site: Site, one: Samples) -> Values:
-    pumping = one.pump_flow > 0
+    pumping = one.pump > 0
     return np.asarray(pumping & ~np.append(one.pumping_before, pumping[:-1]), dtype=float)
 
 
 def _hydraulic_energy(site: Site, one: Samples) -> Values:
-    head = head_loss(site, one.cistern, one.pump_flow)
-    return WATER_DENSITY * site.g * one.pump_flow * head * one.duration / JOULES_PER_KWH
+    head = head_loss(site, one.cistern, one.pump)
+    return WATER_DENSITY * site.g * one.pump * head * one.duration / JOULES_PER_KWH
 
 
 METRICS = (
     Metric(
         "total_deviation_m3", "m3", "total deviation",
-        "sum of |x2 - x2*| over the ticks j = 0..N (Fig. 5)",
+        "sum of |x2 - x2*| over the ticks (Fig. 5)",
         # Samples that are not a tick apart count with their time over tau.
         lambda site, one: np.abs(one.roof - site.x2_star) * (one.duration / site.tau),
         form=".2f",
@@ -136,7 +141,7 @@ METRICS = (
     ),
     Metric(
         "pumped_m3", "m3", "pumped", "from the cistern to the roof",
-        lambda site, one: one.duration * one.pump_flow,
+        lambda site, one: one.duration * one.pump,
     ),
     Metric(
         "outflow_m3", "m3", "outflow", "from the cistern to the sewer",
@@ -163,15 +168,15 @@ METRICS = (
         lambda site, one: one.duration * one.evapotranspiration,
     ),
     Metric(
-        "max_command", "1", "largest command", "share of the maximum flow; no pump follows above 1",
+        "max_command", "1", "largest command", "share of the maximum flow",
         lambda site, one: one.command, _largest, ".6g", most=1,
     ),
     Metric(
-        "beyond_hours", "h", "beyond the pump", "with a command above 1, which no pump follows",
+        "beyond_hours", "h", "beyond the pump", "with a command above 1",
         lambda site, one: one.duration / 3600 * (one.command > 1), form=".4f", most=0,
     ),
     Metric(
-        "limited_steps", "1", "limited ticks", "ticks in which a tank held less than was asked",
+        "limited_steps", "1", "limited ticks", "a tank held less than was asked of it",
         lambda site, one: one.limited, _count, "d", most=0,
     ),
     Metric(
@@ -180,15 +185,15 @@ METRICS = (
     ),
     Metric(
         "pump_hours", "h", "pump running", "with a flow",
-        lambda site, one: one.duration / 3600 * (one.pump_flow > 0), form=".3f",
+        lambda site, one: one.duration / 3600 * (one.pump > 0), form=".3f",
     ),
     Metric(
         "hydraulic_energy_kwh", "kWh", "hydraulic energy",
-        "put into the water: rho g q L(x, q) over time, L of Eq. (3c)", _hydraulic_energy,
+        "rho g q L over time, L of Eq. (3c)", _hydraulic_energy,
     ),
     Metric(
         "electric_energy_kwh", "kWh", "electric energy",
-        "drawn by the pumps: the hydraulic over the site's pump_efficiency",
+        "the hydraulic over pump_efficiency",
         lambda site, one: _hydraulic_energy(site, one) / site.pump_efficiency,
     ),
 )
@@ -211,10 +216,7 @@ def add(totals: Mapping[str, float], site: Site, samples: Samples) -> Totals:
 
 
 # What a tick is made of: its state, then what happens until the next.
-_TICK = (
-    "cistern", "roof", "command", "precipitation",
-    "outflow", "pump_flow", "drainage", "evapotranspiration", "limited",
-)
+_TICK = ("cistern", "roof", "command", "precipitation", *Flows._fields)
 _pack_tick = struct.Struct(f"{len(_TICK)}d").pack
 # Ticks that are added up together: less than half the time that a tick would take alone.
 _BLOCK_BYTES = 4096 * 8 * len(_TICK)
@@ -270,5 +272,5 @@ class Metrics:
     def _add_ticks(self) -> None:
         samples = self._samples(self._ticks)
         self._totals = add(self._totals, self._site, samples)
-        self._pumping = bool(samples.pump_flow[-1] > 0)
+        self._pumping = bool(samples.pump[-1] > 0)
         self._ticks = bytearray()

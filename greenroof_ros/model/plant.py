@@ -44,7 +44,8 @@ def head_loss(site: Site, x1: Amount, flow: Amount) -> Amount:
 
     Numbers or arrays: both have the same bits, which numpy's own square would not.
     """
-    return site.pipe_resistance * np.float_power(flow, 2) + site.d - x1 / site.a1
+    squared: Amount = np.float_power(flow, 2)
+    return site.pipe_resistance * squared + site.d - x1 / site.a1
 
 
 def drainage_flow(site: Site, x2: float) -> float:

@@ -140,7 +140,7 @@ def read_grid(path: Path) -> list[Case]:
             raise ConfigurationError(
                 f"is the same run twice: {case.controller} {case.parameters}, {case.initial}, "
                 f"from {case.start}, forecast {case.forecast}"
-                + (f", {case.sensor_pump_errors.values()}" if case.sensor_pump_errors is not None else ""),
+                + (f", {case.sensor_pump_errors.values()}" if case.sensor_pump_errors else ""),
                 file=path,
             )
         seen.add(case.identity)
@@ -189,8 +189,8 @@ class _Grid:
             steps = count_ticks(site, hours, "hours")
         with self._at(window, "evapotranspiration"):
             weather = read_weather(self._path.parent / file, site, method)
-        # What one controller can run with, the others that are told as much can.
-        told = {
+        # What one controller can run with, the others that are given as much can.
+        given_alike = {
             (parameters.get("horizon"), name in TAKE_ENSEMBLES): (name, parameters)
             for name, parameters in controllers
         }
@@ -198,7 +198,7 @@ class _Grid:
         for choice, (initial, volumes) in itertools.product(
             list(self._forecasts(given)), list(self._initial_states(site))
         ):
-            for name, parameters in told.values():
+            for name, parameters in given_alike.values():
                 with self._at(window, "start"):
                     run = build_run(
                         site_file, site, weather, start, steps, name, parameters, initial, volumes,
