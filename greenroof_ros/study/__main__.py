@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import os
+import signal
 from collections.abc import Mapping, Sequence
 from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, Future, wait
 from pathlib import Path
@@ -67,10 +68,16 @@ def _parser() -> argparse.ArgumentParser:
     return parser
 
 
+def _interrupt(signum: int, frame: object) -> None:
+    raise KeyboardInterrupt
+
+
 @command
 def main() -> int:
     """Run a study, or the rest of it."""
     arguments = _parser().parse_args()
+    # As after Ctrl-C: the workers end, and the table has what is finished.
+    signal.signal(signal.SIGTERM, _interrupt)
     if arguments.scheduler is not None and arguments.jobs is not None:
         raise ConfigurationError(
             "is not an option with --scheduler: the cluster knows how many", key="--jobs"
@@ -161,7 +168,7 @@ def _run(
                 case = pending.pop(future)
                 try:
                     outcome = future.result()
-                except Exception as error:  # whatever a run, or the end of its process, comes to
+                except Exception as error:  # of a run, or the end of its process
                     reason = str(error) or type(error).__name__
                     failures[case.identity] = reason
                     progress.print(f"failed: {case_name(case)}: {reason}", markup=False)
