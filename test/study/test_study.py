@@ -153,10 +153,10 @@ def test_bound_beside_each_run(papers: Path) -> None:
         assert ratio > 1 - 1e-9
 
 
-def test_readme_shows_both_kinds_of_evapotranspiration(papers: Path, tmp_path: Path) -> None:
-    """The README's table is what the grid beside it gives, to the digit shown.
+def test_results_show_both_methods_of_evapotranspiration(papers: Path, tmp_path: Path) -> None:
+    """The documentation's table is what the grid beside it gives, to the digit shown.
 
-    Half of that grid is the paper's study; of the other half the README shows two initial states.
+    Half of that grid is the paper's study; of the other half the page shows two initial states.
     """
     file = CONFIG / "study_evapotranspiration.yaml"
     text = file.read_text()
@@ -177,9 +177,9 @@ def test_readme_shows_both_kinds_of_evapotranspiration(papers: Path, tmp_path: P
         ): float(row["total_deviation_m3"])
         for table in (papers, tmp_path / "out") for row in rows_of(table / "results.csv")
     }
-    readme = (CHECKOUT / "README.md").read_text()
+    page = (CHECKOUT / "doc" / "results.md").read_text()
     shown = re.findall(
-        r"^\| (MPC|on/off) ([\d.]+) \| (\d+) \| (\d+) \| (\d+) \| (\d+) \|$", readme, re.MULTILINE
+        r"^\| (MPC|on/off) ([\d.]+) \| (\d+) \| (\d+) \| (\d+) \| (\d+) \|$", page, re.MULTILINE
     )
     assert len(shown) == 10
     for controller, parameter, *figures in shown:
