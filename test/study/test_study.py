@@ -24,7 +24,7 @@ def test_the_papers_table(papers: Path) -> None:
     totals = {}
     for row in rows:
         assert (row["status"], row["error"]) == ("done", "")
-        parameter = row["weight"] if row["controller"] == "mpc" else row["fraction"]
+        parameter = row["parameter:weight"] or row["parameter:fraction"]
         totals[row["initial"], row["controller"], float(parameter)] = row
     for row in expected:
         mine = totals[row["initial"], row["controller"], float(row["parameter"])]
@@ -32,7 +32,7 @@ def test_the_papers_table(papers: Path) -> None:
             float(row["total_deviation_m3"]), rel=2e-4
         )
         assert float(mine["final_roof_m3"]) == pytest.approx(float(row["final_roof_m3"]), rel=2e-5)
-        assert float(mine["max_command_applied"]) == pytest.approx(
+        assert float(mine["max_command"]) == pytest.approx(
             float(row["max_command"]), rel=1e-3, abs=1e-9
         )
 
@@ -172,8 +172,8 @@ def test_results_show_both_methods_of_evapotranspiration(papers: Path, tmp_path:
     assert result.returncode == 0, result.stderr
     totals = {
         (
-            row["controller"], float(row["weight"] or row["fraction"]), row["initial"],
-            row["evapotranspiration"],
+            row["controller"], float(row["parameter:weight"] or row["parameter:fraction"]),
+            row["initial"], row["evapotranspiration"],
         ): float(row["total_deviation_m3"])
         for table in (papers, tmp_path / "out") for row in rows_of(table / "results.csv")
     }
