@@ -11,7 +11,7 @@ from greenroof_ros import __version__
 
 project = "greenroof_ros"
 author = "greenroof_ros maintainers"
-copyright = "the greenroof_ros maintainers, Apache-2.0"  # noqa: A001 - Sphinx's name for it
+copyright = "the greenroof_ros maintainers, Apache-2.0"
 release = __version__
 
 extensions = [
@@ -29,11 +29,11 @@ exclude_patterns = [
 templates_path = ["_templates"]
 
 # A link that leads nowhere is an error (-W). Not documented here are names outside this package,
-# private ones, type variables, and constants, which stand in the source with their comments.
+# private ones, names of types, and constants, which stand in the source with their comments.
 nitpicky = True
 nitpick_ignore_regex = [
     (r"py:.*", r"(?!greenroof_ros).*"), (r"py:.*", r".*\._\w+"), (r"py:data", r".*"),
-    (r"py:class", r".*\.plant\.Amount"),
+    (r"py:class", r".*\.(Amount|Cell)"),
 ]
 
 highlight_language = "none"

@@ -129,7 +129,7 @@ def quality() -> str:
 def controllers() -> str:
     """Return the parameters of every controller of this package."""
     return "\n".join(
-        f"### {name}\n\n" + _parameters(find_controller(name).kind.parameters) for name in BUILT_IN
+        f"## {name}\n\n" + _parameters(find_controller(name).kind.parameters) for name in BUILT_IN
     )
 
 
@@ -138,8 +138,8 @@ def _parameters(parameters: Iterable[Parameter]) -> str:
         ("parameter", "type", "default", "unit", "range", "may change in a run", "meaning"),
         (
             (
-                f"`{one.name}`", "integer" if one.whole else "double", number(one.default), one.unit,
-                span(one.low, one.high), "yes" if one.may_change else "no", one.meaning,
+                f"`{one.name}`", "integer" if one.whole else "double", number(one.default),
+                one.unit, span(one.low, one.high), "yes" if one.may_change else "no", one.meaning,
             )
             for one in parameters
         ),
@@ -272,7 +272,7 @@ def _somewhere() -> Iterator[None]:
 
 
 def _declared(make: Callable[[], Any], elsewhere: Mapping[str, Parameter]) -> str:
-    """Return the parameters that a node declares while it is made, but for those shown elsewhere."""
+    """Return the parameters that a node declares, but for those that are shown elsewhere."""
     from rclpy.node import Node
 
     declared: list[tuple[str, Any, Any]] = []
