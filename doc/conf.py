@@ -37,6 +37,7 @@ nitpick_ignore_regex = [
 ]
 
 highlight_language = "none"
+smartquotes_action = "qe"  # quotes and ellipses; -- begins an option
 myst_enable_extensions = ["dollarmath", "deflist", "colon_fence", "attrs_inline"]
 myst_heading_anchors = 4
 

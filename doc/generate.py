@@ -50,7 +50,8 @@ _BLOCK = re.compile(
 
 def cell(text: object) -> str:
     """Return a text as the cell of a table; what is in backticks stays as it is."""
-    parts = re.split(r"(`[^`]*`)", " ".join(str(text).split()))
+    line = re.sub(r"(?<![\w`-])--[a-z][a-z-]*", r"`\g<0>`", " ".join(str(text).split()))
+    parts = re.split(r"(`[^`]*`)", line)
     parts[::2] = [re.sub(r"([|*<>$\[\]{}]|\b_|_\b)", r"\\\1", part) for part in parts[::2]]
     return "".join(parts)
 
