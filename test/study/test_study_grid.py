@@ -67,22 +67,28 @@ WRONG = {
         GRID + "forecast: [errors, {model: errors, seed: 0}]\n", "forecast errors"
     ),
     "sensor_pump_errors": (
-        GRID + "sensor_pump_errors: 0.0005\n", "line 14: sensor_pump_errors = 0.0005: must be {roof_noise: "
+        GRID + "sensor_pump_errors: 0.0005\n",
+        "line 14: sensor_pump_errors = 0.0005: must be {roof_noise: ",
     ),
     "sensor_pump_errors-none": (
-        GRID + "sensor_pump_errors: []\n", "line 14: sensor_pump_errors: must be {roof_noise: 0.0005, roof_o"
+        GRID + "sensor_pump_errors: []\n",
+        "line 14: sensor_pump_errors: must be {roof_noise: 0.0005, roof_o",
     ),
     "sensor_pump_errors-key": (
-        GRID + "sensor_pump_errors: {noise: 0.1}\n", "line 14: noise: is not known here; there are roof"
+        GRID + "sensor_pump_errors: {noise: 0.1}\n",
+        "line 14: noise: is not known here; there are roof",
     ),
     "sensor_pump_errors-range": (
-        GRID + "sensor_pump_errors: {minimum_on: [60, -1]}\n", "minimum_on: -1.0 must be from 0.0 to 86"
+        GRID + "sensor_pump_errors: {minimum_on: [60, -1]}\n",
+        "minimum_on: -1.0 must be from 0.0 to 86",
     ),
     "sensor_pump_errors-seed": (
-        GRID + "sensor_pump_errors: {noise_seed: 0.5}\n", "noise_seed = 0.5: must be a whole number"
+        GRID + "sensor_pump_errors: {noise_seed: 0.5}\n",
+        "noise_seed = 0.5: must be a whole number",
     ),
     "sensor_pump_errors-twice": (
-        GRID + "sensor_pump_errors: [{}, {roof_noise: 0}]\n", "forecast perfect, {'roof_noise': 0.0, "
+        GRID + "sensor_pump_errors: [{}, {roof_noise: 0}]\n",
+        "forecast perfect, {'roof_noise': 0.0, ",
     ),
     "twice": (edited("0.1]", "0.001]"), "is the same run twice: mpc {'weight': 0.001"),
 }
