@@ -23,12 +23,14 @@ RUN_EXTRAS :=
 STUDY_EXTRAS := [study]
 TEST_EXTRAS := [study,dask,test]
 BENCH_EXTRAS := [study,bench]
+DOCS_EXTRAS := [study,docs]
 else
 VENV_OPTIONS :=
 RUN_EXTRAS := [ros]
 STUDY_EXTRAS := [study]
 TEST_EXTRAS := [ros,study,dask,test]
 BENCH_EXTRAS := [ros,study,bench]
+DOCS_EXTRAS := [ros,study,docs]
 endif
 
 # Stamp files: the environment was made; what a target needs was installed into it.
@@ -37,16 +39,18 @@ FOR_RUN := $(VENV)/.for-run
 FOR_STUDY := $(VENV)/.for-study
 FOR_TEST := $(VENV)/.for-test
 FOR_BENCH := $(VENV)/.for-bench
+FOR_DOCS := $(VENV)/.for-docs
 
 PIP_INSTALL = $(BIN)/python -m pip --disable-pip-version-check install --quiet --editable
 
-.PHONY: help run study test lint bench clean
+.PHONY: help run study test lint docs bench clean
 
 help:
 	@echo "make run    the 12 h of the paper with the predictive controller, as a node graph"
 	@echo "make study  the 30 runs of the paper, and their report: no ROS"
 	@echo "make test   every test"
 	@echo "make lint   ruff, mypy, and which room imports from which"
+	@echo "make docs   the documentation, doc/_build/index.html"
 	@echo "make bench  the speed of graph and controller, as ratios"
 	@echo "make clean  remove .venv and all else that can be made again; runs/ stays"
 
@@ -69,6 +73,12 @@ lint: $(FOR_TEST)
 	$(BIN)/python -m ruff check .
 	$(BIN)/python -m mypy
 	$(BIN)/lint-imports --no-cache --no-logo
+
+# Its tables are made again first; a link that leads nowhere is an error.
+docs: $(FOR_DOCS)
+	@$(BIN)/python doc/generate.py
+	@$(BIN)/python -m sphinx -W --keep-going -q -b html doc doc/_build
+	@echo "written: doc/_build/index.html"
 
 bench: $(FOR_BENCH)
 	@$(BIN)/python test/bench.py
@@ -106,7 +116,11 @@ $(FOR_BENCH): $(MADE) setup.py
 	$(PIP_INSTALL) '.$(BENCH_EXTRAS)'
 	@touch $(FOR_RUN) $(FOR_STUDY) $@
 
+$(FOR_DOCS): $(MADE) setup.py
+	$(PIP_INSTALL) '.$(DOCS_EXTRAS)'
+	@touch $(FOR_RUN) $(FOR_STUDY) $@
+
 clean:
-	rm -rf $(VENV) build dist install log *.egg-info
+	rm -rf $(VENV) build dist install log *.egg-info doc/_build doc/api/modules
 	rm -rf .mypy_cache .ruff_cache .pytest_cache .hypothesis
 	find . -name __pycache__ -type d -prune -exec rm -rf {} +

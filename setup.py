@@ -99,6 +99,12 @@ setup(
             "colcon-bash>=0.5",  # install/setup.bash
             "setuptools>=64,<80",  # colcon-core's own limit; a venv of Python 3.12 on has none
         ],
+        # The documentation: make docs. The oldest Sphinx is the newest for Python 3.10.
+        "docs": [
+            "sphinx>=8.1,<10",  # pages, and their API part from the docstrings
+            "myst-parser>=4,<6",  # pages are Markdown
+            "furo>=2024.8.6",  # theme: light and dark, wide and narrow
+        ],
         # Another implementation of the same controller, to compare the solve times with.
         "bench": ["do-mpc>=5.1,<6"],
     },

@@ -66,7 +66,7 @@ def _parser() -> argparse.ArgumentParser:
         "process, run them in lockstep on simulated time, and end them. While it runs, "
         "'ros2 topic echo /roof/level' shows the roof.",
         epilog="exit codes: 0 done, 1 a node failed, 2 bad usage or configuration, "
-        "130 interrupted",
+        "3 the ROS domain has another graph, 130 interrupted",
     )
     add_run_arguments(parser)
     add_output_arguments(parser)

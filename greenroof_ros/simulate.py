@@ -87,7 +87,7 @@ def main() -> int:
         wall = time.monotonic() - began
     result = summary.build(
         run,
-        metrics,
+        metrics.results(),
         wall_s=wall,
         solver=controller.statistics(),
     )

@@ -233,7 +233,7 @@ def compare(old: Path) -> None:
 
 
 def measure_all() -> None:
-    """Measure in rounds and print the table of the README."""
+    """Measure in rounds and print the table of doc/performance.md."""
     rows: dict[str, list[float]] = {
         "tick": [], "bare": [], "record": [], "do_mpc": [], "mean": [], "p99": [], "study": []
     }

@@ -9,20 +9,22 @@ import sys
 from collections.abc import Callable
 from typing import NoReturn
 
-from greenroof_ros.common.errors import ConfigurationError
+from greenroof_ros.common.errors import ConfigurationError, OccupiedError
 
 EXIT_DONE = 0
 EXIT_FAILED = 1
 EXIT_USAGE = 2
+EXIT_OCCUPIED = 3
 EXIT_INTERRUPTED = 130
 
 
 def command(main: Callable[[], int]) -> Callable[[], NoReturn]:
     """Make a function a command: it exits with the code that the function returns.
 
-    A :class:`ConfigurationError` becomes one line on standard error and exit code 2, a file that
-    cannot be written likewise 1, and Ctrl-C exit code 130; none leaves a traceback. Where nobody
-    reads the output any more, as behind ``| head``, nothing is said: exit code 1.
+    A :class:`ConfigurationError` becomes one line on standard error and exit code 2, or 3 where
+    another graph is in the way; a file that cannot be written likewise 1, and Ctrl-C exit code 130;
+    none leaves a traceback. Where nobody reads the output any more, as behind ``| head``, nothing
+    is said: exit code 1.
     """
 
     @functools.wraps(main)
@@ -36,7 +38,7 @@ def command(main: Callable[[], int]) -> Callable[[], NoReturn]:
             code = EXIT_FAILED
         except (ConfigurationError, argparse.ArgumentError) as error:
             print(f"error: {error}", file=sys.stderr)
-            code = EXIT_USAGE
+            code = EXIT_OCCUPIED if isinstance(error, OccupiedError) else EXIT_USAGE
         except OSError as error:
             print(f"error: {error.filename or ''}: {error.strerror}", file=sys.stderr)
             code = EXIT_FAILED

@@ -1,4 +1,4 @@
-"""The one error that a user can repair by editing a file or an option."""
+"""The errors that a user can repair by editing a file or an option."""
 
 from __future__ import annotations
 
@@ -27,3 +27,7 @@ class ConfigurationError(Exception):
         if value is not None:
             what += f" = {value!r}" if key else repr(value)
         super().__init__(": ".join(part for part in (where, what, expected) if part))
+
+
+class OccupiedError(ConfigurationError):
+    """Another graph is where this one was to run; commands end with exit code 3."""

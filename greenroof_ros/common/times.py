@@ -12,6 +12,7 @@ FIRST_YEAR, LAST_YEAR = 1971, 2037
 
 # The start of the paper's window; also the example of a time in messages.
 DEFAULT_START = "2021-07-07T02:00-05:00"
+_EPOCH = datetime.fromisoformat("1970-01-01T00:00+00:00")
 
 
 def parse_time(text: str) -> datetime:
@@ -49,8 +50,12 @@ def to_minutes(time: datetime) -> str:
 
 def epoch_ns(time: datetime) -> int:
     """Nanoseconds since 1970-01-01 UTC, without a rounding on the way."""
-    epoch = datetime.fromisoformat("1970-01-01T00:00+00:00")
-    return (time - epoch) // timedelta(microseconds=1) * 1000
+    return (time - _EPOCH) // timedelta(microseconds=1) * 1000
+
+
+def from_epoch_ns(nanoseconds: int) -> datetime:
+    """Return the time in UTC that is so many nanoseconds after 1970-01-01, to the microsecond."""
+    return _EPOCH + timedelta(microseconds=nanoseconds // 1000)
 
 
 def read_start(text: str, zone: tzinfo | None = None) -> datetime:

@@ -137,7 +137,7 @@ def clairvoyant_bound(run: Run, max_command: float = 1.0, block: int | None = No
         plan.tick = tick.k + 1
         flows.append(tick.flows.pump)
     return Bound(
-        cost, metrics.total_deviation_m3, metrics.pumped_m3,
+        cost, metrics["total_deviation_m3"], metrics["pumped_m3"],
         np.frombuffer(flows)[: run.steps], block, message,
     )
 

@@ -2,8 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from array import array
+from collections.abc import Iterable, Iterator
+from operator import attrgetter
 from typing import NamedTuple
+
+import numpy as np
 
 from greenroof_ros.controllers.decide import decide
 from greenroof_ros.controllers.protocol import Controller
@@ -11,6 +15,7 @@ from greenroof_ros.experiment.run import Run
 from greenroof_ros.model.metrics import Metrics
 from greenroof_ros.model.plant import Flows, Plant
 from greenroof_ros.model.sensor_pump_errors import Pump, RoofSensor
+from greenroof_ros.recording.trajectory import Trajectory
 
 
 class Tick(NamedTuple):
@@ -61,5 +66,32 @@ def closed_loop(run: Run, controller: Controller, metrics: Metrics) -> Iterator[
             precipitation, evapotranspiration, frost, command, flows,
         )
         if k < run.steps:
-            metrics.step(site, command, precipitation, flows)
+            metrics.step(command, precipitation, flows)
             plant.step(precipitation, flows)
+
+
+# Column of a trajectory: attribute of a tick.
+_RECORDED = {
+    "cistern": "x1",
+    "roof": "x2",
+    "precipitation": "precipitation",
+    "evapotranspiration": "evapotranspiration",
+    "command": "command",
+    "pump_flow": "flows.pump",
+    "outflow": "flows.outflow",
+    "drainage": "flows.drainage",
+    "frost": "frost",
+}
+
+
+def record(run: Run, ticks: Iterable[Tick]) -> Trajectory:
+    """Run the ticks to their end and return what happened."""
+    values = attrgetter(*_RECORDED.values())
+    rows = array("d")
+    for tick in ticks:
+        rows.extend(values(tick))
+    columns = np.frombuffer(rows).reshape(-1, len(_RECORDED)).T
+    time = run.site.tau * np.arange(columns.shape[1], dtype=np.float64)
+    return Trajectory(
+        start=run.start, time=time, **dict(zip(_RECORDED, columns, strict=True))
+    )

@@ -5,18 +5,16 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Mapping
-from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
 from greenroof_ros.common.versions import versions
 from greenroof_ros.experiment.run import Run
-from greenroof_ros.model.metrics import Metrics
 
 
 def build(
     run: Run,
-    metrics: Metrics | Mapping[str, Any],
+    metrics: Mapping[str, float],
     *,
     wall_s: float,
     solver: Mapping[str, float] | None,
@@ -28,14 +26,13 @@ def build(
 
     Args:
         run: what was asked for.
-        metrics: what came of it.
+        metrics: its results, by :data:`greenroof_ros.model.metrics.METRICS`.
         wall_s: duration in wall time (s).
         solver: the controller's statistics; None where it has no solver.
         messages: how many messages of each topic are in the bag.
         refused: how many values of each topic were refused.
         parameter_changes: parameters changed during the run, with their tick.
     """
-    sums = asdict(metrics) if isinstance(metrics, Metrics) else dict(metrics)
     repeats_from = run.forecast.repeats_from
     choice = run.forecast_choice
     return {
@@ -64,7 +61,7 @@ def build(
         "filled_hours": run.series.filled_hours,
         "frost_hours": run.series.frost_hours,
         "precipitation_in_frost_mm": run.series.precipitation_in_frost,
-        **sums,
+        **metrics,
         "solver": dict(solver) if solver is not None else None,
         "wall_s": wall_s,
         "times_real_time": run.steps * run.site.tau / wall_s,

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -11,7 +11,17 @@ from rich.console import Console
 from rich.table import Table
 
 from greenroof_ros.forecast.choice import PERFECT
+from greenroof_ros.model.metrics import METRICS
 from greenroof_ros.model.sensor_pump_errors import SensorPumpErrors
+
+
+def _metric_rows(summary: Mapping[str, Any]) -> Iterator[tuple[str, str, str]]:
+    """Yield each metric; in capitals above its limit, and left out where it should be 0 and is."""
+    for metric in METRICS:
+        value = summary[metric.name]
+        if value or metric.most:
+            label = metric.label.upper() if value > metric.most else metric.label
+            yield label, f"{value:{metric.form}}", metric.description
 
 
 def table(summary: Mapping[str, Any]) -> Table:
@@ -31,22 +41,10 @@ def table(summary: Mapping[str, Any]) -> Table:
             f"m3 in cistern / on roof ({summary['initial']['name']})",
         ),
         (
-            "to",
-            f"{summary['final_cistern_m3']:.3f} / {summary['final_roof_m3']:.3f}",
-            f"m3 after {summary['steps']} ticks of {summary['tau_s']:g} s",
+            "length", f"{summary['steps']} ticks",
+            f"of {summary['tau_s']:g} s, evapotranspiration {summary['evapotranspiration_method']}",
         ),
-        ("total deviation", f"{summary['total_deviation_m3']:.2f}", "m3, summed over the ticks"),
-        ("pumped", f"{summary['pumped_m3']:.4f}", "m3"),
-        ("pump starts", str(summary["pump_starts"]), f"{summary['energy_kwh']:.4f} kWh into water"),
-        ("outflow", f"{summary['outflow_m3']:.4f}", "m3 to the sewer"),
-        ("drainage", f"{summary['drainage_m3']:.4f}", "m3 off the roof"),
-        ("rain", f"{summary['rain_m3']:.4f}", "m3 into both"),
-        (
-            "evapotranspiration",
-            f"{summary['evapotranspiration_m3']:.4f}",
-            f"m3 ({summary['evapotranspiration_method']})",
-        ),
-        ("largest command", f"{summary['max_command']:.6g}", "of the maximum flow"),
+        *_metric_rows(summary),
     ]
     solver = summary["solver"]
     if solver is not None:
@@ -58,19 +56,20 @@ def table(summary: Mapping[str, Any]) -> Table:
                 f"{solver['solves']} solves, {solver['fallbacks']} fallbacks",
             )
         )
-    if summary["limited_steps"]:
-        rows.append(("LIMITED", str(summary["limited_steps"]), "ticks in which a tank ran empty"))
     if summary["refused"]:
-        rows.append(("REFUSED", str(sum(summary["refused"].values())), str(summary["refused"])))
+        topics = ", ".join(f"{count} on {topic}" for topic, count in summary["refused"].items())
+        rows.append(("REFUSED", str(sum(summary["refused"].values())), f"values: {topics}"))
     for change in summary["parameter_changes"]:
-        rows.append(("changed", f"tick {change['tick']}", str(change)))
+        rows.append(
+            ("CHANGED", change["parameter"], f"{change['value']:g} from tick {change['tick']} on")
+        )
     if summary["frost_hours"]:
         rows.append(
             (
                 "FROST",
                 f"{summary['frost_hours']:.1f} h",
                 "at or below 0 degC, nothing pumped; "
-                f"{summary['precipitation_in_frost_mm']:.1f} mm of snow or rain taken as rain",
+                f"{summary['precipitation_in_frost_mm']:.1f} mm of snow or rain counted as rain",
             )
         )
     for note in summary["weather_notes"]:
@@ -91,8 +90,11 @@ def table(summary: Mapping[str, Any]) -> Table:
     if not SensorPumpErrors(**summary["sensor_pump_errors"]).none:
         rows.append(
             (
-                "sensor_pump_errors", "",
-                ", ".join(f"{key} {value:g}" for key, value in summary["sensor_pump_errors"].items()),
+                "sensor and pump", "",
+                ", ".join(
+                    f"{key.replace('_', ' ')} {value:g}"
+                    for key, value in summary["sensor_pump_errors"].items()
+                ),
             )
         )
     if summary["messages"]:

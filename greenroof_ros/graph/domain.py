@@ -10,7 +10,7 @@ from collections.abc import Callable, Collection, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from greenroof_ros.common.errors import ConfigurationError
+from greenroof_ros.common.errors import ConfigurationError, OccupiedError
 from greenroof_ros.graph.shared_memory import remove_unfinished
 
 # How long to listen for nodes that are in the graph already (s). On loopback they answer in well
@@ -29,10 +29,10 @@ def _domain() -> int:
     return int(text)
 
 
-def _taken(what: str, namespace: str) -> ConfigurationError:
+def _taken(what: str, namespace: str) -> OccupiedError:
     domain = _domain()
     place = f"in ROS domain {domain}" + (f", namespace {namespace}" if namespace else "")
-    return ConfigurationError(
+    return OccupiedError(
         f"{what} already {place}; end it, or take another domain: "
         f"ROS_DOMAIN_ID={domain % 100 + 1} python -m greenroof_ros.bringup ..., "
         "or another --namespace"
@@ -49,7 +49,7 @@ def only_bringup(namespace: str) -> Iterator[None]:
         namespace: ``/site1``, or empty for none.
 
     Raises:
-        ConfigurationError: one runs already.
+        OccupiedError: one runs already.
     """
     name = f"greenroof_ros-{os.getuid()}-domain-{_domain()}{namespace.replace('/', '-')}.lock"
     with (Path(tempfile.gettempdir()) / name).open("w") as stream:
@@ -71,7 +71,8 @@ def refuse_other_nodes(namespace: str, names: Collection[str], check: Callable[[
         check: called every 50 ms; raises what ends the wait.
 
     Raises:
-        ConfigurationError: some are, or ROS 2 is not installed.
+        OccupiedError: some are.
+        ConfigurationError: ROS 2 is not installed.
     """
     os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
     try:

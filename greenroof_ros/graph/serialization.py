@@ -26,8 +26,8 @@ from greenroof_ros.graph.errors import LockstepError
 _HEADER = b"\x00\x01\x00\x00"  # little-endian, no options
 _NUMBER = struct.Struct("<4sd")
 _CLOCK = struct.Struct("<4siI")
-# Length of the list of dimensions, offset, length of the data, and padding, which the generated code
-# leaves as it was in memory; then the numbers.
+# Length of the list of dimensions, offset, length of the data, and padding, which the generated
+# code leaves as it was in memory; then the numbers.
 _ROW = struct.Struct("<4sIII4x")
 _NS = 1_000_000_000
 _LITTLE = sys.byteorder == "little"  # rows are copied as they lie in memory

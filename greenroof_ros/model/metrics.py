@@ -1,77 +1,276 @@
-"""What a run is judged by, added up tick by tick."""
+"""What a run is judged by: one entry a metric, for every summary, table and report.
+
+A metric is a function of the samples of a run, which gives a number for each sample, and a way to
+combine those numbers: their sum, the largest, the last. The same function serves a run that is
+under way, block by block (:class:`Metrics`), and one that was recorded (:func:`add`).
+
+All sums are Euler's, and sequential: a value holds from its sample to the next, and what was
+added up before comes first. The bits of a sum do not depend on the blocks in which it was made.
+"""
 
 from __future__ import annotations
 
+import math
+import struct
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
 
 from greenroof_ros.model.plant import JOULES_PER_KWH, WATER_DENSITY, Flows, head_loss
 from greenroof_ros.model.site import Site
 
+Values = NDArray[np.float64]
+Totals = dict[str, float]
+"""The value of each metric, by its name."""
 
-@dataclass
-class Metrics:
-    """Sums over a run, in the paper's metric and as a water balance.
+
+@dataclass(frozen=True)
+class Samples:
+    """A stretch of a run; each array has shape (n,).
+
+    A run ends in the state of its last sample: there nothing flows, the command is 0, and it
+    lasts a tick, with which it counts in the deviation as the paper has it.
 
     Attributes:
-        total_deviation_m3: sum over the ticks j = 0..N of |x_{j,2} - x2*| (Fig. 5).
-        final_cistern_m3: the last x1.
-        final_roof_m3: the last x2.
-        pumped_m3: from the cistern to the roof.
-        outflow_m3: from the cistern to the sewer.
-        drainage_m3: off the roof.
-        rain_m3: into both tanks.
-        evapotranspiration_m3: off the roof.
-        max_command: largest command applied (1).
-        limited_steps: ticks in which a tank held less than was asked of it.
-        pump_starts: how often the flow delivered went from 0 to more; one at tick 0 counts.
-        energy_kwh: put into the water, the sum of rho g q L(x, q) tau with L of Eq. (3c) (kWh);
-            what the pumps draw is this over their efficiency.
+        duration: from each sample to the next (s).
+        cistern: water volume x1 (m3).
+        roof: water volume x2 (m3).
+        command: as given (1); a pump driver makes of it what it can.
+        precipitation: rain (m/s).
+        outflow: from the cistern to the sewer (m3/s).
+        pump: from the cistern to the roof (m3/s).
+        drainage: off the roof (m3/s).
+        evapotranspiration: off the roof, at most what it held (m3/s).
+        limited: 1 where a tank held less than was asked of it, else 0; None where that is unknown.
+        pumping_before: whether something was pumped in the sample before the first.
     """
 
-    total_deviation_m3: float = 0.0
-    final_cistern_m3: float = 0.0
-    final_roof_m3: float = 0.0
-    pumped_m3: float = 0.0
-    outflow_m3: float = 0.0
-    drainage_m3: float = 0.0
-    rain_m3: float = 0.0
-    evapotranspiration_m3: float = 0.0
-    max_command: float = 0.0
-    limited_steps: int = 0
-    pump_starts: int = 0
-    energy_kwh: float = 0.0
+    duration: Values
+    cistern: Values
+    roof: Values
+    command: Values
+    precipitation: Values
+    outflow: Values
+    pump: Values
+    drainage: Values
+    evapotranspiration: Values
+    limited: Values | None = None
+    pumping_before: bool = False
 
-    def __post_init__(self) -> None:
+
+# --- how the numbers of the samples are combined -------------------------------------------------
+
+
+def _sum(before: float, values: Values) -> float:
+    # Not numpy's sum, whose pairs depend on the length of the block.
+    return float(np.cumsum(np.append(before, values))[-1])
+
+
+def _count(before: float, values: Values) -> float:
+    return int(before) + int(np.count_nonzero(values))
+
+
+def _largest(before: float, values: Values) -> float:
+    return max(before, float(values.max()))
+
+
+def _last(before: float, values: Values) -> float:
+    return float(values[-1])
+
+
+@dataclass(frozen=True)
+class Metric:
+    """One thing that a run is judged by.
+
+    Attributes:
+        name: key of ``summary.json``, column of ``results.csv``.
+        unit: as people read it; 1 for a plain number.
+        label: as tables name it.
+        meaning: in a few words.
+        function: gives a value for each sample; None where the samples do not say.
+        combine: what it was before, with the values of further samples; it is 0 at the beginning.
+        form: format of its number in tables.
+        most: what is above it is shown as a warning.
+    """
+
+    name: str
+    unit: str
+    label: str
+    meaning: str
+    function: Callable[[Site, Samples], Values | None]
+    combine: Callable[[float, Values], float] = _sum
+    form: str = ".4g"
+    most: float = math.inf
+
+    @property
+    def description(self) -> str:
+        """Unit and meaning, as a table has them beside the number."""
+        return self.meaning if self.unit == "1" else f"{self.unit}, {self.meaning}"
+
+
+# --- what each sample gives ----------------------------------------------------------------------
+
+
+def _pump_starts(site: Site, one: Samples) -> Values:
+    pumping = one.pump > 0
+    return np.asarray(pumping & ~np.append(one.pumping_before, pumping[:-1]), dtype=float)
+
+
+def _hydraulic_energy(site: Site, one: Samples) -> Values:
+    head = head_loss(site, one.cistern, one.pump)
+    return WATER_DENSITY * site.g * one.pump * head * one.duration / JOULES_PER_KWH
+
+
+METRICS = (
+    Metric(
+        "total_deviation_m3", "m3", "total deviation",
+        "sum of |x2 - x2*| over the ticks (Fig. 5)",
+        # Samples that are not a tick apart count with their time over tau.
+        lambda site, one: np.abs(one.roof - site.x2_star) * (one.duration / site.tau),
+        form=".2f",
+    ),
+    Metric(
+        "final_cistern_m3", "m3", "cistern at the end", "the last x1",
+        lambda site, one: one.cistern, _last, ".6g",
+    ),
+    Metric(
+        "final_roof_m3", "m3", "roof at the end", "the last x2",
+        lambda site, one: one.roof, _last, ".6g",
+    ),
+    Metric(
+        "pumped_m3", "m3", "pumped", "from the cistern to the roof",
+        lambda site, one: one.duration * one.pump,
+    ),
+    Metric(
+        "outflow_m3", "m3", "outflow", "from the cistern to the sewer",
+        lambda site, one: one.duration * one.outflow,
+    ),
+    Metric(
+        "drainage_m3", "m3", "drainage", "off the roof",
+        lambda site, one: one.duration * one.drainage,
+    ),
+    Metric(
+        "rain_m3", "m3", "rain", "into both tanks",
+        lambda site, one: one.duration * one.precipitation * (site.a_in + site.a2),
+    ),
+    Metric(
+        "rain_cistern_m3", "m3", "rain into the cistern", "through its inlet",
+        lambda site, one: one.duration * one.precipitation * site.a_in,
+    ),
+    Metric(
+        "rain_roof_m3", "m3", "rain on the roof", "on the whole bed",
+        lambda site, one: one.duration * one.precipitation * site.a2,
+    ),
+    Metric(
+        "evapotranspiration_m3", "m3", "evapotranspiration", "off the roof, at most what it held",
+        lambda site, one: one.duration * one.evapotranspiration,
+    ),
+    Metric(
+        "max_command", "1", "largest command", "share of the maximum flow",
+        lambda site, one: one.command, _largest, ".6g", most=1,
+    ),
+    Metric(
+        "beyond_hours", "h", "beyond the pump", "with a command above 1",
+        lambda site, one: one.duration / 3600 * (one.command > 1), form=".4f", most=0,
+    ),
+    Metric(
+        "limited_steps", "1", "limited ticks", "a tank held less than was asked of it",
+        lambda site, one: one.limited, _count, "d", most=0,
+    ),
+    Metric(
+        "pump_starts", "1", "pump starts", "how often the flow went from 0 to more",
+        _pump_starts, _count, "d",
+    ),
+    Metric(
+        "pump_hours", "h", "pump running", "with a flow",
+        lambda site, one: one.duration / 3600 * (one.pump > 0), form=".3f",
+    ),
+    Metric(
+        "hydraulic_energy_kwh", "kWh", "hydraulic energy",
+        "rho g q L over time, L of Eq. (3c)", _hydraulic_energy,
+    ),
+    Metric(
+        "electric_energy_kwh", "kWh", "electric energy",
+        "the hydraulic over pump_efficiency",
+        lambda site, one: _hydraulic_energy(site, one) / site.pump_efficiency,
+    ),
+)
+
+
+def add(totals: Mapping[str, float], site: Site, samples: Samples) -> Totals:
+    """Return the metrics of a run with further samples; a metric that they do not say is left out.
+
+    Args:
+        totals: of the samples before; empty at the beginning.
+        site: its parameters.
+        samples: at least one.
+    """
+    result = {}
+    for metric in METRICS:
+        values = metric.function(site, samples)
+        if values is not None:
+            result[metric.name] = metric.combine(totals.get(metric.name, 0.0), values)
+    return result
+
+
+# What a tick is made of: its state, then what happens until the next.
+_TICK = ("cistern", "roof", "command", "precipitation", *Flows._fields)
+_pack_tick = struct.Struct(f"{len(_TICK)}d").pack
+# Ticks that are added up together: less than half the time that a tick would take alone.
+_BLOCK_BYTES = 4096 * 8 * len(_TICK)
+
+
+class Metrics:
+    """The metrics of a run under way, tick by tick; ``metrics["pumped_m3"]`` is one of them."""
+
+    def __init__(self) -> None:
         """Begin with pumps that stand still."""
-        self._pumping = False  # no field: it is no result
+        self._totals: Totals = {}
+        self._ticks = bytearray()
+        self._pumping = False
+        self._site: Site
+        self._x1 = self._x2 = 0.0
 
     def observe(self, site: Site, x1: float, x2: float) -> None:
         """Take the state of a tick (m3), for each tick 0..N."""
-        self.total_deviation_m3 += abs(x2 - site.x2_star)
-        self.final_cistern_m3 = x1
-        self.final_roof_m3 = x2
+        self._site = site
+        self._x1 = x1
+        self._x2 = x2
 
-    def step(self, site: Site, command: float, precipitation: float, flows: Flows) -> None:
+    def step(self, command: float, precipitation: float, flows: Flows) -> None:
         """Take what happens between a tick and the next, for each tick 0..N-1, once observed.
 
         Args:
-            site: the parameters of Table I.
-            command: the command given (1); a pump driver makes of it what it can.
+            command: the command given (1).
             precipitation: rain (m/s).
             flows: what moves (m3/s).
         """
-        tau = site.tau
-        self.pumped_m3 += tau * flows.pump
-        self.outflow_m3 += tau * flows.outflow
-        self.drainage_m3 += tau * flows.drainage
-        self.rain_m3 += tau * precipitation * (site.a_in + site.a2)
-        self.evapotranspiration_m3 += tau * flows.evapotranspiration
-        self.max_command = max(self.max_command, command)
-        self.limited_steps += flows.limited
-        pumping = flows.pump > 0
-        self.pump_starts += pumping and not self._pumping
-        self._pumping = pumping
-        if pumping:
-            head = head_loss(site, self.final_cistern_m3, flows.pump)
-            joules = WATER_DENSITY * site.g * flows.pump * head * tau
-            self.energy_kwh += joules / JOULES_PER_KWH
+        self._ticks += _pack_tick(self._x1, self._x2, command, precipitation, *flows)
+        if len(self._ticks) == _BLOCK_BYTES:
+            self._add_ticks()
+
+    def results(self) -> Totals:
+        """Return each metric by its name, of a run that ends in the tick observed last."""
+        if self._ticks:
+            self._add_ticks()
+        end = _pack_tick(self._x1, self._x2, *[0.0] * (len(_TICK) - 2))
+        return add(self._totals, self._site, self._samples(end))
+
+    def __getitem__(self, name: str) -> float:
+        """Return the metric of that name."""
+        return self.results()[name]
+
+    def _samples(self, ticks: bytes | bytearray) -> Samples:
+        columns = np.frombuffer(ticks).reshape(-1, len(_TICK)).T
+        return Samples(
+            duration=np.full(columns.shape[1], self._site.tau), pumping_before=self._pumping,
+            **dict(zip(_TICK, columns, strict=True)),
+        )
+
+    def _add_ticks(self) -> None:
+        samples = self._samples(self._ticks)
+        self._totals = add(self._totals, self._site, samples)
+        self._pumping = bool(samples.pump[-1] > 0)
+        self._ticks = bytearray()

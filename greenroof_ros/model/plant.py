@@ -42,9 +42,10 @@ def pump_flow(site: Site, x1: float, x2: float, command: float) -> float:
 def head_loss(site: Site, x1: Amount, flow: Amount) -> Amount:
     """L (m): the head that a flow (m3/s) takes from a cistern holding x1 (m3), Eq. (3c).
 
-    Numbers or arrays.
+    Numbers or arrays: both have the same bits, which numpy's own square would not.
     """
-    return site.pipe_resistance * flow**2 + site.d - x1 / site.a1
+    squared: Amount = np.float_power(flow, 2)
+    return site.pipe_resistance * squared + site.d - x1 / site.a1
 
 
 def drainage_flow(site: Site, x2: float) -> float:

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, fields
+from dataclasses import MISSING, dataclass, field, fields
 from functools import cached_property
 from pathlib import Path
+from typing import Any, NamedTuple
 
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.files import number, read_yaml
@@ -16,8 +17,10 @@ _MOST_TICKS = {"M": 1000, "N": 31_622_400}
 _LEAST, _LARGEST = 1e-12, 1e9
 # A product that a person rounds when writing it down, such as x2_star, is still consistent.
 _ROUNDING = 1e-6
-# What only a computed evapotranspiration needs, with its range.
-_PLACE = {
+# What may be left out, with its range: the pumps' efficiency, which only the electric energy needs,
+# and the place, which only a computed evapotranspiration does.
+_OPTIONAL = {
+    "pump_efficiency": (0.001, 1.0),
     "latitude": (-66.0, 66.0),
     "longitude": (-180.0, 180.0),
     "elevation": (-430.0, 6000.0),
@@ -29,82 +32,79 @@ _PLACE = {
 }
 
 
+def _parameter(unit: str, meaning: str) -> Any:
+    """Return the field of a parameter that every site file must give."""
+    return field(metadata={"unit": unit, "meaning": meaning})
+
+
+def _may_be_left_out(default: float | None, unit: str, meaning: str) -> Any:
+    """Return the field of a parameter with a default; None where nothing would be right."""
+    return field(default=default, metadata={"unit": unit, "meaning": meaning})
+
+
 @dataclass(frozen=True)
 class Site:
-    """The parameters of Table I under the paper's symbols, and the place, which may be left out.
+    """The parameters of Table I under the paper's symbols, and what may be left out.
 
-    Attributes:
-        a1: bottom surface area of the cistern (m2).
-        a_in: area of flow through the cistern's inlet (m2).
-        z_o: elevation of the cistern's outlet (m).
-        r_o: radius of the cistern's outlet (m).
-        c_d: discharge coefficient of the outlet (1).
-        a2: bottom surface area of the rooftop vegetation (m2).
-        z_veg: desired water depth on the roof (m).
-        x2_star: desired water volume on the roof, a2 z_veg (m3).
-        z_soil: soil depth of the roof (m).
-        z_cap: soil capacity, a2 z_soil (m3).
-        K: saturated hydraulic conductivity (m/s).
-        a_hat: coefficient of the pump curve, negative (s2/m5), Eq. (3b).
-        c_hat: coefficient of the pump curve (m), Eq. (3b).
-        a_pump: area of flow through the pump (m2).
-        d: elevation of the vegetation relative to the cistern (m).
-        D: diameter of the pipe (m).
-        F: friction factor of the pipe (1).
-        k_L: minor loss coefficient of the pipe (1).
-        l: length of the pipe (m).
-        z_pump: elevation of the pumps above the cistern's base (m).
-        z_H: least water level above the pumps' base that they need (m).
-        g: acceleration due to gravity (m/s2).
-        epsilon: steepness of the smooth model's sigmoids (1).
-        tau: duration of a tick (s).
-        M: look-ahead of the controller (ticks).
-        N: length of a run (ticks).
-        latitude: of the site (degrees north).
-        longitude: of the site (degrees, positive to the east of Greenwich).
-        elevation: of the site above the sea (m).
-        utc_offset: of the local standard time (h), without daylight saving.
-        albedo: of the vegetation (1); 0.23 is FAO-56's reference grass.
-        k_Rs: adjustment coefficient of FAO-56 Eq. 50 (degC^-0.5), for radiation that was not
-            measured; 0.16 inland, 0.19 by a large water.
-        wind_height: above the ground, at which the wind was measured (m).
-        crop_coefficient: evapotranspiration of the vegetation over that of the reference grass (1).
+    Unit and meaning of each stand beside it, and :func:`site_parameters` lists them.
     """
 
-    a1: float
-    a_in: float
-    z_o: float
-    r_o: float
-    c_d: float
-    a2: float
-    z_veg: float
-    x2_star: float
-    z_soil: float
-    z_cap: float
-    K: float
-    a_hat: float
-    c_hat: float
-    a_pump: float
-    d: float
-    D: float
-    F: float
-    k_L: float
-    l: float  # noqa: E741 - the paper's symbol
-    z_pump: float
-    z_H: float
-    g: float
-    epsilon: float
-    tau: float
-    M: int
-    N: int
-    latitude: float | None = None
-    longitude: float | None = None
-    elevation: float | None = None
-    utc_offset: float | None = None
-    albedo: float = 0.23
-    k_Rs: float = 0.16
-    wind_height: float = 10.0
-    crop_coefficient: float = 1.0
+    a1: float = _parameter("m2", "bottom surface area of the cistern")
+    a_in: float = _parameter("m2", "area of flow through the cistern's inlet")
+    z_o: float = _parameter("m", "elevation of the cistern's outlet")
+    r_o: float = _parameter("m", "radius of the cistern's outlet")
+    c_d: float = _parameter("1", "discharge coefficient of the outlet")
+    a2: float = _parameter("m2", "bottom surface area of the rooftop vegetation")
+    z_veg: float = _parameter("m", "desired water depth on the roof")
+    x2_star: float = _parameter("m3", "desired water volume on the roof, a2 z_veg")
+    z_soil: float = _parameter("m", "soil depth of the roof")
+    z_cap: float = _parameter("m3", "soil capacity, a2 z_soil")
+    K: float = _parameter("m/s", "saturated hydraulic conductivity")
+    a_hat: float = _parameter("s2/m5", "coefficient of the pump curve, negative, Eq. (3b)")
+    c_hat: float = _parameter("m", "coefficient of the pump curve, Eq. (3b)")
+    a_pump: float = _parameter("m2", "area of flow through the pump")
+    d: float = _parameter("m", "elevation of the vegetation relative to the cistern")
+    D: float = _parameter("m", "diameter of the pipe")
+    F: float = _parameter("1", "friction factor of the pipe")
+    k_L: float = _parameter("1", "minor loss coefficient of the pipe")
+    l: float = _parameter("m", "length of the pipe")  # noqa: E741 - the paper's symbol
+    z_pump: float = _parameter("m", "elevation of the pumps above the cistern's base")
+    z_H: float = _parameter("m", "least water level above the pumps' base that they need")
+    g: float = _parameter("m/s2", "acceleration due to gravity")
+    epsilon: float = _parameter("1", "steepness of the smooth model's sigmoids")
+    tau: float = _parameter("s", "duration of a tick")
+    M: int = _parameter("ticks", "look-ahead of the controller")
+    N: int = _parameter("ticks", "length of a run")
+    pump_efficiency: float = _may_be_left_out(
+        0.5, "1", "hydraulic over electric power of pumps and motors",
+    )
+    latitude: float | None = _may_be_left_out(None, "degrees", "latitude, positive to the north")
+    longitude: float | None = _may_be_left_out(
+        None, "degrees",
+        "longitude, positive to the east of Greenwich",
+    )
+    elevation: float | None = _may_be_left_out(None, "m", "above the sea")
+    utc_offset: float | None = _may_be_left_out(
+        None, "h",
+        "offset of the local standard time from UTC, without daylight saving",
+    )
+    albedo: float = _may_be_left_out(
+        0.23, "1",
+        "albedo of the vegetation; 0.23 is FAO-56's reference grass",
+    )
+    k_Rs: float = _may_be_left_out(
+        0.16, "degC^-0.5",
+        "adjustment coefficient of FAO-56 Eq. 50, for radiation that was not measured; "
+        "0.16 inland, 0.19 by a large water",
+    )
+    wind_height: float = _may_be_left_out(
+        10.0, "m",
+        "height above the ground at which the wind was measured",
+    )
+    crop_coefficient: float = _may_be_left_out(
+        1.0, "1",
+        "evapotranspiration of the vegetation over that of the reference grass",
+    )
 
     @cached_property
     def c_out(self) -> float:
@@ -143,6 +143,27 @@ class Site:
         return level * self.a2
 
 
+class SiteParameter(NamedTuple):
+    """A parameter of a site, for people."""
+
+    symbol: str
+    unit: str
+    meaning: str
+    default: float | None
+    """None where there is none"""
+
+
+def site_parameters() -> list[SiteParameter]:
+    """Return every parameter of a site, in the order of Table I, the place last."""
+    return [
+        SiteParameter(
+            each.name, each.metadata["unit"], each.metadata["meaning"],
+            None if each.default is MISSING else each.default,
+        )
+        for each in fields(Site)
+    ]
+
+
 def read_site(path: Path) -> Site:
     """Read and check a site file such as ``config/site.yaml``.
 
@@ -161,7 +182,7 @@ def read_site(path: Path) -> Site:
     values: dict[str, float] = {}
     for name in names:
         if name not in mapping:
-            if name in _PLACE:
+            if name in _OPTIONAL:
                 continue
             raise ConfigurationError("is missing", file=path, key=name)
         value = number(path, mapping, name)
@@ -173,8 +194,8 @@ def read_site(path: Path) -> Site:
 
         if not math.isfinite(value):
             raise refuse("must be finite")
-        if name in _PLACE:
-            low, high = _PLACE[name]
+        if name in _OPTIONAL:
+            low, high = _OPTIONAL[name]
             if not low <= value <= high:
                 raise refuse(f"must be from {low:g} to {high:g}")
             values[name] = value

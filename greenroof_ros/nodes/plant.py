@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import sys
 import time
-from dataclasses import asdict
 from typing import Any
 
 from rclpy.node import Node
@@ -167,12 +166,13 @@ class PlantNode(LockstepNode):
             self._done = True
             self._wall_s = time.monotonic() - self._began
             self.finish()
+            deviation = self._metrics["total_deviation_m3"]
             self.get_logger().info(
                 f"finished {self._run_length} ticks in {self._wall_s:.1f} s; total deviation "
-                f"{self._metrics.total_deviation_m3:.2f} m3"
+                f"{deviation:.2f} m3"
             )
             return
-        self._metrics.step(self._site, command, rain, flows)
+        self._metrics.step(command, rain, flows)
         self._plant.step(rain, flows)
         self._tick += 1
         # The next tick first where it may go: the others start on it while this node still
@@ -230,7 +230,7 @@ class PlantNode(LockstepNode):
 
     def summary(self) -> dict[str, Any]:
         """Return the run's metrics, and how long it took (s of wall time)."""
-        return {"metrics": asdict(self._metrics), "wall_s": self._wall_s}
+        return {"metrics": self._metrics.results(), "wall_s": self._wall_s}
 
 
 def main(args: list[str] | None = None) -> None:

@@ -28,7 +28,7 @@ _COLUMNS = {
 }
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Trajectory:
     """What happened, sample by sample; each array has shape (n,).
 
@@ -113,7 +113,7 @@ def read_parquet(path: Path) -> Trajectory:
     if not len(table) or any(table[column].null_count() for column in _COLUMNS.values()):
         raise ConfigurationError("is no trajectory: it has no samples, or gaps", file=path)
     return Trajectory(
-        start, **{name: table[column].to_numpy() for name, column in _COLUMNS.items()}
+        start=start, **{name: table[column].to_numpy() for name, column in _COLUMNS.items()}
     )
 
 

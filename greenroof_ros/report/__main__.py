@@ -12,10 +12,10 @@ from rich.table import Table
 
 from greenroof_ros.common.command_line import EXIT_DONE, command, within
 from greenroof_ros.common.errors import ConfigurationError
-from greenroof_ros.report.assessment import Assumptions, assess
+from greenroof_ros.report.assessment import Assumptions
 from greenroof_ros.report.results import Report, best_runs, controller_name, result
 from greenroof_ros.report.runs import find_runs
-from greenroof_ros.report.seeds import apart
+from greenroof_ros.report.seeds import split_by_seeds
 
 _DEFAULTS = Assumptions()
 # On the terminal; the report has them all.
@@ -50,12 +50,8 @@ def _parser() -> argparse.ArgumentParser:
     )
     group = parser.add_argument_group("assumptions")
     group.add_argument(
-        "--efficiency", type=within(1e-3, 1), default=_DEFAULTS.efficiency, metavar="SHARE",
-        help="of pumps and motors: hydraulic over electric power (default: %(default)s)",
-    )
-    group.add_argument(
         "--energy-price", type=within(0, 1e9), default=_DEFAULTS.energy_price, metavar="PRICE",
-        help="of a kWh (default: %(default)s, Ontario 2021)",
+        help="of a kWh of electric energy (default: %(default)s, Ontario 2021)",
     )
     group.add_argument(
         "--water-price", type=within(0, 1e9), default=_DEFAULTS.water_price, metavar="PRICE",
@@ -103,8 +99,10 @@ def main() -> int:
         ) from error
     output: Path = arguments.output or arguments.paths[0] / "report"
     assumptions = Assumptions(
-        arguments.efficiency, arguments.energy_price, arguments.water_price,
-        arguments.currency, arguments.band,
+        energy_price=arguments.energy_price,
+        water_price=arguments.water_price,
+        currency=arguments.currency,
+        band=arguments.band,
     )
     _check_output(output)
     sources = find_runs(arguments.paths, arguments.site)
@@ -112,14 +110,11 @@ def main() -> int:
         TextColumn("{task.description}"), BarColumn(), TextColumn("{task.completed}/{task.total}"),
         console=Console(stderr=True), transient=True,
     ) as progress:
-        results = []
-        alone, seeded = apart(sources.runs)
-        for entry in progress.track(alone, description="reading runs"):
-            trajectory, notes = entry.load()
-            assessment = assess(entry.site, trajectory, assumptions)
-            results.append(
-                result(entry, (*entry.notes, *notes), trajectory, assessment)
-            )
+        single, seeded = split_by_seeds(sources.runs)
+        results = [
+            result(entry, assumptions)
+            for entry in progress.track(single, description="reading runs")
+        ]
         report = Report(results, seeded)
         makers = figures.make_figures(report, arguments.pump_data)
         try:
@@ -166,7 +161,7 @@ def _tables(report: Report) -> Iterator[Table]:
             if one.window == window:
                 table.add_row(
                     one.initial, controller_name(one.run.entry.controller), one.setting,
-                    f"{one.run.assessment.total_deviation_m3:.2f}",
+                    f"{one.run.assessment.metrics['total_deviation_m3']:.2f}",
                 )
         yield table
 

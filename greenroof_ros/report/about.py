@@ -14,9 +14,8 @@ from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.files import YamlMapping, read_text, read_yaml
 from greenroof_ros.forecast.choice import OPTIONS, PERFECT
 from greenroof_ros.model.sensor_pump_errors import RANGES
+from greenroof_ros.report.entries import Note, Parameters
 from greenroof_ros.weather.records import name_files
-
-Parameters = dict[str, "float | str"]
 
 
 @dataclass(frozen=True)
@@ -29,10 +28,10 @@ class About:
         initial: name of the initial state, or its volumes.
         weather: name of the weather.
         method: of the evapotranspiration.
-        forecast: what the controller was told of the weather to come; empty if that was what came.
+        forecast: what the controller was given of the weather to come; empty if that was what came.
         sensor_pump_errors: of level sensor and pumps; empty if there were none.
         exact_sensor: whether the roof's level is the true one.
-        zone: offset from UTC; None where nobody wrote it down.
+        zone: offset from UTC; None where it is unknown.
         own: whether this package wrote it.
         notes: what a reader should know of the run.
     """
@@ -47,7 +46,7 @@ class About:
     exact_sensor: bool = True
     zone: tzinfo | None = None
     own: bool = False
-    notes: tuple[str, ...] = ()
+    notes: tuple[Note, ...] = ()
 
 
 def read_about(run: Path) -> About:
@@ -55,7 +54,7 @@ def read_about(run: Path) -> About:
 
     Labels hang on these files, no numbers: one that is damaged or foreign leaves a note.
     """
-    notes: list[str] = []
+    notes: list[Note] = []
     for name, read in (
         ("summary.json", _summary), ("configuration/parameters.yaml", _node_parameters)
     ):
@@ -67,7 +66,9 @@ def read_about(run: Path) -> About:
             reason = "it lacks what a run writes about itself"
             if isinstance(error, ConfigurationError):
                 reason = str(error).removeprefix(f"{run / name}").lstrip(":, ")
-            notes.append(f"{name} beside the bag is damaged or foreign, and not used: {reason}")
+            notes.append(
+                Note(f"{name} beside the bag is damaged or foreign, and not used: {reason}")
+            )
             continue
         return replace(about, notes=(*notes, *about.notes))
     return About(notes=tuple(notes))
@@ -100,8 +101,7 @@ def _node_parameters(file: Path) -> dict[str, Any]:
             key: value
             for key, value in nodes.get(str(controller), empty).items() if key != "site_file"
         },
-        "weather": name_files([Path(file) for file in weather["weather_files"]])
-        if weather.get("weather_files") else None,
+        "weather": name_files([Path(file) for file in weather.get("weather_files") or []]),
         "evapotranspiration_method": weather.get("evapotranspiration"),
         "forecast": {
             "model": weather.get("forecast"),
@@ -109,8 +109,9 @@ def _node_parameters(file: Path) -> dict[str, Any]:
         },
         "sensor_pump_errors": {name: plant.get(name) for name in RANGES},
     }
-    if "cistern" in plant and "roof" in plant:
-        about["initial"] = {"cistern_m3": plant["cistern"], "roof_m3": plant["roof"]}
+    volumes = plant.get("initial_cistern_volume"), plant.get("initial_roof_volume")
+    if None not in volumes:
+        about["initial"] = dict(zip(("cistern_m3", "roof_m3"), volumes, strict=True))
     if "start" in plant:
         about["start"] = plant["start"]
     return about
@@ -125,24 +126,24 @@ def _understand(content: dict[str, Any]) -> About:
     if not isinstance(content["controller"], str):
         raise TypeError
     initial, forecast = content.get("initial"), content.get("forecast") or {}
-    notes = list(content.get("weather_notes") or [])
+    notes = [Note(text) for text in content.get("weather_notes") or []]
     notes += [
-        f"{quantity} was missing and filled in: {', '.join(hours)}"
+        Note(f"{quantity} was missing and filled in: {', '.join(hours)}")
         for quantity, hours in (content.get("filled") or {}).items()
     ]
     notes += run_notes(
-        (content.get("solver") or {}).get("fallbacks") or 0,
+        float((content.get("solver") or {}).get("fallbacks") or 0),
         content.get("forecast_repeats_last_record_from"),
-        content.get("limited_steps") or 0,
+        float(content.get("limited_steps") or 0),
     )
     site = content.get("sensor_pump_errors") or {}
     sensor_pump_errors = sensor_pump_errors_label(site)
     exact_sensor = not (site.get("roof_noise") or site.get("roof_offset"))
     if not exact_sensor:
-        notes.append(
-            f"the roof's level is what a sensor reads ({sensor_pump_errors}); the summary's deviation "
-            "is of the true one"
-        )
+        notes.append(Note(
+            f"the roof's level is what a sensor reads ({sensor_pump_errors}); the summary's "
+            "deviation is of the true one"
+        ))
     return About(
         controller=content["controller"],
         parameters=parameters(content.get("parameters") or {}),
@@ -161,7 +162,7 @@ def _understand(content: dict[str, Any]) -> About:
     )
 
 
-def run_notes(fallbacks: float, repeats_from: str | None, limited: float) -> list[str]:
+def run_notes(fallbacks: float, repeats_from: str | None, limited: float) -> list[Note]:
     """Say what happened in a run that its trajectory does not show.
 
     Args:
@@ -169,13 +170,15 @@ def run_notes(fallbacks: float, repeats_from: str | None, limited: float) -> lis
         repeats_from: time from which on the forecast repeats its last record.
         limited: ticks in which a tank held less than was asked of it.
     """
-    notes = []
+    notes: list[Note] = []
     if fallbacks:
-        notes.append(f"the controller's solver found no answer in {fallbacks:g} ticks")
+        notes.append(Note("the controller's solver found no answer in {count} ticks", fallbacks))
     if repeats_from:
-        notes.append(f"the forecast repeats its last record from {repeats_from} on")
+        notes.append(Note(f"the forecast repeats its last record from {repeats_from} on"))
     if limited:
-        notes.append(f"a tank ran empty in {limited:g} ticks, and what left it was limited")
+        notes.append(
+            Note("a tank ran empty in {count} ticks, and what left it was limited", limited)
+        )
     return notes
 
 

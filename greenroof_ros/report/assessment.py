@@ -1,6 +1,6 @@
-"""What a run comes to: deviation, water balance, energy, pump and frost, from its trajectory.
+"""The results of a run from its trajectory: its metrics, water balance, prices and frost.
 
-All sums are Euler's: a value holds from its sample to the next, over dt, the difference of their
+All sums are Euler's: a value holds from its sample to the next, over the difference of their
 times. The flows of the last sample count in no sum, because the run ends in its state.
 """
 
@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from greenroof_ros.model.plant import JOULES_PER_KWH, WATER_DENSITY, head_loss
+from greenroof_ros.model.metrics import Samples, Totals, add
 from greenroof_ros.model.site import Site
 from greenroof_ros.recording.trajectory import Trajectory
 
@@ -21,14 +21,12 @@ class Assumptions:
     """What the bag does not say and a person must assume.
 
     Attributes:
-        efficiency: hydraulic power over electric power of pumps and motors (1).
-        energy_price: of a kWh.
+        energy_price: of a kWh of electric energy.
         water_price: of a m3 from the mains.
         currency: of both prices.
         band: half width of the band about the target, as a share of the target (1).
     """
 
-    efficiency: float = 0.5
     energy_price: float = 0.115
     water_price: float = 4.1346
     currency: str = "CAD"
@@ -37,60 +35,32 @@ class Assumptions:
 
 @dataclass(frozen=True)
 class Assessment:
-    """What a run comes to.
+    """The results of a run.
 
     Attributes:
+        metrics: those of :data:`greenroof_ros.model.metrics.METRICS` that a trajectory says.
         hours: from the first sample to the last (h).
-        total_deviation_m3: the sum of |x2 - x2*| dt / tau over all samples, the last one with
-            dt = tau. For samples a tick apart that is the paper's sum over j = 0..N (Fig.
-            5); times tau it is the integral over time (m3 s), whatever the sampling.
         band_hours: within the band about the target (h).
-        rain_cistern_m3: rain through the cistern's inlet.
-        rain_roof_m3: rain on the roof.
-        pumped_m3: from the cistern to the roof.
-        outflow_m3: from the cistern to the sewer.
-        evapotranspiration_m3: off the roof, at most what it held.
-        drainage_m3: off the roof.
-        final_cistern_m3: the last x1.
-        final_roof_m3: the last x2.
         cistern_change_m3: of storage, last x1 less first.
         roof_change_m3: of storage, last x2 less first.
         cistern_residual_m3: change of storage that the flows do not explain; rounding in a
             simulation, on a site whatever was not measured.
         roof_residual_m3: likewise.
-        energy_kwh: of the pumps: rho g q L(x, q) dt over the efficiency, L as in Eq. (3c).
-        energy_cost: of that.
+        energy_cost: of the electric energy.
         water_value: what as much water from the mains costs.
-        pump_starts: how often the flow went from 0 to more; a flow at the first sample counts.
-        pump_hours: with a flow (h).
-        beyond_hours: with a command above 1, which no real pump follows (h).
-        largest_command: (1).
         frost_hours: (h).
         frost_pumped_m3: pumped during frost.
     """
 
+    metrics: Totals
     hours: float
-    total_deviation_m3: float
     band_hours: float
-    rain_cistern_m3: float
-    rain_roof_m3: float
-    pumped_m3: float
-    outflow_m3: float
-    evapotranspiration_m3: float
-    drainage_m3: float
-    final_cistern_m3: float
-    final_roof_m3: float
     cistern_change_m3: float
     roof_change_m3: float
     cistern_residual_m3: float
     roof_residual_m3: float
-    energy_kwh: float
     energy_cost: float
     water_value: float
-    pump_starts: int
-    pump_hours: float
-    beyond_hours: float
-    largest_command: float
     frost_hours: float
     frost_pumped_m3: float
 
@@ -103,58 +73,59 @@ def assess(site: Site, trajectory: Trajectory, assumptions: Assumptions) -> Asse
         trajectory: what happened, at least two samples.
         assumptions: what it does not say.
     """
+    metrics = add({}, site, _samples(site, trajectory))
     now = slice(None, -1)
     dt = np.diff(trajectory.time)
-    rain = trajectory.precipitation[now]
-    flow = trajectory.pump_flow[now]
-    drainage = trajectory.drainage[now]
-    command = trajectory.command[now]
-    deviation = np.abs(trajectory.roof - site.x2_star)
+    deviation = np.abs(trajectory.roof[now] - site.x2_star)
     frost = trajectory.frost[now] > 0
-
-    # As plant.Plant.flows: what the roof cannot give does not evaporate. The drainage is that
-    # after the limit, so that the rest of what is there is left to evaporate.
-    held = trajectory.roof[now] / dt + rain * site.a2 + flow - drainage
-    evaporated = np.minimum(trajectory.evapotranspiration[now], np.maximum(held, 0.0))
-
-    rain_cistern = float(np.sum(rain * dt)) * site.a_in
-    rain_roof = float(np.sum(rain * dt)) * site.a2
-    pumped = float(np.sum(flow * dt))
-    outflow = float(np.sum(trajectory.outflow[now] * dt))
-    evapotranspiration = float(np.sum(evaporated * dt))
-    drained = float(np.sum(drainage * dt))
     cistern_change = float(trajectory.cistern[-1] - trajectory.cistern[0])
     roof_change = float(trajectory.roof[-1] - trajectory.roof[0])
-    power = WATER_DENSITY * site.g * flow * head_loss(site, trajectory.cistern[now], flow)
-    energy = float(np.sum(power * dt)) / assumptions.efficiency / JOULES_PER_KWH
-    running = flow > 0
-    starts = np.count_nonzero(running[1:] & ~running[:-1]) + int(running[0])
-    deviations = np.sum(deviation[now] * dt) / site.tau + deviation[-1]
+    pumped = metrics["pumped_m3"]
+    cistern_flows = metrics["rain_cistern_m3"] - pumped - metrics["outflow_m3"]
+    roof_flows = (
+        metrics["rain_roof_m3"] + pumped - metrics["evapotranspiration_m3"]
+        - metrics["drainage_m3"]
+    )
     return Assessment(
+        metrics=metrics,
         hours=float(trajectory.time[-1] - trajectory.time[0]) / 3600,
-        total_deviation_m3=float(deviations),
-        band_hours=_hours(dt, deviation[now] <= assumptions.band * site.x2_star),
-        rain_cistern_m3=rain_cistern,
-        rain_roof_m3=rain_roof,
-        pumped_m3=pumped,
-        outflow_m3=outflow,
-        evapotranspiration_m3=evapotranspiration,
-        drainage_m3=drained,
-        final_cistern_m3=float(trajectory.cistern[-1]),
-        final_roof_m3=float(trajectory.roof[-1]),
+        band_hours=_hours(dt, deviation <= assumptions.band * site.x2_star),
         cistern_change_m3=cistern_change,
         roof_change_m3=roof_change,
-        cistern_residual_m3=cistern_change - (rain_cistern - pumped - outflow),
-        roof_residual_m3=roof_change - (rain_roof + pumped - evapotranspiration - drained),
-        energy_kwh=energy,
-        energy_cost=energy * assumptions.energy_price,
+        cistern_residual_m3=cistern_change - cistern_flows,
+        roof_residual_m3=roof_change - roof_flows,
+        energy_cost=metrics["electric_energy_kwh"] * assumptions.energy_price,
         water_value=pumped * assumptions.water_price,
-        pump_starts=int(starts),
-        pump_hours=_hours(dt, running),
-        beyond_hours=_hours(dt, command > 1),
-        largest_command=float(command.max()),
         frost_hours=_hours(dt, frost),
-        frost_pumped_m3=float(np.sum((flow * dt)[frost])),
+        frost_pumped_m3=float(np.sum((trajectory.pump_flow[now] * dt)[frost])),
+    )
+
+
+def _samples(site: Site, trajectory: Trajectory) -> Samples:
+    """Return a whole run as samples; where a tank's flows were limited is unknown."""
+    dt = np.append(np.diff(trajectory.time), site.tau)
+
+    def until_the_end(values: NDArray[np.float64]) -> NDArray[np.float64]:
+        return np.append(values[:-1], 0.0)
+
+    rain = until_the_end(trajectory.precipitation)
+    flow = until_the_end(trajectory.pump_flow)
+    drainage = until_the_end(trajectory.drainage)
+    # As plant.Plant.flows: what the roof cannot give does not evaporate. The drainage is that
+    # after the limit, so that the rest of what is there is left to evaporate.
+    held = trajectory.roof / dt + rain * site.a2 + flow - drainage
+    return Samples(
+        duration=dt,
+        cistern=trajectory.cistern,
+        roof=trajectory.roof,
+        command=until_the_end(trajectory.command),
+        precipitation=rain,
+        outflow=until_the_end(trajectory.outflow),
+        pump=flow,
+        drainage=drainage,
+        evapotranspiration=np.minimum(
+            until_the_end(trajectory.evapotranspiration), np.maximum(held, 0.0)
+        ),
     )
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
@@ -13,9 +13,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from greenroof_ros.recording.trajectory import Trajectory
-from greenroof_ros.report.assessment import Assessment
-from greenroof_ros.report.runs import RunEntry
+from greenroof_ros.report.assessment import Assessment, Assumptions, assess
+from greenroof_ros.report.entries import Note, RunEntry
 
 MOST_POINTS = 500
 """of a drawn line; totals are of all samples"""
@@ -29,16 +28,20 @@ class Curve(NamedTuple):
     """s since the start"""
     value: NDArray[np.float64]
 
+    def points(self) -> Iterator[tuple[float, float]]:
+        """Yield time and value of each point."""
+        return zip(self.time, self.value, strict=True)
+
 
 @dataclass(frozen=True)
 class Result:
-    """A run, what it came to, and what of it is drawn.
+    """A run, its results, and what of it is drawn.
 
     Attributes:
         entry: the run.
         notes: what a reader should know of it.
         start: time of the first sample.
-        assessment: what it came to.
+        assessment: its results.
         curves: by the name of the trajectory's attribute.
         frost: from and to (s since the start) of each time of frost.
         bound_m3: the least total deviation that a controller with commands up to 1 could reach;
@@ -46,7 +49,7 @@ class Result:
     """
 
     entry: RunEntry
-    notes: tuple[str, ...]
+    notes: tuple[Note, ...]
     start: datetime
     assessment: Assessment
     curves: dict[str, Curve]
@@ -56,39 +59,61 @@ class Result:
     @property
     def ratio_to_bound(self) -> float | None:
         """Total deviation over the least that was possible (1); None if that is unknown, or 0."""
-        return self.assessment.total_deviation_m3 / self.bound_m3 if self.bound_m3 else None
+        total = self.assessment.metrics["total_deviation_m3"]
+        return total / self.bound_m3 if self.bound_m3 else None
 
     @property
     def window(self) -> Window:
         """What the run can be compared within."""
         entry = self.entry
-        return Window(
-            entry.site_name, entry.weather, self.start, round(self.assessment.hours, 6),
-            entry.method, entry.forecast, entry.sensor_pump_errors,
+        sky = Sky(
+            site_name=entry.site_name, weather=entry.weather, start=self.start,
+            hours=round(self.assessment.hours, 6),
         )
+        return Window(sky, entry.method, entry.forecast, entry.sensor_pump_errors)
 
 
-class Window(NamedTuple):
-    """Runs of one site, weather and forecast: only controller and initial state differ in it."""
+@dataclass(frozen=True)
+class Sky:
+    """Runs of one site under the same sky: they share a figure of the weather."""
 
     site_name: str
     weather: str
     start: datetime
     hours: float
-    method: str
-    forecast: str
-    """empty where it was perfect"""
-    sensor_pump_errors: str
-    """of level sensor and pumps; empty where there were none"""
 
     def __str__(self) -> str:
         """As headings name it."""
-        forecast = f", forecast {self.forecast}" if self.forecast else ""
-        sensor_pump_errors = f", {self.sensor_pump_errors}" if self.sensor_pump_errors else ""
         return (
             f"{Path(self.weather).stem}, {self.start.isoformat(' ', 'minutes')}, "
-            f"{self.hours:.4g} h, evapotranspiration {self.method}{forecast}{sensor_pump_errors}"
+            f"{self.hours:.4g} h"
         )
+
+
+@dataclass(frozen=True)
+class Window:
+    """Runs of one site, weather and forecast: only controller and initial state differ in it.
+
+    Attributes:
+        sky: site, weather, start and length.
+        method: of the evapotranspiration.
+        forecast: empty where it was perfect.
+        sensor_pump_errors: of level sensor and pumps; empty where there were none.
+    """
+
+    sky: Sky
+    method: str
+    forecast: str
+    sensor_pump_errors: str
+
+    def __str__(self) -> str:
+        """As headings name it."""
+        parts = [str(self.sky), f"evapotranspiration {self.method}"]
+        if self.forecast:
+            parts.append(f"forecast {self.forecast}")
+        if self.sensor_pump_errors:
+            parts.append(self.sensor_pump_errors)
+        return ", ".join(parts)
 
 
 def thin(values: NDArray[np.float64], most: int = MOST_POINTS) -> NDArray[np.intp]:
@@ -109,9 +134,14 @@ def thin(values: NDArray[np.float64], most: int = MOST_POINTS) -> NDArray[np.int
     return np.array(sorted(kept), dtype=np.intp)
 
 
-def result(entry: RunEntry, notes: tuple[str, ...], trajectory: Trajectory,
-           assessment: Assessment) -> Result:
-    """Keep of a trajectory what is drawn."""
+def result(entry: RunEntry, assumptions: Assumptions) -> Result:
+    """Read a run, judge it, and keep of it what is drawn.
+
+    Raises:
+        ConfigurationError: its file is damaged, or foreign.
+    """
+    trajectory, notes = entry.load()
+    assessment = assess(entry.site, trajectory, assumptions)
     curves = {}
     for name in ("command", "cistern", "roof", "precipitation", "evapotranspiration"):
         values = getattr(trajectory, name)
@@ -126,7 +156,13 @@ def result(entry: RunEntry, notes: tuple[str, ...], trajectory: Trajectory,
     ends = trajectory.time[np.flatnonzero(steps < 0)]
     frost = tuple(zip(begins.tolist(), ends.tolist(), strict=True))
     return Result(
-        entry, notes, trajectory.start, assessment, curves, frost, entry.bound(trajectory)
+        entry=entry,
+        notes=(*entry.notes, *map(Note, notes)),
+        start=trajectory.start,
+        assessment=assessment,
+        curves=curves,
+        frost=frost,
+        bound_m3=entry.bound(trajectory),
     )
 
 
@@ -136,7 +172,7 @@ def controller_name(name: str) -> str:
 
 
 class Settings:
-    """How the runs of one controller are told apart: by the parameters that differ among them.
+    """The names of one controller's runs: the parameters that differ among them.
 
     Attributes:
         title: what a label gives, the parameter's name where there is just one.
@@ -170,7 +206,7 @@ class Settings:
         return tuple(order), self.label(entry)
 
     def label(self, entry: RunEntry) -> str:
-        """Return what tells a run from the controller's others."""
+        """Return the setting of a run, as it differs from the controller's others."""
         if not self._shown:
             return entry.name
         if len(self._shown) == 1:
@@ -238,7 +274,8 @@ class Report:
         ]
 
 
-class Best(NamedTuple):
+@dataclass(frozen=True)
+class Best:
     """The run of a controller with the least total deviation from an initial state."""
 
     window: Window
@@ -255,9 +292,14 @@ def best_runs(report: Report) -> list[Best]:
     ):
         runs = report.of(window, controller, initial)
         if runs:
-            totals = [one.assessment.total_deviation_m3 for one in runs]
+            totals = [one.assessment.metrics["total_deviation_m3"] for one in runs]
             least = runs[totals.index(min(totals))]
             alike = len(runs) > 1 and min(totals) == max(totals)
             setting = report.settings[controller].full_label(least.entry)
-            found.append(Best(window, initial, "all alike" if alike else setting, least))
+            found.append(
+                Best(
+                    window=window, initial=initial, setting="all alike" if alike else setting,
+                    run=least,
+                )
+            )
     return found

@@ -66,7 +66,8 @@ def _title(place: Place, places: list[Place]) -> str | list[str]:
         for name, text in (
             ("site_name", place.site_name), ("weather", Path(place.weather).stem),
             ("start", place.start), ("hours", f"{place.hours:.4g} h"), ("method", place.method),
-            ("model", place.model), ("sensor_pump_errors", place.sensor_pump_errors or "no sensor_pump_errors"),
+            ("model", place.model),
+            ("sensor_pump_errors", place.sensor_pump_errors or "no sensor or pump errors"),
         )
         if len({getattr(other, name) for other in places}) > 1
     ]

@@ -1,4 +1,4 @@
-"""Runs under forecast errors of many seeds: what they come to on average, and in the worst tenth.
+"""Runs under forecast errors of many seeds: their mean, and that of the worst tenth.
 
 They are judged by the study's table alone: to read and to draw each of hundreds of trajectories
 would take minutes, and show nothing that these numbers do not.
@@ -12,8 +12,8 @@ from typing import NamedTuple
 
 import numpy as np
 
+from greenroof_ros.report.entries import RunEntry
 from greenroof_ros.report.results import Report
-from greenroof_ros.report.runs import RunEntry
 
 
 class Place(NamedTuple):
@@ -33,7 +33,7 @@ class Place(NamedTuple):
 
 @dataclass(frozen=True)
 class Spread:
-    """What the runs of a controller with one setting come to over the seeds.
+    """The results of a controller with one setting over the seeds.
 
     Attributes:
         place: where and whence.
@@ -71,13 +71,14 @@ def place(entry: RunEntry) -> Place:
     """Return where a run under random errors belongs, whatever their size and seed."""
     assert entry.seeded is not None
     return Place(
-        entry.site_name, entry.weather, entry.seeded.start, entry.seeded.hours, entry.method,
-        entry.seeded.model, entry.sensor_pump_errors, entry.initial,
+        site_name=entry.site_name, weather=entry.weather, start=entry.seeded.start,
+        hours=entry.seeded.hours, method=entry.method, model=entry.seeded.model,
+        sensor_pump_errors=entry.sensor_pump_errors, initial=entry.initial,
     )
 
 
-def apart(entries: Sequence[RunEntry]) -> tuple[list[RunEntry], list[RunEntry]]:
-    """Return the runs that stand alone, and those of windows with more than one seed."""
+def split_by_seeds(entries: Sequence[RunEntry]) -> tuple[list[RunEntry], list[RunEntry]]:
+    """Return the runs that are judged one by one, and those of windows with several seeds."""
     seeds: dict[tuple[Place, float], set[str]] = {}
 
     def window(entry: RunEntry) -> tuple[Place, float] | None:
@@ -98,7 +99,7 @@ def apart(entries: Sequence[RunEntry]) -> tuple[list[RunEntry], list[RunEntry]]:
 
 
 def spreads(report: Report) -> list[Spread]:
-    """Return what the seeded runs come to, controller by controller, the smallest errors first."""
+    """Return the results of the seeded runs, controller by controller, small errors first."""
     groups: dict[tuple[object, ...], list[RunEntry]] = {}
     for entry in report.seeded:
         assert entry.seeded is not None
@@ -128,5 +129,6 @@ def _spread(report: Report, entries: Sequence[RunEntry]) -> Spread:
     setting = report.settings[first.controller].full_label(first) if first.parameters else ""
     bound = next((one.bound_m3 for one in known if one.bound_m3 is not None), None)
     return Spread(
-        place(first), first.controller, setting, known[0].size, tuple(totals), bound
+        place=place(first), controller=first.controller, setting=setting, size=known[0].size,
+        totals=tuple(totals), bound_m3=bound,
     )

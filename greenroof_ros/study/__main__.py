@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import os
+import signal
 from collections.abc import Mapping, Sequence
 from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, Future, wait
 from pathlib import Path
@@ -11,16 +12,14 @@ from typing import Any
 
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
-from rich.table import Table
 
 from greenroof_ros.common.command_line import EXIT_DONE, EXIT_FAILED, command, within
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.files import shared_directory
-from greenroof_ros.forecast.choice import OPTIONS, PERFECT
-from greenroof_ros.model.sensor_pump_errors import RANGES
 from greenroof_ros.study.case_run import ENGINES, Outcome, bound_case, run_case
 from greenroof_ros.study.grid import Case, read_grid
 from greenroof_ros.study.store import Store
+from greenroof_ros.study.table import case_name, show
 from greenroof_ros.study.workers import Submit, cluster, processes
 
 # A graph is five processes; two cores are busy with one.
@@ -68,10 +67,16 @@ def _parser() -> argparse.ArgumentParser:
     return parser
 
 
+def _interrupt(signum: int, frame: object) -> None:
+    raise KeyboardInterrupt
+
+
 @command
 def main() -> int:
     """Run a study, or the rest of it."""
     arguments = _parser().parse_args()
+    # As after Ctrl-C: the workers end, and the table has what is finished.
+    signal.signal(signal.SIGTERM, _interrupt)
     if arguments.scheduler is not None and arguments.jobs is not None:
         raise ConfigurationError(
             "is not an option with --scheduler: the cluster knows how many", key="--jobs"
@@ -110,7 +115,7 @@ def main() -> int:
         return EXIT_FAILED
     finally:
         rows = store.write_tables(outcomes, failures, store.bounds())
-    _show(rows, store.directory)
+    show(cases, rows, store.directory)
     return EXIT_FAILED if failures else EXIT_DONE
 
 
@@ -154,90 +159,23 @@ def _run(
                 try:
                     bounds[problem] = future.result()
                 except Exception as error:  # the runs do not need it
-                    progress.print(f"no bound: {_name(problems[problem])}: {error}", markup=False)
+                    name = case_name(problems[problem])
+                    progress.print(f"no bound: {name}: {error}", markup=False)
                 else:
                     store.keep_bounds(bounds)
             for future in done & pending.keys():
                 case = pending.pop(future)
                 try:
                     outcome = future.result()
-                except Exception as error:  # whatever a run, or the end of its process, comes to
+                except Exception as error:  # of a run, or the end of its process
                     reason = str(error) or type(error).__name__
                     failures[case.identity] = reason
-                    progress.print(f"failed: {_name(case)}: {reason}", markup=False)
+                    progress.print(f"failed: {case_name(case)}: {reason}", markup=False)
                 else:
                     store.keep(case, outcome)
                     outcomes[case.identity] = outcome
                 progress.advance(task)
             progress.refresh()
-
-
-def _name(case: Case) -> str:
-    sensor_pump_errors = case.sensor_pump_errors.values() if case.sensor_pump_errors is not None else {}
-    setting = _setting(_setting(case.controller.name, case.parameters), sensor_pump_errors)
-    return f"{setting}, {case.initial}, from {case.start}, forecast {_forecast(case.columns())}"
-
-
-def _forecast(row: Mapping[str, Any]) -> str:
-    """Name the forecasts of a row of the table, or of a case."""
-    options = {name: row[f"forecast_{name}"] for name in OPTIONS}
-    return _setting(row["forecast"], options)
-
-
-def _setting(controller: str, parameters: Mapping[str, Any]) -> str:
-    """Name a controller with its parameters; an infinite one is no bound."""
-    return " ".join([
-        controller,
-        *(
-            f"{key} {value:g}"
-            for key, value in parameters.items() if value is not None and value != float("inf")
-        ),
-    ])
-
-
-def _show(rows: Sequence[Mapping[str, Any]], directory: Path) -> None:
-    """Print the total deviations, setting and forecast a line and an initial state a column."""
-    console = Console()
-    first, last = list(rows[0]).index("roof_m3") + 1, list(rows[0]).index("status")
-    parameters = list(rows[0])[first:last]
-    windows: dict[tuple[Any, ...], dict[tuple[str, str], dict[str, str]]] = {}
-    initials = list(dict.fromkeys(row["initial"] for row in rows))
-    told = any(row["forecast"] != PERFECT for row in rows)
-    for row in rows:
-        window = tuple(
-            row[key] for key in ("site", "weather", "start", "hours", "evapotranspiration")
-        )
-        setting = _setting(row["controller"], {key: row[key] for key in parameters})
-        setting = _setting(setting, {key: row[key] for key in RANGES if row.get(key)})
-        line = setting, _forecast(row)
-        text = row["status"].upper()
-        if row["status"] == "done":
-            text = f"{row['total_deviation_m3']:.2f}"
-        windows.setdefault(window, {}).setdefault(line, {})[row["initial"]] = text
-    for (site, weather, start, hours, method), lines in windows.items():
-        table = Table(
-            title=f"Total deviation (m3, summed over the ticks): {weather}, {hours:g} h from "
-            f"{start}, evapotranspiration {method}, {site}",
-            title_justify="left",
-        )
-        table.add_column("controller")
-        if told:
-            table.add_column("forecast")
-        for initial in initials:
-            table.add_column(initial, justify="right")
-        for (setting, forecast), totals in lines.items():
-            columns = (setting, forecast) if told else (setting,)
-            table.add_row(*columns, *(totals.get(initial, "") for initial in initials))
-        console.print(table)
-    for column, what in (
-        ("filled_hours", "had missing hours of weather filled in (column filled)"),
-        ("frost_hours", "had frost, in which nothing was pumped (column frost_hours)"),
-        ("limited_steps", "had a tank run empty (column limited_steps)"),
-    ):
-        count = sum(bool(row.get(column)) for row in rows)
-        if count:
-            console.print(f"NOTE: {count} of {len(rows)} runs {what}")
-    console.print(f"written to {directory / 'results.csv'}", soft_wrap=True, highlight=False)
 
 
 if __name__ == "__main__":

@@ -8,7 +8,6 @@ import subprocess
 import sys
 import tempfile
 import time
-from array import array
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
@@ -19,18 +18,19 @@ import numpy as np
 import yaml
 from numpy.typing import NDArray
 
+from greenroof_ros.common.command_line import EXIT_DONE, EXIT_OCCUPIED
 from greenroof_ros.common.processes import end_with_parent
+from greenroof_ros.common.times import read_start
 from greenroof_ros.experiment import summary
 from greenroof_ros.experiment.clairvoyant import clairvoyant_bound
-from greenroof_ros.experiment.closed_loop import closed_loop
+from greenroof_ros.experiment.closed_loop import closed_loop, record
 from greenroof_ros.experiment.run import Run, build_run, count_ticks
 from greenroof_ros.forecast.choice import ForecastChoice
-from greenroof_ros.model.metrics import Metrics
+from greenroof_ros.model.metrics import METRICS, Metrics
 from greenroof_ros.model.plant import Plant
 from greenroof_ros.model.sensor_pump_errors import Pump
 from greenroof_ros.model.site import read_site
-from greenroof_ros.recording.trajectory import Trajectory
-from greenroof_ros.report.runs import find_runs
+from greenroof_ros.recording.bag_reader import load_bag
 from greenroof_ros.study.grid import Case
 from greenroof_ros.weather.reading import read_weather
 
@@ -42,7 +42,7 @@ _DOMAINS = range(51, 102)
 
 @dataclass(frozen=True)
 class Outcome:
-    """What came of a run.
+    """The results of a run.
 
     Attributes:
         results: columns of the table; the same for both engines and every repetition.
@@ -110,18 +110,10 @@ def _choice(case: Case, directory: Path) -> ForecastChoice:
 def _run_in_process(run: Run) -> Outcome:
     controller = run.make_controller()
     metrics = Metrics()
-    rows = array("d")
     began = time.monotonic()
-    for tick in closed_loop(run, controller, metrics):
-        rows.extend((
-            tick.x1, tick.x2, tick.precipitation, tick.evapotranspiration, tick.command,
-            tick.flows.pump, tick.flows.outflow, tick.flows.drainage, tick.frost,
-        ))
+    trajectory = record(run, closed_loop(run, controller, metrics))
     wall = time.monotonic() - began
-    result = summary.build(run, metrics, wall_s=wall, solver=controller.statistics())
-    columns = np.frombuffer(rows).reshape(run.steps + 1, -1).T
-    time_s = run.site.tau * np.arange(run.steps + 1, dtype=np.float64)
-    trajectory = Trajectory(run.start, time_s, *columns)
+    result = summary.build(run, metrics.results(), wall_s=wall, solver=controller.statistics())
     return Outcome(
         _results(result), _timings(result), {"trajectory.parquet": trajectory.to_parquet()}
     )
@@ -131,7 +123,8 @@ def _run_graph(case: Case, directory: Path) -> Outcome:
     """Run bringup in a domain of its own; keep its bag and summary."""
     parameters = directory / "parameters.yaml"
     parameters.write_text(
-        yaml.safe_dump({case.controller.name: {"ros__parameters": case.parameters}}), encoding="utf-8"
+        yaml.safe_dump({f"/**/{case.controller.name}": {"ros__parameters": case.parameters}}),
+        encoding="utf-8",
     )
     output = directory / "run"
     command = [
@@ -156,14 +149,17 @@ def _run_graph(case: Case, directory: Path) -> Outcome:
             command, env={**os.environ, "ROS_DOMAIN_ID": str(domain)}, capture_output=True,
             text=True, check=False, stdin=subprocess.DEVNULL, preexec_fn=end_with_parent,
         )
-        if process.returncode == 0:
+        if process.returncode == EXIT_DONE:
             break
-        if f"already in ROS domain {domain}" not in process.stderr:
-            raise RuntimeError(process.stderr.strip().removeprefix("error: "))
+        if process.returncode != EXIT_OCCUPIED:
+            raise RuntimeError(process.stderr.strip())
     else:
         raise RuntimeError(f"no ROS domain from {_DOMAINS[0]} to {_DOMAINS[-1]} is free")
     result = json.loads((output / "summary.json").read_text(encoding="utf-8"))
-    trajectory, _ = find_runs([output], None).runs[0].load()
+    site = read_site(output / "configuration" / "site.yaml")
+    zone = read_start(case.start).tzinfo
+    assert zone is not None
+    trajectory = load_bag(output / "bag", site, zone, own=True).trajectory
     if case.sensor_pump_errors is not None and not case.sensor_pump_errors.exact_sensor:
         roof = _true_roof(_build(case, directory), trajectory.command.tolist())
         trajectory = replace(trajectory, roof=roof)
@@ -202,18 +198,7 @@ def _results(result: dict[str, Any]) -> dict[str, Any]:
     """Return the columns of a summary that are the same in every repetition."""
     solver = result["solver"] or {}
     return {
-        "total_deviation_m3": result["total_deviation_m3"],
-        "final_cistern_m3": result["final_cistern_m3"],
-        "final_roof_m3": result["final_roof_m3"],
-        "pumped_m3": result["pumped_m3"],
-        "outflow_m3": result["outflow_m3"],
-        "drainage_m3": result["drainage_m3"],
-        "rain_m3": result["rain_m3"],
-        "evapotranspiration_m3": result["evapotranspiration_m3"],
-        "pump_starts": result["pump_starts"],
-        "energy_kwh": result["energy_kwh"],
-        "max_command_applied": result["max_command"],
-        "limited_steps": result["limited_steps"],
+        **{metric.name: result[metric.name] for metric in METRICS},
         "solves": solver.get("solves"),
         "fallbacks": solver.get("fallbacks"),
         "frost_hours": result["frost_hours"],

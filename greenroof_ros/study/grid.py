@@ -100,15 +100,20 @@ class Case:
     def problem(self) -> str:
         """Identity of what every controller is given alike: site, weather, initial state."""
         return replace(
-            self, controller=find_controller("onoff"), parameters={}, forecast=ForecastChoice(), forecast_file=None,
-            sensor_pump_errors=None,
+            self, controller=find_controller("onoff"), parameters={}, forecast=ForecastChoice(),
+            forecast_file=None, sensor_pump_errors=None,
         ).identity
+
+    @property
+    def weather_name(self) -> str:
+        """One name for its weather files."""
+        return name_files([Path(file.name) for file in self.weather])
 
     def columns(self) -> dict[str, Any]:
         """Return what the table says of the case itself, without its parameters."""
         return {
             "site": self.site.name,
-            "weather": name_files([Path(file.name) for file in self.weather]),
+            "weather": self.weather_name,
             "start": self.start,
             "hours": self.hours,
             "evapotranspiration": self.evapotranspiration,
@@ -140,7 +145,7 @@ def read_grid(path: Path) -> list[Case]:
             raise ConfigurationError(
                 f"is the same run twice: {case.controller.name} {case.parameters}, {case.initial}, "
                 f"from {case.start}, forecast {case.forecast}"
-                + (f", {case.sensor_pump_errors.values()}" if case.sensor_pump_errors is not None else ""),
+                + (f", {case.sensor_pump_errors.values()}" if case.sensor_pump_errors else ""),
                 file=path,
             )
         seen.add(case.identity)

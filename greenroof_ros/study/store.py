@@ -12,6 +12,7 @@ from typing import Any, TextIO
 
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.versions import versions
+from greenroof_ros.recording.results_table import parameter_columns
 from greenroof_ros.study.case_run import Outcome
 from greenroof_ros.study.grid import Case
 
@@ -41,7 +42,7 @@ class Store:
             grid: its file.
             cases: its runs.
             engine: which makes them.
-            trajectories: whether to keep what happened in each run, not only what it came to.
+            trajectories: whether to keep what happened in each run, not only its results.
 
         Raises:
             ConfigurationError: the directory holds something else, another study, or this one as
@@ -95,7 +96,7 @@ class Store:
             fcntl.flock(self._held, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except OSError:
             raise ConfigurationError(
-                "is another process's work just now", key="--output", value=str(self.directory)
+                "is in use by another process", key="--output", value=str(self.directory)
             ) from None
 
     def _check(self, file: Path, identity: dict[str, Any]) -> None:
@@ -125,7 +126,7 @@ class Store:
                 content = json.loads((directory / _OUTCOME).read_text(encoding="utf-8"))
                 found[case.identity] = Outcome(content["results"], content["timings"], {})
             except (OSError, ValueError, KeyError, TypeError):
-                # Not there, or damaged, as after a power cut: it is made again.
+                # Not there, or damaged, as after a power cut: the run is repeated.
                 shutil.rmtree(directory, ignore_errors=True)
         return found
 
@@ -164,7 +165,7 @@ class Store:
         failures: Mapping[str, str],
         bounds: Mapping[str, float],
     ) -> list[dict[str, Any]]:
-        """Write ``results.csv``, and ``timings.csv`` apart, as times differ from run to run.
+        """Write ``results.csv``, and ``timings.csv``, as times differ from run to run.
 
         Args:
             outcomes: of the finished runs, by identity.
@@ -174,7 +175,7 @@ class Store:
         Returns:
             The rows of ``results.csv``.
         """
-        parameters = list(dict.fromkeys(key for case in self._cases for key in case.parameters))
+        parameters = list(dict.fromkeys(name for case in self._cases for name in case.parameters))
         rows, timings = [], []
         for case in self._cases:
             identity = case.identity
@@ -187,7 +188,7 @@ class Store:
             rows.append({
                 "run": identity,
                 **case.columns(),
-                **{key: case.parameters.get(key) for key in parameters},
+                **parameter_columns({name: case.parameters.get(name) for name in parameters}),
                 "status": status,
                 "error": failures.get(identity, ""),
                 **(outcome.results if outcome else {}),

@@ -1,9 +1,10 @@
-"""Who does the work: processes of this machine, or a Dask cluster."""
+"""Where runs are made: in processes of this machine, or on a Dask cluster."""
 
 from __future__ import annotations
 
 import logging
 import multiprocessing
+import os
 import tempfile
 from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import Future
@@ -11,9 +12,10 @@ from contextlib import contextmanager
 from typing import Any
 
 from greenroof_ros.common.errors import ConfigurationError
+from greenroof_ros.common.processes import end_with
 from greenroof_ros.common.versions import versions
 
-# What a worker would otherwise import anew.
+# What each worker would otherwise import.
 _PRELOADED = [
     "greenroof_ros.study.case_run", "greenroof_ros.controllers.mpc",
     "greenroof_ros.controllers.planning_mpc", "polars",
@@ -44,7 +46,8 @@ def processes(jobs: int) -> Iterator[Submit]:
     # A worker that is stopped does not clear up after itself.
     with tempfile.TemporaryDirectory(prefix="greenroof_ros-") as scratch:
         pool = ProcessPool(
-            max_workers=jobs, context=context, initializer=_prepare, initargs=(scratch,)
+            max_workers=jobs, context=context, initializer=_prepare,
+            initargs=(scratch, os.getpid()),
         )
         try:
             yield lambda function, *arguments: pool.schedule(function, args=arguments)
@@ -53,11 +56,17 @@ def processes(jobs: int) -> Iterator[Submit]:
             pool.join()
 
 
-def _prepare(scratch: str) -> None:
+def _prepare(scratch: str, study: int) -> None:
     """Have a worker make its temporary files where they are cleared away, and be quiet.
 
-    What a single run warns of would tear the bar of hundreds.
+    What a single run warns of would tear the bar of hundreds. It ends with the study: the fork
+    server, its parent, stays for as long as one of its children does.
+
+    Args:
+        scratch: directory of its temporary files.
+        study: the process that hands out the runs.
     """
+    end_with(study)
     tempfile.tempdir = scratch
     logging.getLogger("greenroof_ros").setLevel(logging.ERROR)
 
@@ -97,7 +106,7 @@ def cluster(address: str) -> Iterator[Submit]:
         try:
             yield submit
         finally:
-            # Interrupted, nobody waits for what the workers are at.
+            # Interrupted, no one waits for the results of what is under way.
             for future in pending:
                 future.cancel()
             executor.shutdown(wait=False)

@@ -81,7 +81,12 @@ class Records:
 
 
 def name_files(files: Sequence[Path]) -> str:
-    """Return one name for files: the path of a single one, or their number, first and last."""
+    """Return one name for files: the path of a single one, or their number, first and last.
+
+    Empty where there are none.
+    """
+    if not files:
+        return ""
     if len(files) == 1:
         return str(files[0])
     return str(files[0].parent / f"{len(files)} files, {files[0].name} to {files[-1].name}")

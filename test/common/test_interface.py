@@ -21,14 +21,14 @@ from greenroof_ros.common.files import read_yaml, shared_directory
 from greenroof_ros.common.interface import find_namespace, read_topics, recorded_topics
 
 
-def test_readme_shows_the_interface() -> None:
-    """The README's table is what the command prints."""
+def test_documentation_shows_the_interface() -> None:
+    """The documentation's table is what the command prints."""
     printed = subprocess.run(
         [sys.executable, "-m", "greenroof_ros.topics"],
         cwd=CHECKOUT, capture_output=True, text=True, check=True,
     ).stdout
     assert "| `/roof/level` | std_msgs/Float64 | m |" in printed
-    assert printed in (CHECKOUT / "README.md").read_text()
+    assert printed in (CHECKOUT / "doc" / "reference" / "topics.md").read_text()
 
 
 def test_design_of_the_interface() -> None:

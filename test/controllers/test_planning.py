@@ -237,7 +237,7 @@ def test_low_cistern(cistern: float, roof: float) -> None:
         metrics = Metrics()
         for _ in closed_loop(run, run.make_controller(), metrics):
             pass
-        deviation[controller] = metrics.total_deviation_m3
+        deviation[controller] = metrics["total_deviation_m3"]
     assert deviation["planning_mpc"] <= deviation["onoff"] * 1.001
 
 
@@ -289,7 +289,7 @@ def result(controller: str, window: str) -> tuple[float, float]:
     metrics = Metrics()
     for _ in closed_loop(run, run.make_controller(), metrics):
         pass
-    return metrics.total_deviation_m3, clairvoyant_bound(run).bound_m3
+    return metrics["total_deviation_m3"], clairvoyant_bound(run).bound_m3
 
 
 @pytest.mark.parametrize("window", WINDOWS)
@@ -308,7 +308,7 @@ def test_long_ticks(tmp_path: Path) -> None:
     metrics = Metrics()
     for _ in closed_loop(run, run.make_controller(), metrics):
         pass
-    assert metrics.total_deviation_m3 <= 1.01 * clairvoyant_bound(run).bound_m3
+    assert metrics["total_deviation_m3"] <= 1.01 * clairvoyant_bound(run).bound_m3
 
 
 @pytest.mark.parametrize("window", ["low-low", "high-low"])
@@ -336,7 +336,7 @@ def test_solver_failures(monkeypatch: pytest.MonkeyPatch, options: str) -> None:
             pass
         statistics = controller.statistics()
         assert statistics is not None
-        return metrics.total_deviation_m3, statistics["fallbacks"]
+        return metrics["total_deviation_m3"], statistics["fallbacks"]
 
     reached, none = outcome()
     assert none == 0

@@ -160,8 +160,8 @@ def test_the_papers_controllers_are_above(options: tuple[str, ...]) -> None:
     """Up to the command that they give; the paper's controllers know no limit of it."""
     run = paper_run("--controller", *options, "--hours", "1")
     metrics = cost_of(run, run.make_controller())
-    bound = clairvoyant_bound(run, max(1.0, metrics.max_command))
-    assert 0 < bound.bound_m3 <= metrics.total_deviation_m3
+    bound = clairvoyant_bound(run, max(1.0, metrics["max_command"]))
+    assert 0 < bound.bound_m3 <= metrics["total_deviation_m3"]
 
 
 HOURS = st.lists(
@@ -253,7 +253,7 @@ def test_in_frost_the_bound_is_the_run(hours: Hours, cistern: float, roof: float
     metrics = Metrics()
     roofs = [tick.x2 for tick in closed_loop(run, Given([1.0]), metrics)]
     assume(min(abs(x2 / site.z_cap - 1) for x2 in roofs) > 1e-8)
-    only = metrics.total_deviation_m3
+    only = metrics["total_deviation_m3"]
     assert bound.plan_m3 == only
     assert bound.bound_m3 == pytest.approx(only, rel=1e-6, abs=1e-6 * site.x2_star)
     assert bound.pumped_m3 == 0

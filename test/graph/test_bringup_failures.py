@@ -185,10 +185,10 @@ def test_shared_memory_whose_maker_was_killed(domain: int, tmp_path: Path) -> No
 
 
 def test_graph_that_is_there_already(domain: int, tmp_path: Path) -> None:
-    """A second bringup in the domain is exit code 2 with advice, and the first goes on."""
+    """A second bringup in the domain is exit code 3 with advice, and the first goes on."""
     process, _ = started(domain, tmp_path)
     second = Process(domain, "bringup", "--output", "second", cwd=tmp_path)
-    assert second.wait(20) == 2
+    assert second.wait(20) == 3
     assert "ROS_DOMAIN_ID=" in second.stderr()
     assert not (tmp_path / "second").exists()
     assert process.process.poll() is None
@@ -205,7 +205,7 @@ def test_nodes_that_are_there_already(domain: int, tmp_path: Path) -> None:
     try:
         time.sleep(4)  # until it is up
         process = Process(domain, "bringup", "--output", "run", cwd=tmp_path)
-        assert process.wait(20) == 2
+        assert process.wait(20) == 3
         assert "ROS_DOMAIN_ID" in process.stderr()
     finally:
         weather.send_signal(signal.SIGINT)

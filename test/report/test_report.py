@@ -27,18 +27,19 @@ from rosbags.rosbag2 import StoragePlugin, Writer
 from rosbags.typesys import Stores, get_typestore
 
 from greenroof_ros.common.errors import ConfigurationError
-from greenroof_ros.controllers.registry import find_controller
 from greenroof_ros.experiment.clairvoyant import clairvoyant_bound
-from greenroof_ros.experiment.closed_loop import closed_loop
-from greenroof_ros.model.metrics import Metrics
+from greenroof_ros.experiment.closed_loop import closed_loop, record
+from greenroof_ros.model.metrics import METRICS, Metrics
+from greenroof_ros.recording.bag_reader import Recorded
 from greenroof_ros.recording.trajectory import Trajectory, read_parquet
 from greenroof_ros.report.assessment import Assumptions, assess
 from greenroof_ros.report.drawing import Figure
+from greenroof_ros.report.entries import RunEntry
 from greenroof_ros.report.figures import make_figures
 from greenroof_ros.report.page import render
 from greenroof_ros.report.results import MOST_POINTS, Report, result, thin
-from greenroof_ros.report.runs import RunEntry, find_runs
-from greenroof_ros.report.seeds import apart, spreads
+from greenroof_ros.report.runs import find_runs
+from greenroof_ros.report.seeds import split_by_seeds, spreads
 
 START = datetime.fromisoformat("2021-07-07T02:00-05:00")
 START_NS = 1_625_641_200 * 10**9  # date -d 2021-07-07T02:00-05:00 +%s
@@ -46,7 +47,8 @@ TYPES = get_typestore(Stores.ROS2_JAZZY)
 NAMES = [one.name for one in dataclasses.fields(Trajectory)][1:]
 HEADER = [
     "run", "site", "weather", "start", "hours", "evapotranspiration", "controller", "initial",
-    "cistern_m3", "roof_m3", "weight", "max_command", "fraction", "status", "error",
+    "cistern_m3", "roof_m3", "parameter:weight", "parameter:max_command", "parameter:fraction",
+    "status", "error",
     "total_deviation_m3", "limited_steps", "fallbacks", "filled_hours", "filled",
     "forecast_repeats_from", "bound_m3",
 ]
@@ -67,19 +69,15 @@ def simulate(controller: str, option: str, initial: str, hours: str = "0.2") -> 
         "--controller", controller, f"--{key}", option, "--initial", initial, "--hours", hours
     )
     metrics = Metrics()
-    loop = closed_loop(run, find_controller(controller).make(run.site, run.parameters), metrics)
-    columns = np.array([
-        (tick.k, tick.x1, tick.x2, tick.precipitation, tick.evapotranspiration, tick.command,
-         tick.flows.pump, tick.flows.outflow, tick.flows.drainage, 0.0)
-        for tick in loop
-    ]).T.copy()
+    controller_ = run.make_controller()
+    trajectory = record(run, closed_loop(run, controller_, metrics))
     row = {
         "site": "site.yaml", "weather": "toronto_2021-07.csv", "start": run.start.isoformat(),
         "hours": hours, "evapotranspiration": "published", "controller": controller,
-        "initial": initial, "cistern_m3": run.x1, "roof_m3": run.x2, key: option,
-        "status": "done", "total_deviation_m3": metrics.total_deviation_m3,
+        "initial": initial, "cistern_m3": run.x1, "roof_m3": run.x2, f"parameter:{key}": option,
+        "status": "done", "total_deviation_m3": metrics["total_deviation_m3"],
     }
-    return Simulated(Trajectory(run.start, *columns), metrics, row)
+    return Simulated(trajectory, metrics, row)
 
 
 def write_study(
@@ -107,13 +105,8 @@ def write_study(
 
 def report_of(path: Path) -> Report:
     """Read and judge what is under a path."""
-    results = []
-    alone, seeded = apart(find_runs([path], None).runs)
-    for entry in alone:
-        trajectory, notes = entry.load()
-        judged = assess(entry.site, trajectory, Assumptions())
-        results.append(result(entry, (*entry.notes, *notes), trajectory, judged))
-    return Report(results, seeded)
+    single, seeded = split_by_seeds(find_runs([path], None).runs)
+    return Report([result(entry, Assumptions()) for entry in single], seeded)
 
 
 def page_of(path: Path) -> str:
@@ -150,10 +143,10 @@ def simulated() -> list[Simulated]:
 def study(simulated: list[Simulated], tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A study of them, and of a run that failed."""
     failed = {
-        **simulated[0].row, "weight": "0.5", "status": "failed", "error": "solver: <gave up>",
+        **simulated[0].row, "parameter:weight": "0.5", "status": "failed", "error": "solver: <gave up>",
         "total_deviation_m3": "",
     }
-    not_run = {**failed, "weight": "0.6", "status": "not run", "error": ""}
+    not_run = {**failed, "parameter:weight": "0.6", "status": "not run", "error": ""}
     return write_study(
         tmp_path_factory.mktemp("study") / "study",
         [
@@ -170,7 +163,7 @@ def test_parquet_keeps_every_bit(tmp_path: Path) -> None:
     random = np.random.default_rng(1)
     columns = random.integers(-(2**63), 2**63, size=(len(NAMES), 500)).view(np.float64)
     columns[:, :3] = [-0.0, np.nan, np.inf]
-    written = Trajectory(START, *columns)
+    written = Trajectory(start=START, **dict(zip(NAMES, columns, strict=True)))
     (tmp_path / "file").write_bytes(written.to_parquet())
     found = read_parquet(tmp_path / "file")
     assert found.start == START
@@ -184,7 +177,7 @@ def test_parquet_keeps_every_bit(tmp_path: Path) -> None:
 def test_parquet_damaged(tmp_path: Path, keep: int) -> None:
     """Empty, or cut anywhere."""
     column = np.arange(100.0)
-    whole = Trajectory(START, *[column] * len(NAMES)).to_parquet()
+    whole = Trajectory(start=START, **dict.fromkeys(NAMES, column)).to_parquet()
     (tmp_path / "file").write_bytes(whole[:keep])
     with pytest.raises(ConfigurationError, match="file: is empty, cut short or no parquet"):
         read_parquet(tmp_path / "file")
@@ -197,11 +190,12 @@ def test_parquet_of_something_else(tmp_path: Path) -> None:
     polars.DataFrame({"time_s": [1.0], "frost": [1]}).write_parquet(tmp_path / "other")
     with pytest.raises(ConfigurationError, match=r"cistern_m3.*frost"):
         read_parquet(tmp_path / "other")
-    whole = Trajectory(START, *[np.arange(2.0)] * len(NAMES)).to_parquet()
+    whole = Trajectory(start=START, **dict.fromkeys(NAMES, np.arange(2.0))).to_parquet()
     polars.read_parquet(whole).write_parquet(tmp_path / "no-start")
     with pytest.raises(ConfigurationError, match="'start'"):
         read_parquet(tmp_path / "no-start")
-    (tmp_path / "none").write_bytes(Trajectory(START, *[np.array([])] * len(NAMES)).to_parquet())
+    none = Trajectory(start=START, **dict.fromkeys(NAMES, np.array([])))
+    (tmp_path / "none").write_bytes(none.to_parquet())
     with pytest.raises(ConfigurationError, match="no samples"):
         read_parquet(tmp_path / "none")
     with pytest.raises(ConfigurationError, match="No such file"):
@@ -304,12 +298,13 @@ def test_weather(study: Path) -> None:
 def test_frost_is_shaded() -> None:
     """From where it begins to where it ends."""
     frost = np.array([0, 0, 1, 1, 0, 1, 1.0])
-    trajectory = Trajectory(START, np.arange(7.0), *[np.ones(7)] * 8, frost)
+    columns = {**dict.fromkeys(NAMES, np.ones(7)), "time": np.arange(7.0), "frost": frost}
+    trajectory = Trajectory(start=START, **columns)
     entry = RunEntry(
-        "1", "s", PAPER_SITE, "w", "v", "onoff", {}, "low", (), lambda: (trajectory, ())
+        name="1", site_name="s", site=PAPER_SITE, weather="w", method="v", controller="onoff",
+        parameters={}, initial="low", notes=(), load=lambda: Recorded(trajectory),
     )
-    judged = assess(PAPER_SITE, trajectory, Assumptions())
-    one = result(entry, (), trajectory, judged)
+    one = result(entry, Assumptions())
     assert one.frost == ((2, 4), (5, 6))
     report = Report([one])
     assert "Grey: frost" in drawn(report, "weather-1").caption
@@ -321,7 +316,7 @@ def test_lines_are_samples_of_the_runs(study: Path, simulated: list[Simulated]) 
     assert len(figure.panels) == 6 and figure.columns == 2
     for one in simulated[:4]:
         controller = one.row["controller"]
-        label = one.row["weight" if controller == "mpc" else "fraction"]
+        label = one.row[f"parameter:{'weight' if controller == 'mpc' else 'fraction'}"]
         for quantity in ("command", "cistern", "roof"):
             rows = [
                 row for row in figure.data[f"{quantity}-1-1-{controller}"]
@@ -345,8 +340,8 @@ def test_totals_by_setting(study: Path, simulated: list[Simulated]) -> None:
         for row in figure.data[f"total-deviation-1-{controller}"]
     }
     expected = {
-        (one.row["controller"], float(one.row.get("weight") or one.row["fraction"]),
-         one.row["initial"]): one.metrics.total_deviation_m3
+        (one.row["controller"], float(one.row.get("parameter:weight") or one.row["parameter:fraction"]),
+         one.row["initial"]): one.metrics["total_deviation_m3"]
         for one in simulated
     }
     assert found == pytest.approx(expected, rel=1e-6)
@@ -357,9 +352,11 @@ def test_totals_by_setting(study: Path, simulated: list[Simulated]) -> None:
 def test_published_totals_stand_beside_the_papers_window(tmp_path: Path) -> None:
     """12 h from its start, its site, its evapotranspiration: and nowhere else."""
     column = np.linspace(2.4, 3.5, 43201)
-    trajectory = Trajectory(
-        START, np.arange(43201.0), column + 55, column, *[np.zeros(43201)] * 7
-    )
+    columns = {
+        **dict.fromkeys(NAMES, np.zeros(43201)), "time": np.arange(43201.0),
+        "cistern": column + 55, "roof": column,
+    }
+    trajectory = Trajectory(start=START, **columns)
     row = simulate("onoff", "0.5", "low-low", "0.1").row
     for name, changes, there in (
         ("published", {}, True),
@@ -370,7 +367,7 @@ def test_published_totals_stand_beside_the_papers_window(tmp_path: Path) -> None
         path = write_study(
             tmp_path / name,
             [
-                ({**row, **changes, "fraction": fraction}, trajectory)
+                ({**row, **changes, "parameter:fraction": fraction}, trajectory)
                 for fraction in ("0.2", "0.5")
             ],
             [*HEADER, *(key for key in changes if key not in HEADER)],
@@ -396,8 +393,9 @@ def test_balance_bars_add_up(study: Path, simulated: list[Simulated]) -> None:
 
 def test_any_controller_with_any_parameters(tmp_path: Path, simulated: list[Simulated]) -> None:
     """Controllers and parameters that this package does not know yet, numbers and words."""
-    header = [name for name in HEADER if name not in ("weight", "max_command", "fraction")]
-    header[10:10] = ["horizon", "forecast", "threshold"]
+    header = [name for name in HEADER if not name.startswith("parameter:")]
+    # Wherever they stand, and whatever other column has their name.
+    header += [f"parameter:{name}" for name in ("horizon", "forecast", "threshold")]
     rows = []
     for name, parameters in (
         ("planning_mpc", {"horizon": "10", "forecast": "perfect"}),
@@ -408,7 +406,8 @@ def test_any_controller_with_any_parameters(tmp_path: Path, simulated: list[Simu
         ("scenario_mpc", {}),
     ):
         row = {key: value for key, value in simulated[0].row.items() if key in header}
-        rows.append(({**row, "controller": name, **parameters}, simulated[0].trajectory))
+        given = {f"parameter:{key}": value for key, value in parameters.items()}
+        rows.append(({**row, "controller": name, **given}, simulated[0].trajectory))
     report = report_of(write_study(tmp_path / "study", rows, header))
     assert report.controllers == ["planning_mpc", "anticipating_onoff", "scenario_mpc"]
     assert report.settings["planning_mpc"].labels == [
@@ -424,7 +423,7 @@ def test_any_controller_with_any_parameters(tmp_path: Path, simulated: list[Simu
 def test_figure_numbers_are_the_papers(study: Path) -> None:
     """Deviation is its fifth figure, after schematic, two of the pump, and weather."""
     assert "(paper: Fig. 5)" in drawn(report_of(study), "total-deviation-1").caption
-    assert "(Fig. 5)" in " ".join((Metrics.__doc__ or "").split())
+    assert "(Fig. 5)" in METRICS[0].meaning
 
 
 def test_a_studys_notes_name_the_hours(tmp_path: Path, simulated: list[Simulated]) -> None:
@@ -461,7 +460,7 @@ def test_the_least_possible(tmp_path: Path, simulated: list[Simulated]) -> None:
     assert "bound-1" not in drawn(report, "energy-1").data
     text = page_of(path)
     assert text.count("over the least possible (1)</button>") == 2
-    assert f">{simulated[1].metrics.total_deviation_m3 / 200:.4f}<" in text
+    assert f">{simulated[1].metrics['total_deviation_m3'] / 200:.4f}<" in text
     assert ">unknown<" in text
     assert "<strong>Least possible</strong>" in text
 
@@ -487,7 +486,8 @@ def seeded_rows(row: dict[str, Any]) -> list[dict[str, Any]]:
                 for size in (0.5, 1.0):
                     rows += [
                         {**row, "start": start, "hours": hours, "initial": initial,
-                         "controller": name, "weight": "", "fraction": "", key: value,
+                         "controller": name, "parameter:weight": "", "parameter:fraction": "",
+                         f"parameter:{key}": value,
                          "forecast": "ensemble", "forecast_size": size, "forecast_seed": seed,
                          "forecast_members": 10, "fallbacks": seed, "bound_m3": bound,
                          "total_deviation_m3": (base + seed) * 2 * size}
@@ -566,7 +566,7 @@ def test_seeds_page(seeds: Path, tmp_path: Path) -> None:
         "on/off", "fraction 0.5", "2021-07-07 02:00-05:00", "12", "low-low", "0.5", "25",
         "1013.00", "1024.50", "1025.00", "2.0260", "2.0490", "2.0500",
     ]
-    assert "What each run came to" not in text
+    assert "Results of each run" not in text
     assert "judged together, by results.csv" in text
     # 25 different numbers of ticks are one note.
     assert text.count("found no answer in") == 1
@@ -599,12 +599,12 @@ def test_seeds_beside_other_runs(tmp_path: Path, simulated: list[Simulated]) -> 
     assert names.count("forecast-errors") == 1 and "trajectories-2-1" in names
     assert "trajectories-3-1" not in names
     text = page_of(path)
-    assert "What each run came to" in text
+    assert "Results of each run" in text
     assert "over the least" not in text
 
 
-def test_imperfect_sites_stand_apart(tmp_path: Path, simulated: list[Simulated]) -> None:
-    """Runs with an imperfect sensor or pump are not compared with those without, and are named."""
+def test_sensor_and_pump_errors_are_named(tmp_path: Path, simulated: list[Simulated]) -> None:
+    """Runs with sensor or pump errors are not compared with those without, and are named."""
     one = simulated[0]
     noisy = {"roof_noise": "0.0005", "roof_offset": "0.0", "noise_seed": "3"}
     path = write_study(
@@ -620,7 +620,7 @@ def test_imperfect_sites_stand_apart(tmp_path: Path, simulated: list[Simulated])
     assert [window.sensor_pump_errors for window in report_of(path).windows] == named
     text = page_of(path)
     assert "evapotranspiration published, roof noise 0.0005 m, seed 3" in text
-    assert "sensor_pump_errors" in text
+    assert "sensor and pump errors" in text
 
 
 # --- the command -------------------------------------------------------------------------------
@@ -645,7 +645,7 @@ def test_study(study: Path, tmp_path: Path) -> None:
     assert "<td>not run</td>" in text
     assert "The command was above 1" in text
     assert "no real pump can follow it." in text and "better than" not in text
-    assert text.count("potable water saved (m³)</button>") == 2
+    assert text.count("pumped (m³)</button>") == 3
     assert "over the least possible" not in text
     names = {path.stem for path in (tmp_path / "report" / "figures").iterdir()}
     assert {"pump-curve-1", "weather-1", "total-deviation-1", "trajectories-1-2"} <= names
@@ -659,7 +659,7 @@ def test_study(study: Path, tmp_path: Path) -> None:
     assert {panel["figure"] for panel in payload(page)["panels"]} == names
 
 
-def test_both_variants_stand_side_by_side(tmp_path: Path, simulated: list[Simulated]) -> None:
+def test_both_methods_stand_side_by_side(tmp_path: Path, simulated: list[Simulated]) -> None:
     """With their difference in %, by hand: 3 % more."""
     roof = simulated[0].trajectory.roof
     target = PAPER_SITE.x2_star
@@ -678,8 +678,8 @@ def test_both_variants_stand_side_by_side(tmp_path: Path, simulated: list[Simula
         Assumptions(),
     )
     table = text.partition("both kinds of evapotranspiration</h3>")[2].partition("</table>")[0]
-    assert f">{simulated[0].metrics.total_deviation_m3:.2f}<" in table
-    assert f">{1.03 * simulated[0].metrics.total_deviation_m3:.2f}<" in table
+    assert f">{simulated[0].metrics['total_deviation_m3']:.2f}<" in table
+    assert f">{1.03 * simulated[0].metrics['total_deviation_m3']:.2f}<" in table
     assert ">+3.00<" in table
     assert {
         row["method"] for row in drawn(report, "weather-1").data["evapotranspiration-1"]
@@ -744,11 +744,11 @@ def test_a_bag_gives_the_runs_numbers(
         )
     assert trajectory.start == START
     judged = assess(entry.site, trajectory, Assumptions())
-    assert judged.total_deviation_m3 == pytest.approx(one.metrics.total_deviation_m3, rel=1e-12)
-    assert judged.pumped_m3 == pytest.approx(one.metrics.pumped_m3, rel=1e-12)
+    for name in ("total_deviation_m3", "pumped_m3"):
+        assert judged.metrics[name] == pytest.approx(one.metrics[name], rel=1e-12)
     assert (entry.name, entry.controller) == ("bag", "unknown")
     assert notes == ()
-    assert any("the paper's, config/site.yaml" in note for note in entry.notes)
+    assert any("the paper's, config/site.yaml" in str(note) for note in entry.notes)
 
 
 def test_a_real_sites_bag(tmp_path: Path) -> None:
@@ -801,13 +801,13 @@ def test_pulses_between_the_levels_count(tmp_path: Path) -> None:
     """20 s of 1 L/s lie between two levels; the deviation is an integral over time all the same."""
     trajectory, _ = find_runs([site_bag(tmp_path / "bag")], None).runs[0].load()
     judged = assess(PAPER_SITE, trajectory, Assumptions())
-    assert judged.pumped_m3 == pytest.approx(0.02, rel=1e-9)
-    assert (judged.pump_starts, judged.pump_hours) == (1, pytest.approx(20 / 3600))
-    assert judged.total_deviation_m3 == pytest.approx(3600 * 68.8 * (0.0457 - 0.03), rel=1e-9)
+    assert judged.metrics["pumped_m3"] == pytest.approx(0.02, rel=1e-9)
+    assert (judged.metrics["pump_starts"], judged.metrics["pump_hours"]) == (1, pytest.approx(20 / 3600))
+    assert judged.metrics["total_deviation_m3"] == pytest.approx(3600 * 68.8 * (0.0457 - 0.03), rel=1e-9)
 
 
-def test_a_hole_is_not_filled_with_flow(tmp_path: Path) -> None:
-    """The recorder stood still for two hours while the pump ran; 9 minutes are no hole."""
+def test_a_gap_is_not_filled_with_flow(tmp_path: Path) -> None:
+    """The recorder stood still for two hours while the pump ran; 9 minutes are no gap."""
     stamps = [0, MINUTE, 2 * MINUTE, 11 * MINUTE, 12 * MINUTE, 132 * MINUTE, 133 * MINUTE]
     count = len(stamps)
     write_bag(tmp_path / "bag", {
@@ -820,14 +820,14 @@ def test_a_hole_is_not_filled_with_flow(tmp_path: Path) -> None:
     assert trajectory.command.tolist() == [0.1] * 4 + [0] + [0.1] * 2
     assert trajectory.precipitation.tolist() == [1e-6] * 4 + [0] + [1e-6] * 2
     judged = assess(PAPER_SITE, trajectory, Assumptions())
-    assert judged.pumped_m3 == pytest.approx(0.001 * 13 * 60)
-    assert judged.total_deviation_m3 == pytest.approx((133 * 60 + 1) * 68.8 * 0.0157)
+    assert judged.metrics["pumped_m3"] == pytest.approx(0.001 * 13 * 60)
+    assert judged.metrics["total_deviation_m3"] == pytest.approx((133 * 60 + 1) * 68.8 * 0.0157)
     [note] = [note for note in notes if "no message came" in note]
     assert "2021-07-07T07:12:00+00:00 to 2021-07-07T09:12:00+00:00 (2 h)" in note
 
 
-def test_regular_samples_have_no_holes(tmp_path: Path) -> None:
-    """A value each quarter of an hour is how the site measures, not a hole."""
+def test_regular_samples_have_no_gaps(tmp_path: Path) -> None:
+    """A value each quarter of an hour is how the site measures, not a gap."""
     stamps = [15 * MINUTE * number for number in range(8)]
     values = {"/roof/level": 0.03, "/cistern/level": 2.0, "/pump/command": 0.1,
               "/pump/flow": 0.001}
@@ -837,7 +837,7 @@ def test_regular_samples_have_no_holes(tmp_path: Path) -> None:
     assert not any("no message came" in note for note in notes)
 
 
-def test_stray_values_are_left_out(tmp_path: Path) -> None:
+def test_outliers_are_left_out(tmp_path: Path) -> None:
     """A NaN and a spike among 3600 values: the value before holds on, and a note counts them."""
     stamps = [second * 10**9 for second in range(3600)]
     levels = [0.03] * 3600
@@ -848,7 +848,7 @@ def test_stray_values_are_left_out(tmp_path: Path) -> None:
     assert any("2 of 3600 values of /roof/level are not finite" in note for note in notes)
 
 
-def test_a_wrong_unit_is_no_stray(tmp_path: Path) -> None:
+def test_a_wrong_unit_is_no_outlier(tmp_path: Path) -> None:
     """A pump in L/s that runs for 20 s of an hour, less than a hundredth of it, is refused."""
     stamps = [second * 10**9 for second in range(3600)]
     flow = [1.0 * (70 <= second < 90) for second in range(3600)]
@@ -922,16 +922,16 @@ def test_a_run_directorys_notes_and_bound(tmp_path: Path, simulated: list[Simula
         "a tank ran empty in 4 ticks, and what left it was limited",
         "dew point was missing and filled in: 2021-07-20T13:00-05:00",
     ):
-        assert note in report.results[0].notes
+        assert note in map(str, report.results[0].notes)
     expected = clairvoyant_bound(paper_run("--initial", "low-low", "--hours", "0.2")).bound_m3
     assert report.results[0].bound_m3 == pytest.approx(expected, rel=1e-9)
     assert report.results[0].ratio_to_bound == pytest.approx(
-        one.metrics.total_deviation_m3 / expected, rel=1e-9
+        one.metrics["total_deviation_m3"] / expected, rel=1e-9
     )
 
 
 def test_no_bound_for_other_weather(tmp_path: Path, simulated: list[Simulated]) -> None:
-    """Where the rain in the bag is not that of the file, nobody knows what was possible."""
+    """Where the rain in the bag is not that of the file, what was possible is unknown."""
     wet = dataclasses.replace(
         simulated[3].trajectory, precipitation=simulated[3].trajectory.precipitation + 1e-7
     )
@@ -948,7 +948,7 @@ def test_own_runs_may_be_beyond_a_sites(tmp_path: Path, simulated: list[Simulate
         cistern=one.cistern + 325,
     )
     report = report_of(own_run(tmp_path / "run", simulated[3]._replace(trajectory=pumped)))
-    assert report.results[0].assessment.largest_command == 5
+    assert report.results[0].assessment.metrics["max_command"] == 5
 
 
 FOREIGN = {
@@ -977,9 +977,9 @@ def test_foreign_labels_leave_the_numbers(tmp_path: Path, name: str, file: str) 
     assert (one.entry.name, one.entry.controller, one.entry.initial) == (
         "run", "unknown", "as recorded"
     )
-    assert any(note.startswith(f"{file} beside the bag is damaged or foreign")
+    assert any(str(note).startswith(f"{file} beside the bag is damaged or foreign")
                for note in one.notes)
-    assert one.assessment.pumped_m3 == pytest.approx(0.002)
+    assert one.assessment.metrics["pumped_m3"] == pytest.approx(0.002)
 
 
 def test_a_damaged_summary_leaves_the_parameters(tmp_path: Path) -> None:
@@ -990,12 +990,13 @@ def test_a_damaged_summary_leaves_the_parameters(tmp_path: Path) -> None:
     (tmp_path / "run" / "configuration" / "parameters.yaml").write_text(
         "/**/recorder: {ros__parameters: {controller: onoff}}\n"
         "/**/onoff: {ros__parameters: {fraction: 0.5, site_file: x}}\n"
-        "/**/plant: {ros__parameters: {start: '2021-07-07T02:00-05:00', cistern: 50, roof: 2}}\n"
+        "/**/plant: {ros__parameters: {start: '2021-07-07T02:00-05:00', "
+        "initial_cistern_volume: 50, initial_roof_volume: 2}}\n"
     )
     entry = find_runs([tmp_path / "run"], None).runs[0]
     assert (entry.controller, entry.parameters) == ("onoff", {"fraction": 0.5})
     assert entry.initial == "50 / 2 m3"
-    assert any(note.startswith("summary.json beside the bag") for note in entry.notes)
+    assert any(str(note).startswith("summary.json beside the bag") for note in entry.notes)
 
 
 def test_names_tell_paths_apart(tmp_path: Path, study: Path) -> None:
@@ -1022,8 +1023,8 @@ def test_a_run_of_the_graph(domain: int, tmp_path: Path) -> None:
     entry = find_runs([tmp_path / "run"], None).runs[0]
     trajectory, notes = entry.load()
     judged = assess(entry.site, trajectory, Assumptions())
-    assert judged.total_deviation_m3 == pytest.approx(summary["total_deviation_m3"], rel=1e-12)
-    assert judged.pumped_m3 == pytest.approx(summary["pumped_m3"], rel=1e-12)
+    assert judged.metrics["total_deviation_m3"] == pytest.approx(summary["total_deviation_m3"], rel=1e-12)
+    assert judged.metrics["pumped_m3"] == pytest.approx(summary["pumped_m3"], rel=1e-12)
     assert judged.roof_residual_m3 == pytest.approx(0, abs=1e-12)
     assert (entry.controller, entry.initial) == ("onoff", "low-low")
     assert entry.site_name == "run/configuration/site.yaml"
@@ -1274,8 +1275,6 @@ WRONG: dict[str, tuple[Callable[[Path], Any], str, tuple[str, ...]]] = {
         ),
         "--pump-data p.csv", ("p.csv", "must fall"),
     ),
-    "efficiency-zero": (lambda at: small_bag(at / "in"), "--efficiency 0", ("--efficiency",)),
-    "efficiency-in-percent": (lambda at: small_bag(at / "in"), "--efficiency 50", ("0.001 to 1",)),
     "price-negative": (lambda at: small_bag(at / "in"), "--water-price=-1", ("--water-price",)),
     "price-nan": (lambda at: small_bag(at / "in"), "--energy-price nan", ("--energy-price",)),
     "band-a-word": (lambda at: small_bag(at / "in"), "--band wide", ("--band", "wide")),

@@ -69,10 +69,19 @@ def page_file(tmp_path_factory: pytest.TempPathFactory) -> Path:
                 noise = random.random((9, SAMPLES))
                 noise[2:4] *= 1e-6
                 noise[5:8] *= 1e-2
-                columns = [np.arange(float(SAMPLES)), 50 + noise[0], 3 + noise[1], *noise[2:8]]
-                about = {**row, "initial": initial, "controller": controller, "fraction": "",
-                         "hours": "12", "bound_m3": 30_000.0, key: value}
-                runs.append((about, Trajectory(START, *columns, np.zeros(SAMPLES))))
+                columns = dict(zip(
+                    ("cistern", "roof", "precipitation", "evapotranspiration", "command",
+                     "pump_flow", "outflow", "drainage"),
+                    noise[:8], strict=True,
+                ))
+                columns["cistern"] += 50
+                columns["roof"] += 3
+                trajectory = Trajectory(
+                    start=START, time=np.arange(float(SAMPLES)), frost=np.zeros(SAMPLES), **columns
+                )
+                about = {**row, "initial": initial, "controller": controller, "parameter:fraction": "",
+                         "hours": "12", "bound_m3": 30_000.0, f"parameter:{key}": value}
+                runs.append((about, trajectory))
     write_study(directory / "study", runs)
     return reported(directory)
 
@@ -280,7 +289,7 @@ def test_hover_shows_values(page: Any) -> None:
     canvas.hover(position={"x": x, "y": y})
     page.wait_for_selector("#vg-tooltip-element.visible")
     text = page.locator("#vg-tooltip-element").inner_text()
-    assert "weight" in text and "energy (Wh)" in text
+    assert "weight" in text and "electric energy (Wh)" in text
 
 
 def test_widths(browser: Any, page: Any, page_file: Path) -> None:

@@ -11,7 +11,8 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-from graphs import Process
+from graphs import Process, alive, wait_for
+from places import DATA
 from studies import CONFIG, GRID, WEATHER, edited, grid, rows_of, study
 
 from greenroof_ros.recording.trajectory import read_parquet
@@ -21,21 +22,33 @@ from greenroof_ros.study.grid import read_grid
 
 def children(process: int) -> Iterator[int]:
     """Yield all processes under a process."""
-    for child in Path(f"/proc/{process}/task/{process}/children").read_text().split():
-        yield int(child)
-        yield from children(int(child))
+    try:
+        found = [
+            int(child) for thread in Path(f"/proc/{process}/task").iterdir()
+            for child in (thread / "children").read_text().split()
+        ]
+    except OSError:
+        return  # it has just ended
+    for child in found:
+        yield child
+        yield from children(child)
+
+
+def processor_s(process: int) -> float:
+    """Return the processor time of a process (s); 0 once it has ended."""
+    try:
+        ticks = Path(f"/proc/{process}/stat").read_text().rsplit(")", 1)[1].split()
+    except OSError:
+        return 0.0
+    return int(ticks[11]) / os.sysconf("SC_CLK_TCK")
 
 
 def workers(process: int) -> list[int]:
     """Return the processes that are on a run: a second's work of the fork server's children."""
     starters = Path(f"/proc/{process}/task/{process}/children").read_text().split()
-    busy = []
-    for starter in starters:
-        for child in children(int(starter)):
-            ticks = Path(f"/proc/{child}/stat").read_text().rsplit(")", 1)[1].split()
-            if int(ticks[11]) > 100:
-                busy.append(child)
-    return busy
+    return [
+        child for starter in starters for child in children(int(starter)) if processor_s(child) > 1
+    ]
 
 
 def test_a_killed_worker_fails_its_run_alone(tmp_path: Path) -> None:
@@ -88,14 +101,56 @@ def test_interrupted(tmp_path: Path) -> None:
     _, errors = process.communicate(timeout=20)
     assert process.returncode == 130
     assert "Traceback" not in errors
-    until = time.monotonic() + 5
-    while any(Path(f"/proc/{child}").exists() for child in group):
-        assert time.monotonic() < until
-        time.sleep(0.05)
+    assert ended(group, 5)
     assert not list(scratch.iterdir())
     status = [row["status"] for row in rows_of(runs.parent / "results.csv")]
     assert status.count("done") >= 2
     assert status.count("done") + status.count("not run") == 12
+
+
+def ended(processes: list[int], seconds: float) -> bool:
+    """Wait until none of these processes runs any more."""
+    until = time.monotonic() + seconds
+    while any(alive(process) for process in processes):
+        if time.monotonic() > until:
+            return False
+        time.sleep(0.05)
+    return True
+
+
+@pytest.mark.parametrize("engine", ["inprocess", "ros"])
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGKILL])
+def test_ended_alone(tmp_path: Path, engine: str, number: signal.Signals) -> None:
+    """A signal to the study's process only: all others end with it, long before their runs do."""
+    scratch = tmp_path / "scratch"
+    scratch.mkdir()
+    # A month takes minutes.
+    text = edited("[published, fao56]", "fao56").replace("hours: 0.25", "hours: 500")
+    text = text.replace(str(WEATHER), str(DATA / "en_climate_hourly_07-2021.csv"))
+    process = subprocess.Popen(
+        [sys.executable, "-m", "greenroof_ros.study", grid(tmp_path, text), "--output", "out",
+         "--jobs", "2", "--engine", engine],
+        cwd=tmp_path, env={**os.environ, "TMPDIR": str(scratch)},
+        stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True,
+    )
+
+    def under_way() -> bool:
+        assert process.poll() is None
+        busy = [child for child in children(process.pid) if processor_s(child) > 2]
+        return len(busy) >= 2
+
+    wait_for(under_way, 90, "two busy processes")
+    there = list(children(process.pid))
+    process.send_signal(number)
+    _, errors = process.communicate(timeout=10)
+    assert ended(there, 8)
+    assert "Traceback" not in errors
+    if number == signal.SIGTERM:
+        assert process.returncode == 130
+        assert "resource_tracker" not in errors
+        assert {file.suffix for file in scratch.iterdir()} <= {".lock"}
+        status = [row["status"] for row in rows_of(tmp_path / "out" / "results.csv")]
+        assert status == ["not run"] * 6
 
 
 def test_engines_give_the_same_table(tmp_path: Path) -> None:
@@ -180,7 +235,7 @@ def test_forecasts_by_both_engines(tmp_path: Path) -> None:
     assert labels == ["archive.csv", "ensemble size 0.5 seed 0 members 3"]
 
 
-IMPERFECT = """
+WITH_ERRORS = """
 sensor_pump_errors:
   - {}
   - {roof_noise: 0.0005, roof_offset: [-1.0e-5, 0.002], noise_seed: [1, 2], minimum_on: 60,
@@ -188,9 +243,9 @@ sensor_pump_errors:
 """
 
 
-def test_imperfections_by_both_engines(tmp_path: Path) -> None:
+def test_sensor_and_pump_errors_by_both_engines(tmp_path: Path) -> None:
     """Lists multiply; the same table by both; what a trajectory has of the roof is the truth."""
-    text = PLANNED.replace("planning_mpc:", "onoff: {fraction: 0.3}") + IMPERFECT
+    text = PLANNED.replace("planning_mpc:", "onoff: {fraction: 0.3}") + WITH_ERRORS
     for engine in ("inprocess", "ros"):
         result = study(tmp_path, grid(tmp_path, text), "--output", engine, "--engine", engine)
         assert result.returncode == 0, result.stderr
@@ -212,7 +267,7 @@ def test_imperfections_by_both_engines(tmp_path: Path) -> None:
     # A sensor that reads too little is overruled by Eq. (3a); one that reads too much is believed.
     assert len({row["final_roof_m3"] for row in rows}) == 3
     assert len({row["bound_m3"] for row in rows}) == 1
-    assert all(int(row["pump_starts"]) >= 1 and float(row["energy_kwh"]) > 0 for row in rows)
+    assert all(int(row["pump_starts"]) >= 1 and float(row["hydraulic_energy_kwh"]) > 0 for row in rows)
     for row in rows:
         name = Path("runs") / row["run"] / "trajectory.parquet"
         true, replayed = (
@@ -224,7 +279,7 @@ def test_imperfections_by_both_engines(tmp_path: Path) -> None:
             assert replayed.tobytes() == true.tobytes()
 
     plain = read_grid(tmp_path / grid(tmp_path, PLANNED))
-    told = read_grid(tmp_path / grid(tmp_path, PLANNED + IMPERFECT))
+    told = read_grid(tmp_path / grid(tmp_path, PLANNED + WITH_ERRORS))
     assert len({case.identity for case in (*plain, *told)}) == 6
     assert not set(names) & plain[0].columns().keys()
 

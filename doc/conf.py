@@ -1,0 +1,58 @@
+"""Settings of the documentation: Sphinx with MyST, ``make docs``."""
+
+import importlib.util
+import os
+import sys
+
+# Sphinx reads this file in its own directory.
+sys.path[:0] = [os.path.abspath("."), os.path.abspath("..")]  # noqa: PTH100
+
+from greenroof_ros import __version__
+
+project = "greenroof_ros"
+author = "greenroof_ros maintainers"
+copyright = "the greenroof_ros maintainers, Apache-2.0"  # noqa: A001 - Sphinx's name for it
+release = __version__
+
+extensions = [
+    "myst_parser",  # Markdown
+    "sphinx.ext.autodoc",  # API pages from the docstrings ...
+    "sphinx.ext.autosummary",  # ... one for each module ...
+    "sphinx.ext.napoleon",  # ... whose sections are Google's
+    "docstrings_and_formulas",  # beside this file
+]
+exclude_patterns = [
+    "_build", "_templates", "included", "overview.md",  # index.rst includes the last
+    # What rosdoc2 puts beside these pages.
+    "greenroof_ros*.rst", "modules.rst", "user_docs*", "standards", "interfaces", "__*.rst",
+]
+templates_path = ["_templates"]
+
+# A link that leads nowhere is an error (-W). Not documented here are names outside this package,
+# private ones, type variables, and constants, which stand in the source with their comments.
+nitpicky = True
+nitpick_ignore_regex = [
+    (r"py:.*", r"(?!greenroof_ros).*"), (r"py:.*", r".*\._\w+"), (r"py:data", r".*"),
+    (r"py:class", r".*\.plant\.Amount"),
+]
+
+highlight_language = "none"
+myst_enable_extensions = ["dollarmath", "deflist", "colon_fence", "attrs_inline"]
+myst_heading_anchors = 4
+
+html_theme = "furo"
+html_title = f"greenroof_ros {release}"
+html_static_path = ["_static"]
+html_css_files = ["tables.css"]
+html_math_renderer = "mathml"
+
+autosummary_generate = True
+autodoc_member_order = "bysource"
+autodoc_typehints = "signature"
+autodoc_default_options = {"members": True, "show-inheritance": True}
+napoleon_numpy_docstring = False
+napoleon_use_ivar = True
+
+# Without a ROS 2 the nodes' pages are made all the same.
+_ros = ("rclpy", "std_msgs", "rosgraph_msgs", "diagnostic_msgs", "rcl_interfaces")
+autodoc_mock_imports = [name for name in _ros if importlib.util.find_spec(name) is None]

@@ -1,0 +1,344 @@
+"""Write the documentation's tables from the package's own: ``python doc/generate.py``.
+
+A table stands in a page between ``<!-- table: NAME -->`` and ``<!-- end of table -->``, so that it
+can be read without a build, too. ``make docs`` writes all of them again; a test holds them to what
+this writes. The nodes' tables need a ROS 2; without one they stay as they are.
+"""
+
+from __future__ import annotations
+
+import argparse
+import importlib
+import importlib.util
+import math
+import os
+import re
+import sys
+import tempfile
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+from unittest import mock
+
+DOC = Path(__file__).resolve().parent
+sys.path.insert(0, str(DOC.parent))
+
+from greenroof_ros.common.files import shared_directory
+from greenroof_ros.common.interface import Topic, markdown_table, read_topics
+from greenroof_ros.common.parameter import Parameter
+from greenroof_ros.controllers.registry import BUILT_IN, find_controller
+from greenroof_ros.model.metrics import METRICS
+
+COMMANDS = {
+    "bringup": "greenroof_ros.bringup",
+    "simulate": "greenroof_ros.simulate",
+    "study": "greenroof_ros.study.__main__",
+    "report": "greenroof_ros.report.__main__",
+    "bound": "greenroof_ros.bound",
+    "recover": "greenroof_ros.recover",
+    "topics": "greenroof_ros.topics",
+    "check_controller": "greenroof_ros.check_controller",
+}
+_BLOCK = re.compile(
+    r"(?<=<!-- table: )(?P<name>[a-z_ ]+)(?P<gap> -->\n)(?P<table>.*?)(?=<!-- end of table -->)",
+    re.DOTALL,
+)
+
+
+def cell(text: object) -> str:
+    """Return a text as the cell of a table; what is in backticks stays as it is."""
+    parts = re.split(r"(`[^`]*`)", " ".join(str(text).split()))
+    parts[::2] = [re.sub(r"([|*_<>$\[\]{}])", r"\\\1", part) for part in parts[::2]]
+    return "".join(parts)
+
+
+def markdown(header: Iterable[str], rows: Iterable[Iterable[object]]) -> str:
+    """Return a table."""
+    names = list(header)
+    lines = [f"| {' | '.join(names)} |", "|" + "---|" * len(names)]
+    lines += [f"| {' | '.join(map(cell, row))} |" for row in rows]
+    return "\n".join(lines) + "\n"
+
+
+def number(value: object) -> str:
+    """Return a number, or another value of a parameter, as a user would write it."""
+    if value is None:
+        return ""
+    if isinstance(value, bool):
+        return f"`{str(value).lower()}`"
+    if isinstance(value, (list, tuple)):
+        return ", ".join(number(each) for each in value) or "none"
+    if isinstance(value, str):
+        shared = f"{shared_directory()}/"
+        return f"`{value.removeprefix(shared)}`" if value else "empty"
+    assert isinstance(value, (int, float))
+    if math.isinf(value):
+        return "`.inf`" if value > 0 else "`-.inf`"
+    digits = f"{value:.7g}"
+    return f"`{digits}`" if isinstance(value, int) or not digits.isdecimal() else f"`{digits}.0`"
+
+
+def span(low: float, high: float) -> str:
+    """Return a range."""
+    if not max(abs(low), abs(high)) < sys.float_info.max:
+        low, high = max(low, -math.inf), math.inf if high >= sys.float_info.max else high
+        if low <= -sys.float_info.max:
+            return "finite" if math.isinf(high) else f"at most {high:g}"
+        return f"{low:g} or more"
+    return f"{low:g} to {high:g}"
+
+
+# --- topics ---------------------------------------------------------------------------------------
+
+
+def topics() -> str:
+    """Return what each topic carries, as the command ``topics`` prints it."""
+    return markdown_table(read_topics().values()) + "\n"
+
+
+def quality() -> str:
+    """Return range and quality of service of each topic."""
+
+    def messages(topic: Topic) -> str:
+        if not topic.per_tick:
+            return "as needed, not recorded"
+        return "one a tick, from controllers that have it" if topic.optional else "one a tick"
+
+    return markdown(
+        ("topic", "accepted values", "messages", "quality of service"),
+        (
+            (
+                f"`{topic.name}`",
+                span(topic.low, topic.high) if "Float64" in topic.type else "any",
+                messages(topic),
+                f"{topic.qos.reliability}, {topic.qos.durability.replace('_', ' ')}, "
+                f"depth {topic.qos.depth}"
+                + (f", lease {topic.qos.lease_s:g} s" if math.isfinite(topic.qos.lease_s) else ""),
+            )
+            for topic in read_topics().values()
+        ),
+    )
+
+
+# --- controllers and metrics ----------------------------------------------------------------------
+
+
+def controllers() -> str:
+    """Return the parameters of every controller of this package."""
+    return "\n".join(
+        f"### {name}\n\n" + _parameters(find_controller(name).kind.parameters) for name in BUILT_IN
+    )
+
+
+def _parameters(parameters: Iterable[Parameter]) -> str:
+    return markdown(
+        ("parameter", "type", "default", "unit", "range", "may change in a run", "meaning"),
+        (
+            (
+                f"`{one.name}`", "integer" if one.whole else "double", number(one.default), one.unit,
+                span(one.low, one.high), "yes" if one.may_change else "no", one.meaning,
+            )
+            for one in parameters
+        ),
+    )
+
+
+def metrics() -> str:
+    """Return what each run is judged by."""
+    return markdown(
+        ("key or column", "unit", "meaning"),
+        ((f"`{one.name}`", one.unit, f"{one.label}: {one.meaning}") for one in METRICS),
+    )
+
+
+# --- commands -------------------------------------------------------------------------------------
+
+
+class _Parsed(BaseException):
+    """Carries a command's parser out of it."""
+
+
+def parser_of(module: str, arguments: Sequence[str] = ()) -> argparse.ArgumentParser:
+    """Return the parser of a command's options, as it is for some arguments."""
+
+    def capture(self: argparse.ArgumentParser, *_: Any, **__: Any) -> None:
+        raise _Parsed(self)
+
+    try:
+        with (
+            mock.patch.object(argparse.ArgumentParser, "parse_args", capture),
+            mock.patch.object(sys, "argv", [module, *arguments]),
+        ):
+            importlib.import_module(module).main()
+    except _Parsed as parsed:
+        parser: argparse.ArgumentParser = parsed.args[0]
+        return parser
+    raise RuntimeError(f"{module} has no parser")
+
+
+def commands() -> str:
+    """Return every option of every command."""
+    return "\n".join(_command(name, parser_of(module)) for name, module in COMMANDS.items())
+
+
+def _command(name: str, parser: argparse.ArgumentParser) -> str:
+    parts = [f"## {name}\n", f"{cell(parser.description or '')}\n"]
+    positionals = " ".join(
+        str(action.metavar or action.dest) + (" ..." if action.nargs == "+" else "")
+        for action in parser._get_positional_actions()
+    )
+    parts.append(f"```\npython -m greenroof_ros.{name} {positionals}".rstrip() + "\n```\n")
+    for group in parser._action_groups:
+        actions = [
+            action for action in group._group_actions
+            if not isinstance(action, argparse._HelpAction)
+        ]
+        if not actions:
+            continue
+        if group.title not in ("options", "optional arguments", "positional arguments"):
+            parts.append(f"**{str(group.title).capitalize()}.** {cell(group.description or '')}\n")
+        parts.append(markdown(
+            ("option", "value", "meaning"),
+            (
+                (
+                    ", ".join(f"`{text}`" for text in action.option_strings)
+                    or f"`{action.metavar or action.dest}`",
+                    _value(action),
+                    parser._get_formatter()._expand_help(action),
+                )
+                for action in actions
+            ),
+        ))
+    return "\n".join(parts)
+
+
+def _value(action: argparse.Action) -> str:
+    """Return what an option takes."""
+    if action.nargs == 0:
+        return ""
+    if action.choices is not None:
+        return ", ".join(map(str, action.choices))
+    kind = getattr(action.type, "__name__", "")
+    text = f"`{action.metavar or action.dest.upper()}`" + (" ..." if action.nargs == "+" else "")
+    unit = text if str(action.metavar).startswith("[") else ""
+    if kind in ("", "Path", "str"):
+        return text
+    return f"{kind} {unit}".strip()
+
+
+# --- nodes ----------------------------------------------------------------------------------------
+
+
+def nodes() -> str | None:
+    """Return the parameters that each node declares; None without a ROS 2."""
+    if importlib.util.find_spec("rclpy") is None:
+        return None
+    import rclpy
+
+    from greenroof_ros.nodes.controller import ControllerNode
+    from greenroof_ros.nodes.plant import PlantNode
+    from greenroof_ros.nodes.recorder import RecorderNode
+    from greenroof_ros.nodes.weather import WeatherNode
+
+    parts = []
+    with _somewhere():
+        rclpy.init(args=[])
+        try:
+            for name, make in {
+                "plant": PlantNode, "weather": WeatherNode, "recorder": RecorderNode,
+                "controllers": lambda: ControllerNode(find_controller("onoff")),
+            }.items():
+                own = {} if name != "controllers" else find_controller("onoff").parameters
+                parts.append(f"### {name}\n\n{_declared(make, own)}")
+        finally:
+            rclpy.try_shutdown()
+    return "\n".join(parts)
+
+
+@contextmanager
+def _somewhere() -> Iterator[None]:
+    """Work in an empty directory: the recorder makes its bag."""
+    before = Path.cwd()
+    with tempfile.TemporaryDirectory() as directory:
+        os.chdir(directory)
+        try:
+            yield
+        finally:
+            os.chdir(before)
+
+
+def _declared(make: Callable[[], Any], elsewhere: Mapping[str, Parameter]) -> str:
+    """Return the parameters that a node declares while it is made, but for those shown elsewhere."""
+    from rclpy.node import Node
+
+    declared: list[tuple[str, Any, Any]] = []
+    declare = Node.declare_parameter
+
+    def record(self: Any, name: str, value: Any, descriptor: Any, *arguments: Any) -> Any:
+        declared.append((name, value, descriptor))
+        return declare(self, name, value, descriptor, *arguments)
+
+    with mock.patch.object(Node, "declare_parameter", record):
+        node = make()
+    node.on_stop()
+    node.destroy_node()
+    return markdown(
+        ("parameter", "type", "default", "range", "meaning, unit"),
+        (
+            (f"`{name}`", _type(value), number(value), _range(value, about), about.description)
+            for name, value, about in declared
+            if about.description and name not in elsewhere
+        ),
+    )
+
+
+def _type(value: object) -> str:
+    """Return the type of a ROS 2 parameter."""
+    if isinstance(value, list):
+        return "string array"
+    return {bool: "bool", int: "integer", float: "double", str: "string"}[type(value)]
+
+
+def _range(value: object, about: Any) -> str:
+    """Return the range that a parameter's descriptor has."""
+    ranges = [*about.floating_point_range, *about.integer_range]
+    if ranges:
+        return span(ranges[0].from_value, ranges[0].to_value)
+    return str(about.additional_constraints).removeprefix("must be ")
+
+
+TABLES: dict[str, Callable[[], str | None]] = {
+    "topics": topics,
+    "quality of service": quality,
+    "controllers": controllers,
+    "metrics": metrics,
+    "commands": commands,
+    "nodes": nodes,
+}
+
+
+def renew(page: str) -> str:
+    """Return a page with its tables made again."""
+
+    def table(match: re.Match[str]) -> str:
+        made = TABLES[match["name"]]()
+        text = match["table"] if made is None else f"\n{made}\n"
+        return f"{match['name']}{match['gap']}{text}"
+
+    return _BLOCK.sub(table, page)
+
+
+def main() -> None:
+    """Write all pages' tables."""
+    os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
+    for path in sorted(DOC.rglob("*.md")):
+        before = path.read_text(encoding="utf-8")
+        after = renew(before)
+        if after != before:
+            path.write_text(after, encoding="utf-8")
+            print(f"written: {path.relative_to(DOC.parent)}")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,131 @@
+"""The runs of a report: what is known of each before its trajectory is read."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+from greenroof_ros.model.site import Site
+from greenroof_ros.recording.bag_reader import Recorded
+from greenroof_ros.recording.trajectory import Trajectory
+
+Parameters = dict[str, "float | str"]
+
+
+@dataclass(frozen=True)
+class Note:
+    """What a reader should know of a run.
+
+    Attributes:
+        text: of the note, with ``{count}`` where it counts something.
+        count: how many; None where nothing is counted.
+    """
+
+    text: str
+    count: float | None = None
+
+    def __str__(self) -> str:
+        """As it is of one run."""
+        return self._with(f"{self.count:g}" if self.count is not None else "")
+
+    def of_many(self) -> str:
+        """As it is of many runs, each with a count of its own."""
+        return self._with("some")
+
+    def _with(self, count: str) -> str:
+        return self.text.replace("{count}", count)
+
+
+@dataclass(frozen=True)
+class Seeded:
+    """What the table of a study says of a run whose forecasts had random errors.
+
+    Attributes:
+        model: the forecasts, without the size and the seed of their errors.
+        size: of the errors (1).
+        seed: of the errors.
+        start: of the run, as headings name it.
+        hours: its length (h).
+        total_deviation_m3: its result.
+        bound_m3: the least that any controller could reach; None if unknown.
+    """
+
+    model: str
+    size: float
+    seed: str
+    start: str
+    hours: float
+    total_deviation_m3: float
+    bound_m3: float | None
+
+
+def known_bound(bound: float | None) -> Callable[[Trajectory], float | None]:
+    """Return a bound (m3) whatever the trajectory: a study's own, or None where it is unknown."""
+    return lambda _trajectory: bound
+
+
+_UNKNOWN_BOUND = known_bound(None)
+
+
+@dataclass(frozen=True)
+class RunEntry:
+    """A finished run, and how to read what happened in it.
+
+    Attributes:
+        name: of the run, unique in the report.
+        site_name: where its site comes from.
+        site: Table I.
+        weather: name of the weather.
+        method: of the evapotranspiration.
+        controller: its name, ``unknown`` where it was not written down.
+        parameters: the controller's; no entry where there is no bound.
+        initial: name of the initial state, or its volumes.
+        notes: what a reader should know of it.
+        load: reads the trajectory, and returns it with further notes.
+        forecast: what the controller was given of the weather to come; empty where that was what
+            came, or was not written down.
+        bound: the least total deviation (m3) that a controller with commands up to 1 could reach,
+            given the trajectory; None where it is unknown.
+        sensor_pump_errors: of level sensor and pumps; empty where there were none, or they were
+            not written down.
+        seeded: what a study's table says of it; None unless its forecasts had random errors.
+    """
+
+    name: str
+    site_name: str
+    site: Site
+    weather: str
+    method: str
+    controller: str
+    parameters: Parameters
+    initial: str
+    notes: tuple[Note, ...]
+    load: Callable[[], Recorded]
+    forecast: str = ""
+    bound: Callable[[Trajectory], float | None] = _UNKNOWN_BOUND
+    sensor_pump_errors: str = ""
+    seeded: Seeded | None = None
+
+
+@dataclass(frozen=True)
+class FailedRun:
+    """A run of a study that failed or was not begun, and why."""
+
+    name: str
+    what: str
+    error: str
+
+
+@dataclass
+class Sources:
+    """All that a report is made from.
+
+    Attributes:
+        runs: the finished ones.
+        failed: the others.
+        configuration: name and text of each further file that decided the numbers.
+    """
+
+    runs: list[RunEntry] = field(default_factory=list)
+    failed: list[FailedRun] = field(default_factory=list)
+    configuration: dict[str, str] = field(default_factory=dict)

@@ -1,0 +1,168 @@
+"""The runs of a study, from its ``results.csv``."""
+
+from __future__ import annotations
+
+import csv
+import io
+from collections.abc import Mapping
+from datetime import datetime
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+
+from greenroof_ros.common.errors import ConfigurationError
+from greenroof_ros.common.files import read_text
+from greenroof_ros.forecast.choice import OPTIONS
+from greenroof_ros.model.sensor_pump_errors import RANGES
+from greenroof_ros.model.site import Site, read_site
+from greenroof_ros.recording.bag_reader import Recorded
+from greenroof_ros.recording.results_table import row_parameters
+from greenroof_ros.recording.trajectory import read_parquet
+from greenroof_ros.report.about import (
+    forecast_label,
+    initial_label,
+    parameters,
+    run_notes,
+    sensor_pump_errors_label,
+)
+from greenroof_ros.report.entries import FailedRun, Note, RunEntry, Seeded, Sources, known_bound
+
+_RESULT_COLUMNS = (
+    "run", "site", "weather", "evapotranspiration", "controller", "initial",
+    "cistern_m3", "roof_m3", "status", "error", "total_deviation_m3",
+)
+
+
+def read_study(path: Path, prefix: str, sources: Sources) -> None:
+    """Add the runs of a study."""
+    file = path / "results.csv"
+    reader = csv.DictReader(io.StringIO(read_text(file)))
+    header = list(reader.fieldnames or ())
+    missing = [column for column in _RESULT_COLUMNS if column not in header]
+    if missing:
+        raise ConfigurationError(
+            f"has no column {', '.join(missing)}; is it the results.csv of a study?",
+            file=file, line=1,
+        )
+    sites: dict[str, Site] = {}
+    for row in reader:
+        line = reader.line_num
+        if None in row or None in row.values():
+            raise ConfigurationError(f"must have {len(header)} cells", file=file, line=line)
+        name = row["run"]
+        if not name or Path(name).name != name:
+            raise ConfigurationError(
+                "must be the name of a directory under runs/",
+                file=file, line=line, key="run", value=name,
+            )
+        given = parameters(row_parameters(row))
+        initial = initial_label(
+            row["initial"],
+            _cell(file, line, row, "cistern_m3"),
+            _cell(file, line, row, "roof_m3"),
+        )
+        options = {option: row.get(f"forecast_{option}") for option in OPTIONS}
+        forecast = forecast_label(row.get("forecast"), options)
+        sensor_pump_errors = sensor_pump_errors_label(
+            {key: _cell(file, line, row, key) for key in RANGES if key in row}
+        )
+        if row["status"] in ("failed", "not run"):
+            setting = ", ".join(f"{key} {value}" for key, value in given.items())
+            what = ", ".join(
+                part
+                for part in (
+                    row["site"], row["weather"], row.get("start", ""), row["evapotranspiration"],
+                    forecast, sensor_pump_errors, row["controller"], setting, initial,
+                )
+                if part
+            )
+            sources.failed.append(FailedRun(prefix + name, what, row["error"] or row["status"]))
+            continue
+        if row["status"] != "done":
+            raise ConfigurationError(
+                "must be done, failed or not run",
+                file=file, line=line, key="status", value=row["status"],
+            )
+        if row["site"] not in sites:
+            sites[row["site"]] = read_site(path / "configuration" / row["site"])
+        bound = _cell(file, line, row, "bound_m3") if row.get("bound_m3") else None
+        seeded = Seeded(
+            model=forecast_label(row.get("forecast"), {"members": options["members"]}),
+            size=_cell(file, line, row, "forecast_size"),
+            seed=options["seed"],
+            start=_start(row.get("start", "")),
+            hours=_cell(file, line, row, "hours"),
+            total_deviation_m3=_cell(file, line, row, "total_deviation_m3"),
+            bound_m3=bound,
+        ) if options["seed"] else None
+        sources.runs.append(
+            RunEntry(
+                name=prefix + name,
+                site_name=row["site"],
+                site=sites[row["site"]],
+                weather=row["weather"],
+                method=row["evapotranspiration"],
+                controller=row["controller"],
+                parameters=given,
+                initial=initial,
+                notes=_study_notes(file, line, row),
+                load=partial(_load_parquet, path / "runs" / name / "trajectory.parquet"),
+                forecast=forecast,
+                bound=known_bound(bound),
+                sensor_pump_errors=sensor_pump_errors,
+                seeded=seeded,
+            )
+        )
+    if not sources.runs and not sources.failed:
+        raise ConfigurationError("has a header but no runs", file=file)
+    for further in sorted((path / "configuration").glob("*")):
+        # Sites appear as a table of their own; weather files are long, and named with each run.
+        if further.suffix in (".json", ".yaml") and further.name not in sites:
+            sources.configuration[prefix + further.name] = read_text(further)
+
+
+def _load_parquet(path: Path) -> Recorded:
+    """Read the trajectory of a study's run."""
+    if not path.is_file():
+        raise ConfigurationError(
+            "is not there; was the study made with --no-trajectories? that is enough for runs of "
+            "several forecast seeds only: make it again without, in another directory", file=path,
+        )
+    trajectory = read_parquet(path)
+    if len(trajectory.time) < 2 or not (np.diff(trajectory.time) > 0).all():
+        raise ConfigurationError("must have two samples or more, in the order of time", file=path)
+    return Recorded(trajectory)
+
+
+def _cell(file: Path, line: int, row: Mapping[str, str], key: str) -> float:
+    """Return a number of the results; a blank counts as 0."""
+    try:
+        return float(row.get(key) or 0)
+    except ValueError as error:
+        raise ConfigurationError(
+            "must be a number", file=file, line=line, key=key, value=row[key]
+        ) from error
+
+
+def _start(text: str) -> str:
+    """Return a start as headings name it; as it is where it is no time."""
+    try:
+        return datetime.fromisoformat(text).isoformat(" ", "minutes")
+    except ValueError:
+        return text
+
+
+def _study_notes(file: Path, line: int, row: Mapping[str, str]) -> tuple[Note, ...]:
+    """Say what the study knows of a run that its trajectory does not show."""
+    notes = []
+    hours = _cell(file, line, row, "filled_hours")
+    if hours:
+        named = f": {row['filled']}" if row.get("filled") else ""
+        notes.append(
+            Note(f"{{count}} hours of its weather were missing and filled in{named}", hours)
+        )
+    if row.get("weather_notes"):
+        notes.append(Note(row["weather_notes"]))
+    fallbacks, limited = (_cell(file, line, row, key) for key in ("fallbacks", "limited_steps"))
+    return (*notes, *run_notes(fallbacks, row.get("forecast_repeats_from"), limited))

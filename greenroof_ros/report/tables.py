@@ -1,0 +1,326 @@
+"""The tables of the report's page: the best runs, all results, the water balances."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from functools import partial
+from typing import NamedTuple
+
+from greenroof_ros.forecast.choice import PERFECT
+from greenroof_ros.model.metrics import METRICS, Metric
+from greenroof_ros.report.assessment import Assumptions
+from greenroof_ros.report.results import Best, Report, Result, best_runs, controller_name
+from greenroof_ros.report.seeds import Spread, spreads
+
+METRICS_BY_NAME = {metric.name: metric for metric in METRICS}
+
+# Shown in the water balance, where each tank has its own.
+_BALANCE_ONLY = {
+    "rain_m3", "rain_cistern_m3", "rain_roof_m3", "outflow_m3", "drainage_m3",
+    "evapotranspiration_m3", "final_cistern_m3", "final_roof_m3",
+}
+
+
+class Cell(NamedTuple):
+    """A cell of a table: what is shown, and what the table is sorted by."""
+
+    text: str
+    key: float | str
+    warning: bool = False
+
+
+class Table(NamedTuple):
+    """A table that a reader can sort; the first column names the row."""
+
+    name: str
+    header: Sequence[str]
+    rows: Sequence[Sequence[Cell]]
+
+
+def make_tables(report: Report, assumptions: Assumptions) -> list[Table]:
+    """Return the tables that a report has something for."""
+    tables = _seeded(report)
+    if report.results:
+        tables.append(_best_table(report))
+    tables += _methods(report)
+    if report.results:
+        tables += [_results_table(report, assumptions), _balance_table(report)]
+    return tables
+
+
+def _number(value: float, digits: str = ".4g", warning: bool = False) -> Cell:
+    text = f"{value:{digits}}"
+    return Cell("0" if float(text) == 0 else text, value, warning)
+
+
+def _word(text: str) -> Cell:
+    return Cell(text, text)
+
+
+class _Column(NamedTuple):
+    """A column of the results."""
+
+    header: str
+    cell: Callable[[Result], Cell]
+
+
+class _BestColumn(NamedTuple):
+    """A column of the best runs."""
+
+    header: str
+    cell: Callable[[Best], Cell]
+
+
+def _named(report: Report) -> list[_Column]:
+    """Return the columns that say which run it is; none that is the same for all."""
+    order = {
+        (name, label): place
+        for name in report.controllers
+        for place, label in enumerate(report.settings[name].labels)
+    }
+
+    def setting(one: Result) -> Cell:
+        name = one.entry.controller
+        label = report.settings[name].label(one.entry)
+        return Cell(
+            report.settings[name].full_label(one.entry), f"{name} {order[name, label]:06}"
+        )
+
+    skies = {window.sky for window in report.windows}
+    columns = [_Column("run", lambda one: _word(one.entry.name))]
+    if len({one.entry.site_name for one in report.results}) > 1:
+        columns.append(_Column("site", lambda one: _word(one.entry.site_name)))
+    if len({(sky.weather, sky.start, sky.hours) for sky in skies}) > 1:
+        columns.append(
+            _Column(
+                "weather",
+                lambda one: Cell(
+                    f"{one.start.isoformat(' ', 'minutes')}, {one.assessment.hours:.4g} h",
+                    one.start.timestamp(),
+                ),
+            )
+        )
+    if len({window.method for window in report.windows}) > 1:
+        columns.append(_Column("evapotranspiration", lambda one: _word(one.entry.method)))
+    if len({window.forecast for window in report.windows}) > 1:
+        columns.append(
+            _Column("forecast", lambda one: _word(one.entry.forecast or PERFECT))
+        )
+    if len({window.sensor_pump_errors for window in report.windows}) > 1:
+        columns.append(
+            _Column(
+                "sensor and pump errors",
+                lambda one: _word(one.entry.sensor_pump_errors or "none"),
+            )
+        )
+    return [
+        *columns,
+        _Column("from", lambda one: _word(one.entry.initial)),
+        _Column("controller", lambda one: _word(controller_name(one.entry.controller))),
+        _Column("setting", setting),
+    ]
+
+
+def _metric(metric: Metric) -> _Column:
+    """Return the column of a metric."""
+
+    def cell(one: Result) -> Cell:
+        value = one.assessment.metrics[metric.name]
+        return _number(value, metric.form, value > metric.most)
+
+    return _Column(header(metric), cell)
+
+
+def header(metric: Metric) -> str:
+    """Return a metric's label with its unit."""
+    return f"{metric.label} ({unit(metric)})"
+
+
+def unit(metric: Metric) -> str:
+    """Return a metric's unit as print has it."""
+    return metric.unit.replace("m3", "m³")
+
+
+def shown_metrics(report: Report) -> list[Metric]:
+    """Return the metrics that all runs have; none where there is no run."""
+    return [
+        metric for metric in METRICS
+        if report.results
+        and all(metric.name in one.assessment.metrics for one in report.results)
+    ]
+
+
+def _results_table(report: Report, assumptions: Assumptions) -> Table:
+    """Return the results of each run."""
+    money = assumptions.currency
+    deviation, *others = [
+        _metric(metric) for metric in shown_metrics(report) if metric.name not in _BALANCE_ONLY
+    ]
+    return _run_table(report, "Results of each run", [
+        deviation,
+        *_ratio(report),
+        _Column("near target (h)", lambda one: _number(one.assessment.band_hours, ".2f")),
+        _Column("near target (%)", lambda one: _number(
+            100 * one.assessment.band_hours / one.assessment.hours, ".1f")),
+        *others,
+        _Column(f"value as mains water ({money})", lambda one: _number(one.assessment.water_value)),
+        _Column(
+            f"cost of electric energy ({money})",
+            lambda one: _number(one.assessment.energy_cost),
+        ),
+        _Column("frost (h)", lambda one: _number(one.assessment.frost_hours, ".2f")),
+        _Column("pumped in frost (m³)", lambda one: _number(
+            one.assessment.frost_pumped_m3, ".4g", one.assessment.frost_pumped_m3 > 0)),
+    ])
+
+
+def _balance_table(report: Report) -> Table:
+    """Return the water balance of both tanks in each run."""
+
+    def metric(name: str, title: str) -> _Column:
+        column = _metric(METRICS_BY_NAME[name])
+        return _Column(f"{title} (m³)", column.cell)
+
+    return _run_table(report, "Water balance of each run", [
+        metric("rain_cistern_m3", "cistern: rain"),
+        metric("pumped_m3", "pumped"),
+        metric("outflow_m3", "to the sewer"),
+        _Column("change (m³)", lambda one: _number(one.assessment.cistern_change_m3)),
+        _Column("unexplained (m³)", lambda one: _number(
+            one.assessment.cistern_residual_m3, ".1e")),
+        metric("final_cistern_m3", "at the end"),
+        metric("rain_roof_m3", "roof: rain"),
+        metric("evapotranspiration_m3", "evapotranspiration"),
+        metric("drainage_m3", "drainage"),
+        _Column("change (m³)", lambda one: _number(one.assessment.roof_change_m3)),
+        _Column("unexplained (m³)", lambda one: _number(one.assessment.roof_residual_m3, ".1e")),
+        metric("final_roof_m3", "at the end"),
+    ])
+
+
+def _run_table(report: Report, name: str, columns: Sequence[_Column]) -> Table:
+    """Return a table with a line a run."""
+    columns = [*_named(report), *columns]
+    return Table(
+        name=name,
+        header=[column.header for column in columns],
+        rows=[[column.cell(one) for column in columns] for one in report.results],
+    )
+
+
+def _ratio(report: Report) -> list[_Column]:
+    """Return the column of deviations over the least possible, where any is known."""
+    if all(one.ratio_to_bound is None for one in report.results):
+        return []
+    return [_Column("over the least possible (1)", lambda one: _share(one.ratio_to_bound))]
+
+
+def _share(value: float | None) -> Cell:
+    """Return a cell of a ratio; the unknown ones come last."""
+    return Cell("unknown", sys.float_info.max) if value is None else _number(value, ".4f")
+
+
+def _best_table(report: Report) -> Table:
+    """Return the best run of each controller."""
+    columns = [
+        _BestColumn("run", lambda best: _word(best.run.entry.name)),
+        _BestColumn("window", lambda best: _word(str(best.window))),
+        _BestColumn("from", lambda best: _word(best.initial)),
+        _BestColumn(
+            "controller", lambda best: _word(controller_name(best.run.entry.controller))
+        ),
+        _BestColumn("best setting", lambda best: _word(best.setting)),
+    ]
+    if len(report.windows) == 1:
+        columns = [column for column in columns if column.header != "window"]
+    for column in (
+        _metric(METRICS_BY_NAME["total_deviation_m3"]), *_ratio(report),
+        _metric(METRICS_BY_NAME["pumped_m3"]), _metric(METRICS_BY_NAME["max_command"]),
+    ):
+        columns.append(_BestColumn(column.header, partial(_cell_of_run, column)))
+    return Table(
+        name="Least total deviation of each controller",
+        header=[column.header for column in columns],
+        rows=[[column.cell(best) for column in columns] for best in best_runs(report)],
+    )
+
+
+def _cell_of_run(column: _Column, best: Best) -> Cell:
+    return column.cell(best.run)
+
+
+def _seeded(report: Report) -> list[Table]:
+    """Return the results of runs under forecast errors over their seeds, where there are many."""
+    found = spreads(report)
+    if not found:
+        return []
+    places = [one.place for one in found]
+    # None that is the same for all.
+    where = [
+        (header, name)
+        for header, name in (
+            ("site", "site_name"), ("weather", "weather"), ("start", "start"),
+            ("hours (h)", "hours"), ("evapotranspiration", "method"), ("forecast", "model"),
+            ("sensor and pump errors", "sensor_pump_errors"),
+        )
+        if len({getattr(place, name) for place in places}) > 1
+    ]
+
+    known = any(one.bound_m3 for one in found)
+
+    def cell(value: float | str) -> Cell:
+        return _word(value) if isinstance(value, str) else _number(value)
+
+    def row(rank: int, one: Spread) -> list[Cell]:
+        totals = (one.mean, one.worst_tenth, one.worst)
+        return [
+            _word(controller_name(one.controller)),
+            Cell(one.setting, f"{one.controller} {rank:06}"),
+            *(cell(getattr(one.place, name)) for _, name in where),
+            _word(one.place.initial),
+            _number(one.size),
+            _number(len(one.totals), "d"),
+            *(_number(total, ".2f") for total in totals),
+            *(_share(total / one.bound_m3 if one.bound_m3 else None)
+              for total in totals if known),
+        ]
+
+    amounts = ("mean", "worst tenth", "worst")
+    return [Table(
+        "Total deviation under forecast errors, over their seeds",
+        ["controller", "setting", *(header for header, _ in where), "from", "size of the errors",
+         "seeds", *(f"{amount} (m³)" for amount in amounts),
+         *(f"{amount} over the least (1)" for amount in amounts if known)],
+        [row(rank, one) for rank, one in enumerate(found)],
+    )]
+
+
+def _methods(report: Report) -> list[Table]:
+    """Return total deviations under both kinds of evapotranspiration, where there are both."""
+    pairs = []
+    for one in report.results:
+        if one.entry.method != "published":
+            continue
+        window = replace(one.window, method="fao56")
+        pairs += [
+            (one, other)
+            for other in report.of(window, one.entry.controller, one.entry.initial)
+            if other.entry.parameters == one.entry.parameters
+        ]
+    if not pairs:
+        return []
+    rows = []
+    for one, other in pairs:
+        published, fao56 = (run.assessment.metrics["total_deviation_m3"] for run in (one, other))
+        share = 100 * (fao56 / published - 1) if published else 0.0
+        rows.append([
+            _word(report.label(one)), _word(one.entry.initial),
+            _word(f"{one.start.isoformat(' ', 'minutes')}, {one.assessment.hours:.4g} h"),
+            _number(published, ".2f"), _number(fao56, ".2f"), _number(share, "+.2f"),
+        ])
+    return [Table(
+        "Total deviation under both kinds of evapotranspiration",
+        ["setting", "from", "weather", "published (m³)", "fao56 (m³)", "difference (%)"], rows,
+    )]

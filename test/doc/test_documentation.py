@@ -1,0 +1,131 @@
+"""README and documentation: they build, their links lead somewhere, their tables and commands hold."""
+
+from __future__ import annotations
+
+import importlib.util
+import re
+import shlex
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+from types import ModuleType
+
+import pytest
+from places import CHECKOUT
+
+DOC = CHECKOUT / "doc"
+PAGES = [
+    CHECKOUT / "README.md", CHECKOUT / "CONTRIBUTING.md",
+    *sorted(path for path in DOC.rglob("*.md") if "_build" not in path.parts),
+]
+
+
+def generator() -> ModuleType:
+    """Return doc/generate.py."""
+    spec = importlib.util.spec_from_file_location("generate", DOC / "generate.py")
+    assert spec is not None
+    assert spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+def name(path: Path) -> str:
+    return str(path.relative_to(CHECKOUT))
+
+
+def test_readme_is_a_page() -> None:
+    assert len((CHECKOUT / "README.md").read_text().splitlines()) <= 150
+
+
+@pytest.mark.parametrize("page", PAGES, ids=name)
+def test_tables_are_those_of_the_package(page: Path) -> None:
+    """'make docs' would write nothing else."""
+    text = page.read_text()
+    assert generator().renew(text) == text
+
+
+def anchors(path: Path) -> set[str]:
+    """Return the anchors of a page's headings, as GitHub and MyST make them."""
+    found = set()
+    for heading in re.findall(r"^#+ (.+)$", path.read_text(), re.MULTILINE):
+        text = re.sub(r"[`*]|\[|\]\(.*?\)", "", heading).lower()
+        found.add(re.sub(r"[^\w\- ]", "", text).replace(" ", "-"))
+    return found
+
+
+def links(text: str) -> Iterator[str]:
+    """Yield what a page links to or shows, without its code."""
+    text = re.sub(r"^```.*?^```$", "", text, flags=re.DOTALL | re.MULTILINE)
+    text = re.sub(r"`[^`\n]*`", "", text)
+    yield from re.findall(r"\]\(\s*([^)\s]+)\s*\)", text)
+    yield from re.findall(r"(?:src|srcset|href)=\"([^\"]+)\"", text)
+
+
+@pytest.mark.parametrize("page", PAGES, ids=name)
+def test_links_lead_somewhere(page: Path) -> None:
+    for link in links(page.read_text()):
+        if link.startswith(("https://", "http://")):
+            continue
+        target, _, anchor = link.partition("#")
+        path = (page.parent / target).resolve() if target else page
+        assert path.exists(), link
+        if anchor:
+            assert anchor in anchors(path), link
+
+
+def commands() -> Iterator[tuple[str, str]]:
+    """Yield each command of this package in a block of a page, and the page."""
+    for page in PAGES:
+        for block in re.findall(r"^```\n(.*?)^```$", page.read_text(), re.DOTALL | re.MULTILINE):
+            for line in block.replace("\\\n", " ").splitlines():
+                command = line.strip().partition(" > ")[0]
+                if command.startswith("python -m greenroof_ros."):
+                    yield name(page), command
+
+
+@pytest.mark.parametrize(("page", "command"), list(commands()))
+def test_commands_can_be_given(page: str, command: str) -> None:
+    """The options of each command that is shown exist, and take such values."""
+    words = shlex.split(command, comments=True)
+    module, arguments = words[2], words[3:]
+    generate = generator()
+    if page == "doc/reference/commands.md":  # the usage, with names in place of values
+        assert module.rpartition(".")[2] in generate.COMMANDS
+        return
+    path = generate.COMMANDS[module.removeprefix("greenroof_ros.")]
+    generate.parser_of(path, arguments).parse_args(arguments)
+
+
+def test_pictures_differ_in_their_colours_only() -> None:
+    light, dark = (
+        re.sub(r":root \{.*?\}", "", (DOC / "_static" / f"roof-and-graph-{kind}.svg").read_text())
+        for kind in ("light", "dark")
+    )
+    assert light == dark
+
+
+def test_picture_shows_the_topics() -> None:
+    from greenroof_ros.common.interface import read_topics
+
+    picture = (DOC / "_static" / "roof-and-graph-light.svg").read_text()
+    shown = set(re.findall(r"/[a-z]+(?:/[a-z]+)?(?=[<, \u00a0])", picture))
+    shown = {each for each in shown if each.count("/") == 2 or each == "/clock"}
+    assert len(shown) == 11
+    assert shown <= set(read_topics())
+
+
+def test_documentation_builds(tmp_path: Path) -> None:
+    """Sphinx finds nothing to warn of."""
+    for module in ("sphinx", "myst_parser", "furo"):
+        pytest.importorskip(module, reason="they are in the extra [docs]")
+    done = subprocess.run(
+        [
+            sys.executable, "-m", "sphinx", "-W", "--keep-going", "-q", "-b", "html",
+            "-d", str(tmp_path / "doctrees"), str(DOC), str(tmp_path / "html"),
+        ],
+        cwd=tmp_path, capture_output=True, text=True, timeout=300,
+    )
+    assert done.returncode == 0, done.stderr
+    assert (tmp_path / "html" / "reference" / "topics.html").exists()
