@@ -267,7 +267,8 @@ def test_sensor_and_pump_errors_by_both_engines(tmp_path: Path) -> None:
     # A sensor that reads too little is overruled by Eq. (3a); one that reads too much is believed.
     assert len({row["final_roof_m3"] for row in rows}) == 3
     assert len({row["bound_m3"] for row in rows}) == 1
-    assert all(int(row["pump_starts"]) >= 1 and float(row["hydraulic_energy_kwh"]) > 0 for row in rows)
+    assert all(int(row["pump_starts"]) >= 1 for row in rows)
+    assert all(float(row["hydraulic_energy_kwh"]) > 0 for row in rows)
     for row in rows:
         name = Path("runs") / row["run"] / "trajectory.parquet"
         true, replayed = (
