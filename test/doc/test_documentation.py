@@ -1,4 +1,4 @@
-"""README and documentation: they build, their links lead somewhere, their tables and commands hold."""
+"""README and documentation: they build, links lead somewhere, tables and commands hold."""
 
 from __future__ import annotations
 

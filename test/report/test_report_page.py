@@ -79,8 +79,8 @@ def page_file(tmp_path_factory: pytest.TempPathFactory) -> Path:
                 trajectory = Trajectory(
                     start=START, time=np.arange(float(SAMPLES)), frost=np.zeros(SAMPLES), **columns
                 )
-                about = {**row, "initial": initial, "controller": controller, "hours": "12",
-                         "bound_m3": 30_000.0, "parameter:fraction": "",
+                about = {**row, "initial": initial, "controller": controller,
+                         "parameter:fraction": "", "hours": "12", "bound_m3": 30_000.0,
                          f"parameter:{key}": value}
                 runs.append((about, trajectory))
     write_study(directory / "study", runs)
