@@ -40,6 +40,8 @@ COMMANDS = {
     "topics": "greenroof_ros.topics",
     "check_controller": "greenroof_ros.check_controller",
 }
+# A parameter that every rclpy node declares.
+_RCLPYS = "start_type_description_service"
 _BLOCK = re.compile(
     r"(?<=<!-- table: )(?P<name>[a-z_ ]+)(?P<gap> -->\n)(?P<table>.*?)(?=<!-- end of table -->)",
     re.DOTALL,
@@ -49,7 +51,7 @@ _BLOCK = re.compile(
 def cell(text: object) -> str:
     """Return a text as the cell of a table; what is in backticks stays as it is."""
     parts = re.split(r"(`[^`]*`)", " ".join(str(text).split()))
-    parts[::2] = [re.sub(r"([|*_<>$\[\]{}])", r"\\\1", part) for part in parts[::2]]
+    parts[::2] = [re.sub(r"([|*<>$\[\]{}]|\b_|_\b)", r"\\\1", part) for part in parts[::2]]
     return "".join(parts)
 
 
@@ -167,8 +169,8 @@ def parser_of(module: str, arguments: Sequence[str] = ()) -> argparse.ArgumentPa
 
     try:
         with (
-            mock.patch.object(argparse.ArgumentParser, "parse_args", capture),
-            mock.patch.object(sys, "argv", [module, *arguments]),
+            mock.patch.object(argparse.ArgumentParser, "print_help", capture),
+            mock.patch.object(sys, "argv", [module, *arguments, "--help"]),
         ):
             importlib.import_module(module).main()
     except _Parsed as parsed:
@@ -197,7 +199,8 @@ def _command(name: str, parser: argparse.ArgumentParser) -> str:
         if not actions:
             continue
         if group.title not in ("options", "optional arguments", "positional arguments"):
-            parts.append(f"**{str(group.title).capitalize()}.** {cell(group.description or '')}\n")
+            about = f"**{str(group.title).capitalize()}.** {cell(group.description or '')}"
+            parts.append(f"{about.rstrip()}\n")
         parts.append(markdown(
             ("option", "value", "meaning"),
             (
@@ -275,9 +278,10 @@ def _declared(make: Callable[[], Any], elsewhere: Mapping[str, Parameter]) -> st
     declared: list[tuple[str, Any, Any]] = []
     declare = Node.declare_parameter
 
-    def record(self: Any, name: str, value: Any, descriptor: Any, *arguments: Any) -> Any:
-        declared.append((name, value, descriptor))
-        return declare(self, name, value, descriptor, *arguments)
+    def record(self: Any, name: str, value: Any, *arguments: Any) -> Any:
+        if arguments:  # rclpy's own come without a descriptor
+            declared.append((name, value, arguments[0]))
+        return declare(self, name, value, *arguments)
 
     with mock.patch.object(Node, "declare_parameter", record):
         node = make()
@@ -286,9 +290,9 @@ def _declared(make: Callable[[], Any], elsewhere: Mapping[str, Parameter]) -> st
     return markdown(
         ("parameter", "type", "default", "range", "meaning, unit"),
         (
-            (f"`{name}`", _type(value), number(value), _range(value, about), about.description)
+            (f"`{name}`", _type(value), number(value), _range(about), about.description)
             for name, value, about in declared
-            if about.description and name not in elsewhere
+            if name not in (*elsewhere, _RCLPYS)
         ),
     )
 
@@ -300,11 +304,12 @@ def _type(value: object) -> str:
     return {bool: "bool", int: "integer", float: "double", str: "string"}[type(value)]
 
 
-def _range(value: object, about: Any) -> str:
+def _range(about: Any) -> str:
     """Return the range that a parameter's descriptor has."""
-    ranges = [*about.floating_point_range, *about.integer_range]
-    if ranges:
-        return span(ranges[0].from_value, ranges[0].to_value)
+    for whole in about.integer_range:
+        return f"{whole.from_value} to {whole.to_value}"
+    for real in about.floating_point_range:
+        return span(real.from_value, real.to_value)
     return str(about.additional_constraints).removeprefix("must be ")
 
 

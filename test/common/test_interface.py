@@ -1,4 +1,4 @@
-"""The interface, msg_defs/, against the README and against a live graph."""
+"""The interface, msg_defs/, against the documentation and against a live graph."""
 
 from __future__ import annotations
 
