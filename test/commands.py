@@ -10,7 +10,9 @@ from __future__ import annotations
 import importlib
 import json
 import os
+import pkgutil
 import runpy
+import signal
 import subprocess
 import sys
 import tempfile
@@ -18,10 +20,8 @@ import traceback
 from functools import cache
 from pathlib import Path
 
-_IMPORTED = (
-    "experiment.options", "experiment.summary_table", "graph.supervisor", "report.page",
-    "report.runs", "report.figures", "study.grid", "study.store", "study.workers",
-)
+_ROOMS = ("common", "controllers", "experiment", "report", "study")
+_LIMIT_S = 60
 
 
 def run_command(
@@ -50,8 +50,11 @@ def _server() -> subprocess.Popen[str]:
 def _serve() -> None:
     """Fork for each request, and answer with the exit code."""
     sys.path[0] = str(Path(__file__).resolve().parent.parent)
-    for name in _IMPORTED:
-        importlib.import_module(f"greenroof_ros.{name}")
+    for room in _ROOMS:
+        package = importlib.import_module(f"greenroof_ros.{room}")
+        for module in pkgutil.iter_modules(package.__path__, f"{package.__name__}."):
+            if not module.name.endswith(".__main__"):
+                importlib.import_module(module.name)
     for line in sys.stdin:
         child = os.fork()
         if child == 0:
@@ -63,7 +66,8 @@ def _serve() -> None:
 def _become(
     module: str, arguments: list[str], cwd: str, env: dict[str, str], out: str, err: str
 ) -> None:
-    """Be the command."""
+    """Be the command, and end at the latest after the limit."""
+    signal.alarm(_LIMIT_S)
     null = os.open(os.devnull, os.O_RDONLY)
     outputs = [os.open(file, os.O_WRONLY | os.O_CREAT) for file in (out, err)]
     for number, stream in enumerate((null, *outputs)):

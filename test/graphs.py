@@ -17,6 +17,8 @@ from typing import Any, ClassVar
 
 from mcap.reader import make_reader
 
+from greenroof_ros.common.processes import end_with_parent
+
 _SHARED_MEMORY = Path("/dev/shm")
 
 
@@ -98,6 +100,7 @@ class Process:
             [sys.executable, "-m", f"greenroof_ros.{module}", *arguments],
             cwd=cwd, env=environment(domain), stdin=subprocess.DEVNULL,
             stdout=self._out, stderr=self._err, start_new_session=True,
+            preexec_fn=end_with_parent,  # a worker of pytest that is killed leaves no graph
         )
         self.started.append(self)
 

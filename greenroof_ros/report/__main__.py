@@ -22,15 +22,30 @@ _DEFAULTS = Assumptions()
 _MOST_TABLES = 3
 
 
+_DESCRIPTION = """\
+Judge and draw runs: every figure of the paper, tables of deviation, water balance, energy and pump
+starts, on one page that needs nothing but a browser.
+"""
+_EPILOG = """\
+The output holds report.html, and each figure as SVG and PNG in figures/. A bag needs
+/cistern/level, /roof/level, /pump/command and /pump/flow, under a namespace perhaps; what else is
+missing counts as 0, and the report says so. The pumps' efficiency is pump_efficiency of the site.
+
+examples:
+  python -m greenroof_ros.report studies/paper            a study
+  python -m greenroof_ros.report runs/a runs/b --output both
+                                                          two runs, side by side
+  python -m greenroof_ros.report bag --site my_site.yaml  a bag of a real site
+"""
+
+
 def _parser() -> argparse.ArgumentParser:
     """Return what reads the command line."""
     parser = argparse.ArgumentParser(
         prog="python -m greenroof_ros.report",
-        description="Judge and draw runs: every figure of the paper, tables of deviation, water "
-        "balance, energy and pump starts, on one page that needs nothing but a browser.",
-        epilog="The output holds report.html, and each figure as SVG and PNG in figures/. A bag "
-        "needs /cistern/level, /roof/level, /pump/command and /pump/flow (msg_defs/topics.yaml); "
-        "what else is missing counts as 0, and the report says so.",
+        description=_DESCRIPTION,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+        epilog=_EPILOG,
     )
     parser.add_argument(
         "paths", type=Path, nargs="+", metavar="PATH",

@@ -1,4 +1,4 @@
-"""What every figure is made of: panels, colours that all can tell apart, and its files."""
+"""What every figure is made of: panels, colours that all can distinguish, and its files."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import altair as alt
 
 # Okabe and Ito's colours without yellow, which is too pale on white.
 COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#000000", "#E69F00", "#56B4E9")
-# Told apart without colour, too; their number and that of the colours have no common factor.
+# For those who see no colours; their number and that of the colours have no common factor.
 _DASHES = ([1, 0], [8, 3], [2, 2], [10, 3, 2, 3], [5, 2, 1, 2, 1, 2])
 SHAPES = ("circle", "diamond", "square", "triangle-up", "cross", "triangle-down")
 _PANEL_WIDTH = 400
@@ -135,7 +135,7 @@ class Figure:
 
 
 def distinct(name: str, values: list[str], title: str) -> dict[str, Any]:
-    """Tell the series of a field apart by colour and by dashes."""
+    """Distinguish the series of a field by colour and by dashes."""
     return {
         "color": alt.Color(
             f"{name}:N", title=title or None,
@@ -150,7 +150,7 @@ def distinct(name: str, values: list[str], title: str) -> dict[str, Any]:
 
 
 def cycle(choices: Sequence[Any], values: Sequence[str]) -> list[Any]:
-    """Return a choice for each value, beginning anew where there are more values."""
+    """Return a choice for each value, beginning again where there are more values."""
     return [choices[index % len(choices)] for index in range(len(values))]
 
 

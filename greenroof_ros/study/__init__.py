@@ -1,1 +1,1 @@
-"""Studies: many runs from one grid, in parallel, and what came of them in one table."""
+"""Studies: many runs from one grid, in parallel, and their results in one table."""

@@ -27,15 +27,30 @@ _CORES_PER_GRAPH = 2
 _REFRESH_S = 0.5
 
 
+_DESCRIPTION = """\
+Run every combination of a grid - sites, weather windows, initial states, controllers and their
+parameters - in parallel, and put the results in one table, results.csv. The paper's 30 runs, unless
+another grid is given. Interrupted or killed, the same command goes on where it was.
+"""
+_EPILOG = """\
+exit codes: 0 done, 1 a run failed (the others are in the table), 2 bad usage or configuration,
+130 interrupted
+
+examples:
+  python -m greenroof_ros.study                              the paper's 30 runs
+  python -m greenroof_ros.study my_study.yaml --jobs 4       your grid, four runs at a time
+  python -m greenroof_ros.study my_study.yaml --engine ros --output graphs
+                                                             the same by the node graph
+  python -m greenroof_ros.report studies/paper               tables and figures of a study
+"""
+
+
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
         prog="python -m greenroof_ros.study",
-        description="Run every combination of a grid - sites, weather windows, initial states, "
-        "controllers and their parameters - in parallel, and put the results in one table, "
-        "results.csv. The paper's 30 runs, unless another grid is given. Interrupted or killed, "
-        "the same command goes on where it was. 'python -m greenroof_ros.report DIR' draws it.",
-        epilog="exit codes: 0 done, 1 a run failed (the others are in the table), 2 bad usage or "
-        "configuration, 130 interrupted",
+        description=_DESCRIPTION,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+        epilog=_EPILOG,
     )
     parser.add_argument(
         "grid", nargs="?", type=Path, metavar="GRID.yaml",
@@ -46,13 +61,13 @@ def _parser() -> argparse.ArgumentParser:
         help="directory of the study, new or its own (default: studies/ and the grid's name)",
     )
     parser.add_argument(
+        "--jobs", type=within(1, 1024, int), metavar="N",
+        help="runs at a time (default: one a core; with --engine ros, one every two cores)",
+    )
+    parser.add_argument(
         "--engine", choices=ENGINES, default="inprocess",
         help="inprocess: the fast loop; ros: the node graph, each run in a ROS domain of its own, "
         "for the same table (default: %(default)s)",
-    )
-    parser.add_argument(
-        "--jobs", type=within(1, 1024, int), metavar="N",
-        help="runs at a time (default: one a core; with --engine ros, one every two cores)",
     )
     parser.add_argument(
         "--scheduler", metavar="ADDRESS",
@@ -61,7 +76,7 @@ def _parser() -> argparse.ArgumentParser:
     )
     parser.add_argument(
         "--no-trajectories", action="store_true",
-        help="keep the table only, of thousands of runs; a report then takes those only that were "
+        help="keep the table only, of thousands of runs; a report then has those only that were "
         "made with several forecast seeds",
     )
     return parser

@@ -79,7 +79,7 @@ def cluster(address: str) -> Iterator[Submit]:
         address: such as ``tcp://10.0.0.1:8786``.
 
     Raises:
-        ConfigurationError: distributed is not installed, nobody answers, or a worker has other
+        ConfigurationError: distributed is not installed, there is no answer, or a worker has other
             versions than this process.
     """
     try:

@@ -1,4 +1,4 @@
-"""What a run comes to, against sums by hand, and against the simulation's own tally."""
+"""The results of a run, against sums by hand, and against the simulation's own tally."""
 
 from __future__ import annotations
 
@@ -95,7 +95,8 @@ def test_a_longer_tick_gives_the_papers_sum() -> None:
     """With tau = 10 s the sum is over ticks, not seconds."""
     site = site_with(tau=10.0)
     run = trajectory(3, dt=10.0, roof=[TARGET + 1, TARGET - 2, TARGET + 3])
-    assert assess(site, run, Assumptions()).metrics["total_deviation_m3"] == pytest.approx(6, rel=1e-12)
+    metrics = assess(site, run, Assumptions()).metrics
+    assert metrics["total_deviation_m3"] == pytest.approx(6, rel=1e-12)
 
 
 def test_band_includes_its_edges_and_counts_time() -> None:
@@ -158,7 +159,7 @@ def test_the_simulations_own_tally(options: tuple[str, ...]) -> None:
 
 @given(data=st.data(), samples=st.integers(2, 40))
 def test_properties(data: st.DataObject, samples: int) -> None:
-    """Twice the flow is twice the water; a split run comes to the sum of its parts."""
+    """Twice the flow is twice the water; a split run gives the sum of its parts."""
     draw = data.draw
     column = st.lists(st.floats(0, 1e-2), min_size=samples, max_size=samples)
     flow, outflow, roof = (np.array(draw(column)) for _ in range(3))
@@ -176,7 +177,8 @@ def test_properties(data: st.DataObject, samples: int) -> None:
             names = ("cistern", "roof", "precipitation", "evapotranspiration", "command",
                      "pump_flow", "outflow", "drainage", "frost")
             part = Trajectory(
-                start=START, time=run.time[piece], **{name: getattr(run, name)[piece] for name in names}
+                start=START, time=run.time[piece],
+                **{name: getattr(run, name)[piece] for name in names},
             )
             parts.append(assess(PAPER_SITE, part, Assumptions()))
         for name in ("pumped_m3", "outflow_m3", "hydraulic_energy_kwh", "pump_hours"):

@@ -79,8 +79,9 @@ def page_file(tmp_path_factory: pytest.TempPathFactory) -> Path:
                 trajectory = Trajectory(
                     start=START, time=np.arange(float(SAMPLES)), frost=np.zeros(SAMPLES), **columns
                 )
-                about = {**row, "initial": initial, "controller": controller, "parameter:fraction": "",
-                         "hours": "12", "bound_m3": 30_000.0, f"parameter:{key}": value}
+                about = {**row, "initial": initial, "controller": controller,
+                         "parameter:fraction": "", "hours": "12", "bound_m3": 30_000.0,
+                         f"parameter:{key}": value}
                 runs.append((about, trajectory))
     write_study(directory / "study", runs)
     return reported(directory)
@@ -293,7 +294,7 @@ def test_hover_shows_values(page: Any) -> None:
 
 
 def test_widths(browser: Any, page: Any, page_file: Path) -> None:
-    """Two columns or one, never wider than the window, laid out anew when its width changes."""
+    """Two columns or one, never wider than the window, laid out again when its width changes."""
     assert overflow(page) == 0
     narrow = opened(browser, page_file, 400)
     try:

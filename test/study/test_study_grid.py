@@ -86,7 +86,8 @@ WRONG = {
         "minimum_on: -1.0 must be from 0.0 to 86",
     ),
     "sensor_pump_errors-seed": (
-        GRID + "sensor_pump_errors: {noise_seed: 0.5}\n", "noise_seed = 0.5: must be a whole number"
+        GRID + "sensor_pump_errors: {noise_seed: 0.5}\n",
+        "noise_seed = 0.5: must be a whole number",
     ),
     "sensor_pump_errors-twice": (
         GRID + "sensor_pump_errors: [{}, {roof_noise: 0}]\n",

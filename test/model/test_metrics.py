@@ -1,0 +1,115 @@
+"""Metrics, against sums that are made tick by tick in plain Python: equal in every bit."""
+
+from __future__ import annotations
+
+import random
+from dataclasses import fields
+from pathlib import Path
+
+import pytest
+from paper import PAPER_SITE, site_with
+from places import CONFIG
+
+from greenroof_ros.common.errors import ConfigurationError
+from greenroof_ros.model.metrics import METRICS, Metrics
+from greenroof_ros.model.plant import Flows
+from greenroof_ros.model.site import Site, read_site, site_parameters
+
+Ticks = list[tuple[float, float, float, float, Flows]]
+
+
+def drawn(count: int, seed: int) -> Ticks:
+    """Draw ticks of cistern, roof, command, rain and flows; pumps start, run and stop."""
+    chance = random.Random(seed)
+    return [
+        (
+            chance.uniform(0, 100), chance.uniform(0, 4), chance.uniform(0, 1.5),
+            chance.choice([0.0, chance.uniform(0, 1e-5)]),
+            Flows(
+                chance.uniform(0, 0.1), chance.choice([0.0, chance.uniform(0, 0.01)]),
+                chance.uniform(0, 1e-4), chance.uniform(0, 1e-5), chance.random() < 0.1,
+            ),
+        )
+        for _ in range(count)
+    ]
+
+
+def sums(site: Site, ticks: Ticks) -> dict[str, float]:
+    """Return the metrics of ticks, of which the last is the end of the run."""
+    names = [metric.name for metric in METRICS]
+    found: dict[str, float] = {**dict.fromkeys(names, 0.0), "limited_steps": 0, "pump_starts": 0}
+    pumping = False
+    for x1, x2, command, rain, flows in ticks[:-1]:
+        head = site.pipe_resistance * flows.pump**2 + site.d - x1 / site.a1
+        energy = 1000.0 * site.g * flows.pump * head * site.tau / 3.6e6
+        for name, value in (
+            ("total_deviation_m3", abs(x2 - site.x2_star)),
+            ("pumped_m3", site.tau * flows.pump),
+            ("outflow_m3", site.tau * flows.outflow),
+            ("drainage_m3", site.tau * flows.drainage),
+            ("rain_m3", site.tau * rain * (site.a_in + site.a2)),
+            ("rain_cistern_m3", site.tau * rain * site.a_in),
+            ("rain_roof_m3", site.tau * rain * site.a2),
+            ("evapotranspiration_m3", site.tau * flows.evapotranspiration),
+            ("beyond_hours", site.tau / 3600 * (command > 1)),
+            ("limited_steps", int(flows.limited)),
+            ("pump_starts", int(flows.pump > 0 and not pumping)),
+            ("pump_hours", site.tau / 3600 * (flows.pump > 0)),
+            ("hydraulic_energy_kwh", energy),
+            ("electric_energy_kwh", energy / site.pump_efficiency),
+        ):
+            found[name] += value
+        found["max_command"] = max(found["max_command"], command)
+        pumping = flows.pump > 0
+    found["final_cistern_m3"], found["final_roof_m3"] = ticks[-1][:2]
+    found["total_deviation_m3"] += abs(ticks[-1][1] - site.x2_star)
+    return found
+
+
+@pytest.mark.parametrize("count", [1, 2, 4096, 4097, 4098, 10_000])
+def test_every_bit_whatever_the_length(count: int) -> None:
+    """Of runs that are shorter than a block, as long, and longer; half way, and at the end."""
+    site = site_with(tau=0.5, g=9.8)
+    ticks = drawn(count, seed=count)
+    metrics = Metrics()
+    for tick, (x1, x2, command, rain, flows) in enumerate(ticks, start=1):
+        metrics.observe(site, x1, x2)
+        if tick == count // 2:
+            assert metrics.results() == sums(site, ticks[:tick])
+        if tick < count:
+            metrics.step(command, rain, flows)
+    found = metrics.results()
+    assert found == sums(site, ticks)
+    assert found == metrics.results()
+    assert [type(found[name]) for name in ("limited_steps", "pump_starts", "pumped_m3")] == [
+        int, int, float
+    ]
+
+
+def test_electric_energy_is_over_the_sites_efficiency(tmp_path: Path) -> None:
+    """A half unless the site file says otherwise."""
+    text = (CONFIG / "site.yaml").read_text()
+    [line] = [line for line in text.splitlines() if line.startswith("pump_efficiency")]
+    file = tmp_path / "site.yaml"
+    for new, efficiency in ((line, 0.5), ("", 0.5), ("pump_efficiency: 0.25", 0.25)):
+        file.write_text(text.replace(line, new))
+        metrics = Metrics()
+        site = read_site(file)
+        metrics.observe(site, 75.0, 1.0)
+        metrics.step(1.0, 0.0, Flows(0.0, 0.004, 0.0, 0.0, False))
+        hydraulic = metrics["hydraulic_energy_kwh"]
+        assert hydraulic > 0
+        assert metrics["electric_energy_kwh"] == hydraulic / efficiency
+    for wrong in ("0", "1.01", "-0.5", "50"):
+        file.write_text(text.replace(line, f"pump_efficiency: {wrong}"))
+        with pytest.raises(ConfigurationError, match=r"pump_efficiency.*must be from 0.001 to 1"):
+            read_site(file)
+
+
+def test_each_has_its_words() -> None:
+    """Metrics and site parameters: a name of its own, a unit and a meaning."""
+    assert len({metric.name for metric in METRICS}) == len(METRICS)
+    assert len({metric.label for metric in METRICS}) == len(METRICS)
+    assert all(metric.unit and metric.meaning for metric in METRICS)
+    assert [one.symbol for one in site_parameters()] == [one.name for one in fields(PAPER_SITE)]
+    assert all(one.unit and one.meaning for one in site_parameters())
