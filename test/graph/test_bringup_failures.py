@@ -203,7 +203,8 @@ def test_nodes_that_are_there_already(domain: int, tmp_path: Path) -> None:
         cwd=tmp_path, env=environment(domain),
     )
     try:
-        time.sleep(4)  # until it is up
+        wait_for(lambda: shared_memory_of([weather.pid]), 20, "the start of the node")
+        time.sleep(0.5)  # until it has said its name
         process = Process(domain, "bringup", "--output", "run", cwd=tmp_path)
         assert process.wait(20) == 3
         assert "ROS_DOMAIN_ID" in process.stderr()
