@@ -11,7 +11,7 @@ from greenroof_ros import __version__
 
 project = "greenroof_ros"
 author = "greenroof_ros maintainers"
-copyright = "the greenroof_ros maintainers, Apache-2.0"  # noqa: A001 - Sphinx's name for it
+copyright = "the greenroof_ros maintainers, Apache-2.0"
 release = __version__
 
 extensions = [

@@ -115,7 +115,7 @@ def main() -> int:
     parser = argparse.ArgumentParser(
         prog="python -m greenroof_ros.bound",
         description="Compute the least total deviation that any controller could reach which knows "
-        "all weather beforehand, as a lower bound, and beside it what its plan comes to in the "
+        "all weather beforehand, as a lower bound, and beside it the result of its plan in the "
         "exact plant: the optimum lies between. It is the same for every controller.",
     )
     add_site_arguments(parser)
