@@ -116,8 +116,8 @@ def main() -> int:
         prog="python -m greenroof_ros.bound",
         usage="%(prog)s [options]",
         description="Compute a lower bound of the total deviation that any controller could reach,\n"
-        "had it known all weather, and beside it the result of its plan in the exact plant:\n"
-        "the optimum lies between. It is the same for every controller.",
+        "had it known all weather, and beside it the result of its plan in the exact\n"
+        "plant: the optimum lies between. It is the same for every controller.",
         epilog="examples:\n"
         "  python -m greenroof_ros.bound --start 2021-07-08T05:00\n"
         "  python -m greenroof_ros.bound --block 1 --hours 2 --max-command 0.1\n\n"
