@@ -273,7 +273,7 @@ def _somewhere() -> Iterator[None]:
 
 
 def _declared(make: Callable[[], Any], elsewhere: Mapping[str, Parameter]) -> str:
-    """Return the parameters that a node declares, but for those that are shown elsewhere."""
+    """Return the parameters that a node declares while it is made, less those shown elsewhere."""
     from rclpy.node import Node
 
     declared: list[tuple[str, Any, Any]] = []

@@ -62,11 +62,18 @@ class _Signals:
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
         prog="python -m greenroof_ros.bringup",
-        description="Start plant, weather, controller and recorder as ROS 2 nodes, each its own "
-        "process, run them in lockstep on simulated time, and end them. While it runs, "
+        usage="%(prog)s [options]",
+        description="Start plant, weather, controller and recorder as ROS 2 nodes, each its own\n"
+        "process, run them in lockstep on simulated time, and end them. While it runs,\n"
         "'ros2 topic echo /roof/level' shows the roof.",
-        epilog="exit codes: 0 done, 1 a node failed, 2 bad usage or configuration, "
-        "3 the ROS domain has another graph, 130 interrupted",
+        epilog="examples:\n"
+        "  python -m greenroof_ros.bringup --controller planning_mpc --initial high-low\n"
+        "  python -m greenroof_ros.bringup --weather mine.csv --start 2024-06-01 --hours 24\n"
+        "  python -m greenroof_ros.bringup --namespace site1 --site site1.yaml\n"
+        "  python -m greenroof_ros.bringup --speed 60 --no-record\n\n"
+        "exit codes: 0 done, 1 a node failed, 2 bad usage or configuration,\n"
+        "3 a graph is there already, 130 interrupted",
+        formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     add_run_arguments(parser)
     add_output_arguments(parser)

@@ -1,4 +1,4 @@
-"""Mend the bag of a run whose recorder was killed: ``python -m greenroof_ros.recover DIR``."""
+"""Repair the bag of a run whose recorder was killed: ``python -m greenroof_ros.recover DIR``."""
 
 from __future__ import annotations
 

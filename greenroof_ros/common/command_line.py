@@ -23,7 +23,7 @@ def command(main: Callable[[], int]) -> Callable[[], NoReturn]:
 
     A :class:`ConfigurationError` becomes one line on standard error and exit code 2, or 3 where
     another graph is in the way; a file that cannot be written likewise 1, and Ctrl-C exit code 130;
-    none leaves a traceback. Where nobody reads the output any more, as behind ``| head``, nothing
+    none leaves a traceback. Where the output has no reader any more, as behind ``| head``, nothing
     is said: exit code 1.
     """
 

@@ -28,7 +28,7 @@ def versions() -> dict[str, str]:
 
 @functools.cache
 def _source() -> str:
-    """Twelve digits that tell this package's code from any other; a version has many commits."""
+    """Twelve digits that identify this package's code; a version has many commits."""
     digest = hashlib.sha256()
     package = Path(__file__).resolve().parent.parent
     for file in sorted(package.rglob("*.py")):

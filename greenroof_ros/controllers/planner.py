@@ -74,7 +74,7 @@ class Planner:
     from then on, since by then a newer forecast is there. The objective is the conditional
     value-at-risk of the deviation over the members: its mean over the worst of them.
 
-    It decides anew when there is no plan, the plan is 60 s old (with an ensemble 600 s, or as long
+    It decides again when there is no plan, the plan is 60 s old (with an ensemble 600 s, or as long
     as it is the same for all members), the roof has come 2 litres off it, or the forecast has
     changed; the last solution, moved on, is the solver's first guess. Where the solver finds no
     solution the last plan, which was good for the whole horizon, is followed on; ``fallbacks``

@@ -283,7 +283,7 @@ class PlanningProgram:
         return np.concatenate(lower), np.concatenate(upper)
 
     def _variables(self, volumes: Array, mean: Array, flow: float) -> Array:
-        """Return all variables at some volumes; the risk's begin anew."""
+        """Return all variables at some volumes; the risk's start again."""
         deviation = self._weights * np.abs(mean + volumes @ self._between.T)
         parts = [volumes, deviation]
         if self._starts:

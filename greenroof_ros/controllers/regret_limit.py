@@ -86,7 +86,7 @@ class RegretLimit:
         return self.exhausted
 
     def skip(self) -> None:
-        """Let a tick pass in which nothing was pumped and nobody asked."""
+        """Let a tick pass in which nothing was pumped and nothing was asked."""
         self._unseen += 1
 
     def move(self, x1: float, x2: float, fraction: float, pumped: float) -> None:

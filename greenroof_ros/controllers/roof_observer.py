@@ -15,7 +15,7 @@ from greenroof_ros.model.site import Site
 _LOST_S = 15.0
 _LOST_READINGS = 10
 _LOST_M = 0.001
-# What happens in a gap of so long (s) is less than what the next readings would take to tell.
+# What happens in a gap of so long (s) is less than what the next readings need to show.
 _GAP_S = 15.0
 
 OBSERVER_TIME_CONSTANT = Parameter(
@@ -38,7 +38,7 @@ class RoofObserver:
     Pumps that give more than the model has them give would be left on while the observer catches
     up. So where all readings of fifteen seconds, or ten of them if ticks are long, are more than a
     millimetre off to the same side, it moves by their mean at once; a single one, however far off,
-    does no more than any other. After more than fifteen seconds without a reading it begins anew.
+    does no more than any other. After more than fifteen seconds without a reading it begins again.
     """
 
     def __init__(self, site: Site, observer_time_constant: float) -> None:

@@ -120,7 +120,7 @@ def clairvoyant_bound(run: Run, max_command: float = 1.0, block: int | None = No
     Raises:
         NoBoundError: the solver found no optimum.
     """
-    # Of the site as it is, whatever its sensor reads; and nobody asks for a forecast that takes
+    # Of the site as it is, whatever its sensor reads; and without a forecast, which takes
     # its time to make.
     run = replace(
         run, sensor_pump_errors=SensorPumpErrors(), forecast=PerfectForecast(run.series, run.site.M)

@@ -18,7 +18,7 @@ from greenroof_ros.model.sensor_pump_errors import SensorPumpErrors
 from greenroof_ros.model.site import Site
 from greenroof_ros.weather.series import Weather, WeatherSeries
 
-# A year of seconds, as much as fits into memory and patience.
+# A year of seconds, as much as fits into memory.
 _MOST_STEPS = 31_622_400
 
 
@@ -31,7 +31,7 @@ class Run:
         site: Table I.
         weather: hourly records.
         series: the same, tick by tick.
-        forecast: what the controller is told of it.
+        forecast: what the controller knows of it.
         start: time of tick 0.
         steps: N; the states are x_0..x_N.
         controller: which.

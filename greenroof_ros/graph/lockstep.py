@@ -253,7 +253,7 @@ class LockstepNode(Node):
         return self._reports.final
 
     def absent(self) -> str:
-        """Name the topics that nobody publishes, and who should."""
+        """Name the topics without a publisher, and who should publish them."""
         return self._names(name for name, watch in self._watches.items() if not watch.count)
 
     def missing(self) -> str:

@@ -1,4 +1,4 @@
-"""Topics of the interface as rclpy takes them: message class and QoS profile."""
+"""The rclpy message class and QoS profile of a topic of the interface."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ def message_class(type_name: str) -> Any:
 
 
 def qos_profile(qos: Qos) -> QoSProfile:
-    """Return a profile of the interface as rclpy takes it."""
+    """Return the rclpy profile of a profile of the interface."""
     profile = QoSProfile(
         depth=qos.depth,
         reliability=ReliabilityPolicy[qos.reliability.upper()],

@@ -50,7 +50,7 @@ def encoder(type_name: str) -> Callable[[Any], bytes]:
 
 
 def decoder(type_name: str) -> Callable[[bytes], Any]:
-    """Return what takes the value out of a message of a type; see :func:`encoder`."""
+    """Return what reads the value out of a message of a type; see :func:`encoder`."""
     return {
         "std_msgs/msg/Float64": _decode_number,
         "std_msgs/msg/Float64MultiArray": _decode_numbers,

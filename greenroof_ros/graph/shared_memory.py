@@ -36,7 +36,7 @@ def remove_left(names: Iterable[str]) -> None:
     for name in names:
         try:
             with (_DIRECTORY / f"{name}_el").open("rb") as stream:
-                # As long as it is held, nobody else takes the segment over.
+                # As long as it is held, no other process takes the segment over.
                 fcntl.flock(stream, fcntl.LOCK_EX | fcntl.LOCK_NB)
                 _remove(name)
         except FileNotFoundError:

@@ -178,7 +178,7 @@ class Supervisor:
                 self._reports.append((node, json.loads(line)))
 
     def _note_segments(self, node: str) -> None:
-        """Note a node's shared memory while it lives: after a kill -9 nobody can tell."""
+        """Note a node's shared memory while it lives: after a kill -9 it is unknown."""
         self._segments[node] |= segments_of(self.nodes[node].pid)
 
     def _log(self, node: str, data: bytes) -> None:

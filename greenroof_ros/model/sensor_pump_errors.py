@@ -1,7 +1,7 @@
 """What a real site has and the paper's does not: a level sensor that errs, pumps that need time.
 
 The plant stays exact, and so do all sums of a run: what is imperfect is what the controller is
-told of the roof, and when the pumps follow it.
+given of the roof, and when the pumps follow it.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ import numpy as np
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.model.plant import Plant
 
-# Range of each imperfection, in its unit.
+# Range of each, in its unit.
 RANGES = {
     "roof_noise": (0.0, 1.0),
     "roof_offset": (-1.0, 1.0),
@@ -114,8 +114,9 @@ class Pump:
 
     The switch sees what is delivered, not what is commanded. Where Eq. (3a) stops the flow, by the
     true levels, that ends the time on however short it was, as a float switch would, and begins a
-    time off; otherwise pumps whose roof is full would start anew each time a drop evaporates. Frost
-    switches off at once: a running pump's pipe bursts in it, which is worse than a short time on.
+    time off; otherwise pumps whose roof is full would start again each time a drop evaporates.
+    Frost switches off at once: a running pump's pipe bursts in it, which is worse than a short time
+    on.
     """
 
     def __init__(self, sensor_pump_errors: SensorPumpErrors, tau: float) -> None:

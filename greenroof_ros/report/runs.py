@@ -55,7 +55,7 @@ def find_runs(paths: list[Path], site_file: Path | None) -> Sources:
 
 
 def _names(places: list[Path]) -> list[str]:
-    """Return as much of the end of each path as tells it from the others that are not the same."""
+    """Return as much of the end of each path as distinguishes it from the others."""
 
     def name(place: Path) -> str:
         return next(

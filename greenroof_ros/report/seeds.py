@@ -38,7 +38,7 @@ class Spread:
     Attributes:
         place: where and whence.
         controller: its name.
-        setting: what tells it from the controller's others.
+        setting: what distinguishes it from the controller's others.
         size: of the errors (1).
         totals: total deviation of each run (m3), the worst first.
         bound_m3: the least that any controller could reach; None if unknown.

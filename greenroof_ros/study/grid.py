@@ -195,8 +195,8 @@ class _Grid:
             steps = count_ticks(site, hours, "hours")
         with self._at(window, "evapotranspiration"):
             weather = read_weather(files, site, method)
-        # What one controller can run with, the others that are told as much can.
-        told = {
+        # What one controller can run with, the others with the same forecasts can.
+        same_forecasts = {
             (parameters.get("horizon"), controller.ensemble): (controller, parameters)
             for controller, parameters in controllers
         }
@@ -204,7 +204,7 @@ class _Grid:
         for choice, (initial, volumes) in itertools.product(
             list(self._forecasts(given)), list(self._initial_states(site))
         ):
-            for controller, parameters in told.values():
+            for controller, parameters in same_forecasts.values():
                 with self._at(window, "start"):
                     run = build_run(
                         site_file, site, weather, start, steps, controller, parameters, initial,

@@ -309,7 +309,7 @@ def test_moved_water_is_all_there(
         assert (got / factors).sum() == pytest.approx(sum(amounts), rel=1e-9, abs=1e-9)
 
 
-def test_rain_is_never_forecast_that_nobody_would_believe() -> None:
+def test_forecast_rain_stays_believable() -> None:
     """500 mm/h and 50 mm/day at most, which are within the topics' ranges."""
     weather = weather_of([400.0] * 80, [49.0] * 80)
     forecasts = [ErrorModel(weather, seed, 3.0).known(0, 48) for seed in range(200)]
@@ -541,7 +541,7 @@ def arrays_of(run: Path, topic: str, length: int) -> list[bytes]:
         "--controller onoff --forecast persistence",
     ],
 )
-def test_graph_and_simulate_are_told_the_same(
+def test_graph_and_simulate_are_given_the_same(
     domain: int, tmp_path: Path, options: str
 ) -> None:
     """Over an issue, at 06:00 UTC; in the bag is, bit for bit, what was forecast."""
@@ -554,8 +554,8 @@ def test_graph_and_simulate_are_told_the_same(
         cwd=tmp_path, env=environment(domain), check=True, capture_output=True,
     )
     inprocess = json.loads((tmp_path / "inprocess" / "summary.json").read_text())
-    apart = ("wall_s", "times_real_time", "solver", "messages", "versions")
-    assert {key for key in graph if graph[key] != inprocess[key]} <= set(apart)
+    separate = ("wall_s", "times_real_time", "solver", "messages", "versions")
+    assert {key for key in graph if graph[key] != inprocess[key]} <= set(separate)
     assert graph["forecast"]["model"] != "perfect"
     if "archive.csv" in options:
         assert graph["forecast"] == {"model": "file", "file": "archive.csv"}

@@ -90,8 +90,8 @@ def test_hanging_nodes(domain: int, tmp_path: Path, victims: list[str]) -> None:
     assert time.monotonic() - stopped > 1.5
     for victim in victims:
         # The supervisor says it, or the plant, which waits for what the victim publishes.
-        told = [f"node {NODES[victim]} (stopped) has not answered for 2 s", f" from {victim}"]
-        assert any(text in process.stderr() for text in told), process.stderr()
+        reported = [f"node {NODES[victim]} (stopped) has not answered for 2 s", f" from {victim}"]
+        assert any(text in process.stderr() for text in reported), process.stderr()
     assert "Traceback" not in process.stderr()
     assert_gone(nodes, shared_memory)
 
@@ -147,7 +147,7 @@ def test_interrupted_while_starting(domain: int, tmp_path: Path, delay: float) -
 
 
 def test_interrupted_while_ending(domain: int, tmp_path: Path) -> None:
-    """Ctrl-C after a node's death does not keep the rest from being ended, and told."""
+    """Ctrl-C after a node's death does not keep the rest from being ended, and reported."""
     process, nodes = started(domain, tmp_path)
     shared_memory = shared_memory_of(nodes.values())
     os.kill(nodes["weather"], signal.SIGKILL)
@@ -203,7 +203,8 @@ def test_nodes_that_are_there_already(domain: int, tmp_path: Path) -> None:
         cwd=tmp_path, env=environment(domain),
     )
     try:
-        time.sleep(4)  # until it is up
+        wait_for(lambda: shared_memory_of([weather.pid]), 20, "the start of the node")
+        time.sleep(0.5)  # until it has said its name
         process = Process(domain, "bringup", "--output", "run", cwd=tmp_path)
         assert process.wait(20) == 3
         assert "ROS_DOMAIN_ID" in process.stderr()

@@ -63,8 +63,8 @@ def test_two_at_once(domain: int, tmp_path: Path) -> None:
         bring_up(domain, tmp_path, *options(tmp_path, site), output=f"{site}-alone")
         alone, beside = tmp_path / f"{site}-alone", tmp_path / f"{site}-together"
         assert bag_file(beside).read_bytes() == bag_file(alone).read_bytes()
-        for file in ("metadata.yaml",):
-            assert (beside / "bag" / file).read_bytes() == (alone / "bag" / file).read_bytes()
+        metadata = Path("bag") / "metadata.yaml"
+        assert (beside / metadata).read_bytes() == (alone / metadata).read_bytes()
         assert bag_names(beside) == {f"/{site}{topic}" for topic in TOPICS[site]}
     assert summary_of(tmp_path / "site1-together")["parameters"]["weight"] == 0.02
     # The file took effect in the node: on/off commands its fraction, and nothing else.
@@ -107,7 +107,7 @@ def test_namespace_that_is_taken(domain: int, tmp_path: Path) -> None:
     first = Process(domain, "bringup", "--output", "run", "--namespace", "site1", cwd=tmp_path)
     first.wait_for_ticks()
     second = Process(domain, "bringup", "--output", "second", "--namespace", "/site1", cwd=tmp_path)
-    assert second.wait(20) == 2
+    assert second.wait(20) == 3
     assert "namespace /site1" in second.stderr()
     assert "--namespace" in second.stderr()
     first.process.send_signal(signal.SIGINT)

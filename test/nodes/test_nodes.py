@@ -190,7 +190,7 @@ def test_two_masters(domain: int, tmp_path: Path, observer: Observer) -> None:
 
 
 def test_weight_is_set_during_a_run(domain: int, tmp_path: Path, observer: Observer) -> None:
-    """A valid weight is taken and recorded with its tick; others are refused with a reason."""
+    """A valid weight takes effect, recorded with its tick; others are refused with a reason."""
     process = Process(
         domain, "bringup", "--output", "run", "--hours", "0.2", "--speed", "100", cwd=tmp_path
     )

@@ -9,6 +9,7 @@ from commands import run_command
 from graphs import environment
 from studies import CONFIG, GRID, WEATHER, edited, grid
 
+from greenroof_ros.study.case_run import run_case
 from greenroof_ros.study.grid import read_grid
 
 WRONG = {
@@ -125,6 +126,28 @@ def test_wrong_options(tmp_path: Path, options: list[str], expected: str) -> Non
     assert result.returncode == 2
     assert expected in result.stderr
     assert "Traceback" not in result.stderr
+
+
+def test_window_of_several_files(tmp_path: Path) -> None:
+    """A list or a pattern is one window, joined; the runs are those of the whole file."""
+    lines = WEATHER.read_text().splitlines(keepends=True)
+    header = next(index for index, line in enumerate(lines) if line.startswith("time,"))
+    hours = lines[header + 1 :]
+    for name, part in (("part-1.csv", hours[:5]), ("part-2.csv", hours[4:])):
+        (tmp_path / name).write_text("".join([lines[header], *part]))
+    (tmp_path / "grid.yaml").write_text(GRID)
+    whole = read_grid(tmp_path / "grid.yaml")
+    outcome = run_case(whole[-1], "inprocess")
+    for files in ("[part-2.csv, part-1.csv]", "part-?.csv"):
+        (tmp_path / "grid.yaml").write_text(edited(str(WEATHER), files))
+        cases = read_grid(tmp_path / "grid.yaml")
+        assert len(cases) == len(whole)
+        assert {case.columns()["weather"] for case in cases} == {
+            "2 files, part-1.csv to part-2.csv"
+        }
+        assert [file.name for file in cases[-1].files] == ["site.yaml", "part-1.csv", "part-2.csv"]
+        assert not {case.identity for case in cases} & {case.identity for case in whole}
+        assert run_case(cases[-1], "inprocess").results == outcome.results
 
 
 @pytest.mark.parametrize("file", sorted(path.name for path in CONFIG.glob("study*.yaml")))

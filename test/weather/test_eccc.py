@@ -31,7 +31,7 @@ COLUMNS = [
 
 
 def row(hour: int, *, padded: bool = False, **changes: str) -> list[str]:
-    """Return an hour of a summer's day, with other cells where told so (by column)."""
+    """Return an hour of a summer's day, with other cells where given (by column)."""
     clock = f"{hour:02}:00" if padded else f"{hour}:00"
     cells = dict.fromkeys(COLUMNS, "") | {
         "Longitude (x)": "-79.4", "Latitude (y)": "43.63", "Station Name": "MADE UP, THE",
@@ -79,7 +79,7 @@ def test_quirks(tmp_path: Path, quoted: bool) -> None:
     assert weather.evapotranspiration.max() > 1
 
 
-def test_short_gap_is_filled_and_told(tmp_path: Path) -> None:
+def test_short_gap_is_filled_and_reported(tmp_path: Path) -> None:
     """Three hours of temperature between 18.0 at 6 h and 20.0 at 10 h: 18.5, 19.0, 19.5."""
     gap = {"Temp (°C)": "", "Temp Flag": "M"}
     weather = read_weather([write(tmp_path, day(h7=gap, h8=gap, h9=gap))], TORONTO)

@@ -133,7 +133,7 @@ def test_radiation_of_the_days_temperatures() -> None:
 
 
 def test_offset_of_the_records_does_not_matter() -> None:
-    """The same hours, told in UTC, have the same evapotranspiration."""
+    """The same hours, written in UTC, have the same evapotranspiration."""
     records = day_of_records()
     utc = replace(records, first=datetime.fromisoformat("2021-07-15T05:00+00:00"))
     assert fao56(utc, TORONTO).tolist() == fao56(records, TORONTO).tolist()

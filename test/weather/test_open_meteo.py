@@ -6,6 +6,7 @@ import json
 import subprocess
 import sys
 from dataclasses import replace
+from datetime import timedelta
 from pathlib import Path
 
 import numpy as np
@@ -76,7 +77,7 @@ def test_rain_and_radiation_are_of_the_hour_before(tmp_path: Path) -> None:
 
 
 def test_order_of_columns_and_further_variables(tmp_path: Path) -> None:
-    """Columns are found by name; what no run needs is not read. Without radiation there is none."""
+    """Columns are found by name; what no run needs is not read; radiation may be absent."""
     def cells(line: str) -> str:
         parts = line.split(",")[:-1]
         return ",".join([parts[0], *reversed(parts[1:]), "no number"])
@@ -98,12 +99,11 @@ def test_order_of_columns_and_further_variables(tmp_path: Path) -> None:
     ],
 )
 def test_times_are_at_the_offset_of_the_header(tmp_path: Path, offset: str, first: str) -> None:
-    """UTC, daylight saving time, half an hour; the site's own is not asked."""
+    """UTC, daylight saving time, half an hour; the site's own does not matter."""
     values = f"43.620384,-79.41748,77.0,{offset}"
     weather = read_weather([write(tmp_path, values=values)], TORONTO)
     assert weather.first.isoformat() == first
-    hour = parse_time(HOURS[1][:16]) - parse_time(HOURS[0][:16])
-    assert weather.end - weather.first == 5 * hour
+    assert weather.end - weather.first == timedelta(hours=5)
 
 
 def test_one_offset_over_a_change_of_daylight_saving_time(tmp_path: Path) -> None:
@@ -158,10 +158,10 @@ def test_missing_cells(tmp_path: Path, missing: str) -> None:
     assert np.isnan(weather.precipitation[1])
     site = replace(TORONTO, tau=600.0, M=1)
     WeatherSeries(weather, site, parse_time("2021-07-07T12:00-05:00"), 12)
-    with pytest.raises(ConfigurationError, match=r"precipitation is missing at 2021-07-07T11:00-0"):
+    with pytest.raises(ConfigurationError, match=r"precipitation is missing at 2021-07-07T11:"):
         WeatherSeries(weather, site, weather.first, 12)
     weather = read_weather([write(tmp_path, edited(2, ",120.0", f",{missing}"))], TORONTO)
-    with pytest.raises(ConfigurationError, match=r"missing are solar radiation at 2021-07-07T11:0"):
+    with pytest.raises(ConfigurationError, match=r"missing are solar radiation at 2021-07-07T"):
         WeatherSeries(weather, site, weather.first, 12)
 
 
@@ -210,21 +210,21 @@ def test_longitude_across_the_date_line(tmp_path: Path) -> None:
     [
         (edited(2, "T12:00", "T12:30"), "line 7: time = '2021-07-07T12:30': must be 2021-07-07T12"),
         (edited(2, "T12:00", "T11:00"), "line 7: time = '2021-07-07T11:00': must be 2021-07-07T12"),
-        (edited(2, "T12:00", "T12:00Z"), "line 7: time = '2021-07-07T12:00Z': must be a time such"),
-        (edited(2, "2021-07-07T12:00", "1625670000"), "line 7: time = '1625670000': must be a tim"),
-        (edited(2, ",21.0,", ",warm,"), "line 7: temperature_2m (°C) = 'warm': must be a number f"),
-        (edited(2, ",21.0,", ",294.0,"), "line 7: temperature_2m (°C) = '294.0': must be a number"),
-        (edited(2, ",0.30,", ",-0.3,"), "line 7: precipitation (mm) = '-0.3': must be a number fr"),
-        (edited(2, "1002.5", "100.25"), "line 7: surface_pressure (hPa) = '100.25': must be a num"),
-        (edited(2, ",120.0", ",2000"), "line 7: shortwave_radiation (W/m²) = '2000': must be a nu"),
+        (edited(2, "T12:00", "T12:00Z"), "line 7: time = '2021-07-07T12:00Z': must be a time suc"),
+        (edited(2, "2021-07-07T12:00", "1625670000"), "line 7: time = '1625670000': must be a ti"),
+        (edited(2, ",21.0,", ",warm,"), "line 7: temperature_2m (°C) = 'warm': must be a number"),
+        (edited(2, ",21.0,", ",294.0,"), "line 7: temperature_2m (°C) = '294.0': must be a numbe"),
+        (edited(2, ",0.30,", ",-0.3,"), "line 7: precipitation (mm) = '-0.3': must be a number"),
+        (edited(2, "1002.5", "100.25"), "line 7: surface_pressure (hPa) = '100.25': must be a n"),
+        (edited(2, ",120.0", ",2000"), "line 7: shortwave_radiation (W/m²) = '2000': must be a "),
         (edited(2, ",120.0", ""), "line 7: must have 7 cells as the header has, not 6"),
         (edited(2, ",120.0", ',"120'), "line 7: is not valid CSV"),
-        ([*HOURS, "", "time,precipitation_sum (mm)", "2021-07-07,3.1"], "line 12: must have 7 cel"),
+        ([*HOURS, "", "time,precipitation_sum (mm)", "2021-07-07,3.1"], "line 12: must have 7 ce"),
         ([], "has a header but no records"),
     ],
 )
 def test_refused_hours(tmp_path: Path, hours: list[str], reason: str) -> None:
-    """Named with file, line, column and value; also hours in seconds, and a second table."""
+    """Named with file, line, column and value; also times in seconds, a second table of days."""
     path = write(tmp_path, hours)
     with pytest.raises(ConfigurationError) as caught:
         read_weather([path], TORONTO)
@@ -233,7 +233,7 @@ def test_refused_hours(tmp_path: Path, hours: list[str], reason: str) -> None:
 
 def test_range_is_said_in_the_unit_of_the_file(tmp_path: Path) -> None:
     """-90 to 60 degC are -130 to 140 degF."""
-    path = write(tmp_path, edited(0, ",20.0,", ",200,"), HEADER.replace("_2m (°C)", "_2m (°F)", 1))
+    path = write(tmp_path, edited(0, ",20.0,", ",200,"), HEADER.replace("(°C)", "(°F)", 1))
     with pytest.raises(ConfigurationError) as caught:
         read_weather([path], TORONTO)
     assert str(caught.value) == (
@@ -249,8 +249,8 @@ def test_range_is_said_in_the_unit_of_the_file(tmp_path: Path) -> None:
         ("precipitation (mm)", "rain (mm)", "must have a column 'precipitation (mm)', as Open-M"),
         ("surface_pressure (hPa)", "pressure_msl (hPa)", "must have a column 'surface_pressure (h"),
         ("pressure (hPa)", "pressure (inHg)", "'surface_pressure (inHg)': must be surface_press"),
-        ("(km/h)", "(Bft)", "'wind_speed_10m (Bft)': must be wind_speed_10m (km/h) or wind_speed_"),
-        ("(W/m²)", "(kW/m²)", "'shortwave_radiation (kW/m²)': must be shortwave_radiation (W/m²)"),
+        ("(km/h)", "(Bft)", "'wind_speed_10m (Bft)': must be wind_speed_10m (km/h) or wind_sp"),
+        ("(W/m²)", "(kW/m²)", "'shortwave_radiation (kW/m²)': must be shortwave_radiation (W/"),
         ("dew_point_2m (°C)", "temperature_2m (°C)", "'temperature_2m (°C)': is the name of two"),
         ("dew_point_2m (°C)", "temperature_2m (°F)", "'temperature_2m (°F)': must be temperature_"),
     ],
