@@ -29,6 +29,7 @@ from greenroof_ros.common.interface import Topic, markdown_table, read_topics
 from greenroof_ros.common.parameter import Parameter
 from greenroof_ros.controllers.registry import BUILT_IN, find_controller
 from greenroof_ros.model.metrics import METRICS
+from greenroof_ros.model.site import read_site, site_parameters
 
 COMMANDS = {
     "bringup": "greenroof_ros.bringup",
@@ -152,6 +153,21 @@ def metrics() -> str:
     return markdown(
         ("key or column", "unit", "meaning"),
         ((f"`{one.name}`", one.unit, f"{one.label}: {one.meaning}") for one in METRICS),
+    )
+
+
+def site() -> str:
+    """Return the parameters of a site, with the values of the paper's."""
+    paper = read_site(shared_directory() / "config" / "site.yaml")
+    return markdown(
+        ("symbol", "unit", "the paper's site", "if left out", "meaning"),
+        (
+            (
+                f"`{one.symbol}`", one.unit, number(getattr(paper, one.symbol)),
+                "" if one.default is None else number(one.default), one.meaning,
+            )
+            for one in site_parameters()
+        ),
     )
 
 
@@ -319,6 +335,7 @@ TABLES: dict[str, Callable[[], str | None]] = {
     "quality of service": quality,
     "controllers": controllers,
     "metrics": metrics,
+    "site": site,
     "commands": commands,
     "nodes": nodes,
 }
