@@ -80,7 +80,8 @@ def number(value: object) -> str:
     if math.isinf(value):
         return "`.inf`" if value > 0 else "`-.inf`"
     digits = f"{value:.7g}"
-    return f"`{digits}`" if isinstance(value, int) or not digits.isdecimal() else f"`{digits}.0`"
+    whole = digits.removeprefix("-").isdecimal()
+    return f"`{digits}.0`" if whole and isinstance(value, float) else f"`{digits}`"
 
 
 def span(low: float, high: float) -> str:
