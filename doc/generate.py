@@ -138,8 +138,8 @@ def _parameters(parameters: Iterable[Parameter]) -> str:
         ("parameter", "type", "default", "unit", "range", "may change in a run", "meaning"),
         (
             (
-                f"`{one.name}`", "integer" if one.whole else "double", number(one.default), one.unit,
-                span(one.low, one.high), "yes" if one.may_change else "no", one.meaning,
+                f"`{one.name}`", "integer" if one.whole else "double", number(one.default),
+                one.unit, span(one.low, one.high), "yes" if one.may_change else "no", one.meaning,
             )
             for one in parameters
         ),
@@ -272,7 +272,7 @@ def _somewhere() -> Iterator[None]:
 
 
 def _declared(make: Callable[[], Any], elsewhere: Mapping[str, Parameter]) -> str:
-    """Return the parameters that a node declares while it is made, but for those shown elsewhere."""
+    """Return the parameters that a node declares while it is made, less those shown elsewhere."""
     from rclpy.node import Node
 
     declared: list[tuple[str, Any, Any]] = []

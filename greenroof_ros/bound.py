@@ -114,11 +114,17 @@ def main() -> int:
     """Bound the total deviation of the run that the command line asks for."""
     parser = argparse.ArgumentParser(
         prog="python -m greenroof_ros.bound",
-        description="Compute the least total deviation that any controller could reach which knows "
-        "all weather beforehand, as a lower bound, and beside it the result of its plan in the "
-        "exact plant: the optimum lies between. It is the same for every controller.",
+        usage="%(prog)s [options]",
+        description="Compute a lower bound of the total deviation that any controller could reach,\n"
+        "had it known all weather, and beside it the result of its plan in the exact\n"
+        "plant: the optimum lies between. It is the same for every controller.",
+        epilog="examples:\n"
+        "  python -m greenroof_ros.bound --start 2021-07-08T05:00\n"
+        "  python -m greenroof_ros.bound --block 1 --hours 2 --max-command 0.1\n\n"
+        "exit codes: 0 done, 1 no bound found, 2 bad usage or configuration",
+        formatter_class=argparse.RawDescriptionHelpFormatter,
     )
-    add_site_arguments(parser)
+    add_site_arguments(parser.add_argument_group("the run"))
     group = parser.add_argument_group("the bound")
     group.add_argument(
         "--block", type=within(1e-9, 1e9), metavar="S",

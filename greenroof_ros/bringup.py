@@ -62,6 +62,7 @@ class _Signals:
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
         prog="python -m greenroof_ros.bringup",
+        usage="%(prog)s [options]",
         description="Start plant, weather, controller and recorder as ROS 2 nodes, each its own\n"
         "process, run them in lockstep on simulated time, and end them. While it runs,\n"
         "'ros2 topic echo /roof/level' shows the roof.",

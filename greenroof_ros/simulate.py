@@ -44,12 +44,20 @@ def main() -> int:
     """Simulate the run that the command line asks for."""
     parser = argparse.ArgumentParser(
         prog="python -m greenroof_ros.simulate",
-        description="Run cistern, roof, pumps and controller over real weather in one process, "
+        usage="%(prog)s [options]",
+        description="Run cistern, roof, pumps and controller over real weather in one process,\n"
         "without ROS. The numbers are those of the node graph (bringup), bit for bit.",
+        epilog="examples:\n"
+        "  python -m greenroof_ros.simulate --controller planning_mpc --trajectory run.csv\n"
+        "  python -m greenroof_ros.simulate --start 2021-07-08T05:00 --hours 6\n"
+        "  python -m greenroof_ros.simulate --controller planning_mpc --horizon 24 \\\n"
+        "      --forecast errors --forecast-size 0.5 --forecast-seed 3\n"
+        "  python -m greenroof_ros.simulate --weather 'hourly_*.csv' --start 2021-07-01\n\n"
+        "exit codes: 0 done, 2 bad usage or configuration, 130 interrupted",
+        formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     add_run_arguments(parser)
-    add_output_arguments(parser)
-    parser.add_argument(
+    add_output_arguments(parser).add_argument(
         "--trajectory", type=Path, metavar="FILE.csv",
         help="write every tick 0..N to a new CSV file; the digits are exact",
     )

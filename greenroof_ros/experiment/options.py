@@ -42,8 +42,14 @@ def add_run_arguments(
     Raises:
         ConfigurationError: there is no such controller.
     """
-    _add_controller_arguments(parser, _named_controller(arguments))
-    add_site_arguments(parser)
+    group = parser.add_argument_group("the run")
+    group.add_argument(
+        "--controller", default=DEFAULT_CONTROLLER, metavar="NAME",
+        help=f"{', '.join(controller_names())}, or package.module:Class of your own "
+        "(default: %(default)s)",
+    )
+    add_site_arguments(group)
+    _add_parameter_arguments(parser, _named_controller(arguments))
     _add_forecast_arguments(parser)
     _add_sensor_pump_arguments(parser)
 
@@ -55,18 +61,13 @@ def _named_controller(arguments: Sequence[str] | None) -> ControllerChoice:
     return find_controller(parser.parse_known_args(arguments)[0].controller or DEFAULT_CONTROLLER)
 
 
-def _add_controller_arguments(
+def _add_parameter_arguments(
     parser: argparse.ArgumentParser, controller: ControllerChoice
 ) -> None:
-    """Add the choice of the controller and its parameters."""
+    """Add the parameters of the controller."""
     group = parser.add_argument_group(
-        "the controller", f"The parameters are those of {controller.name}; with another "
-        "--controller, --help shows the other's.",
-    )
-    group.add_argument(
-        "--controller", default=DEFAULT_CONTROLLER, metavar="NAME",
-        help=f"{', '.join(controller_names())}, or package.module:Class of your own "
-        "(default: %(default)s)",
+        f"parameters of {controller.name}",
+        "With another --controller, --help shows the other's.",
     )
     group.add_argument(
         "--parameters", type=Path, metavar="FILE",
@@ -88,9 +89,29 @@ def _option(parameter: str) -> str:
     return f"--{parameter.replace('_', '-')}"
 
 
-def add_site_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add the options of site, weather, start and length."""
-    group = parser.add_argument_group("site and weather")
+def add_site_arguments(group: argparse._ArgumentGroup) -> None:
+    """Add the options of site, weather, initial state, start and length."""
+    group.add_argument(
+        "--start", default=None, metavar="ISO",
+        help="time of the first tick, such as 2021-07-07T02:00-05:00; without an offset it is in "
+        f"the weather file's own (default: {DEFAULT_START}, the paper's window)",
+    )
+    group.add_argument(
+        "--hours", type=within(1e-9, 1e9), metavar="H",
+        help="length of the run in simulated hours (default: N of the site file, 12 h)",
+    )
+    group.add_argument(
+        "--weather", nargs="+", metavar="FILE",
+        help="weather files, joined in the order of time, or a pattern in quotes such as "
+        "'weather/2021_*.csv': CSV of this project's form, hourly bulk files of Environment and "
+        "Climate Change Canada, or hourly CSV of Open-Meteo's archive, whose rain and radiation "
+        "are moved from the end of their hour to its start "
+        "(default: config/weather/toronto_2021-07.csv)",
+    )
+    group.add_argument(
+        "--site", type=Path, metavar="FILE",
+        help="site file (default: the paper's, config/site.yaml)",
+    )
     group.add_argument(
         "--initial", choices=list(INITIAL_STATES), default=None,
         help="initial levels of cistern and roof, Table II of the paper (default: low-low)",
@@ -104,30 +125,9 @@ def add_site_arguments(parser: argparse.ArgumentParser) -> None:
         help="instead of --initial: volume on the roof (m3)",
     )
     group.add_argument(
-        "--hours", type=within(1e-9, 1e9), metavar="H",
-        help="length of the run in simulated hours (default: N of the site file, 12 h)",
-    )
-    group.add_argument(
-        "--site", type=Path, metavar="FILE",
-        help="site file (default: the paper's, config/site.yaml)",
-    )
-    group.add_argument(
-        "--weather", nargs="+", metavar="FILE",
-        help="weather files, joined in the order of time, or a pattern in quotes such as "
-        "'weather/2021_*.csv': CSV of this project's form, hourly bulk files of Environment and "
-        "Climate Change Canada, or hourly CSV of Open-Meteo's archive, whose rain and radiation "
-        "are moved from the end of their hour to its start "
-        "(default: config/weather/toronto_2021-07.csv)",
-    )
-    group.add_argument(
         "--evapotranspiration", metavar="METHOD",
         help="fao56: computed by FAO-56 Penman-Monteith; or the name of the weather file's own "
         "column, such as published (default: the file's own, fao56 if it has none)",
-    )
-    group.add_argument(
-        "--start", default=None, metavar="ISO",
-        help="time of the first tick, such as 2021-07-07T02:00-05:00; without an offset it is in "
-        f"the weather file's own (default: {DEFAULT_START}, the paper's window)",
     )
 
 
@@ -196,8 +196,8 @@ def _speed(text: str) -> float:
 _speed.__name__ = "speed: max, or a factor from 1e-9 to 1e9"
 
 
-def add_output_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add the options that decide where a run goes and how fast, not its numbers."""
+def add_output_arguments(parser: argparse.ArgumentParser) -> argparse._ArgumentGroup:
+    """Add the options that decide where a run goes and how fast; return their group."""
     group = parser.add_argument_group("output and pace")
     group.add_argument(
         "--output", type=Path, metavar="DIR",
@@ -213,6 +213,7 @@ def add_output_arguments(parser: argparse.ArgumentParser) -> None:
     group.add_argument(
         "--json", action="store_true", help="print the summary as JSON instead of a table"
     )
+    return group
 
 
 def parse_run_arguments(

@@ -114,8 +114,9 @@ class Pump:
 
     The switch sees what is delivered, not what is commanded. Where Eq. (3a) stops the flow, by the
     true levels, that ends the time on however short it was, as a float switch would, and begins a
-    time off; otherwise pumps whose roof is full would start again each time a drop evaporates. Frost
-    switches off at once: a running pump's pipe bursts in it, which is worse than a short time on.
+    time off; otherwise pumps whose roof is full would start again each time a drop evaporates.
+    Frost switches off at once: a running pump's pipe bursts in it, which is worse than a short time
+    on.
     """
 
     def __init__(self, sensor_pump_errors: SensorPumpErrors, tau: float) -> None:

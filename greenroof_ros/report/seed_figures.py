@@ -60,7 +60,7 @@ def _rows(found: list[Spread]) -> Rows:
 
 
 def _title(place: Place, places: list[Place]) -> str | list[str]:
-    """Return what distinguishes a panel from the others: its window, where it differs, and its start."""
+    """Return what distinguishes a panel from the others: its window and its initial state."""
     shown = [
         text
         for name, text in (
