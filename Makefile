@@ -77,6 +77,7 @@ lint: $(FOR_TEST)
 # Its tables are made again first; a link that leads nowhere is an error.
 docs: $(FOR_DOCS)
 	@$(BIN)/python doc/generate.py
+	@rm -rf doc/api/modules
 	@$(BIN)/python -m sphinx -W --keep-going -q -b html doc doc/_build
 	@echo "written: doc/_build/index.html"
 

@@ -29,14 +29,15 @@ exclude_patterns = [
 templates_path = ["_templates"]
 
 # A link that leads nowhere is an error (-W). Not documented here are names outside this package,
-# private ones, type variables, and constants, which stand in the source with their comments.
+# private ones, names of types, and constants, which stand in the source with their comments.
 nitpicky = True
 nitpick_ignore_regex = [
     (r"py:.*", r"(?!greenroof_ros).*"), (r"py:.*", r".*\._\w+"), (r"py:data", r".*"),
-    (r"py:class", r".*\.plant\.Amount"),
+    (r"py:class", r".*\.(Amount|Cell)"),
 ]
 
 highlight_language = "none"
+smartquotes_action = "qe"  # quotes and ellipses; -- begins an option
 myst_enable_extensions = ["dollarmath", "deflist", "colon_fence", "attrs_inline"]
 myst_heading_anchors = 4
 

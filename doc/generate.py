@@ -50,7 +50,8 @@ _BLOCK = re.compile(
 
 def cell(text: object) -> str:
     """Return a text as the cell of a table; what is in backticks stays as it is."""
-    parts = re.split(r"(`[^`]*`)", " ".join(str(text).split()))
+    line = re.sub(r"(?<![\w`-])--[a-z][a-z-]*", r"`\g<0>`", " ".join(str(text).split()))
+    parts = re.split(r"(`[^`]*`)", line)
     parts[::2] = [re.sub(r"([|*<>$\[\]{}]|\b_|_\b)", r"\\\1", part) for part in parts[::2]]
     return "".join(parts)
 
@@ -129,7 +130,7 @@ def quality() -> str:
 def controllers() -> str:
     """Return the parameters of every controller of this package."""
     return "\n".join(
-        f"### {name}\n\n" + _parameters(find_controller(name).kind.parameters) for name in BUILT_IN
+        f"## {name}\n\n" + _parameters(find_controller(name).kind.parameters) for name in BUILT_IN
     )
 
 

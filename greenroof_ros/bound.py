@@ -115,7 +115,7 @@ def main() -> int:
     parser = argparse.ArgumentParser(
         prog="python -m greenroof_ros.bound",
         usage="%(prog)s [options]",
-        description="Compute a lower bound of the total deviation that any controller could reach,\n"
+        description="Compute a lower bound of the total deviation that any controller can reach,\n"
         "had it known all weather, and beside it the result of its plan in the exact\n"
         "plant: the optimum lies between. It is the same for every controller.",
         epilog="examples:\n"

@@ -150,12 +150,11 @@ def find_namespace(names: Collection[str], needed: Sequence[str], bag: Path) -> 
 def markdown_table(topics: Iterable[Topic]) -> str:
     """Return the interface as a Markdown table."""
     rows = [
-        "| topic | type | unit | published by | subscribed to by | meaning |", "|" + "---|" * 6
+        "| topic | unit | meaning | published by | subscribed to by | type |", "|" + "---|" * 6
     ]
     for topic in topics:
         rows.append(
-            f"| `{topic.name}` | {topic.type.replace('/msg/', '/')} | {topic.unit} "
-            f"| {', '.join(topic.publishers)} | {', '.join(topic.subscribers)} "
-            f"| {topic.meaning} |"
+            f"| `{topic.name}` | {topic.unit} | {topic.meaning} | {', '.join(topic.publishers)} "
+            f"| {', '.join(topic.subscribers)} | {topic.type.replace('/msg/', '/')} |"
         )
     return "\n".join(rows)

@@ -92,7 +92,9 @@ class AnticipatingOnOff:
         precipitation: Sequence[float],
         evapotranspiration: Sequence[float],
     ) -> float:
-        """Decide from levels and forecast; see :class:`greenroof_ros.controllers.Controller`.
+        """Decide from levels and forecast.
+
+        See :class:`greenroof_ros.controllers.protocol.Controller`.
 
         The forecasts are means over the steps of
         :func:`greenroof_ros.model.look_ahead.growing_steps`.

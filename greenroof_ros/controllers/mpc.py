@@ -128,7 +128,9 @@ class Mpc:
         precipitation: Sequence[float],
         evapotranspiration: Sequence[float],
     ) -> float:
-        """Take steps 1-3 and 6 of the algorithm; see :class:`greenroof_ros.controllers.Controller`.
+        """Take steps 1-3 and 6 of the algorithm.
+
+        See :class:`greenroof_ros.controllers.protocol.Controller`.
 
         Steps 4 and 5, applying the command and moving on, are the plant's.
         """
@@ -199,7 +201,10 @@ class Mpc:
         """Do nothing: its averages are of the ticks in which it was asked."""
 
     def statistics(self) -> dict[str, float]:
-        """Return what the solver did; see :class:`greenroof_ros.controllers.Controller`."""
+        """Return the solver's figures.
+
+        See :class:`greenroof_ros.controllers.protocol.Controller`.
+        """
         return solver_statistics(len(self.solve_seconds), self.fallbacks, self.solve_seconds)
 
     def _solve(self, P: Array, q: Array) -> tuple[float, float] | None:

@@ -181,7 +181,9 @@ class Planner:
         precipitation: Sequence[Any],
         evapotranspiration: Sequence[float],
     ) -> float:
-        """Follow the plan, or make a new one; see :class:`greenroof_ros.controllers.Controller`.
+        """Follow the plan, or make a new one.
+
+        See :class:`greenroof_ros.controllers.protocol.Controller`.
 
         The forecasts are means over the steps of
         :func:`greenroof_ros.model.look_ahead.growing_steps`; of the rain, shape
@@ -240,7 +242,10 @@ class Planner:
         self._age += self._site.tau
 
     def statistics(self) -> dict[str, float]:
-        """Return what the solver did; see :class:`greenroof_ros.controllers.Controller`."""
+        """Return the solver's figures.
+
+        See :class:`greenroof_ros.controllers.protocol.Controller`.
+        """
         return solver_statistics(self.solves, self.fallbacks, self.solve_seconds)
 
     def _must_decide(self, inflow: Array, rain: float, evaporated: float) -> bool:

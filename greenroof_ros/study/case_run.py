@@ -71,7 +71,8 @@ def run_case(case: Case, engine: str) -> Outcome:
 def bound_case(case: Case) -> float:
     """Return the least total deviation (m3) that any controller could reach in a case.
 
-    That is, one whose commands are at most 1; see :func:`greenroof_ros.bound.clairvoyant_bound`.
+    That is, one whose commands are at most 1; see
+    :func:`greenroof_ros.experiment.clairvoyant.clairvoyant_bound`.
     """
     with _laid_out(case) as directory:
         return clairvoyant_bound(_build(case, directory)).bound_m3

@@ -27,7 +27,7 @@ def test_documentation_shows_the_interface() -> None:
         [sys.executable, "-m", "greenroof_ros.topics"],
         cwd=CHECKOUT, capture_output=True, text=True, check=True,
     ).stdout
-    assert "| `/roof/level` | std_msgs/Float64 | m |" in printed
+    assert "| `/roof/level` | m | water depth on the roof" in printed
     assert printed in (CHECKOUT / "doc" / "reference" / "topics.md").read_text()
 
 

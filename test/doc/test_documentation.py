@@ -1,10 +1,11 @@
-"""README and documentation: they build, links lead somewhere, tables and commands hold."""
+"""README and documentation: they build; their links, tables and commands hold."""
 
 from __future__ import annotations
 
 import importlib.util
 import re
 import shlex
+import shutil
 import subprocess
 import sys
 from collections.abc import Iterator
@@ -120,6 +121,7 @@ def test_documentation_builds(tmp_path: Path) -> None:
     """Sphinx finds nothing to warn of."""
     for module in ("sphinx", "myst_parser", "furo"):
         pytest.importorskip(module, reason="they are in the extra [docs]")
+    shutil.rmtree(DOC / "api" / "modules", ignore_errors=True)  # of modules that are gone
     done = subprocess.run(
         [
             sys.executable, "-m", "sphinx", "-W", "--keep-going", "-q", "-b", "html",

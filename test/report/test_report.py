@@ -907,6 +907,7 @@ def own_run(directory: Path, one: Simulated) -> Path:
         "solver": {"fallbacks": 3}, "limited_steps": 4,
         "forecast_repeats_last_record_from": "2021-07-31T23:00-05:00",
         "filled": {"dew point": ["2021-07-20T13:00-05:00"]},
+        "weather_notes": ["rain was moved an hour back"],
     }))
     return directory
 
@@ -938,6 +939,7 @@ def test_a_run_directorys_notes_and_bound(tmp_path: Path, simulated: list[Simula
         "the controller's solver found no answer in 3 ticks",
         "the forecast repeats its last record from 2021-07-31T23:00-05:00 on",
         "a tank ran empty in 4 ticks, and what left it was limited",
+        "rain was moved an hour back",
         "dew point was missing and filled in: 2021-07-20T13:00-05:00",
     ):
         assert note in map(str, report.results[0].notes)
