@@ -24,7 +24,8 @@ extensions = [
 exclude_patterns = [
     "_build", "_templates", "included", "overview.md",  # index.rst includes the last
     # What rosdoc2 puts beside these pages.
-    "greenroof_ros*.rst", "modules.rst", "user_docs*", "standards", "interfaces", "__*.rst",
+    "greenroof_ros*.rst", "modules.rst", "user_docs*", "standards.rst", "standard_docs",
+    "interfaces", "__*.rst",
 ]
 templates_path = ["_templates"]
 
