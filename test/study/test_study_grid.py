@@ -38,7 +38,7 @@ WRONG = {
     "half-state": (edited(", roof: 0.5", ""), "initial: a state has no roof"),
     "state-twice": (edited("name: dry", "name: low-low"), "initial: has low-low twice"),
     "level": (edited("cistern: 40.0", "cistern: 4.0e+6"), "m on /cistern/level, where at most 100"),
-    "controller": (edited("onoff:", "pid:"), "line 13: --controller = 'pid': must be one of mpc"),
+    "controller": (edited("onoff:", "pid:"), "line 13: controller = 'pid': must be one of mpc"),
     "parameter": (edited("weight", "wieght"), "line 11: wieght: is not a parameter of mpc; they"),
     "value": (edited("0.1]", "-0.1]"), "line 11: weight: -0.1 must be from 1e-09 to 1e+06"),
     "text-value": (edited("0.1]", "small]"), "line 11: weight: must be a number, or a list"),
