@@ -17,8 +17,8 @@ from places import CHECKOUT
 import greenroof_ros
 
 NODES = (
-    "plant", "weather", "mpc", "onoff", "planning_mpc", "anticipating_onoff", "scenario_mpc",
-    "recorder",
+    "plant", "weather", "controller", "mpc", "onoff", "planning_mpc", "anticipating_onoff",
+    "scenario_mpc", "recorder",
 )
 COMMANDS = ("bringup", "simulate", "bound", "recover", "topics", "study", "report")
 SCRIPTS = sorted(NODES + COMMANDS)
@@ -101,8 +101,6 @@ def assert_installed(module, prefix):
 
 
 PRINT_SHARED_DIRECTORY = """
-from places import CHECKOUT
-
 import greenroof_ros
 from greenroof_ros.common.files import shared_directory
 print(greenroof_ros.__file__)

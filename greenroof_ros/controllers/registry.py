@@ -68,7 +68,7 @@ class ControllerChoice:
         except Exception as error:  # whatever a user's module raises
             raise ConfigurationError(
                 f"cannot be imported: {type(error).__name__}: {error}",
-                key="--controller", value=self.reference,
+                key="controller", value=self.reference,
             ) from error
         lacking = [
             name for name in ("parameters", "command", "skip", "statistics")
@@ -78,7 +78,7 @@ class ControllerChoice:
             raise ConfigurationError(
                 f"is no controller: it lacks {', '.join(lacking) or 'a tuple of Parameter'}; "
                 "'python -m greenroof_ros.check_controller' says what one needs",
-                key="--controller", value=self.reference,
+                key="controller", value=self.reference,
             )
         return cast(ControllerClass, kind)
 
@@ -179,18 +179,18 @@ def find_controller(reference: str) -> ControllerChoice:
         if path is None:
             raise ConfigurationError(
                 f"must be one of {', '.join(controller_names())}, or package.module:Class",
-                key="--controller", value=reference,
+                key="controller", value=reference,
             )
         return ControllerChoice(reference, reference, path)
     if not re.fullmatch(r"[A-Za-z_][\w.]*:[A-Za-z_]\w*", reference):
         raise ConfigurationError(
-            "must be of the form package.module:Class", key="--controller", value=reference
+            "must be of the form package.module:Class", key="controller", value=reference
         )
     name = _node_name(reference.partition(":")[2])
     if name in BUILT_IN or name in _OTHER_NODES:
         raise ConfigurationError(
             f"its node would be named {name}, as another one is; rename the class",
-            key="--controller", value=reference,
+            key="controller", value=reference,
         )
     return ControllerChoice(name, reference, reference)
 

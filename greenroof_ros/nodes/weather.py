@@ -63,7 +63,8 @@ class WeatherNode(LockstepNode):
             "fao56, or the name of the file's own column; empty: the file's own if it has one",
         )
         weather = read_weather(
-            find_files(files, "parameter weather_files of weather"), site, method or None
+            # rclpy makes None of an empty list.
+            find_files(files or [], "parameter weather_files of weather"), site, method or None
         )
         start = read_start(start_text, weather.first.tzinfo)
         horizon = declare(

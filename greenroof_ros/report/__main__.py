@@ -13,9 +13,10 @@ from rich.table import Table
 from greenroof_ros.common.command_line import EXIT_DONE, command, within
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.report.assessment import Assumptions
-from greenroof_ros.report.results import Report, best_runs, controller_name, result
+from greenroof_ros.report.results import Report, best_runs, result
 from greenroof_ros.report.runs import find_runs
 from greenroof_ros.report.seeds import split_by_seeds
+from greenroof_ros.report.settings import controller_name
 
 _DEFAULTS = Assumptions()
 # On the terminal; the report has them all.

@@ -18,8 +18,9 @@ from greenroof_ros.model.site import site_parameters
 from greenroof_ros.report.assessment import Assumptions
 from greenroof_ros.report.drawing import CONFIG, Figure, Rows
 from greenroof_ros.report.entries import Sources
-from greenroof_ros.report.results import Report, controller_name
+from greenroof_ros.report.results import Report
 from greenroof_ros.report.seeds import spreads
+from greenroof_ros.report.settings import controller_name
 from greenroof_ros.report.tables import make_tables, shown_metrics, unit
 from greenroof_ros.report.warnings import make_warnings
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import itertools
-import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from datetime import datetime
@@ -15,10 +14,10 @@ from numpy.typing import NDArray
 
 from greenroof_ros.report.assessment import Assessment, Assumptions, assess
 from greenroof_ros.report.entries import Note, RunEntry
+from greenroof_ros.report.settings import PAPERS_CONTROLLERS, Settings, controller_name
 
 MOST_POINTS = 500
 """of a drawn line; totals are of all samples"""
-_CONTROLLERS = {"mpc": "MPC", "onoff": "on/off"}
 
 
 class Curve(NamedTuple):
@@ -166,67 +165,6 @@ def result(entry: RunEntry, assumptions: Assumptions) -> Result:
     )
 
 
-def controller_name(name: str) -> str:
-    """Return a controller's name for people."""
-    return " ".join(_CONTROLLERS.get(word, word) for word in name.split("_"))
-
-
-class Settings:
-    """The names of one controller's runs: the parameters that differ among them.
-
-    Attributes:
-        title: what a label gives, the parameter's name where there is just one.
-        labels: all labels, in the order of their values.
-        axis: the one numeric parameter that differs; empty if there is none, or more than one.
-        log: whether it spans so much that its axis is logarithmic.
-    """
-
-    def __init__(self, entries: Sequence[RunEntry]) -> None:
-        names = list(dict.fromkeys(name for entry in entries for name in entry.parameters))
-        differing = [
-            name for name in names if len({entry.parameters.get(name) for entry in entries}) > 1
-        ]
-        self._shown = differing or names[:1]
-        self.title = self._shown[0] if len(self._shown) == 1 else "setting"
-        numbers = [entry.parameters.get(self.title) for entry in entries]
-        floats = [number for number in numbers if isinstance(number, float)]
-        self.axis = self.title if len(differing) == 1 and len(floats) == len(numbers) else ""
-        self.log = bool(self.axis) and min(floats) > 0 and max(floats) / min(floats) > 20
-        keys = sorted({self._key(entry) for entry in entries})
-        self.labels = list(dict.fromkeys(label for _, label in keys))
-
-    def _key(self, entry: RunEntry) -> tuple[tuple[tuple[float, str], ...], str]:
-        order = []
-        for name in self._shown:
-            value = entry.parameters.get(name)
-            if isinstance(value, float):
-                order.append((value, ""))
-            else:
-                order.append((math.inf, str(value)))
-        return tuple(order), self.label(entry)
-
-    def label(self, entry: RunEntry) -> str:
-        """Return the setting of a run, as it differs from the controller's others."""
-        if not self._shown:
-            return entry.name
-        if len(self._shown) == 1:
-            return _text(entry.parameters.get(self.title))
-        return ", ".join(f"{name} {_text(entry.parameters.get(name))}" for name in self._shown)
-
-    def full_label(self, entry: RunEntry) -> str:
-        """Return the label with the parameter's name."""
-        label = self.label(entry)
-        return f"{self.title} {label}" if len(self._shown) == 1 else label
-
-
-def _text(value: float | str | None) -> str:
-    if not isinstance(value, float):
-        return value or "none"
-    # 0.00001 as people write it, not 1e-05.
-    short = float(f"{value:g}")
-    return np.format_float_positional(short, trim="-") if 1e-7 < abs(short) < 1e7 else f"{value:g}"
-
-
 class Report:
     """All results, and how they fall into controllers, settings, windows and initial states.
 
@@ -246,8 +184,8 @@ class Report:
         self.seeded = list(seeded)
         self.entries = [*(one.entry for one in results), *seeded]
         found = list(dict.fromkeys(entry.controller for entry in self.entries))
-        self.controllers = [name for name in _CONTROLLERS if name in found]
-        self.controllers += [name for name in found if name not in _CONTROLLERS]
+        self.controllers = [name for name in PAPERS_CONTROLLERS if name in found]
+        self.controllers += [name for name in found if name not in PAPERS_CONTROLLERS]
         self.settings = {
             name: Settings([entry for entry in self.entries if entry.controller == name])
             for name in self.controllers

@@ -8,8 +8,9 @@ from typing import Any
 import altair as alt
 
 from greenroof_ros.report.drawing import COLOURS, SHAPES, Chart, Figure, Panel, Rows, cycle, short
-from greenroof_ros.report.results import Report, controller_name
+from greenroof_ros.report.results import Report
 from greenroof_ros.report.seeds import Place, Spread, spreads
+from greenroof_ros.report.settings import controller_name
 
 _AMOUNTS = ("mean", "mean of the worst tenth")
 _AXIS = "total |x2 - x2*| (m³)"

@@ -13,7 +13,8 @@ from greenroof_ros.common.files import shared_directory
 from greenroof_ros.model.site import Site, read_site
 from greenroof_ros.report.assessment import Assessment
 from greenroof_ros.report.drawing import COLOURS, SHAPES, Figure, Panel, Rows, cycle, short
-from greenroof_ros.report.results import Report, Window, controller_name
+from greenroof_ros.report.results import Report, Window
+from greenroof_ros.report.settings import controller_name
 
 _PAPER_START = datetime.fromisoformat("2021-07-07T02:00-05:00")
 _PAPER_HOURS = 12.0

@@ -11,8 +11,9 @@ from typing import NamedTuple
 from greenroof_ros.forecast.choice import PERFECT
 from greenroof_ros.model.metrics import METRICS, Metric
 from greenroof_ros.report.assessment import Assumptions
-from greenroof_ros.report.results import Best, Report, Result, best_runs, controller_name
+from greenroof_ros.report.results import Best, Report, Result, best_runs
 from greenroof_ros.report.seeds import Spread, spreads
+from greenroof_ros.report.settings import controller_name
 
 METRICS_BY_NAME = {metric.name: metric for metric in METRICS}
 

@@ -10,7 +10,8 @@ import numpy as np
 
 from greenroof_ros.model.site import Site
 from greenroof_ros.report.drawing import Figure, Panel, distinct, hover_points, short
-from greenroof_ros.report.results import Report, Result, Window, controller_name
+from greenroof_ros.report.results import Report, Result, Window
+from greenroof_ros.report.settings import controller_name
 
 _GREY = "#555555"
 _FULL_FLOW = "full flow; above it is beyond the pump"

@@ -208,7 +208,7 @@ class _Grid:
                 with self._at(window, "start"):
                     run = build_run(
                         site_file, site, weather, start, steps, controller, parameters, initial,
-                        volumes,                        choice,
+                        volumes, choice,
                     )
             forecast_file = None if choice.file is None else self._input(choice.file)
             for sensor_pump_errors, (controller, parameters) in itertools.product(

@@ -25,7 +25,7 @@ def find_files(names: Iterable[str], key: str, directory: Path = Path()) -> list
         directory: from which they are seen.
 
     Raises:
-        ConfigurationError: a pattern matches no file.
+        ConfigurationError: a pattern matches no file, or there are no names.
     """
     found: list[Path] = []
     for name in names:
@@ -36,6 +36,8 @@ def find_files(names: Iterable[str], key: str, directory: Path = Path()) -> list
             if not matches:
                 raise ConfigurationError("matches no file", key=key, value=name)
         found += [match for match in matches if match not in found]
+    if not found:
+        raise ConfigurationError("must name at least one file", key=key)
     return found
 
 

@@ -99,7 +99,7 @@ def test_the_node_is_named_after_the_class(class_name: str, node: str) -> None:
 )
 def test_wrong_references(reference: str, message: str) -> None:
     """Refused before anything is imported."""
-    with pytest.raises(ConfigurationError, match=f"--controller = '{reference}': {message}"):
+    with pytest.raises(ConfigurationError, match=f"controller = '{reference}': {message}"):
         find_controller(reference)
 
 
@@ -120,7 +120,7 @@ def test_classes_that_are_no_controllers(tmp_path: Path, code: str, message: str
     (tmp_path / "mine.py").write_text(code)
     result = simulate(tmp_path, "--controller", "mine:Mine")
     assert result.returncode == 2
-    assert f"error: --controller = 'mine:Mine': {message}" in result.stderr
+    assert f"error: controller = 'mine:Mine': {message}" in result.stderr
     assert "Traceback" not in result.stderr
 
 

@@ -294,6 +294,7 @@ def test_parameter_file_is_honoured(domain: int, tmp_path: Path, observer: Obser
         ("plant --ros-args -p start:=noon", ("start", "noon")),
         ("plant --ros-args -p site_file:=nowhere.yaml", ("nowhere.yaml",)),
         ("weather --ros-args -p weather_files:=[nowhere.csv]", ("nowhere.csv",)),
+        ("weather --ros-args -p weather_files:=[]", ("weather_files", "at least one file")),
         ("weather --ros-args -p run_length:=10000000", ("toronto_2021-07.csv",)),
         ("recorder --ros-args -p directory:=.", ("directory", "exists")),
         ("recorder --ros-args -p controller:=pid", ("controller", "pid", "mpc")),
