@@ -32,7 +32,7 @@ HOURS = [HOUR.format(number, 0.0) for number in range(8)]
 
 # name: options (FILE is the file), the file's bytes (None: there is none), words of the message
 OPTIONS: dict[str, tuple[str, tuple[str, ...]]] = {
-    "unknown-controller": ("--controller pid", ("--controller", "pid")),
+    "unknown-controller": ("--controller pid", ("controller", "pid")),
     "unknown-initial": ("--initial low", ("--initial", "low-low")),
     "unknown-option": ("--horizon 30", ("--horizon",)),
     "weight-zero": ("--weight 0", ("--weight", "1e-09")),

@@ -22,6 +22,7 @@ from paper import PAPER_SITE, exact_flows, paper_run, site_with, sites
 from greenroof_ros import bound as module
 from greenroof_ros.bound import main
 from greenroof_ros.controllers.protocol import Controller
+from greenroof_ros.controllers.registry import find_controller
 from greenroof_ros.experiment import clairvoyant
 from greenroof_ros.experiment.clairvoyant import NoBoundError, clairvoyant_bound
 from greenroof_ros.experiment.closed_loop import closed_loop
@@ -51,7 +52,7 @@ def run_of(
     series = WeatherSeries(weather, site, first, steps)
     return Run(
         weather.files[0], site, weather, series, PerfectForecast(series, site.M), first, steps,
-        "onoff", {"fraction": 1.0}, "custom", x1, x2,
+        find_controller("onoff"), {"fraction": 1.0}, "custom", x1, x2,
     )
 
 
@@ -202,9 +203,9 @@ def test_no_run_is_below(
     for cost in (
         fine.plan_m3,
         coarse.plan_m3,
-        cost_of(run, Given([max_command * share for share in shares])).total_deviation_m3,
-        cost_of(run, Given([max_command])).total_deviation_m3,
-        cost_of(run, Given([0.0])).total_deviation_m3,
+        cost_of(run, Given([max_command * share for share in shares]))["total_deviation_m3"],
+        cost_of(run, Given([max_command]))["total_deviation_m3"],
+        cost_of(run, Given([0.0]))["total_deviation_m3"],
     ):
         assert fine.bound_m3 <= cost + slack
 
@@ -230,7 +231,7 @@ def test_no_schedule_is_below(
     # In frost no command is asked for.
     asked = sum(not frost for _, _, frost in hours)
     best = min(
-        cost_of(run, Given([*commands, 0.0])).total_deviation_m3
+        cost_of(run, Given([*commands, 0.0]))["total_deviation_m3"]
         for commands in itertools.product(levels, repeat=asked)
     )
     for block in (1, 2, 5):
@@ -372,14 +373,14 @@ def call(monkeypatch: pytest.MonkeyPatch, *options: str) -> object:
 
 
 def test_command(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
-    """The table and the JSON say the same, whatever the controller."""
+    """The table and the JSON say the same."""
     assert call(monkeypatch, "--hours", "0.5", "--block", "30", "--json") == 0
     result = json.loads(capsys.readouterr().out)
     assert result["block_s"] == 30
     assert result["steps"] == 1800
     assert 0 < result["bound_m3"] <= result["plan_m3"]
     assert result["gap"] == pytest.approx(result["plan_m3"] / result["bound_m3"] - 1)
-    assert call(monkeypatch, "--hours", "0.5", "--block", "30", "--controller", "onoff") == 0
+    assert call(monkeypatch, "--hours", "0.5", "--block", "30") == 0
     shown = capsys.readouterr().out
     for words in (f"{result['bound_m3']:.2f}", f"{result['plan_m3']:.2f}", "HiGHS", "published"):
         assert words in shown

@@ -36,7 +36,7 @@ def run_of(
     (row,) = (
         row for row in rows_of(papers / "results.csv")
         if (row["initial"], row["controller"]) == (initial, controller)
-        and float(row[name]) == float(parameter)
+        and float(row[f"parameter:{name}"]) == float(parameter)
     )
     return row, read_parquet(papers / "runs" / row["run"] / "trajectory.parquet")
 
@@ -57,7 +57,7 @@ def test_each_of_the_papers_runs(papers: Path, row: dict[str, str]) -> None:
     ):
         assert float(mine[name]) == pytest.approx(float(row[name]), **tolerance), name
     largest = float(row["max_command"])
-    assert float(mine["max_command_applied"]) == pytest.approx(largest, rel=1e-5)
+    assert float(mine["max_command"]) == pytest.approx(largest, rel=1e-5)
     pumping = int((ticks.command[:-1] > 0).sum())
     assert pumping == int(row["seconds_with_command_above_zero"])
     assert int(mine["limited_steps"]) == 0

@@ -13,6 +13,7 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 from paper import PAPER_SITE, exact_flows, paper_run, sites
 
+from greenroof_ros.controllers.registry import find_controller
 from greenroof_ros.experiment.closed_loop import closed_loop
 from greenroof_ros.experiment.run import Run
 from greenroof_ros.forecast.resampling import PerfectForecast
@@ -142,7 +143,7 @@ def run_of(
     parameters = {"fraction": v}
     return Run(
         weather.files[0], site, weather, series, PerfectForecast(series, site.M), first, steps,
-        "onoff", parameters, "custom", x1, x2,
+        find_controller("onoff"), parameters, "custom", x1, x2,
     )
 
 

@@ -280,7 +280,7 @@ def test_command_line(tmp_path: Path) -> None:
         cwd=tmp_path, capture_output=True, text=True, timeout=120, check=False,
     )
     assert result.returncode == 0, result.stderr
-    assert "(fao56)" in result.stdout
+    assert "evapotranspiration fao56" in result.stdout
 
 
 def test_nothing_is_pumped_in_frost(tmp_path: Path) -> None:

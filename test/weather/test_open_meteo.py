@@ -299,7 +299,7 @@ def test_run_says_what_was_moved(tmp_path: Path) -> None:
         command, cwd=tmp_path, capture_output=True, text=True, timeout=120, check=False
     )
     assert done.returncode == 0, done.stderr
-    assert "moved an hour back" in " ".join(done.stdout.split())
+    assert "moved an hour back" in " ".join(done.stdout.replace("│", " ").split())
     summary = json.loads((tmp_path / "run" / "summary.json").read_text())
     assert summary["weather_notes"] == [
         "precipitation and solar radiation of the files are of the hour before their time, and "
