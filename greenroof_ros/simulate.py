@@ -6,13 +6,14 @@ import argparse
 import csv
 import time
 from contextlib import ExitStack
+from operator import attrgetter
 from pathlib import Path
 from typing import Any
 
 from greenroof_ros.common.command_line import EXIT_DONE, command
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.experiment import summary, summary_table
-from greenroof_ros.experiment.closed_loop import Tick, closed_loop
+from greenroof_ros.experiment.closed_loop import closed_loop
 from greenroof_ros.experiment.options import (
     add_output_arguments,
     add_run_arguments,
@@ -23,20 +24,20 @@ from greenroof_ros.experiment.progress import INTERVAL_S, RunProgress
 from greenroof_ros.experiment.run_directory import make_run_directory, write_configuration
 from greenroof_ros.model.metrics import Metrics
 
-TRAJECTORY_COLUMNS = (
-    "time_s", "cistern_m3", "roof_m3", "cistern_level_m", "roof_level_m",
-    "precipitation_m_per_s", "evapotranspiration_m3_per_s", "command",
-    "pump_flow_m3_per_s", "outflow_m3_per_s", "drainage_m3_per_s", "frost",
-)
-
-
-def trajectory_row(tick: Tick, tau: float) -> tuple[float, ...]:
-    """Return a tick as a row of :data:`TRAJECTORY_COLUMNS`."""
-    return (
-        tick.k * tau, tick.x1, tick.x2, tick.cistern_level, tick.roof_level,
-        tick.precipitation, tick.evapotranspiration, tick.command,
-        tick.flows.pump, tick.flows.outflow, tick.flows.drainage, tick.frost,
-    )
+# Column of the trajectory's file, beside the time: attribute of a tick.
+_COLUMNS = {
+    "cistern_m3": "x1",
+    "roof_m3": "x2",
+    "cistern_level_m": "cistern_level",
+    "roof_level_m": "roof_level",
+    "precipitation_m_per_s": "precipitation",
+    "evapotranspiration_m3_per_s": "evapotranspiration",
+    "command": "command",
+    "pump_flow_m3_per_s": "flows.pump",
+    "outflow_m3_per_s": "flows.outflow",
+    "drainage_m3_per_s": "flows.drainage",
+    "frost": "frost",
+}
 
 
 @command
@@ -68,6 +69,7 @@ def main() -> int:
         directory = make_run_directory(arguments.output, run.controller.name)
         write_configuration(directory, run, {})
         rows: Any = None
+        values = attrgetter(*_COLUMNS.values())
         if arguments.trajectory is not None:
             try:
                 stream = stack.enter_context(arguments.trajectory.open("x", newline=""))
@@ -77,14 +79,14 @@ def main() -> int:
                     key="--trajectory", value=str(arguments.trajectory),
                 ) from error
             rows = csv.writer(stream)
-            rows.writerow(TRAJECTORY_COLUMNS)
+            rows.writerow(("time_s", *_COLUMNS))
         controller = run.make_controller()
         metrics = Metrics()
         progress = stack.enter_context(RunProgress(run.steps, tau))
         began = shown = time.monotonic()
         for tick in closed_loop(run, controller, metrics):
             if rows is not None:
-                rows.writerow(trajectory_row(tick, tau))
+                rows.writerow((tick.k * tau, *values(tick)))
             now = time.monotonic()
             if arguments.speed:
                 due = began + tick.k * tau / arguments.speed
