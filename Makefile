@@ -11,7 +11,7 @@ ARGS ?=
 
 # Without a ROS 2, pip brings one (the extra [ros]). One that is sourced is used as it is, through
 # an environment that sees the packages outside; wheels on top of it would mix two ROS 2. Changing
-# from one to the other makes .venv anew.
+# from one to the other makes .venv again.
 ifdef AMENT_PREFIX_PATH
 ROS := $(shell $(PYTHON) -c 'import importlib.util as u; print("sourced" if u.find_spec("rclpy") else "wheels")')
 else

@@ -14,7 +14,8 @@ NODES = ("plant", "weather", "controller", "recorder")
 CONTROLLERS = ("mpc", "onoff", "planning_mpc", "anticipating_onoff", "scenario_mpc")
 # Commands: they start the graph, or need no ROS at all.
 COMMANDS = (
-    "bringup", "simulate", "bound", "recover", "topics", "study.__main__", "report.__main__",
+    "bringup", "simulate", "bound", "recover", "topics", "check_controller", "study.__main__",
+    "report.__main__",
 )
 
 

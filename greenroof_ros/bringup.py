@@ -104,7 +104,7 @@ def _namespace(text: str) -> str:
     return f"/{name}" if name else ""
 
 
-_namespace.__name__ = "namespace: letters, digits and _, such as site1"
+_namespace.__name__ = "namespace: letters, digits and _, no digit first, such as site1"
 
 
 def _watch(

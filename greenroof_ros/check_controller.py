@@ -10,9 +10,22 @@ from rich.table import Table
 
 from greenroof_ros.common.command_line import EXIT_DONE, EXIT_FAILED, command
 from greenroof_ros.common.files import shared_directory
-from greenroof_ros.controllers.check import check_controller
+from greenroof_ros.controllers.check import Finding, check_controller
 from greenroof_ros.controllers.registry import controller_names, find_controller
+from greenroof_ros.experiment.options import add_output_arguments, add_run_arguments
 from greenroof_ros.model.site import read_site
+
+
+def _options(reference: str) -> Finding:
+    """Check that its parameters can be options of the commands beside the others."""
+    parser = argparse.ArgumentParser()
+    problem = ""
+    try:
+        add_run_arguments(parser, ["--controller", reference])
+        add_output_arguments(parser)
+    except argparse.ArgumentError as error:
+        problem = f"{error}; rename the parameter"
+    return Finding("its parameters have names that no option of the commands has", problem)
 
 
 @command
@@ -39,7 +52,7 @@ def main() -> int:
     arguments = parser.parse_args()
     choice = find_controller(arguments.controller)
     site = read_site(arguments.site or shared_directory() / "config" / "site.yaml")
-    findings = check_controller(choice, site)
+    findings = [*check_controller(choice, site), _options(arguments.controller)]
     table = Table(title=f"{choice.name}, {choice.path}", title_justify="left")
     for name in ("check", "result"):
         table.add_column(name)

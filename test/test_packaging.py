@@ -20,7 +20,9 @@ NODES = (
     "plant", "weather", "controller", "mpc", "onoff", "planning_mpc", "anticipating_onoff",
     "scenario_mpc", "recorder",
 )
-COMMANDS = ("bringup", "simulate", "bound", "recover", "topics", "study", "report")
+COMMANDS = (
+    "bringup", "simulate", "bound", "recover", "topics", "check_controller", "study", "report",
+)
 SCRIPTS = sorted(NODES + COMMANDS)
 
 # The rosdep key of each Python requirement; None where rosdep has none and package.xml says so.

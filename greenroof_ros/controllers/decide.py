@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from typing import Any
 
+from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.controllers.protocol import Controller
 
 
@@ -28,8 +30,18 @@ def decide(
         roof_level: m.
         precipitation: forecast of rain (m/s), in the shape that the controller takes.
         evapotranspiration: forecast of evapotranspiration (m3/s).
+
+    Raises:
+        ConfigurationError: what the controller returns is no command.
     """
-    if allowed:
-        return controller.command(cistern_level, roof_level, precipitation, evapotranspiration)
-    controller.skip()
-    return 0.0
+    if not allowed:
+        controller.skip()
+        return 0.0
+    command = controller.command(cistern_level, roof_level, precipitation, evapotranspiration)
+    if isinstance(command, (float, int)) and 0 <= command < math.inf:
+        return command
+    raise ConfigurationError(
+        "must be a finite number, not negative; the run ends here (check_controller finds this "
+        "before a run)",
+        key=f"the command of {type(controller).__name__}", value=command,
+    )

@@ -53,6 +53,10 @@ class Controller(Protocol):
             evapotranspiration: forecast of evapotranspiration off the whole bed (m3/s), likewise,
                 shape (steps,).
 
+        A forecast may be missing: empty, of another length, or with entries that are no numbers.
+        The answer to it is a command or a
+        :class:`~greenroof_ros.common.errors.ConfigurationError`, which ends the run.
+
         Returns:
             Share of the pumps' maximum flow (1), finite and not negative.
         """

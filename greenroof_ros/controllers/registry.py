@@ -34,8 +34,12 @@ BUILT_IN = {
     "anticipating_onoff": f"{_HERE}.anticipating_onoff:AnticipatingOnOff",
     "scenario_mpc": f"{_HERE}.scenario_mpc:ScenarioMpc",
 }
+# The one that runs unless another is asked for.
+DEFAULT = "mpc"
 # A controller's node is named after it, beside these.
 _OTHER_NODES = {"plant", "weather", "recorder", "pump", "bringup"}
+# Every node has these parameters.
+_OF_EVERY_NODE = {"site_file", "use_sim_time"}
 
 
 @dataclass(frozen=True)
@@ -77,7 +81,13 @@ class ControllerChoice:
         if lacking or not all(isinstance(one, Parameter) for one in kind.parameters):
             raise ConfigurationError(
                 f"is no controller: it lacks {', '.join(lacking) or 'a tuple of Parameter'}; "
-                "'python -m greenroof_ros.check_controller' says what one needs",
+                "see doc/tutorials/your-controller.md",
+                key="controller", value=self.reference,
+            )
+        taken = _OF_EVERY_NODE.intersection(one.name for one in kind.parameters)
+        if taken:
+            raise ConfigurationError(
+                f"has a parameter {taken.pop()}, which its node has already; rename it",
                 key="controller", value=self.reference,
             )
         return cast(ControllerClass, kind)

@@ -12,6 +12,7 @@ from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.files import shared_directory
 from greenroof_ros.common.times import DEFAULT_START
 from greenroof_ros.controllers.registry import (
+    DEFAULT,
     ControllerChoice,
     controller_names,
     find_controller,
@@ -22,9 +23,8 @@ from greenroof_ros.model.initial_state import INITIAL_STATES, initial_state
 from greenroof_ros.model.sensor_pump_errors import RANGES, SensorPumpErrors
 from greenroof_ros.model.site import read_site
 from greenroof_ros.weather.joining import find_files
-from greenroof_ros.weather.reading import read_weather
+from greenroof_ros.weather.reading import default_weather, read_weather
 
-DEFAULT_CONTROLLER = "mpc"
 _PARAMETER = "parameter_"  # begins the names of the controller's parameters among the arguments
 
 
@@ -44,7 +44,7 @@ def add_run_arguments(
     """
     group = parser.add_argument_group("the run")
     group.add_argument(
-        "--controller", default=DEFAULT_CONTROLLER, metavar="NAME",
+        "--controller", default=DEFAULT, metavar="NAME",
         help=f"{', '.join(controller_names())}, or package.module:Class of your own "
         "(default: %(default)s)",
     )
@@ -57,8 +57,8 @@ def add_run_arguments(
 def _named_controller(arguments: Sequence[str] | None) -> ControllerChoice:
     """Return the controller that a command line names."""
     parser = argparse.ArgumentParser(add_help=False, allow_abbrev=False, exit_on_error=False)
-    parser.add_argument("--controller", nargs="?", default=DEFAULT_CONTROLLER)
-    return find_controller(parser.parse_known_args(arguments)[0].controller or DEFAULT_CONTROLLER)
+    parser.add_argument("--controller", nargs="?", default=DEFAULT)
+    return find_controller(parser.parse_known_args(arguments)[0].controller or DEFAULT)
 
 
 def _add_parameter_arguments(
@@ -160,26 +160,31 @@ def _add_forecast_arguments(parser: argparse.ArgumentParser) -> None:
 def _add_sensor_pump_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the options that make the site less perfect than the paper's."""
     group = parser.add_argument_group("errors of sensor and pumps (default: none)")
+    default = SensorPumpErrors()
     group.add_argument(
-        "--roof-noise", type=within(*RANGES["roof_noise"]), default=0.0, metavar="M",
+        "--roof-noise", type=within(*RANGES["roof_noise"]), default=default.roof_noise,
+        metavar="M",
         help="standard deviation of the roof's level sensor (m), independent each tick",
     )
     group.add_argument(
-        "--roof-offset", type=within(*RANGES["roof_offset"]), default=0.0, metavar="M",
+        "--roof-offset", type=within(*RANGES["roof_offset"]), default=default.roof_offset,
+        metavar="M",
         help="what that sensor reads above the true level (m)",
     )
     low, high = RANGES["noise_seed"]
     group.add_argument(
-        "--noise-seed", type=within(int(low), int(high), int), default=0, metavar="N",
-        help="seed of the noise (default: %(default)s)",
+        "--noise-seed", type=within(int(low), int(high), int), default=default.noise_seed,
+        metavar="N", help="seed of the noise (default: %(default)s)",
     )
     group.add_argument(
-        "--minimum-on", type=within(*RANGES["minimum_on"]), default=0.0, metavar="S",
+        "--minimum-on", type=within(*RANGES["minimum_on"]), default=default.minimum_on,
+        metavar="S",
         help="once on, the pumps stay on for so long (s), but not in frost, on a full roof or in "
         "an empty cistern",
     )
     group.add_argument(
-        "--minimum-off", type=within(*RANGES["minimum_off"]), default=0.0, metavar="S",
+        "--minimum-off", type=within(*RANGES["minimum_off"]), default=default.minimum_off,
+        metavar="S",
         help="once off, the pumps stay off for so long (s)",
     )
 
@@ -270,8 +275,7 @@ def _run(
     sensor_pump_errors: SensorPumpErrors,
 ) -> Run:
     """Build a run in the place and time that a command line asks for."""
-    shared = shared_directory()
-    site_file: Path = arguments.site or shared / "config" / "site.yaml"
+    site_file: Path = arguments.site or shared_directory() / "config" / "site.yaml"
     site = read_site(site_file)
     if (arguments.cistern is None) != (arguments.roof is None):
         raise ConfigurationError("must be given together", key="--cistern and --roof")
@@ -284,9 +288,8 @@ def _run(
     else:
         initial = arguments.initial or "low-low"
         volumes = initial_state(site, initial)
-    default = shared / "config" / "weather" / "toronto_2021-07.csv"
     weather = read_weather(
-        find_files(arguments.weather or [str(default)], "--weather"),
+        find_files(arguments.weather or [str(default_weather())], "--weather"),
         site,
         arguments.evapotranspiration,
     )

@@ -12,7 +12,7 @@ from typing import Any
 
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.interface import recorded_topics
-from greenroof_ros.controllers.registry import find_controller
+from greenroof_ros.controllers.registry import DEFAULT, find_controller
 from greenroof_ros.graph.errors import LockstepError
 from greenroof_ros.graph.lockstep import CLOCK, LISTEN_S, LockstepNode
 from greenroof_ros.graph.node_process import run_node
@@ -33,7 +33,7 @@ class RecorderNode(LockstepNode):
         super().__init__("recorder", "recorder")
         directory = declare(self, "directory", "bag", "the bag; must not exist")
         reference = declare(
-            self, "controller", "mpc", "the active controller: a name, or package.module:Class"
+            self, "controller", DEFAULT, "the active controller: a name, or package.module:Class"
         )
         self._limit = declare(
             self, "peer_limit", 5.0, "longest wait for the last messages (s)", low=0.1, high=1e6

@@ -8,8 +8,8 @@ from dataclasses import replace
 from rclpy.node import Node
 
 from greenroof_ros.common.errors import ConfigurationError
-from greenroof_ros.common.files import shared_directory
 from greenroof_ros.common.times import DEFAULT_START, epoch_ns, read_start
+from greenroof_ros.controllers.protocol import HORIZON
 from greenroof_ros.forecast.choice import MODELS, OPTIONS, ForecastChoice, choose
 from greenroof_ros.forecast.resampling import make_forecast
 from greenroof_ros.graph.errors import LockstepError
@@ -17,7 +17,7 @@ from greenroof_ros.graph.lockstep import CLOCK, LockstepNode
 from greenroof_ros.graph.node_process import run_node
 from greenroof_ros.graph.parameters import declare, declare_site
 from greenroof_ros.weather.joining import find_files
-from greenroof_ros.weather.reading import read_weather
+from greenroof_ros.weather.reading import default_weather, read_weather
 from greenroof_ros.weather.series import WeatherSeries
 
 
@@ -54,8 +54,9 @@ class WeatherNode(LockstepNode):
         """Declare the parameters and open the topics."""
         super().__init__("weather", "weather")
         site = declare_site(self)
-        default = shared_directory() / "config" / "weather" / "toronto_2021-07.csv"
-        files = declare(self, "weather_files", [str(default)], "hourly records, joined")
+        files = declare(
+            self, "weather_files", [str(default_weather())], "hourly records, joined"
+        )
         start_text = declare(self, "start", DEFAULT_START, "time of tick 0, ISO 8601")
         self._run_length = declare(self, "run_length", site.N, "N (ticks)", low=1, high=2**40)
         method = declare(
@@ -69,7 +70,8 @@ class WeatherNode(LockstepNode):
         start = read_start(start_text, weather.first.tzinfo)
         horizon = declare(
             self, "horizon", 0.0,
-            "h that the forecasts reach, in steps that grow; 0: the M ticks that come", 0.0, 48.0,
+            "h that the forecasts reach, in steps that grow; 0: the M ticks that come",
+            0.0, HORIZON.high,
         )
         all_members = declare(
             self, "all_members", False, "of an ensemble: for scenario_mpc; otherwise the first"

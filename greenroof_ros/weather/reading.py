@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Protocol
 
 from greenroof_ros.common.errors import ConfigurationError
-from greenroof_ros.common.files import read_text
+from greenroof_ros.common.files import read_text, shared_directory
 from greenroof_ros.model.site import Site
 from greenroof_ros.weather import eccc, open_meteo, own_csv
 from greenroof_ros.weather.evapotranspiration import FAO56, fao56
@@ -47,6 +47,11 @@ class Format(Protocol):
 
 FORMATS: tuple[Format, ...] = (eccc, open_meteo, own_csv)
 """All formats; the first that recognises a text reads it, the last recognises any."""
+
+
+def default_weather() -> Path:
+    """Return the weather of the paper, which is used unless another is given."""
+    return shared_directory() / "config" / "weather" / "toronto_2021-07.csv"
 
 
 def read_weather(files: Sequence[Path], site: Site, method: str | None = None) -> Weather:

@@ -78,5 +78,5 @@ def test_the_command(tmp_path: Path) -> None:
     """The example passes all, exit code 0; what cannot be imported is refused with 2."""
     result = check(CHECKOUT, EXAMPLE)
     assert result.returncode == 0
-    assert "11 of 11 checks passed" in result.stdout
+    assert "12 of 12 checks passed" in result.stdout
     assert check(tmp_path, "nothing:Here").returncode == 2

@@ -124,16 +124,16 @@ def test_level_that_cannot_be_noise() -> None:
 
 def test_after_ticks_unseen() -> None:
     """After a few the average goes on; after more the next reading is taken as it is."""
-    for unseen, begins_anew in ((1, False), (15, False), (16, True)):
+    for unseen, starts_again in ((1, False), (15, False), (16, True)):
         estimate = RoofObserver(PAPER_SITE, 300.0)
         for _ in range(300):
             estimate.predict(estimate.correct(0.03), 0.0, 0.0, 0.0)
         for _ in range(unseen):
             estimate.skip()
         x2 = estimate.correct(0.0305)
-        assert (x2 == PAPER_SITE.roof_volume(0.0305)) is begins_anew
+        assert (x2 == PAPER_SITE.roof_volume(0.0305)) is starts_again
         assert PAPER_SITE.roof_level(x2) == pytest.approx(
-            0.0305 if begins_anew else 0.03 + 0.0005 / 300, abs=1e-6
+            0.0305 if starts_again else 0.03 + 0.0005 / 300, abs=1e-6
         )
 
 
@@ -172,7 +172,7 @@ def test_pumps_of_another_flow(kind: Callable[..., Any], strength: float) -> Non
     assert PAPER_SITE.z_veg - 5e-4 < level < PAPER_SITE.z_veg + slack
 
 
-def test_no_smoothing() -> None:
+def test_no_observer() -> None:
     """Each reading is taken as it is, bit for bit."""
     estimate = RoofObserver(PAPER_SITE, 0.0)
     for level in (0.03, 0.0301, 0.0299):
@@ -202,7 +202,7 @@ class Lie:
 
 
 def lied_to(run: Run, rain: list[float], **parameters: float) -> tuple[float, RegretLimit]:
-    """Return what a run comes to (m3 s) with this forecast, and its stop-loss."""
+    """Return the result of a run (m3 s) with this forecast, and its regret limit."""
     controller = run.controller.make(run.site, {**run.parameters, **parameters})
     metrics = Metrics()
     for _ in closed_loop(replace(run, forecast=Lie(run, rain)), controller, metrics):
@@ -212,7 +212,7 @@ def lied_to(run: Run, rain: list[float], **parameters: float) -> tuple[float, Re
 
 
 def onoff(*options: str, fraction: float = 1.0) -> float:
-    """Return what plain on/off comes to (m3 s)."""
+    """Return the result of plain on/off (m3 s)."""
     run = paper_run("--controller", "onoff", *options)
     metrics = Metrics()
     for _ in closed_loop(run, OnOff(run.site, fraction), metrics):
@@ -242,7 +242,7 @@ def test_loss_is_what_two_runs_differ_by(
     st.sampled_from([0.0, 0.01, 0.1]),
     st.sampled_from([1.0, 0.02]),
 )
-def test_trust_costs_at_most_the_patience(
+def test_trust_costs_at_most_the_limit(
     rain: list[float], max_waiting_loss: float, fraction: float
 ) -> None:
     """Whatever the forecast says, for three hours without a drop; with weak pumps, too."""
@@ -276,7 +276,7 @@ def test_lies_that_come_and_go() -> None:
 
 
 def test_ticks_in_frost_count() -> None:
-    """Nobody may pump in them, but who waited before is worse off in each."""
+    """Nothing may be pumped in them, but who waited before is worse off in each."""
     loss = RegretLimit(PAPER_SITE, 1.0)
     loss.judge(50.0, 2.0, 1.0)
     loss.move(50.0, 2.0, 1.0, 0.0)  # on/off pumps for a tick

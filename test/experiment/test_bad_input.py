@@ -313,7 +313,7 @@ def test_wrong_domain(tmp_path: Path, wrong: str) -> None:
 
 
 def test_wrong_output_leaves_no_trajectory(unused_domain: int, tmp_path: Path) -> None:
-    """What is refused writes nothing, so that the mended command can be given again."""
+    """What is refused writes nothing, so that the repaired command can be given again."""
     done = subprocess.run(
         [
             sys.executable, "-m", "greenroof_ros.simulate", "--hours", "0.01",

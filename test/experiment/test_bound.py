@@ -332,7 +332,7 @@ def test_a_cistern_at_the_suction_level_gives_one_tick() -> None:
 
 
 @pytest.mark.parametrize(("tau", "ticks"), [(1.0, 60), (10.0, 6), (300.0, 1)])
-def test_blocks_of_a_minute_unless_told(tau: float, ticks: int) -> None:
+def test_blocks_of_a_minute_unless_given(tau: float, ticks: int) -> None:
     """Whatever a tick is; and nobody makes the forecast that its controller would get."""
     site = replace(PAPER_SITE, tau=tau)
     run = replace(run_of(DRY_HOUR, 75.0, 2.0, site), forecast=None)  # type: ignore[arg-type]

@@ -259,7 +259,7 @@ def test_a_noisy_sensor_makes_the_pumps_start_often_and_minimum_times_seldom() -
     assert 1 <= spared <= 6  # 720 s hold no more phases of 60 s
 
 
-def test_zeros_are_no_imperfections() -> None:
+def test_zeros_are_no_errors() -> None:
     """The options at their defaults and none at all: the same ticks, to the bit."""
     options = ("--controller", "onoff", "--hours", "0.2")
     zeros = ("--roof-noise", "0", "--roof-offset", "0", "--noise-seed", "5", "--minimum-on", "0",
@@ -320,8 +320,8 @@ def test_the_table_names_them(tmp_path: Path) -> None:
     options = ("--controller", "onoff", "--hours", "0.01")
     plain = run_module("simulate", tmp_path, *options, "--output", "plain", "--noise-seed", "3")
     assert "sensor_pump_errors" not in plain.stdout
-    told = run_module("simulate", tmp_path, *options, "--output", "told", "--minimum-on", "90")
-    assert "minimum on 90" in told.stdout
+    result = run_module("simulate", tmp_path, *options, "--output", "result", "--minimum-on", "90")
+    assert "minimum on 90" in result.stdout
 
 
 @pytest.mark.parametrize(

@@ -1,0 +1,51 @@
+"""When a controller decides, and what is no command."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+import pytest
+
+from greenroof_ros.common.errors import ConfigurationError
+from greenroof_ros.controllers.decide import decide
+
+
+class Answering:
+    """Answers the same to everything, and counts the ticks that are skipped."""
+
+    parameters = ()
+
+    def __init__(self, answer: Any) -> None:
+        self._answer = answer
+        self.skipped = 0
+
+    def command(self, *inputs: Any) -> Any:
+        return self._answer
+
+    def skip(self) -> None:
+        self.skipped += 1
+
+    def statistics(self) -> None:
+        return None
+
+
+@pytest.mark.parametrize("answer", [0.0, 0.3, 7, np.float64(0.5), 1e300])
+def test_a_command_is_passed_on(answer: float) -> None:
+    controller = Answering(answer)
+    assert decide(controller, True, 2.0, 0.03, [0.0], [0.0]) == answer
+    assert controller.skipped == 0
+
+
+def test_where_pumping_is_not_allowed_the_tick_is_skipped() -> None:
+    controller = Answering(0.3)
+    assert decide(controller, False, 2.0, 0.03, [0.0], [0.0]) == 0.0
+    assert controller.skipped == 1
+
+
+@pytest.mark.parametrize("answer", [-0.5, math.nan, math.inf, "0.5", None])
+def test_what_is_no_command_ends_the_run(answer: Any) -> None:
+    """It would pump water out of the roof, or stop in the middle of the plant."""
+    with pytest.raises(ConfigurationError, match=r"the command of Answering.*must be a finite num"):
+        decide(Answering(answer), True, 2.0, 0.03, [0.0], [0.0])
