@@ -61,10 +61,11 @@ study: $(FOR_STUDY)
 	@$(BIN)/python -m greenroof_ros.study; code=$$?; rm -rf studies/paper/report; \
 	    $(BIN)/python -m greenroof_ros.report studies/paper && exit $$code
 
-# Without ARGS every test, on all cores: which of them may run side by side, test/conftest.py says.
+# Without ARGS every test, one process more than there are cores, since graphs wait for each other.
+# Which tests may run side by side, test/conftest.py says.
 test: $(FOR_TEST)
 ifeq ($(ARGS),)
-	@$(BIN)/python -m pytest --numprocesses auto --dist loadgroup --no-loadscope-reorder
+	@$(BIN)/python -m pytest --numprocesses $$(($$(nproc) + 1)) --dist loadgroup --no-loadscope-reorder
 else
 	@$(BIN)/python -m pytest $(ARGS)
 endif

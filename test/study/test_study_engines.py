@@ -92,6 +92,8 @@ def test_interrupted(tmp_path: Path) -> None:
          "--output", "out"],
         cwd=tmp_path, env={**os.environ, "TMPDIR": str(scratch)},
         stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True, start_new_session=True,
+        # Whoever runs the tests in the background of a shell has it ignored.
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),
     )
     runs = tmp_path / "out" / "runs"
     until = time.monotonic() + 60
