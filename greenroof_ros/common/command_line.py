@@ -18,6 +18,11 @@ EXIT_OCCUPIED = 3
 EXIT_INTERRUPTED = 130
 
 
+def exit_code(error: Exception) -> int:
+    """Return the exit code of a wrong set-up: 3 where another graph is in the way, otherwise 2."""
+    return EXIT_OCCUPIED if isinstance(error, OccupiedError) else EXIT_USAGE
+
+
 def command(main: Callable[[], int]) -> Callable[[], NoReturn]:
     """Make a function a command: it exits with the code that the function returns.
 
@@ -38,7 +43,7 @@ def command(main: Callable[[], int]) -> Callable[[], NoReturn]:
             code = EXIT_FAILED
         except (ConfigurationError, argparse.ArgumentError) as error:
             print(f"error: {error}", file=sys.stderr)
-            code = EXIT_OCCUPIED if isinstance(error, OccupiedError) else EXIT_USAGE
+            code = exit_code(error)
         except OSError as error:
             print(f"error: {error.filename or ''}: {error.strerror}", file=sys.stderr)
             code = EXIT_FAILED

@@ -18,7 +18,7 @@ from rclpy.parameter import Parameter
 from rclpy.publisher import Publisher
 from rclpy.time import Time
 
-from greenroof_ros.common.errors import ConfigurationError
+from greenroof_ros.common.errors import ConfigurationError, OccupiedError
 from greenroof_ros.common.interface import read_topics
 from greenroof_ros.graph.errors import LockstepError
 from greenroof_ros.graph.publishers import PublisherWatch
@@ -232,7 +232,7 @@ class LockstepNode(Node):
 
     def _on_second(self, message: str) -> None:
         """Refuse a second publisher: a wrong set-up before the run, in it a failure of the run."""
-        kind = LockstepError if self.acted else ConfigurationError
+        kind = LockstepError if self.acted else OccupiedError
         self.error = self.error or kind(message)
 
     # --- running ----------------------------------------------------------------------------

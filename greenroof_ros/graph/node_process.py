@@ -12,7 +12,7 @@ import rclpy
 from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 from rclpy.signals import SignalHandlerOptions
 
-from greenroof_ros.common.command_line import EXIT_DONE, EXIT_FAILED, EXIT_USAGE
+from greenroof_ros.common.command_line import EXIT_DONE, EXIT_FAILED, EXIT_USAGE, exit_code
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.files import shared_directory
 from greenroof_ros.graph.errors import LockstepError
@@ -40,7 +40,8 @@ def run_node(make: Callable[[], LockstepNode], args: list[str] | None = None) ->
         args: ROS arguments; ``sys.argv`` if None.
 
     Returns:
-        An exit code: 0 asked to stop, 1 failed, 2 wrong arguments or parameters.
+        An exit code: 0 asked to stop, 1 failed, 2 wrong arguments or parameters, 3 another graph
+        is there.
     """
     os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
     profiles = str(shared_directory() / "config" / "fastdds.xml")
@@ -76,7 +77,7 @@ def run_node(make: Callable[[], LockstepNode], args: list[str] | None = None) ->
             node.check()
     except ConfigurationError as error:
         print(f"error: {error}", file=sys.stderr)
-        code = EXIT_USAGE
+        code = exit_code(error)
     except (LockstepError, OSError) as error:
         _fail(node, error)
         code = EXIT_FAILED

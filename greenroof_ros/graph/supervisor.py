@@ -15,7 +15,12 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any
 
-from greenroof_ros.common.command_line import EXIT_DONE, EXIT_FAILED, EXIT_USAGE
+from greenroof_ros.common.command_line import (
+    EXIT_DONE,
+    EXIT_FAILED,
+    EXIT_OCCUPIED,
+    EXIT_USAGE,
+)
 from greenroof_ros.common.processes import end_with_parent
 from greenroof_ros.graph.shared_memory import remove_left, segments_of
 from greenroof_ros.graph.states import REPORT_PIPE
@@ -203,7 +208,7 @@ class Supervisor:
                 how = f"exit code {code}" if code >= 0 else signal.Signals(-code).name
                 raise NodeFailed(
                     self._with_last_lines(node, f"node {node} ended ({how})"),
-                    EXIT_USAGE if code == EXIT_USAGE else EXIT_FAILED,
+                    code if code in (EXIT_USAGE, EXIT_OCCUPIED) else EXIT_FAILED,
                 )
         now = time.monotonic()
         silent = {node: now - heard for node, heard in self._heard.items() if now - heard > limit}
