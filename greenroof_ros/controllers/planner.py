@@ -80,6 +80,10 @@ class Planner:
     solution the last plan, which was good for the whole horizon, is followed on; ``fallbacks``
     counts it.
 
+    From one start of the pumps to the next it waits 3600 s / ``starts_per_hour`` of the site. The
+    program does not know of starts, and without this rule it would follow evapotranspiration with
+    up to 120 of them an hour. What is missing meanwhile is less than a litre.
+
     The roof's level is not taken as read, and forecasts of rain not for ever: see
     :class:`~greenroof_ros.controllers.roof_observer.RoofObserver` and
     :class:`~greenroof_ros.controllers.regret_limit.RegretLimit`.
@@ -144,6 +148,7 @@ class Planner:
         self._expected = math.nan  # x2 at the next tick, if all goes to plan
         self._off_plan = 0.0  # how far x2 has come off the plan since it was made (m3)
         self._flow = 0.0  # commanded in the last tick (m3/s)
+        self._since_start = math.inf  # (s)
 
     def _set_up(self, members: int) -> None:
         """Set the program up for forecasts of so many members; what is planned for now stays."""
@@ -225,12 +230,14 @@ class Planner:
         if not dry or share < _LEAST_COMMAND:
             share = 0.0
         share = min(share, self._max_command)
+        if not self._flow:
+            share = self._start(share)
         self._flow = share * full
         self._regret_limit.move(x1, x2, fraction, self._flow)
         self._expected = self._observer.predict(
             x2, float(rain[0, 0]), float(evaporated[0]), self._flow
         )
-        self._age += site.tau
+        self._pass_tick()
         self.solve_seconds.append(time.perf_counter() - started)
         return share
 
@@ -239,7 +246,20 @@ class Planner:
         self._observer.skip()
         self._regret_limit.skip()
         self._flow, self._expected = 0.0, math.nan
+        self._pass_tick()
+
+    def _pass_tick(self) -> None:
         self._age += self._site.tau
+        self._since_start += self._site.tau
+
+    def _start(self, share: float) -> float:
+        """Return the command of pumps that stand still: 0 while it is too early for a start."""
+        # Half a tick less: the sum of the ticks is rounded.
+        if share and self._since_start < 3600 / self._site.starts_per_hour - self._site.tau / 2:
+            return 0.0
+        if share:
+            self._since_start = 0.0
+        return share
 
     def statistics(self) -> dict[str, float]:
         """Return the solver's figures.

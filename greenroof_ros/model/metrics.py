@@ -13,13 +13,15 @@ from __future__ import annotations
 import math
 import struct
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
 
 from greenroof_ros.model.plant import JOULES_PER_KWH, WATER_DENSITY, Flows, head_loss
 from greenroof_ros.model.site import Site
+
+_HOUR_S = 3600.0
 
 Values = NDArray[np.float64]
 Totals = dict[str, float]
@@ -45,6 +47,7 @@ class Samples:
         evapotranspiration: off the roof, at most what it held (m3/s).
         limited: 1 where a tank held less than was asked of it, else 0; None where that is unknown.
         pumping_before: whether something was pumped in the sample before the first.
+        earlier_starts: when the pumps started in the hour before the first sample (s, so negative).
     """
 
     duration: Values
@@ -58,6 +61,7 @@ class Samples:
     evapotranspiration: Values
     limited: Values | None = None
     pumping_before: bool = False
+    earlier_starts: Values = field(default_factory=lambda: np.empty(0))
 
 
 # --- how the numbers of the samples are combined -------------------------------------------------
@@ -116,6 +120,26 @@ class Metric:
 def _pump_starts(site: Site, one: Samples) -> Values:
     pumping = one.pump > 0
     return np.asarray(pumping & ~np.append(one.pumping_before, pumping[:-1]), dtype=float)
+
+
+def _start_times(site: Site, one: Samples) -> Values:
+    """Return when the pumps started (s, 0 is the first sample), the earlier starts first."""
+    times = np.cumsum(one.duration) - one.duration
+    return np.concatenate((one.earlier_starts, times[_pump_starts(site, one) > 0]))
+
+
+def _starts_in_hour(site: Site, one: Samples) -> Values:
+    """For each start the number of starts in the hour that ends with it, 0 elsewhere."""
+    times = _start_times(site, one)
+    # Half a tick less than an hour: the times are rounded sums.
+    first = np.searchsorted(times, times - _HOUR_S + site.tau / 2)
+    counts = _pump_starts(site, one)
+    counts[counts > 0] = (np.arange(1, len(times) + 1) - first)[len(one.earlier_starts) :]
+    return counts
+
+
+def _excess_starts(site: Site, one: Samples) -> Values:
+    return np.asarray(_starts_in_hour(site, one) > site.starts_per_hour, dtype=float)
 
 
 def _hydraulic_energy(site: Site, one: Samples) -> Values:
@@ -184,6 +208,15 @@ METRICS = (
         _pump_starts, _count, "d",
     ),
     Metric(
+        "busiest_hour_starts", "1", "starts in the busiest hour", "the most pump starts in an hour",
+        _starts_in_hour, lambda before, values: int(_largest(before, values)), "d",
+    ),
+    Metric(
+        "excess_starts", "1", "too many starts",
+        "pump starts beyond starts_per_hour of the site in the hour that ends with them",
+        _excess_starts, _count, "d", most=0,
+    ),
+    Metric(
         "pump_hours", "h", "pump running", "with a flow",
         lambda site, one: one.duration / 3600 * (one.pump > 0), form=".3f",
     ),
@@ -230,6 +263,7 @@ class Metrics:
         self._totals: Totals = {}
         self._ticks = bytearray()
         self._pumping = False
+        self._starts = np.empty(0)
         self._site: Site
         self._x1 = self._x2 = 0.0
 
@@ -266,6 +300,7 @@ class Metrics:
         columns = np.frombuffer(ticks).reshape(-1, len(_TICK)).T
         return Samples(
             duration=np.full(columns.shape[1], self._site.tau), pumping_before=self._pumping,
+            earlier_starts=self._starts,
             **dict(zip(_TICK, columns, strict=True)),
         )
 
@@ -273,4 +308,6 @@ class Metrics:
         samples = self._samples(self._ticks)
         self._totals = add(self._totals, self._site, samples)
         self._pumping = bool(samples.pump[-1] > 0)
+        starts = _start_times(self._site, samples) - float(samples.duration.sum())
+        self._starts = starts[starts > -_HOUR_S]
         self._ticks = bytearray()

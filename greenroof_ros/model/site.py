@@ -18,9 +18,11 @@ _LEAST, _LARGEST = 1e-12, 1e9
 # A product that a person rounds when writing it down, such as x2_star, is still consistent.
 _ROUNDING = 1e-6
 # What may be left out, with its range: the pumps' efficiency, which only the electric energy needs,
-# and the place, which only a computed evapotranspiration does.
+# their starts, which only planners and a warning do, and the place, which only a computed
+# evapotranspiration does.
 _OPTIONAL = {
     "pump_efficiency": (0.001, 1.0),
+    "starts_per_hour": (0.01, 3600.0),
     "latitude": (-66.0, 66.0),
     "longitude": (-180.0, 180.0),
     "elevation": (-430.0, 6000.0),
@@ -77,6 +79,10 @@ class Site:
     N: int = _parameter("ticks", "length of a run")
     pump_efficiency: float = _may_be_left_out(
         0.5, "1", "hydraulic over electric power of pumps and motors",
+    )
+    starts_per_hour: float = _may_be_left_out(
+        20.0, "1/h", "how often the pumps may start: above it there is a warning, and the planners "
+        "do not start them more often",
     )
     latitude: float | None = _may_be_left_out(None, "degrees", "latitude, positive to the north")
     longitude: float | None = _may_be_left_out(
