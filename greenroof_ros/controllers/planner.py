@@ -82,7 +82,7 @@ class Planner:
 
     From one start of the pumps to the next it waits 3600 s / ``starts_per_hour`` of the site. The
     program does not know of starts, and without this rule it would follow evapotranspiration with
-    up to 120 of them an hour. What is missing meanwhile is less than a litre.
+    up to 120 of them an hour. What evaporates meanwhile is little: 0.05 mm at 1 mm/h and 20 starts.
 
     The roof's level is not taken as read, and forecasts of rain not for ever: see
     :class:`~greenroof_ros.controllers.roof_observer.RoofObserver` and

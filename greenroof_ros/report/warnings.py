@@ -29,6 +29,12 @@ def make_warnings(report: Report) -> list[RunWarning]:
                 "the command was above 1, which asks for more than the pumps have: no real pump "
                 "can follow it", one.entry,
             )
+        if one.assessment.metrics["excess_starts"] > 0:
+            limit = one.entry.site.starts_per_hour
+            warn(
+                f"the pumps started more than {limit:g} times in an hour, which is all that they "
+                "may (starts_per_hour of the site file)", one.entry,
+            )
         if one.assessment.frost_hours > 0:
             pumped = one.assessment.frost_pumped_m3 > 0
             warn("there was frost, and in it something was pumped" if pumped

@@ -7,6 +7,7 @@ import random
 import re
 from collections.abc import Callable
 from functools import cache
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -299,6 +300,39 @@ def test_planner_is_nearly_clairvoyant(window: str) -> None:
     assert least_possible <= reached <= 1.01 * least_possible
 
 
+MARCH = (
+    "--weather", str(DATA / "en_climate_hourly_03-2021.csv"), "--start", "2021-03-16T18:00",
+    "--hours", "4", "--cistern", "57", "--roof", "3.14",
+)
+"""Hours of a little evapotranspiration and no rain or frost, from nearly the target."""
+
+
+@pytest.mark.parametrize("starts_per_hour", [20, 6])
+def test_pumps_start_as_often_as_they_may(starts_per_hour: int, tmp_path: Path) -> None:
+    """Never more starts in an hour; and that costs less than a litre on the roof in the mean."""
+    text = (shared_directory() / "config" / "site.yaml").read_text()
+
+    def outcome(limit: float) -> tuple[list[int], float]:
+        file = tmp_path / f"{limit}.yaml"
+        line = f"starts_per_hour: {limit}"
+        file.write_text(re.sub(r"^starts_per_hour: \S+", line, text, flags=re.M))
+        run = paper_run("--controller", "planning_mpc", "--site", str(file), *MARCH)
+        metrics = Metrics()
+        pumping = [tick.flows.pump > 0 for tick in closed_loop(run, run.make_controller(), metrics)]
+        starts = [
+            k for k, (before, now) in enumerate(pairwise([False, *pumping])) if now and not before
+        ]
+        return starts, metrics["total_deviation_m3"]
+
+    free, least = outcome(3600)
+    starts, total = outcome(starts_per_hour)
+    assert max(sum(start - 3600 < other <= start for other in free) for start in free) > 40
+    assert max(
+        sum(start - 3600 < other <= start for other in starts) for start in starts
+    ) <= starts_per_hour
+    assert (total - least) / (4 * 3600) < 0.001
+
+
 def test_long_ticks(tmp_path: Path) -> None:
     """A tick of five minutes pumps what the plan has for all of it, and not beyond the target."""
     site = (shared_directory() / "config" / "site.yaml").read_text()
@@ -319,14 +353,18 @@ def test_anticipating_onoff_comes_near(window: str) -> None:
 
 
 @pytest.mark.parametrize(
-    "options",
+    ("options", "share"),
     [
-        "--controller planning_mpc",
-        "--controller scenario_mpc --forecast ensemble --forecast-seed 3 --roof-noise 0.002",
+        ("--controller planning_mpc", 0.01),
+        # Noise decides when a pump starts, which alone makes 2 % from one run to the next.
+        (
+            "--controller scenario_mpc --forecast ensemble --forecast-seed 3 --roof-noise 0.002",
+            0.03,
+        ),
     ],
 )
-def test_solver_failures(monkeypatch: pytest.MonkeyPatch, options: str) -> None:
-    """One program in three has no solution, at random: counted, and within 1 % all the same."""
+def test_solver_failures(monkeypatch: pytest.MonkeyPatch, options: str, share: float) -> None:
+    """One program in three has no solution, at random: counted, and it hardly matters."""
     run = paper_run(*options.split())
 
     def outcome() -> tuple[float, float]:
@@ -355,7 +393,7 @@ def test_solver_failures(monkeypatch: pytest.MonkeyPatch, options: str) -> None:
     monkeypatch.setattr(PlanningProgram, "solve", unreliable)
     total, fallbacks = outcome()
     assert fallbacks == failed > 100
-    assert total == pytest.approx(reached, rel=0.01)
+    assert total == pytest.approx(reached, rel=share)
 
 
 def test_solver_that_gives_up() -> None:

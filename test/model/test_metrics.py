@@ -15,6 +15,7 @@ from greenroof_ros.model.metrics import METRICS, Metrics
 from greenroof_ros.model.plant import Flows
 from greenroof_ros.model.site import Site, read_site, site_parameters
 
+COUNTS = {"limited_steps", "pump_starts", "busiest_hour_starts", "excess_starts"}
 Ticks = list[tuple[float, float, float, float, Flows]]
 
 
@@ -37,9 +38,15 @@ def drawn(count: int, seed: int) -> Ticks:
 def sums(site: Site, ticks: Ticks) -> dict[str, float]:
     """Return the metrics of ticks, of which the last is the end of the run."""
     names = [metric.name for metric in METRICS]
-    found: dict[str, float] = {**dict.fromkeys(names, 0.0), "limited_steps": 0, "pump_starts": 0}
+    found: dict[str, float] = {**dict.fromkeys(names, 0.0), **dict.fromkeys(COUNTS, 0)}
     pumping = False
-    for x1, x2, command, rain, flows in ticks[:-1]:
+    in_hour: list[float] = []  # when the pumps started in the hour that ends now (s)
+    for k, (x1, x2, command, rain, flows) in enumerate(ticks[:-1]):
+        if flows.pump > 0 and not pumping:
+            now = k * site.tau
+            in_hour = [*(start for start in in_hour if start > now - 3600), now]
+            found["busiest_hour_starts"] = max(found["busiest_hour_starts"], len(in_hour))
+            found["excess_starts"] += len(in_hour) > site.starts_per_hour
         head = site.pipe_resistance * flows.pump**2 + site.d - x1 / site.a1
         energy = 1000.0 * site.g * flows.pump * head * site.tau / 3.6e6
         for name, value in (
@@ -69,7 +76,7 @@ def sums(site: Site, ticks: Ticks) -> dict[str, float]:
 @pytest.mark.parametrize("count", [1, 2, 4096, 4097, 4098, 10_000])
 def test_every_bit_whatever_the_length(count: int) -> None:
     """Of runs that are shorter than a block, as long, and longer; half way, and at the end."""
-    site = site_with(tau=0.5, g=9.8)
+    site = site_with(tau=0.5, g=9.8, starts_per_hour=700.0)
     ticks = drawn(count, seed=count)
     metrics = Metrics()
     for tick, (x1, x2, command, rain, flows) in enumerate(ticks, start=1):
@@ -81,9 +88,22 @@ def test_every_bit_whatever_the_length(count: int) -> None:
     found = metrics.results()
     assert found == sums(site, ticks)
     assert found == metrics.results()
-    assert [type(found[name]) for name in ("limited_steps", "pump_starts", "pumped_m3")] == [
-        int, int, float
-    ]
+    assert {name for name, value in found.items() if type(value) is int} == COUNTS
+
+
+@pytest.mark.parametrize(
+    ("tau", "gap", "busiest"), [(0.1, 1800, 20), (0.1, 1799, 21), (1.0, 180, 20)]
+)
+def test_an_hour_holds_its_first_start_no_more(tau: float, gap: int, busiest: int) -> None:
+    """Twenty starts 180 s apart fill it; the next comes as the first leaves it."""
+    site = site_with(tau=tau)
+    metrics = Metrics()
+    for tick in range(30 * gap):
+        metrics.observe(site, 75.0, 1.0)
+        metrics.step(1.0, 0.0, Flows(0.0, 0.004 * (tick % gap == 0), 0.0, 0.0, False))
+    assert metrics["pump_starts"] == 30
+    assert metrics["busiest_hour_starts"] == busiest
+    assert metrics["excess_starts"] == (10 if busiest > 20 else 0)
 
 
 def test_electric_energy_is_over_the_sites_efficiency(tmp_path: Path) -> None:

@@ -42,6 +42,7 @@ def test_packaged_site_is_table_i() -> None:
     assert {key: site[key] for key in TABLE_I} == pytest.approx(TABLE_I, rel=1e-15)
     # Without a source: pumps and motors of this size waste about half.
     assert site.pop("pump_efficiency") == 0.5
+    assert site.pop("starts_per_hour") == 20
     place = {key: value for key, value in site.items() if key not in TABLE_I}
     # Toronto City Centre; FAO-56's reference grass; radiation "for coastal locations" (Eq. 50).
     assert place == {

@@ -824,6 +824,19 @@ def test_pulses_between_the_levels_count(tmp_path: Path) -> None:
     assert judged.metrics["total_deviation_m3"] == pytest.approx(deviation, rel=1e-9)
 
 
+@pytest.mark.parametrize(("starts", "warned"), [(20, False), (21, True)])
+def test_pumps_that_start_too_often(starts: int, warned: bool, tmp_path: Path) -> None:
+    """The paper's site allows 20 starts in an hour: the page warns of 21."""
+    seconds = [minute * MINUTE for minute in range(60)]
+    site_bag(tmp_path / "bag", pump_flow=(
+        seconds, [0.001 * (minute % 2 and minute < 2 * starts) for minute in range(60)]
+    ))
+    done = command("bag", "--output", "report", cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    text = (tmp_path / "report" / "report.html").read_text()
+    assert ("The pumps started more than 20 times in an hour" in text) is warned
+
+
 def test_a_gap_is_not_filled_with_flow(tmp_path: Path) -> None:
     """The recorder stood still for two hours while the pump ran; 9 minutes are no gap."""
     stamps = [0, MINUTE, 2 * MINUTE, 11 * MINUTE, 12 * MINUTE, 132 * MINUTE, 133 * MINUTE]
