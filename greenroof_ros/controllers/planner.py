@@ -35,6 +35,8 @@ _log = logging.getLogger(__name__)
 _LONGEST_PLAN_S = 60.0
 _LONGEST_ENSEMBLE_PLAN_S = 600.0
 _OFF_PLAN_M3 = 2e-3
+# So far below the target it follows evapotranspiration (m3), where nothing cuts the pumps.
+_BELOW_TARGET_M3 = 1e-6
 # Less is the solver's tolerance (share of the maximum flow).
 _LEAST_COMMAND = 1e-5
 
@@ -227,6 +229,12 @@ class Planner:
         full = maximum_pump_flow(site, x1)
         share = self._planned_flow() / full if full > 0 else 0.0
         dry = x2 < site.x2_star and cistern_level >= site.suction_level
+        if dry and site.x2_star - x2 < _OFF_PLAN_M3:
+            # The pumps are cut at the target, and would start again: no more than leads there.
+            missing = site.x2_star - site.roof_volume(roof_level)
+            inflow_now = float(rain[0, 0]) * site.a2 - float(evaporated[0])
+            dry = missing > 0
+            share = min(share, ((missing - _BELOW_TARGET_M3) / site.tau - inflow_now) / full)
         if not dry or share < _LEAST_COMMAND:
             share = 0.0
         share = min(share, self._max_command)
