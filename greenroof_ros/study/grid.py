@@ -17,7 +17,7 @@ from greenroof_ros.common.files import YamlMapping, read_yaml, unique_name
 from greenroof_ros.controllers.registry import ControllerChoice, find_controller
 from greenroof_ros.experiment.run import build_run, count_ticks
 from greenroof_ros.forecast.choice import OPTIONS, PERFECT, ForecastChoice, choose
-from greenroof_ros.model.initial_state import INITIAL_STATES, initial_state
+from greenroof_ros.model.initial_state import INITIAL_STATES, check_volumes, initial_state
 from greenroof_ros.model.sensor_pump_errors import RANGES, SensorPumpErrors
 from greenroof_ros.model.site import Site, read_site
 from greenroof_ros.weather.joining import find_files
@@ -343,6 +343,8 @@ class _Grid:
             if name in names:
                 raise self._refuse(self._mapping, "initial", f"has {name} twice")
             names.add(name)
+            with self._at(self._mapping, "initial"):
+                check_volumes(site, volumes[0], volumes[1], keys=("cistern", "roof"))
             yield name, (volumes[0], volumes[1])
 
     def _controllers(self) -> Iterator[tuple[ControllerChoice, dict[str, float]]]:

@@ -37,7 +37,11 @@ WRONG = {
     "volume": (edited("roof: 0.5", "roof: -0.5"), "initial: volumes must not be negative"),
     "half-state": (edited(", roof: 0.5", ""), "initial: a state has no roof"),
     "state-twice": (edited("name: dry", "name: low-low"), "initial: has low-low twice"),
-    "level": (edited("cistern: 40.0", "cistern: 4.0e+6"), "m on /cistern/level, where at most 100"),
+    "deep": (
+        edited("cistern: 40.0", "cistern: 4.0e+6"),
+        "line 8: cistern = 4000000.0: must be at most 400 m3, a level of 16 m",
+    ),
+    "ponded": (edited("roof: 0.5", "roof: 250"), "line 8: roof = 250.0: must be at most 159.96 m3"),
     "controller": (edited("onoff:", "pid:"), "line 13: controller = 'pid': must be one of mpc"),
     "parameter": (edited("weight", "wieght"), "line 11: wieght: is not a parameter of mpc; they"),
     "value": (edited("0.1]", "-0.1]"), "line 11: weight: -0.1 must be from 1e-09 to 1e+06"),
