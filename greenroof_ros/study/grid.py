@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import glob
 import hashlib
 import itertools
 import json
@@ -13,7 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from greenroof_ros.common.errors import ConfigurationError
-from greenroof_ros.common.files import YamlMapping, read_yaml, unique_name
+from greenroof_ros.common.files import YamlMapping, read_yaml, shared_directory, unique_name
 from greenroof_ros.controllers.registry import ControllerChoice, find_controller
 from greenroof_ros.experiment.run import build_run, count_ticks
 from greenroof_ros.forecast.choice import OPTIONS, PERFECT, ForecastChoice, choose
@@ -168,7 +169,7 @@ class _Grid:
         """Yield every combination."""
         controllers = list(self._controllers())
         for site_file in self._list(self._mapping, "site", str):
-            path = self._path.parent / site_file
+            path = self._place(self._mapping, "site", site_file) / site_file
             site = read_site(path)
             for window in self._windows():
                 for start, hours, method in itertools.product(
@@ -189,8 +190,12 @@ class _Grid:
         controllers: list[tuple[ControllerChoice, dict[str, float]]],
     ) -> Iterator[Case]:
         """Yield the runs of one site in one window."""
-        with self._at(window, "file"):
-            files = find_files(self._list(window, "file", str), "file", self._path.parent)
+        files: list[Path] = []
+        for name in self._list(window, "file", str):
+            place = self._place(window, "file", name)
+            with self._at(window, "file"):
+                found = find_files([name], "file", place)
+            files += [file for file in found if file not in files]
         with self._at(window, "hours"):
             steps = count_ticks(site, hours, "hours")
         with self._at(window, "evapotranspiration"):
@@ -249,7 +254,8 @@ class _Grid:
                     f"{text!r} {error}, or {{model: errors, size: 0.5, seed: [1, 2]}}",
                 ) from error
             if choice.file is not None:
-                choice = replace(choice, file=self._path.parent / choice.file)
+                place = self._place(mapping, "forecast", str(choice.file))
+                choice = replace(choice, file=place / choice.file)
             if options:
                 self._keys(options, ("model", *choice.options()))
             names = [name for name in choice.options() if name in options]
@@ -291,6 +297,27 @@ class _Grid:
             choices.append(values)
         for combination in itertools.product(*choices):
             yield dict(zip(ranges, combination, strict=True))
+
+    def _place(self, mapping: YamlMapping, key: str, name: str) -> Path:
+        """Return the directory from which a name, or a pattern, is that of a file.
+
+        It is the grid's own, or else the package's ``config/``: a copy of a grid of the package
+        runs as it is.
+
+        Raises:
+            ConfigurationError: there is no such file in either.
+        """
+        places = (self._path.parent, shared_directory() / "config")
+        for place in places:
+            if (place / name).exists() or glob.glob(str(place / name)):  # noqa: PTH207
+                return place
+        if Path(name).is_absolute():
+            raise self._refuse(mapping, key, f"{name} does not exist")
+        raise self._refuse(
+            mapping, key,
+            f"{name} is neither beside the grid, in {places[0].resolve()}, nor among the package's "
+            f"own files, in {places[1]}",
+        )
 
     def _input(self, path: Path) -> InputFile:
         """Return a file's content under a name that no other file of the study has."""
