@@ -5,8 +5,9 @@ from __future__ import annotations
 import argparse
 import os
 import signal
+import sys
 from collections.abc import Mapping, Sequence
-from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, Future, wait
+from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, CancelledError, Future, wait
 from pathlib import Path
 from typing import Any
 
@@ -20,7 +21,7 @@ from greenroof_ros.study.case_run import ENGINES, Outcome, bound_case, run_case
 from greenroof_ros.study.grid import Case, read_grid
 from greenroof_ros.study.store import Store
 from greenroof_ros.study.table import case_name, show
-from greenroof_ros.study.workers import Submit, cluster, processes
+from greenroof_ros.study.workers import Workers, WorkersGoneError, cluster, processes
 
 # A graph is five processes; two cores are busy with one.
 _CORES_PER_GRAPH = 2
@@ -116,17 +117,23 @@ def main() -> int:
             cores = len(os.sched_getaffinity(0))
             if arguments.engine == "ros":
                 cores = max(1, cores // _CORES_PER_GRAPH)
-            workers = (
+            those = (
                 cluster(arguments.scheduler) if arguments.scheduler is not None
                 else processes(arguments.jobs or cores)
             )
-            with workers as submit:
+            with those as workers:
                 _run(
-                    open_cases, problems, bounds, arguments.engine, submit, store, outcomes,
+                    open_cases, problems, bounds, arguments.engine, workers, store, outcomes,
                     failures, console,
                 )
     except BrokenExecutor:
         console.print("error: the process that starts the others was killed; begin again")
+        return EXIT_FAILED
+    except WorkersGoneError as error:
+        print(
+            f"error: {error}: {len(outcomes)} of {len(cases)} cases are stored; run the same "
+            "command again, it goes on", file=sys.stderr,
+        )
         return EXIT_FAILED
     finally:
         rows = store.write_tables(outcomes, failures, store.bounds())
@@ -139,7 +146,7 @@ def _run(
     problems: Mapping[str, Case],
     bounds: dict[str, float],
     engine: str,
-    submit: Submit,
+    workers: Workers,
     store: Store,
     outcomes: dict[str, Outcome],
     failures: dict[str, str],
@@ -161,18 +168,21 @@ def _run(
         task = progress.add_task("study", total=len(ordered))
         progress.refresh()
         bounding: dict[Future[float], str] = {
-            submit(bound_case, case): problem for problem, case in problems.items()
+            workers.submit(bound_case, case): problem for problem, case in problems.items()
         }
         pending: dict[Future[Outcome], Case] = {
-            submit(run_case, case, engine): case for case in ordered
+            workers.submit(run_case, case, engine): case for case in ordered
         }
         while pending or bounding:
+            workers.check()
             open_tasks: list[Future[Any]] = [*pending, *bounding]
             done, _ = wait(open_tasks, timeout=_REFRESH_S, return_when=FIRST_COMPLETED)
             for future in done & bounding.keys():
                 problem = bounding.pop(future)
                 try:
                     bounds[problem] = future.result()
+                except CancelledError:
+                    raise
                 except Exception as error:  # the runs do not need it
                     name = case_name(problems[problem])
                     progress.print(f"no bound: {name}: {error}", markup=False)
@@ -182,6 +192,8 @@ def _run(
                 case = pending.pop(future)
                 try:
                     outcome = future.result()
+                except CancelledError:
+                    raise
                 except Exception as error:  # of a run, or the end of its process
                     reason = str(error) or type(error).__name__
                     failures[case.identity] = reason
