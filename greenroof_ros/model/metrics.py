@@ -2,8 +2,8 @@
 
 A metric is a function of the samples of a run, which gives a number for each sample, and a way to
 combine those numbers: their sum, the largest, the last; hours are counted in ticks. The same
-function serves a run that is under way, block by block (:class:`Metrics`), and one that was recorded
-(:func:`totals_of`).
+function serves a run that is under way, block by block (:class:`Metrics`), and one that was
+recorded (:func:`totals_of`).
 
 All sums are Euler's, and sequential: a value holds from its sample to the next, and what was
 added up before comes first. The bits of a sum do not depend on the blocks in which it was made.

@@ -20,7 +20,7 @@ from greenroof_ros.common.files import shared_directory
 from greenroof_ros.study.case_run import ENGINES, Outcome, bound_case, run_case
 from greenroof_ros.study.grid import Case, read_grid
 from greenroof_ros.study.store import Store
-from greenroof_ros.study.table import case_name, show
+from greenroof_ros.study.table import Names, show
 from greenroof_ros.study.workers import Workers, WorkersGoneError, cluster, processes
 
 # A graph is five processes; two cores are busy with one.
@@ -123,8 +123,8 @@ def main() -> int:
             )
             with those as workers:
                 _run(
-                    open_cases, problems, bounds, arguments.engine, workers, store, outcomes,
-                    failures, console,
+                    open_cases, Names(cases), problems, bounds, arguments.engine, workers, store,
+                    outcomes, failures, console,
                 )
     except BrokenExecutor:
         console.print("error: the process that starts the others was killed; begin again")
@@ -143,6 +143,7 @@ def main() -> int:
 
 def _run(
     cases: Sequence[Case],
+    names: Names,
     problems: Mapping[str, Case],
     bounds: dict[str, float],
     engine: str,
@@ -184,7 +185,7 @@ def _run(
                 except CancelledError:
                     raise
                 except Exception as error:  # the runs do not need it
-                    name = case_name(problems[problem])
+                    name = names.name(problems[problem])
                     progress.print(f"no bound: {name}: {error}", markup=False)
                 else:
                     store.keep_bounds(bounds)
@@ -197,7 +198,7 @@ def _run(
                 except Exception as error:  # of a run, or the end of its process
                     reason = str(error) or type(error).__name__
                     failures[case.identity] = reason
-                    progress.print(f"failed: {case_name(case)}: {reason}", markup=False)
+                    progress.print(f"failed: {names.name(case)}: {reason}", markup=False)
                 else:
                     store.keep(case, outcome)
                     outcomes[case.identity] = outcome

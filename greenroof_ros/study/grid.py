@@ -27,6 +27,8 @@ from greenroof_ros.weather.records import name_files
 
 _KEYS = ("site", "weather", "initial", "controllers")
 _OPTIONAL_KEYS = ("forecast", "sensor_pump_errors")
+# What the directory of a study has beside them.
+_OWN_FILES = ("grid.yaml", "study.json")
 _WINDOW_KEYS = ("file", "start", "hours", "evapotranspiration", "forecast")
 
 
@@ -46,6 +48,7 @@ class Case:
     Attributes:
         site: site file.
         weather: weather files, joined, in the order of time.
+        weather_name: one name for them, which no other weather of the study has.
         start: time of tick 0, ISO 8601 with its offset from UTC.
         hours: length (h).
         evapotranspiration: method.
@@ -61,6 +64,7 @@ class Case:
 
     site: InputFile
     weather: tuple[InputFile, ...]
+    weather_name: str
     start: str
     hours: float
     evapotranspiration: str
@@ -104,11 +108,6 @@ class Case:
             self, controller=find_controller("onoff"), parameters={}, forecast=ForecastChoice(),
             forecast_file=None, sensor_pump_errors=None,
         ).identity
-
-    @property
-    def weather_name(self) -> str:
-        """One name for its weather files."""
-        return name_files([Path(file.name) for file in self.weather])
 
     def columns(self) -> dict[str, Any]:
         """Return what the table says of the case itself, without its parameters."""
@@ -164,6 +163,7 @@ class _Grid:
             if not self._mapping.get(key):
                 raise ConfigurationError("is missing or empty", file=path, key=key)
         self._files: dict[Path, InputFile] = {}
+        self._weathers: dict[tuple[InputFile, ...], str] = {}
 
     def cases(self) -> Iterator[Case]:
         """Yield every combination."""
@@ -216,12 +216,14 @@ class _Grid:
                         volumes, choice,
                     )
             forecast_file = None if choice.file is None else self._input(choice.file)
+            inputs = tuple(map(self._input, weather.files))
             for sensor_pump_errors, (controller, parameters) in itertools.product(
                 list(self._sensor_pump_errors()), controllers
             ):
                 yield Case(
                     site=self._input(site_file),
-                    weather=tuple(map(self._input, weather.files)),
+                    weather=inputs,
+                    weather_name=self._weather_name(inputs),
                     start=run.start.isoformat(),
                     hours=run.steps * site.tau / 3600,
                     evapotranspiration=weather.method,
@@ -320,12 +322,27 @@ class _Grid:
         )
 
     def _input(self, path: Path) -> InputFile:
-        """Return a file's content under a name that no other file of the study has."""
+        """Return a file's content under a name that no other file of the study has.
+
+        It is the file's own, with its folder's before it where another file has it already.
+        """
         path = path.resolve()
         if path not in self._files:
-            taken = {file.name for file in self._files.values()}
-            self._files[path] = InputFile(unique_name(path, taken), path.read_bytes())
+            taken = {*_OWN_FILES, *(file.name for file in self._files.values())}
+            named = path
+            if path.name in taken:
+                named = path.with_name(f"{path.parent.name}-{path.name}")
+            self._files[path] = InputFile(unique_name(named, taken), path.read_bytes())
         return self._files[path]
+
+    def _weather_name(self, files: tuple[InputFile, ...]) -> str:
+        """Return one name for weather files, which no others of the study have."""
+        if files not in self._weathers:
+            name = name_files([Path(file.name) for file in files])
+            taken = self._weathers.values()
+            alike = itertools.chain([name], (f"{name} ({n})" for n in itertools.count(2)))
+            self._weathers[files] = next(each for each in alike if each not in taken)
+        return self._weathers[files]
 
     def _windows(self) -> Iterator[YamlMapping]:
         windows = self._mapping["weather"]
@@ -381,10 +398,18 @@ class _Grid:
             raise self._refuse(
                 self._mapping, "controllers", "must hold 'mpc:' or other controllers"
             )
+        references: dict[str, str] = {}
         for reference in section:
             with self._at(section, reference):
                 controller = find_controller(reference)
                 defaults = controller.defaults()
+            if controller.name in references:
+                raise self._refuse(
+                    section, reference,
+                    f"is named {controller.name}, as {references[controller.name]} is; rename its "
+                    "class",
+                )
+            references[controller.name] = reference
             given = section[reference]
             if given is None:
                 yield controller, defaults

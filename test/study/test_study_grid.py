@@ -26,7 +26,7 @@ WRONG = {
     "uncovered": (edited("2021-07-07T02:00", "2022-07-07T02:00"), "but the run is from 2022-07-07"),
     "hours": (edited("0.25", "0"), "line 6: hours = 0.0: must be a whole number of ticks"),
     "hours-list": (edited("0.25", "[0.25, -1]"), "line 6: hours = -1.0: must be a whole number"),
-    "files": (edited(str(WEATHER), f"[{WEATHER}, b.csv]"), "line 4: file: b.csv is neither beside the"),
+    "files": (edited(str(WEATHER), f"[{WEATHER}, b.csv]"), "line 4: file: b.csv is neither"),
     "pattern": (edited(str(WEATHER), "b-*.csv"), "line 4: file = 'b-*.csv': b-*.csv is neither"),
     "names": (edited("name: dry", "name: [a, b]"), "name: must be one value, not a list"),
     "volumes": (edited("cistern: 40.0", "cistern: [40, 41]"), "cistern: must be one value, not a"),
@@ -182,6 +182,6 @@ def test_names_of_files(tmp_path: Path) -> None:
     with pytest.raises(ConfigurationError) as refused:
         read_grid(copy)
     assert str(refused.value) == (
-        f"{copy}, line 2: site = 'my_site.yaml': my_site.yaml is neither beside the grid, in {tmp_path}, nor "
-        f"among the package's own files, in {CONFIG}"
+        f"{copy}, line 2: site = 'my_site.yaml': my_site.yaml is neither beside the grid, in "
+        f"{tmp_path}, nor among the package's own files, in {CONFIG}"
     )
