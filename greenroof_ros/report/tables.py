@@ -9,7 +9,7 @@ from functools import partial
 from typing import NamedTuple
 
 from greenroof_ros.model.metrics import METRICS, Metric
-from greenroof_ros.recording.results_table import differing
+from greenroof_ros.recording.results_table import differing, shortest
 from greenroof_ros.report.assessment import Assumptions
 from greenroof_ros.report.results import Best, Report, Result, best_runs
 from greenroof_ros.report.seeds import Spread, spreads
@@ -248,7 +248,7 @@ def _seeded(report: Report) -> list[Table]:
             Cell(one.setting, f"{one.controller} {rank:06}"),
             *(_word(one.place.facts[name]) for name in where),
             _word(one.place.initial),
-            _number(one.size),
+            Cell(shortest(one.size), one.size),
             _number(len(one.totals), "d"),
             *(_number(total, ".2f") for total in totals),
             *(_share(total / one.bound_m3 if one.bound_m3 else None)

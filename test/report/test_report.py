@@ -564,7 +564,7 @@ def test_seeds_page(seeds: Path, tmp_path: Path) -> None:
     row = next(row for row in table.split("<tr>") if "onoff 000002" in row)
     cells = [cell.partition("<")[0] for cell in row.split('">')[1:]]
     assert cells == [
-        "on/off", "fraction 0.5", "2021-07-07 02:00-05:00", "12", "low-low", "0.5", "25",
+        "on/off", "fraction 0.5", "2021-07-07 02:00-05:00", "12 h", "low-low", "0.5", "25",
         "1013.00", "1024.50", "1025.00", "2.0260", "2.0490", "2.0500",
     ]
     assert "Results of each run" not in text
@@ -574,7 +574,7 @@ def test_seeds_page(seeds: Path, tmp_path: Path) -> None:
     page = (tmp_path / "report" / "report.html").read_text()
     assert "report on 600 runs" in page
     assert (
-        "toronto_2021-07, 2021-07-20 02:00-05:00, 24 h, evapotranspiration published, forecast "
+        "toronto_2021-07.csv, 2021-07-20 02:00-05:00, 24 h, evapotranspiration published, forecast "
         "ensemble members 10 size 1, 25 seeds"
     ) in page
 
@@ -1047,7 +1047,7 @@ def test_a_run_of_the_graph(domain: int, tmp_path: Path) -> None:
         assert value == pytest.approx(summary[name], rel=1e-12), name
     assert judged.roof_residual_m3 == pytest.approx(0, abs=1e-12)
     assert (entry.controller, entry.initial) == ("onoff", "low-low")
-    assert entry.site_name == "run/configuration/site.yaml"
+    assert entry.site_name == "site.yaml"
     assert trajectory.start.isoformat() == summary["start"]
     assert notes == () and entry.notes == ()
     assert entry.bound(trajectory) == pytest.approx(
