@@ -34,8 +34,8 @@ parameters - in parallel, and put the results in one table, results.csv. The pap
 another grid is given. Interrupted or killed, the same command goes on where it was.
 """
 _EPILOG = """\
-exit codes: 0 done, 1 a run failed (the others are in the table), 2 bad usage or configuration,
-130 interrupted
+exit codes: 0 done, 1 a run failed (the others are in the table) or the cluster went (go on with the
+same command), 2 bad usage or configuration, 130 interrupted
 
 examples:
   python -m greenroof_ros.study                              the paper's 30 runs

@@ -40,6 +40,7 @@ from greenroof_ros.report.page import render
 from greenroof_ros.report.results import MOST_POINTS, Report, result, thin
 from greenroof_ros.report.runs import find_runs
 from greenroof_ros.report.seeds import split_by_seeds, spreads
+from greenroof_ros.report.tables import make_tables
 
 START = datetime.fromisoformat("2021-07-07T02:00-05:00")
 START_NS = 1_625_641_200 * 10**9  # date -d 2021-07-07T02:00-05:00 +%s
@@ -910,6 +911,26 @@ def own_run(directory: Path, one: Simulated) -> Path:
         "weather_notes": ["rain was moved an hour back"],
     }))
     return directory
+
+
+def test_sites_of_run_directories(tmp_path: Path, simulated: list[Simulated]) -> None:
+    """Runs of equal sites are compared, whatever their directories; other sites are in titles."""
+    paths = [own_run(tmp_path / name, one) for name, one in zip("abc", simulated[:3], strict=True)]
+    report = Report([result(run, Assumptions()) for run in find_runs(paths, None).runs])
+    assert [run.site_name for run in report.entries] == ["site.yaml"] * 3
+    assert len(report.windows) == 1
+    assert "site" not in report.heading(report.windows[0])
+    file = paths[1] / "configuration" / "site.yaml"
+    file.write_text(file.read_text().replace("a1: 25.0", "a1: 30.0"))
+    report = Report([result(run, Assumptions()) for run in find_runs(paths, None).runs])
+    assert [run.site_name for run in report.entries] == [
+        "site.yaml (a)", "site.yaml (b)", "site.yaml (a)"
+    ]
+    headings = list(map(report.heading, report.windows))
+    assert len(set(headings)) == len(headings) == 2
+    assert headings[1].startswith("site.yaml (b), ")
+    header = {table.name: table.header for table in make_tables(report, Assumptions())}
+    assert "site" in header["Results of each run"]
 
 
 def test_no_bound_from_a_sensor_that_errs(
