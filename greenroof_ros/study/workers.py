@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import logging
 import multiprocessing
 import os
@@ -122,7 +123,7 @@ def cluster(address: str) -> Iterator[Workers]:
         try:
             client.wait_for_workers(1, timeout=_CONNECT_S)
             _check_versions(client.run(versions))
-        except TimeoutError as error:
+        except asyncio.TimeoutError as error:  # of Python 3.10, another than the built-in one
             raise ConfigurationError(
                 "has no worker", key="--scheduler", value=address
             ) from error
