@@ -186,6 +186,20 @@ def test_pip_install_simulates(pip_installed, pip_environment, tmp_path):
     run(pip_installed / "bin" / command[0], *command[1:], cwd=tmp_path, env=pip_environment)
 
 
+def test_pip_install_runs_copies_of_its_grids(pip_installed, pip_environment, tmp_path):
+    """Copied into an empty directory, they find the files that they name in the installed share."""
+    counts = {"study.yaml": 3 * 10, "study_useless_forecasts.yaml": 3 * 3 * 11}
+    for name in counts:
+        shutil.copy(pip_installed / "share" / "greenroof_ros" / "config" / name, tmp_path)
+    printed = run(
+        pip_installed / "bin" / "python", "-c",
+        "import sys, pathlib, greenroof_ros.study.grid as grid\n"
+        "for name in sys.argv[1:]: print(name, len(grid.read_grid(pathlib.Path(name))))", *counts,
+        cwd=tmp_path, env=pip_environment,
+    )
+    assert printed.splitlines() == [f"{name} {count}" for name, count in counts.items()]
+
+
 # -------------------------------------------------------------------------------------- colcon
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import math
 import re
 from collections.abc import Container
@@ -41,6 +42,11 @@ def unique_name(file: Path, taken: Container[str]) -> str:
         number += 1
         name = f"{file.stem}-{number}{file.suffix}"
     return name
+
+
+def file_digest(path: Path) -> str:
+    """Return what identifies a file's content; empty where there is no such file."""
+    return hashlib.sha256(path.read_bytes()).hexdigest() if path.is_file() else ""
 
 
 def read_text(path: Path, *, byte_order_mark: bool = False) -> str:

@@ -48,6 +48,12 @@ def to_minutes(time: datetime) -> str:
     return time.isoformat(timespec="minutes")
 
 
+def to_people(time: datetime) -> str:
+    """Write a time as headings have it, ``2021-07-07 02:00-05:00``; seconds where there are any."""
+    whole = time.second == 0 and time.microsecond == 0
+    return time.isoformat(" ", "minutes" if whole else "auto")
+
+
 def epoch_ns(time: datetime) -> int:
     """Nanoseconds since 1970-01-01 UTC, without a rounding on the way."""
     return (time - _EPOCH) // timedelta(microseconds=1) * 1000

@@ -19,7 +19,7 @@ from greenroof_ros.controllers.registry import (
 )
 from greenroof_ros.experiment.run import Run, build_run, count_ticks
 from greenroof_ros.forecast.choice import MODELS, OPTIONS, ForecastChoice, choose
-from greenroof_ros.model.initial_state import INITIAL_STATES, initial_state
+from greenroof_ros.model.initial_state import INITIAL_STATES, check_volumes, initial_state
 from greenroof_ros.model.sensor_pump_errors import RANGES, SensorPumpErrors
 from greenroof_ros.model.site import read_site
 from greenroof_ros.weather.joining import find_files
@@ -288,6 +288,7 @@ def _run(
     else:
         initial = arguments.initial or "low-low"
         volumes = initial_state(site, initial)
+    check_volumes(site, *volumes, keys=("--cistern", "--roof"))
     weather = read_weather(
         find_files(arguments.weather or [str(default_weather())], "--weather"),
         site,

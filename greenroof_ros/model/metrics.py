@@ -1,8 +1,9 @@
 """What a run is judged by: one entry a metric, for every summary, table and report.
 
 A metric is a function of the samples of a run, which gives a number for each sample, and a way to
-combine those numbers: their sum, the largest, the last. The same function serves a run that is
-under way, block by block (:class:`Metrics`), and one that was recorded (:func:`add`).
+combine those numbers: their sum, the largest, the last; hours are counted in ticks. The same
+function serves a run that is under way, block by block (:class:`Metrics`), and one that was
+recorded (:func:`totals_of`).
 
 All sums are Euler's, and sequential: a value holds from its sample to the next, and what was
 added up before comes first. The bits of a sum do not depend on the blocks in which it was made.
@@ -84,6 +85,17 @@ def _last(before: float, values: Values) -> float:
     return float(values[-1])
 
 
+# --- what is made of the combined number ---------------------------------------------------------
+
+
+def _as_it_is(site: Site, total: float) -> float:
+    return total
+
+
+def _hours(site: Site, ticks: float) -> float:
+    return ticks * site.tau / 3600
+
+
 @dataclass(frozen=True)
 class Metric:
     """One thing that a run is judged by.
@@ -97,6 +109,7 @@ class Metric:
         combine: what it was before, with the values of further samples; it is 0 at the beginning.
         form: format of its number in tables.
         most: what is above it is shown as a warning.
+        finish: makes the metric of what was combined: a sum of ticks is exact, one of hours is not.
     """
 
     name: str
@@ -107,6 +120,7 @@ class Metric:
     combine: Callable[[float, Values], float] = _sum
     form: str = ".4g"
     most: float = math.inf
+    finish: Callable[[Site, float], float] = _as_it_is
 
     @property
     def description(self) -> str:
@@ -197,7 +211,8 @@ METRICS = (
     ),
     Metric(
         "beyond_hours", "h", "beyond the pump", "with a command above 1",
-        lambda site, one: one.duration / 3600 * (one.command > 1), form=".4f", most=0,
+        lambda site, one: one.duration / site.tau * (one.command > 1), form=".4f", most=0,
+        finish=_hours,
     ),
     Metric(
         "limited_steps", "1", "limited ticks", "a tank held less than was asked of it",
@@ -218,7 +233,7 @@ METRICS = (
     ),
     Metric(
         "pump_hours", "h", "pump running", "with a flow",
-        lambda site, one: one.duration / 3600 * (one.pump > 0), form=".3f",
+        lambda site, one: one.duration / site.tau * (one.pump > 0), form=".3f", finish=_hours,
     ),
     Metric(
         "hydraulic_energy_kwh", "kWh", "hydraulic energy",
@@ -232,14 +247,25 @@ METRICS = (
 )
 
 
-def add(totals: Mapping[str, float], site: Site, samples: Samples) -> Totals:
-    """Return the metrics of a run with further samples; a metric that they do not say is left out.
+def totals_of(site: Site, samples: Samples) -> Totals:
+    """Return the metrics of a whole run; a metric that its samples do not say is left out.
 
     Args:
-        totals: of the samples before; empty at the beginning.
         site: its parameters.
         samples: at least one.
     """
+    return _finished(site, _add({}, site, samples))
+
+
+def _finished(site: Site, totals: Mapping[str, float]) -> Totals:
+    return {
+        metric.name: metric.finish(site, totals[metric.name])
+        for metric in METRICS if metric.name in totals
+    }
+
+
+def _add(totals: Mapping[str, float], site: Site, samples: Samples) -> Totals:
+    """Return the combined numbers of a run, with further samples; none before its beginning."""
     result = {}
     for metric in METRICS:
         values = metric.function(site, samples)
@@ -290,7 +316,7 @@ class Metrics:
         if self._ticks:
             self._add_ticks()
         end = _pack_tick(self._x1, self._x2, *[0.0] * (len(_TICK) - 2))
-        return add(self._totals, self._site, self._samples(end))
+        return _finished(self._site, _add(self._totals, self._site, self._samples(end)))
 
     def __getitem__(self, name: str) -> float:
         """Return the metric of that name."""
@@ -306,7 +332,7 @@ class Metrics:
 
     def _add_ticks(self) -> None:
         samples = self._samples(self._ticks)
-        self._totals = add(self._totals, self._site, samples)
+        self._totals = _add(self._totals, self._site, samples)
         self._pumping = bool(samples.pump[-1] > 0)
         starts = _start_times(self._site, samples) - float(samples.duration.sum())
         self._starts = starts[starts > -_HOUR_S]

@@ -17,7 +17,7 @@ from greenroof_ros.graph.errors import LockstepError
 from greenroof_ros.graph.lockstep import CLOCK, LISTEN_S, LockstepNode
 from greenroof_ros.graph.node_process import run_node
 from greenroof_ros.graph.parameters import declare, declare_site
-from greenroof_ros.model.initial_state import initial_state
+from greenroof_ros.model.initial_state import check_volumes, initial_state
 from greenroof_ros.model.metrics import Metrics
 from greenroof_ros.model.plant import Flows, Plant
 from greenroof_ros.model.sensor_pump_errors import RANGES, Pump, RoofSensor, SensorPumpErrors
@@ -51,17 +51,13 @@ class PlantNode(LockstepNode):
         site = declare_site(self)
         self._site = site
         cistern, roof = initial_state(site, "low-low")
-        self._plant = Plant(
-            site,
-            declare(
-                self, "initial_cistern_volume", cistern, "volume in the cistern at tick 0 (m3)",
-                low=0, high=1e9,
-            ),
-            declare(
-                self, "initial_roof_volume", roof, "volume on the roof at tick 0 (m3)",
-                low=0, high=1e9,
-            ),
+        keys = ("initial_cistern_volume", "initial_roof_volume")
+        cistern = declare(
+            self, keys[0], cistern, "volume in the cistern at tick 0 (m3)", low=0, high=1e9
         )
+        roof = declare(self, keys[1], roof, "volume on the roof at tick 0 (m3)", low=0, high=1e9)
+        check_volumes(site, cistern, roof, keys)
+        self._plant = Plant(site, cistern, roof)
         start = declare(self, "start", DEFAULT_START, "time of tick 0, ISO 8601 with its offset")
         self._run_length = declare(self, "run_length", site.N, "N (ticks)", low=1, high=2**40)
         self._speed = declare(

@@ -169,7 +169,8 @@ def _tables(report: Report) -> Iterator[Table]:
     """Make a table of the best run of each controller for each of the first windows."""
     best = best_runs(report)
     for window in report.windows[:_MOST_TABLES]:
-        table = Table(title=f"Least total deviation: {window}", title_justify="left")
+        title = f"Least total deviation: {report.heading(window)}"
+        table = Table(title=title, title_justify="left")
         for name in ("from", "controller", "best setting"):
             table.add_column(name)
         table.add_column("m3", justify="right")

@@ -13,7 +13,9 @@ from typing import Any
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.files import YamlMapping, read_text, read_yaml
 from greenroof_ros.forecast.choice import OPTIONS, PERFECT
+from greenroof_ros.model.initial_state import INITIAL_STATES
 from greenroof_ros.model.sensor_pump_errors import RANGES
+from greenroof_ros.recording.results_table import shortest
 from greenroof_ros.report.entries import Note, Parameters
 from greenroof_ros.weather.records import name_files
 
@@ -26,6 +28,7 @@ class About:
         controller: its name.
         parameters: the controller's; no entry where there is no bound.
         initial: name of the initial state, or its volumes.
+        what_initial: what that name means; None where it is unknown.
         weather: name of the weather.
         method: of the evapotranspiration.
         forecast: what the controller was given of the weather to come; empty if that was what came.
@@ -39,6 +42,7 @@ class About:
     controller: str = "unknown"
     parameters: Parameters = field(default_factory=dict)
     initial: str = "as recorded"
+    what_initial: object = None
     weather: str = "as recorded"
     method: str = "unknown"
     forecast: str = ""
@@ -151,6 +155,10 @@ def _understand(content: dict[str, Any]) -> About:
             initial_label(initial.get("name", ""), initial["cistern_m3"], initial["roof_m3"])
             if initial else About.initial
         ),
+        what_initial=(
+            what_initial(initial.get("name", ""), initial["cistern_m3"], initial["roof_m3"])
+            if initial else None
+        ),
         weather=Path(content.get("weather") or About.weather).name,
         method=str(content.get("evapotranspiration_method") or About.method),
         forecast=forecast_label(forecast.get("file") or forecast.get("model"), forecast),
@@ -212,14 +220,19 @@ def sensor_pump_errors_label(values: Mapping[str, object]) -> str:
     given = {name: float(str(values.get(name) or 0)) for name in RANGES}
     seed = given.pop("noise_seed")
     texts = [
-        f"{name.replace('_', ' ')} {value:g} {'m' if name.startswith('roof') else 's'}"
+        f"{name.replace('_', ' ')} {shortest(value)} {'m' if name.startswith('roof') else 's'}"
         for name, value in given.items() if value
     ]
     if given["roof_noise"]:
-        texts.append(f"seed {seed:g}")
+        texts.append(f"seed {shortest(seed)}")
     return ", ".join(texts)
 
 
 def initial_label(name: str, cistern: float, roof: float) -> str:
     """Return a name for an initial state, its volumes (m3) where it has none."""
     return f"{cistern:.4g} / {roof:.4g} m3" if name in ("", "custom") else name
+
+
+def what_initial(name: str, cistern: float, roof: float) -> object:
+    """Return what an initial state's name means: Table II's states differ with the site."""
+    return name if name in INITIAL_STATES else (cistern, roof)

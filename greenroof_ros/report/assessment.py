@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from greenroof_ros.model.metrics import Samples, Totals, add
+from greenroof_ros.model.metrics import Samples, Totals, totals_of
 from greenroof_ros.model.site import Site
 from greenroof_ros.recording.trajectory import Trajectory
 
@@ -73,7 +73,7 @@ def assess(site: Site, trajectory: Trajectory, assumptions: Assumptions) -> Asse
         trajectory: what happened, at least two samples.
         assumptions: what it does not say.
     """
-    metrics = add({}, site, _samples(site, trajectory))
+    metrics = totals_of(site, _samples(site, trajectory))
     now = slice(None, -1)
     dt = np.diff(trajectory.time)
     deviation = np.abs(trajectory.roof[now] - site.x2_star)

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from greenroof_ros.common.errors import ConfigurationError
-from greenroof_ros.common.files import shared_directory
+from greenroof_ros.common.files import file_digest, shared_directory
 from greenroof_ros.controllers.registry import find_controller
 from greenroof_ros.experiment.clairvoyant import NoBoundError, clairvoyant_bound
 from greenroof_ros.experiment.run import build_run
@@ -20,6 +20,8 @@ from greenroof_ros.recording.trajectory import Trajectory
 from greenroof_ros.report.about import read_about
 from greenroof_ros.report.entries import Note, RunEntry, known_bound
 from greenroof_ros.weather.reading import read_weather
+
+_WEATHER = Path("configuration") / "weather"
 
 
 def run_directory(path: Path) -> Path:
@@ -48,7 +50,7 @@ def bag_entry(path: Path, name: str, site_file: Path | None, given: Site | None)
     if given is not None:
         site, site_name = given, str(site_file)
     elif own_site.is_file():
-        site, site_name = read_site(own_site), f"{name}/configuration/site.yaml"
+        site, site_name = read_site(own_site), own_site.name
     else:
         site = read_site(shared_directory() / "config" / "site.yaml")
         site_name = "the paper's"
@@ -74,11 +76,18 @@ def bag_entry(path: Path, name: str, site_file: Path | None, given: Site | None)
         forecast=about.forecast,
         # What a sensor reads is neither the roof's initial volume nor its deviation.
         bound=(
-            partial(_own_bound, run / "configuration" / "weather", own_site, site,
+            partial(_own_bound, run / _WEATHER, own_site, site,
                     about.method)
             if about.exact_sensor else known_bound(None)
         ),
         sensor_pump_errors=about.sensor_pump_errors,
+        source=name,
+        meant={
+            "site_name": site,
+            "weather": "".join(map(file_digest, sorted((run / _WEATHER).glob("*")))),
+            "forecast": file_digest(run / "configuration" / "forecast.csv"),
+            "initial": about.what_initial,
+        },
     )
 
 

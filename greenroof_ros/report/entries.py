@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass, field
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any
 
 from greenroof_ros.model.site import Site
 from greenroof_ros.recording.bag_reader import Recorded
@@ -89,6 +90,9 @@ class RunEntry:
         sensor_pump_errors: of level sensor and pumps; empty where there were none, or they were
             not written down.
         seeded: what a study's table says of it; None unless its forecasts had random errors.
+        source: the study or run directory that it is from, by a name that no other one has.
+        meant: what stands behind the names ``site_name``, ``weather``, ``forecast`` and
+            ``initial``: where two sources use a name for different things, they are told apart.
     """
 
     name: str
@@ -105,6 +109,27 @@ class RunEntry:
     bound: Callable[[Trajectory], float | None] = _UNKNOWN_BOUND
     sensor_pump_errors: str = ""
     seeded: Seeded | None = None
+    source: str = ""
+    meant: Mapping[str, object] = field(default_factory=dict)
+
+
+def tell_apart(entries: Sequence[RunEntry]) -> list[RunEntry]:
+    """Give different things of one name different names: the source is added to each.
+
+    Equal ones keep an equal name, that of their first source, so that their runs are compared.
+    """
+    told = list(entries)
+    for key in ("site_name", "weather", "forecast", "initial"):
+        sources: dict[str, dict[object, str]] = {}
+        for entry in told:
+            of = sources.setdefault(getattr(entry, key), {})
+            of.setdefault(entry.meant.get(key), entry.source)
+        for place, entry in enumerate(told):
+            name = getattr(entry, key)
+            if len(sources[name]) > 1:
+                own: dict[str, Any] = {key: f"{name} ({sources[name][entry.meant.get(key)]})"}
+                told[place] = replace(entry, **own)
+    return told
 
 
 @dataclass(frozen=True)

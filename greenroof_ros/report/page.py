@@ -6,7 +6,6 @@ import importlib.resources
 import json
 from collections.abc import Sequence
 from importlib import metadata
-from pathlib import Path
 from typing import Any, NamedTuple
 
 import jinja2
@@ -15,11 +14,12 @@ from markupsafe import Markup
 
 from greenroof_ros.common.versions import versions
 from greenroof_ros.model.site import site_parameters
+from greenroof_ros.recording.results_table import differing, shortest
 from greenroof_ros.report.assessment import Assumptions
 from greenroof_ros.report.drawing import CONFIG, Figure, Rows
 from greenroof_ros.report.entries import Sources
-from greenroof_ros.report.results import Report
-from greenroof_ros.report.seeds import spreads
+from greenroof_ros.report.results import Report, heading
+from greenroof_ros.report.seeds import place, spreads
 from greenroof_ros.report.settings import controller_name
 from greenroof_ros.report.tables import make_tables, shown_metrics, unit
 from greenroof_ros.report.warnings import make_warnings
@@ -67,7 +67,7 @@ def render(
         bounds=any(one.bound_m3 for one in report.results)
         or any(one.bound_m3 for one in spreads(report)),
         assumptions=assumptions,
-        windows=[*map(str, report.windows), *_seeded_windows(report)],
+        windows=[*map(report.heading, report.windows), *_seeded_windows(report)],
         sites=_sites(report),
         configuration=sources.configuration,
         versions=_versions(),
@@ -92,15 +92,14 @@ def _columns(rows: Rows) -> dict[str, list[Any]]:
 
 def _seeded_windows(report: Report) -> list[str]:
     """Name the windows of the seeded runs, each with its number of seeds."""
+    apart = differing([place(entry).facts for entry in report.seeded])
     seeds: dict[str, set[str]] = {}
     for entry in report.seeded:
         assert entry.seeded is not None
         of = entry.seeded
-        seeds.setdefault(
-            f"{Path(entry.weather).stem}, {of.start}, {of.hours:.4g} h, evapotranspiration "
-            f"{entry.method}, forecast {of.model} size {of.size:g}"
-            + (f", {entry.sensor_pump_errors}" if entry.sensor_pump_errors else ""), set(),
-        ).add(of.seed)
+        facts = place(entry).facts
+        facts["forecast"] += f" size {shortest(of.size)}"
+        seeds.setdefault(heading(facts, apart), set()).add(of.seed)
     return [f"{window}, {len(found)} seeds" for window, found in seeds.items()]
 
 

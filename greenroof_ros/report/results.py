@@ -6,12 +6,14 @@ import itertools
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from datetime import datetime
-from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from greenroof_ros.common.times import to_people
+from greenroof_ros.forecast.choice import PERFECT
+from greenroof_ros.recording.results_table import differing, shortest
 from greenroof_ros.report.assessment import Assessment, Assumptions, assess
 from greenroof_ros.report.entries import Note, RunEntry
 from greenroof_ros.report.settings import PAPERS_CONTROLLERS, Settings, controller_name
@@ -81,12 +83,13 @@ class Sky:
     start: datetime
     hours: float
 
-    def __str__(self) -> str:
-        """As headings name it."""
-        return (
-            f"{Path(self.weather).stem}, {self.start.isoformat(' ', 'minutes')}, "
-            f"{self.hours:.4g} h"
-        )
+    @property
+    def facts(self) -> Facts:
+        """What it is, as :func:`heading` takes it."""
+        return {
+            "site": self.site_name, "weather": self.weather, "start": to_people(self.start),
+            "length": f"{shortest(self.hours)} h",
+        }
 
 
 @dataclass(frozen=True)
@@ -105,14 +108,36 @@ class Window:
     forecast: str
     sensor_pump_errors: str
 
-    def __str__(self) -> str:
-        """As headings name it."""
-        parts = [str(self.sky), f"evapotranspiration {self.method}"]
-        if self.forecast:
-            parts.append(f"forecast {self.forecast}")
-        if self.sensor_pump_errors:
-            parts.append(self.sensor_pump_errors)
-        return ", ".join(parts)
+    @property
+    def facts(self) -> Facts:
+        """What it is, as :func:`heading` takes it."""
+        return {
+            **self.sky.facts, "evapotranspiration": self.method,
+            "forecast": self.forecast or PERFECT,
+            "sensor and pump errors": self.sensor_pump_errors or NO_ERRORS,
+        }
+
+
+Facts = dict[str, str]
+"""What runs that are compared have in common, each under the header of its column."""
+
+NO_ERRORS = "none"
+
+
+def heading(facts: Facts, apart: Sequence[str]) -> str:
+    """Name a set of runs: by what tells it apart from others, and what a reader asks for anyway.
+
+    Args:
+        facts: of it.
+        apart: those that tell it apart, see
+            :func:`greenroof_ros.recording.results_table.differing`.
+    """
+    usual = {"site": facts.get("site"), "forecast": PERFECT, "sensor and pump errors": NO_ERRORS}
+    return ", ".join(
+        f"{name} {text}" if name in ("evapotranspiration", "forecast") or text == NO_ERRORS
+        else text
+        for name, text in facts.items() if name in apart or text != usual.get(name)
+    )
 
 
 def thin(values: NDArray[np.float64], most: int = MOST_POINTS) -> NDArray[np.intp]:
@@ -176,6 +201,7 @@ class Report:
         controllers: names, the paper's first.
         settings: of each controller.
         windows: of the results, in their order.
+        apart: the facts that differ between them, which are columns and in titles.
         initials: names of the results' initial states, in their order.
     """
 
@@ -191,6 +217,7 @@ class Report:
             for name in self.controllers
         }
         self.windows = list(dict.fromkeys(one.window for one in results))
+        self.apart = differing([window.facts for window in self.windows])
         self.initials = list(dict.fromkeys(one.entry.initial for one in results))
 
     def label(self, one: Result) -> str:
@@ -200,7 +227,11 @@ class Report:
 
     def title(self, text: str, window: Window) -> str:
         """Return a figure's title, with the window where there are others."""
-        return f"{text}: {window}" if len(self.windows) > 1 else text
+        return f"{text}: {self.heading(window)}" if len(self.windows) > 1 else text
+
+    def heading(self, of: Window | Sky) -> str:
+        """Name a window, or what is common to those under one sky."""
+        return heading(of.facts, self.apart)
 
     def of(self, window: Window, controller: str = "", initial: str = "") -> list[Result]:
         """Return the runs of a window, and if given of a controller and an initial state."""

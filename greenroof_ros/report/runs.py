@@ -7,7 +7,7 @@ from pathlib import Path
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.model.site import read_site
 from greenroof_ros.report.bags import bag_entry, run_directory
-from greenroof_ros.report.entries import Sources
+from greenroof_ros.report.entries import Sources, tell_apart
 from greenroof_ros.report.studies import read_study
 
 
@@ -37,7 +37,7 @@ def find_runs(paths: list[Path], site_file: Path | None) -> Sources:
                 raise ConfigurationError(
                     f"is for bags; {path} is a study and has its own sites", key="--site"
                 )
-            read_study(path, f"{name}/" if len(paths) > 1 else "", sources)
+            read_study(path, name, f"{name}/" if len(paths) > 1 else "", sources)
         elif (path / "runs").is_dir() or (path / "configuration" / "study.json").is_file():
             raise ConfigurationError("is a study without results.csv", file=path)
         else:
@@ -51,6 +51,7 @@ def find_runs(paths: list[Path], site_file: Path | None) -> Sources:
             f"holds no finished run; {len(sources.failed)} failed or did not run",
             file=paths[0] / "results.csv",
         )
+    sources.runs = tell_apart(sources.runs)
     return sources
 
 

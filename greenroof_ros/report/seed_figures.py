@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import Any
 
 import altair as alt
 
+from greenroof_ros.recording.results_table import differing
 from greenroof_ros.report.drawing import COLOURS, SHAPES, Chart, Figure, Panel, Rows, cycle, short
-from greenroof_ros.report.results import Report
+from greenroof_ros.report.results import Report, heading
 from greenroof_ros.report.seeds import Place, Spread, spreads
 from greenroof_ros.report.settings import controller_name
 
@@ -62,18 +62,11 @@ def _rows(found: list[Spread]) -> Rows:
 
 def _title(place: Place, places: list[Place]) -> str | list[str]:
     """Return what distinguishes a panel from the others: its window and its initial state."""
-    shown = [
-        text
-        for name, text in (
-            ("site_name", place.site_name), ("weather", Path(place.weather).stem),
-            ("start", place.start), ("hours", f"{place.hours:.4g} h"), ("method", place.method),
-            ("model", place.model),
-            ("sensor_pump_errors", place.sensor_pump_errors or "no sensor or pump errors"),
-        )
-        if len({getattr(other, name) for other in places}) > 1
-    ]
+    apart = differing([other.facts for other in places])
     initial = f"from {place.initial}"
-    return [", ".join(shown), initial] if shown else initial
+    if not apart:
+        return initial
+    return [heading({name: place.facts[name] for name in apart}, apart), initial]
 
 
 def _look(report: Report, found: list[Spread]) -> dict[str, Any]:

@@ -12,8 +12,9 @@ from typing import NamedTuple
 
 import numpy as np
 
+from greenroof_ros.recording.results_table import shortest
 from greenroof_ros.report.entries import RunEntry
-from greenroof_ros.report.results import Report
+from greenroof_ros.report.results import NO_ERRORS, Facts, Report
 
 
 class Place(NamedTuple):
@@ -29,6 +30,16 @@ class Place(NamedTuple):
     sensor_pump_errors: str
     """of level sensor and pumps; empty where there were none"""
     initial: str
+
+    @property
+    def facts(self) -> Facts:
+        """What it is but for the initial state, as :func:`.results.heading` takes it."""
+        return {
+            "site": self.site_name, "weather": self.weather, "start": self.start,
+            "length": f"{shortest(self.hours)} h", "evapotranspiration": self.method,
+            "forecast": self.model,
+            "sensor and pump errors": self.sensor_pump_errors or NO_ERRORS,
+        }
 
 
 @dataclass(frozen=True)

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from greenroof_ros.recording.results_table import differing, shortest
 from greenroof_ros.report.entries import RunEntry
 
 PAPERS_CONTROLLERS = {"mpc": "MPC", "onoff": "on/off"}
@@ -28,15 +29,12 @@ class Settings:
     """
 
     def __init__(self, entries: Sequence[RunEntry]) -> None:
-        names = list(dict.fromkeys(name for entry in entries for name in entry.parameters))
-        differing = [
-            name for name in names if len({entry.parameters.get(name) for entry in entries}) > 1
-        ]
-        self._shown = differing or names[:1]
+        apart = differing([entry.parameters for entry in entries])
+        self._shown = apart or list(entries[0].parameters)[:1]
         self.title = self._shown[0] if len(self._shown) == 1 else "setting"
         numbers = [entry.parameters.get(self.title) for entry in entries]
         floats = [number for number in numbers if isinstance(number, float)]
-        self.axis = self.title if len(differing) == 1 and len(floats) == len(numbers) else ""
+        self.axis = self.title if len(apart) == 1 and len(floats) == len(numbers) else ""
         self.log = bool(self.axis) and min(floats) > 0 and max(floats) / min(floats) > 20
         keys = sorted({self._key(entry) for entry in entries})
         self.labels = list(dict.fromkeys(label for _, label in keys))
@@ -69,5 +67,5 @@ def _text(value: float | str | None) -> str:
     if not isinstance(value, float):
         return value or "none"
     # 0.00001 as people write it, not 1e-05.
-    short = float(f"{value:g}")
-    return np.format_float_positional(short, trim="-") if 1e-7 < abs(short) < 1e7 else f"{value:g}"
+    plain = 1e-7 < abs(value) < 1e7
+    return np.format_float_positional(value, trim="-") if plain else shortest(value)

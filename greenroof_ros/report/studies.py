@@ -6,13 +6,14 @@ import csv
 import io
 from collections.abc import Mapping
 from datetime import datetime
-from functools import partial
+from functools import cache, partial
 from pathlib import Path
 
 import numpy as np
 
 from greenroof_ros.common.errors import ConfigurationError
-from greenroof_ros.common.files import read_text
+from greenroof_ros.common.files import file_digest, read_text
+from greenroof_ros.common.times import to_people
 from greenroof_ros.forecast.choice import OPTIONS
 from greenroof_ros.model.sensor_pump_errors import RANGES
 from greenroof_ros.model.site import Site, read_site
@@ -25,6 +26,7 @@ from greenroof_ros.report.about import (
     parameters,
     run_notes,
     sensor_pump_errors_label,
+    what_initial,
 )
 from greenroof_ros.report.entries import FailedRun, Note, RunEntry, Seeded, Sources, known_bound
 
@@ -34,8 +36,8 @@ _RESULT_COLUMNS = (
 )
 
 
-def read_study(path: Path, prefix: str, sources: Sources) -> None:
-    """Add the runs of a study."""
+def read_study(path: Path, source: str, prefix: str, sources: Sources) -> None:
+    """Add the runs of a study, whose names begin with a prefix."""
     file = path / "results.csv"
     reader = csv.DictReader(io.StringIO(read_text(file)))
     header = list(reader.fieldnames or ())
@@ -46,6 +48,8 @@ def read_study(path: Path, prefix: str, sources: Sources) -> None:
             file=file, line=1,
         )
     sites: dict[str, Site] = {}
+    configuration = path / "configuration"
+    digest = cache(file_digest)  # of files that hundreds of runs share
     for row in reader:
         line = reader.line_num
         if None in row or None in row.values():
@@ -57,11 +61,8 @@ def read_study(path: Path, prefix: str, sources: Sources) -> None:
                 file=file, line=line, key="run", value=name,
             )
         given = parameters(row_parameters(row))
-        initial = initial_label(
-            row["initial"],
-            _cell(file, line, row, "cistern_m3"),
-            _cell(file, line, row, "roof_m3"),
-        )
+        volumes = (_cell(file, line, row, "cistern_m3"), _cell(file, line, row, "roof_m3"))
+        initial = initial_label(row["initial"], *volumes)
         options = {option: row.get(f"forecast_{option}") for option in OPTIONS}
         forecast = forecast_label(row.get("forecast"), options)
         sensor_pump_errors = sensor_pump_errors_label(
@@ -85,7 +86,7 @@ def read_study(path: Path, prefix: str, sources: Sources) -> None:
                 file=file, line=line, key="status", value=row["status"],
             )
         if row["site"] not in sites:
-            sites[row["site"]] = read_site(path / "configuration" / row["site"])
+            sites[row["site"]] = read_site(configuration / row["site"])
         bound = _cell(file, line, row, "bound_m3") if row.get("bound_m3") else None
         seeded = Seeded(
             model=forecast_label(row.get("forecast"), {"members": options["members"]}),
@@ -112,11 +113,18 @@ def read_study(path: Path, prefix: str, sources: Sources) -> None:
                 bound=known_bound(bound),
                 sensor_pump_errors=sensor_pump_errors,
                 seeded=seeded,
+                source=source,
+                meant={
+                    "site_name": sites[row["site"]],
+                    "weather": digest(configuration / row["weather"]) or source,
+                    "forecast": digest(configuration / row.get("forecast", "")),
+                    "initial": what_initial(row["initial"], *volumes),
+                },
             )
         )
     if not sources.runs and not sources.failed:
         raise ConfigurationError("has a header but no runs", file=file)
-    for further in sorted((path / "configuration").glob("*")):
+    for further in sorted(configuration.glob("*")):
         # Sites appear as a table of their own; weather files are long, and named with each run.
         if further.suffix in (".json", ".yaml") and further.name not in sites:
             sources.configuration[prefix + further.name] = read_text(further)
@@ -148,7 +156,7 @@ def _cell(file: Path, line: int, row: Mapping[str, str], key: str) -> float:
 def _start(text: str) -> str:
     """Return a start as headings name it; as it is where it is no time."""
     try:
-        return datetime.fromisoformat(text).isoformat(" ", "minutes")
+        return to_people(datetime.fromisoformat(text))
     except ValueError:
         return text
 

@@ -8,8 +8,8 @@ from dataclasses import replace
 from functools import partial
 from typing import NamedTuple
 
-from greenroof_ros.forecast.choice import PERFECT
 from greenroof_ros.model.metrics import METRICS, Metric
+from greenroof_ros.recording.results_table import differing, shortest
 from greenroof_ros.report.assessment import Assumptions
 from greenroof_ros.report.results import Best, Report, Result, best_runs
 from greenroof_ros.report.seeds import Spread, spreads
@@ -89,39 +89,19 @@ def _named(report: Report) -> list[_Column]:
             report.settings[name].full_label(one.entry), f"{name} {order[name, label]:06}"
         )
 
-    skies = {window.sky for window in report.windows}
-    columns = [_Column("run", lambda one: _word(one.entry.name))]
-    if len({one.entry.site_name for one in report.results}) > 1:
-        columns.append(_Column("site", lambda one: _word(one.entry.site_name)))
-    if len({(sky.weather, sky.start, sky.hours) for sky in skies}) > 1:
-        columns.append(
-            _Column(
-                "weather",
-                lambda one: Cell(
-                    f"{one.start.isoformat(' ', 'minutes')}, {one.assessment.hours:.4g} h",
-                    one.start.timestamp(),
-                ),
-            )
-        )
-    if len({window.method for window in report.windows}) > 1:
-        columns.append(_Column("evapotranspiration", lambda one: _word(one.entry.method)))
-    if len({window.forecast for window in report.windows}) > 1:
-        columns.append(
-            _Column("forecast", lambda one: _word(one.entry.forecast or PERFECT))
-        )
-    if len({window.sensor_pump_errors for window in report.windows}) > 1:
-        columns.append(
-            _Column(
-                "sensor and pump errors",
-                lambda one: _word(one.entry.sensor_pump_errors or "none"),
-            )
-        )
     return [
-        *columns,
+        _Column("run", lambda one: _word(one.entry.name)),
+        *(_Column(name, partial(_fact, name)) for name in report.apart),
         _Column("from", lambda one: _word(one.entry.initial)),
         _Column("controller", lambda one: _word(controller_name(one.entry.controller))),
         _Column("setting", setting),
     ]
+
+
+def _fact(name: str, one: Result) -> Cell:
+    """Return what a fact of its window says of a run."""
+    text = one.window.facts[name]
+    return Cell(text, one.window.sky.hours) if name == "length" else _word(text)
 
 
 def _metric(metric: Metric) -> _Column:
@@ -227,7 +207,7 @@ def _best_table(report: Report) -> Table:
     """Return the best run of each controller."""
     columns = [
         _BestColumn("run", lambda best: _word(best.run.entry.name)),
-        _BestColumn("window", lambda best: _word(str(best.window))),
+        _BestColumn("window", lambda best: _word(report.heading(best.window))),
         _BestColumn("from", lambda best: _word(best.initial)),
         _BestColumn(
             "controller", lambda best: _word(controller_name(best.run.entry.controller))
@@ -257,31 +237,18 @@ def _seeded(report: Report) -> list[Table]:
     found = spreads(report)
     if not found:
         return []
-    places = [one.place for one in found]
-    # None that is the same for all.
-    where = [
-        (header, name)
-        for header, name in (
-            ("site", "site_name"), ("weather", "weather"), ("start", "start"),
-            ("hours (h)", "hours"), ("evapotranspiration", "method"), ("forecast", "model"),
-            ("sensor and pump errors", "sensor_pump_errors"),
-        )
-        if len({getattr(place, name) for place in places}) > 1
-    ]
+    where = differing([one.place.facts for one in found])
 
     known = any(one.bound_m3 for one in found)
-
-    def cell(value: float | str) -> Cell:
-        return _word(value) if isinstance(value, str) else _number(value)
 
     def row(rank: int, one: Spread) -> list[Cell]:
         totals = (one.mean, one.worst_tenth, one.worst)
         return [
             _word(controller_name(one.controller)),
             Cell(one.setting, f"{one.controller} {rank:06}"),
-            *(cell(getattr(one.place, name)) for _, name in where),
+            *(_word(one.place.facts[name]) for name in where),
             _word(one.place.initial),
-            _number(one.size),
+            Cell(shortest(one.size), one.size),
             _number(len(one.totals), "d"),
             *(_number(total, ".2f") for total in totals),
             *(_share(total / one.bound_m3 if one.bound_m3 else None)
@@ -291,7 +258,7 @@ def _seeded(report: Report) -> list[Table]:
     amounts = ("mean", "worst tenth", "worst")
     return [Table(
         "Total deviation under forecast errors, over their seeds",
-        ["controller", "setting", *(header for header, _ in where), "from", "size of the errors",
+        ["controller", "setting", *where, "from", "size of the errors",
          "seeds", *(f"{amount} (m³)" for amount in amounts),
          *(f"{amount} over the least (1)" for amount in amounts if known)],
         [row(rank, one) for rank, one in enumerate(found)],
@@ -312,16 +279,17 @@ def _methods(report: Report) -> list[Table]:
         ]
     if not pairs:
         return []
+    where = [name for name in report.apart if name != "evapotranspiration"]
     rows = []
     for one, other in pairs:
         published, fao56 = (run.assessment.metrics["total_deviation_m3"] for run in (one, other))
         share = 100 * (fao56 / published - 1) if published else 0.0
         rows.append([
             _word(report.label(one)), _word(one.entry.initial),
-            _word(f"{one.start.isoformat(' ', 'minutes')}, {one.assessment.hours:.4g} h"),
+            *(_fact(name, one) for name in where),
             _number(published, ".2f"), _number(fao56, ".2f"), _number(share, "+.2f"),
         ])
     return [Table(
         "Total deviation under both kinds of evapotranspiration",
-        ["setting", "from", "weather", "published (m³)", "fao56 (m³)", "difference (%)"], rows,
+        ["setting", "from", *where, "published (m³)", "fao56 (m³)", "difference (%)"], rows,
     )]

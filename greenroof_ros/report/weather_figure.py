@@ -67,7 +67,7 @@ def weather(report: Report, sky: Sky, number: int) -> Figure:
         caption += " Grey: frost, in which nothing is to be pumped."
     return Figure(
         f"weather-{number}",
-        f"Weather: {sky}",
+        f"Weather: {report.heading(sky)}",
         caption,
         (
             Panel(alt.layer(*frost, rained), "Rain", zoom=True),

@@ -5,8 +5,9 @@ from __future__ import annotations
 import argparse
 import os
 import signal
+import sys
 from collections.abc import Mapping, Sequence
-from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, Future, wait
+from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, CancelledError, Future, wait
 from pathlib import Path
 from typing import Any
 
@@ -19,8 +20,8 @@ from greenroof_ros.common.files import shared_directory
 from greenroof_ros.study.case_run import ENGINES, Outcome, bound_case, run_case
 from greenroof_ros.study.grid import Case, read_grid
 from greenroof_ros.study.store import Store
-from greenroof_ros.study.table import case_name, show
-from greenroof_ros.study.workers import Submit, cluster, processes
+from greenroof_ros.study.table import Names, show
+from greenroof_ros.study.workers import Workers, WorkersGoneError, cluster, processes
 
 # A graph is five processes; two cores are busy with one.
 _CORES_PER_GRAPH = 2
@@ -33,8 +34,8 @@ parameters - in parallel, and put the results in one table, results.csv. The pap
 another grid is given. Interrupted or killed, the same command goes on where it was.
 """
 _EPILOG = """\
-exit codes: 0 done, 1 a run failed (the others are in the table), 2 bad usage or configuration,
-130 interrupted
+exit codes: 0 done, 1 a run failed (the others are in the table) or the cluster went (go on with the
+same command), 2 bad usage or configuration, 130 interrupted
 
 examples:
   python -m greenroof_ros.study                              the paper's 30 runs
@@ -116,17 +117,23 @@ def main() -> int:
             cores = len(os.sched_getaffinity(0))
             if arguments.engine == "ros":
                 cores = max(1, cores // _CORES_PER_GRAPH)
-            workers = (
+            those = (
                 cluster(arguments.scheduler) if arguments.scheduler is not None
                 else processes(arguments.jobs or cores)
             )
-            with workers as submit:
+            with those as workers:
                 _run(
-                    open_cases, problems, bounds, arguments.engine, submit, store, outcomes,
-                    failures, console,
+                    open_cases, Names(cases), problems, bounds, arguments.engine, workers, store,
+                    outcomes, failures, console,
                 )
     except BrokenExecutor:
         console.print("error: the process that starts the others was killed; begin again")
+        return EXIT_FAILED
+    except WorkersGoneError as error:
+        print(
+            f"error: {error}: {len(outcomes)} of {len(cases)} cases are stored; run the same "
+            "command again, it goes on", file=sys.stderr,
+        )
         return EXIT_FAILED
     finally:
         rows = store.write_tables(outcomes, failures, store.bounds())
@@ -136,10 +143,11 @@ def main() -> int:
 
 def _run(
     cases: Sequence[Case],
+    names: Names,
     problems: Mapping[str, Case],
     bounds: dict[str, float],
     engine: str,
-    submit: Submit,
+    workers: Workers,
     store: Store,
     outcomes: dict[str, Outcome],
     failures: dict[str, str],
@@ -161,20 +169,23 @@ def _run(
         task = progress.add_task("study", total=len(ordered))
         progress.refresh()
         bounding: dict[Future[float], str] = {
-            submit(bound_case, case): problem for problem, case in problems.items()
+            workers.submit(bound_case, case): problem for problem, case in problems.items()
         }
         pending: dict[Future[Outcome], Case] = {
-            submit(run_case, case, engine): case for case in ordered
+            workers.submit(run_case, case, engine): case for case in ordered
         }
         while pending or bounding:
+            workers.check()
             open_tasks: list[Future[Any]] = [*pending, *bounding]
             done, _ = wait(open_tasks, timeout=_REFRESH_S, return_when=FIRST_COMPLETED)
             for future in done & bounding.keys():
                 problem = bounding.pop(future)
                 try:
                     bounds[problem] = future.result()
+                except CancelledError:
+                    raise
                 except Exception as error:  # the runs do not need it
-                    name = case_name(problems[problem])
+                    name = names.name(problems[problem])
                     progress.print(f"no bound: {name}: {error}", markup=False)
                 else:
                     store.keep_bounds(bounds)
@@ -182,10 +193,12 @@ def _run(
                 case = pending.pop(future)
                 try:
                     outcome = future.result()
+                except CancelledError:
+                    raise
                 except Exception as error:  # of a run, or the end of its process
                     reason = str(error) or type(error).__name__
                     failures[case.identity] = reason
-                    progress.print(f"failed: {case_name(case)}: {reason}", markup=False)
+                    progress.print(f"failed: {names.name(case)}: {reason}", markup=False)
                 else:
                     store.keep(case, outcome)
                     outcomes[case.identity] = outcome

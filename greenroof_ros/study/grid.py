@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import glob
 import hashlib
 import itertools
 import json
@@ -13,11 +14,11 @@ from pathlib import Path
 from typing import Any
 
 from greenroof_ros.common.errors import ConfigurationError
-from greenroof_ros.common.files import YamlMapping, read_yaml, unique_name
+from greenroof_ros.common.files import YamlMapping, read_yaml, shared_directory, unique_name
 from greenroof_ros.controllers.registry import ControllerChoice, find_controller
 from greenroof_ros.experiment.run import build_run, count_ticks
 from greenroof_ros.forecast.choice import OPTIONS, PERFECT, ForecastChoice, choose
-from greenroof_ros.model.initial_state import INITIAL_STATES, initial_state
+from greenroof_ros.model.initial_state import INITIAL_STATES, check_volumes, initial_state
 from greenroof_ros.model.sensor_pump_errors import RANGES, SensorPumpErrors
 from greenroof_ros.model.site import Site, read_site
 from greenroof_ros.weather.joining import find_files
@@ -26,6 +27,8 @@ from greenroof_ros.weather.records import name_files
 
 _KEYS = ("site", "weather", "initial", "controllers")
 _OPTIONAL_KEYS = ("forecast", "sensor_pump_errors")
+# What the directory of a study has beside them.
+_OWN_FILES = ("grid.yaml", "study.json")
 _WINDOW_KEYS = ("file", "start", "hours", "evapotranspiration", "forecast")
 
 
@@ -45,6 +48,7 @@ class Case:
     Attributes:
         site: site file.
         weather: weather files, joined, in the order of time.
+        weather_name: one name for them, which no other weather of the study has.
         start: time of tick 0, ISO 8601 with its offset from UTC.
         hours: length (h).
         evapotranspiration: method.
@@ -60,6 +64,7 @@ class Case:
 
     site: InputFile
     weather: tuple[InputFile, ...]
+    weather_name: str
     start: str
     hours: float
     evapotranspiration: str
@@ -103,11 +108,6 @@ class Case:
             self, controller=find_controller("onoff"), parameters={}, forecast=ForecastChoice(),
             forecast_file=None, sensor_pump_errors=None,
         ).identity
-
-    @property
-    def weather_name(self) -> str:
-        """One name for its weather files."""
-        return name_files([Path(file.name) for file in self.weather])
 
     def columns(self) -> dict[str, Any]:
         """Return what the table says of the case itself, without its parameters."""
@@ -163,12 +163,13 @@ class _Grid:
             if not self._mapping.get(key):
                 raise ConfigurationError("is missing or empty", file=path, key=key)
         self._files: dict[Path, InputFile] = {}
+        self._weathers: dict[tuple[InputFile, ...], str] = {}
 
     def cases(self) -> Iterator[Case]:
         """Yield every combination."""
         controllers = list(self._controllers())
         for site_file in self._list(self._mapping, "site", str):
-            path = self._path.parent / site_file
+            path = self._place(self._mapping, "site", site_file) / site_file
             site = read_site(path)
             for window in self._windows():
                 for start, hours, method in itertools.product(
@@ -189,8 +190,12 @@ class _Grid:
         controllers: list[tuple[ControllerChoice, dict[str, float]]],
     ) -> Iterator[Case]:
         """Yield the runs of one site in one window."""
-        with self._at(window, "file"):
-            files = find_files(self._list(window, "file", str), "file", self._path.parent)
+        files: list[Path] = []
+        for name in self._list(window, "file", str):
+            place = self._place(window, "file", name)
+            with self._at(window, "file"):
+                found = find_files([name], "file", place)
+            files += [file for file in found if file not in files]
         with self._at(window, "hours"):
             steps = count_ticks(site, hours, "hours")
         with self._at(window, "evapotranspiration"):
@@ -211,12 +216,14 @@ class _Grid:
                         volumes, choice,
                     )
             forecast_file = None if choice.file is None else self._input(choice.file)
+            inputs = tuple(map(self._input, weather.files))
             for sensor_pump_errors, (controller, parameters) in itertools.product(
                 list(self._sensor_pump_errors()), controllers
             ):
                 yield Case(
                     site=self._input(site_file),
-                    weather=tuple(map(self._input, weather.files)),
+                    weather=inputs,
+                    weather_name=self._weather_name(inputs),
                     start=run.start.isoformat(),
                     hours=run.steps * site.tau / 3600,
                     evapotranspiration=weather.method,
@@ -249,7 +256,8 @@ class _Grid:
                     f"{text!r} {error}, or {{model: errors, size: 0.5, seed: [1, 2]}}",
                 ) from error
             if choice.file is not None:
-                choice = replace(choice, file=self._path.parent / choice.file)
+                place = self._place(mapping, "forecast", str(choice.file))
+                choice = replace(choice, file=place / choice.file)
             if options:
                 self._keys(options, ("model", *choice.options()))
             names = [name for name in choice.options() if name in options]
@@ -292,13 +300,49 @@ class _Grid:
         for combination in itertools.product(*choices):
             yield dict(zip(ranges, combination, strict=True))
 
+    def _place(self, mapping: YamlMapping, key: str, name: str) -> Path:
+        """Return the directory from which a name, or a pattern, is that of a file.
+
+        It is the grid's own, or else the package's ``config/``: a copy of a grid of the package
+        runs as it is.
+
+        Raises:
+            ConfigurationError: there is no such file in either.
+        """
+        places = (self._path.parent, shared_directory() / "config")
+        for place in places:
+            if (place / name).exists() or glob.glob(str(place / name)):  # noqa: PTH207
+                return place
+        if Path(name).is_absolute():
+            raise self._refuse(mapping, key, f"{name} does not exist")
+        raise self._refuse(
+            mapping, key,
+            f"{name} is neither beside the grid, in {places[0].resolve()}, nor among the package's "
+            f"own files, in {places[1]}",
+        )
+
     def _input(self, path: Path) -> InputFile:
-        """Return a file's content under a name that no other file of the study has."""
+        """Return a file's content under a name that no other file of the study has.
+
+        It is the file's own, with its folder's before it where another file has it already.
+        """
         path = path.resolve()
         if path not in self._files:
-            taken = {file.name for file in self._files.values()}
-            self._files[path] = InputFile(unique_name(path, taken), path.read_bytes())
+            taken = {*_OWN_FILES, *(file.name for file in self._files.values())}
+            named = path
+            if path.name in taken:
+                named = path.with_name(f"{path.parent.name}-{path.name}")
+            self._files[path] = InputFile(unique_name(named, taken), path.read_bytes())
         return self._files[path]
+
+    def _weather_name(self, files: tuple[InputFile, ...]) -> str:
+        """Return one name for weather files, which no others of the study have."""
+        if files not in self._weathers:
+            name = name_files([Path(file.name) for file in files])
+            taken = self._weathers.values()
+            alike = itertools.chain([name], (f"{name} ({n})" for n in itertools.count(2)))
+            self._weathers[files] = next(each for each in alike if each not in taken)
+        return self._weathers[files]
 
     def _windows(self) -> Iterator[YamlMapping]:
         windows = self._mapping["weather"]
@@ -343,6 +387,8 @@ class _Grid:
             if name in names:
                 raise self._refuse(self._mapping, "initial", f"has {name} twice")
             names.add(name)
+            with self._at(self._mapping, "initial"):
+                check_volumes(site, volumes[0], volumes[1], keys=("cistern", "roof"))
             yield name, (volumes[0], volumes[1])
 
     def _controllers(self) -> Iterator[tuple[ControllerChoice, dict[str, float]]]:
@@ -352,10 +398,18 @@ class _Grid:
             raise self._refuse(
                 self._mapping, "controllers", "must hold 'mpc:' or other controllers"
             )
+        references: dict[str, str] = {}
         for reference in section:
             with self._at(section, reference):
                 controller = find_controller(reference)
                 defaults = controller.defaults()
+            if controller.name in references:
+                raise self._refuse(
+                    section, reference,
+                    f"is named {controller.name}, as {references[controller.name]} is; rename its "
+                    "class",
+                )
+            references[controller.name] = reference
             given = section[reference]
             if given is None:
                 yield controller, defaults

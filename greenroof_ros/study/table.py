@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -11,6 +10,8 @@ from rich.console import Console
 from rich.table import Table
 
 from greenroof_ros.forecast.choice import PERFECT
+from greenroof_ros.model.sensor_pump_errors import RANGES
+from greenroof_ros.recording.results_table import differing, shortest
 from greenroof_ros.study.grid import Case
 
 _NOTES = {
@@ -37,27 +38,51 @@ class _Line(NamedTuple):
     forecast: str
 
 
-def case_name(case: Case) -> str:
-    """Name a case in a sentence."""
-    return f"{_setting(case)}, {case.initial}, from {case.start}, forecast {_forecast(case)}"
+class Names:
+    """The names of a study's cases: the controller, and whatever differs between them."""
+
+    def __init__(self, cases: Sequence[Case]) -> None:
+        """Look at what differs between all cases, and among those of each controller."""
+        self._columns = differing([case.columns() for case in cases])
+        self._parameters = {
+            name: differing([case.parameters for case in cases if case.controller.name == name])
+            for name in {case.controller.name for case in cases}
+        }
+
+    def name(self, case: Case) -> str:
+        """Return the whole name of a case, for a sentence."""
+        parts = [self.setting(case)]
+        if "initial" in self._columns:
+            parts.append(case.initial)
+        for column, text in (
+            ("start", f"from {case.start}"), ("hours", f"{shortest(case.hours)} h"),
+            ("weather", case.weather_name), ("site", case.site.name),
+            ("evapotranspiration", f"evapotranspiration {case.evapotranspiration}"),
+        ):
+            if column in self._columns:
+                parts.append(text)
+        if any(column.startswith("forecast") for column in self._columns):
+            parts.append(f"forecast {forecast_name(case)}")
+        return ", ".join(parts)
+
+    def setting(self, case: Case) -> str:
+        """Return the controller with its parameters, and the errors of sensor and pump."""
+        columns = case.columns()
+        values = {
+            **{name: case.parameters[name] for name in self._parameters[case.controller.name]},
+            **{name: columns[name] for name in RANGES if name in self._columns},
+        }
+        return _named(case.controller.name, values)
 
 
-def _setting(case: Case) -> str:
-    """Name a controller with its parameters, and the errors of sensor and pump that there are."""
-    errors = case.sensor_pump_errors.values() if case.sensor_pump_errors is not None else {}
-    there = {name: value for name, value in errors.items() if value}
-    return _named(case.controller.name, {**case.parameters, **there})
-
-
-def _forecast(case: Case) -> str:
+def forecast_name(case: Case) -> str:
+    """Name the forecasts of a case."""
     return _named(str(case.forecast), case.forecast.options())
 
 
 def _named(name: str, values: Mapping[str, float]) -> str:
-    """Put values after a name; an infinite one is no bound."""
-    return " ".join(
-        [name, *(f"{key} {value:g}" for key, value in values.items() if math.isfinite(value))]
-    )
+    """Put values after a name."""
+    return " ".join([name, *(f"{key} {shortest(value)}" for key, value in values.items())])
 
 
 def show(cases: Sequence[Case], rows: Sequence[Mapping[str, Any]], directory: Path) -> None:
@@ -69,6 +94,7 @@ def show(cases: Sequence[Case], rows: Sequence[Mapping[str, Any]], directory: Pa
         directory: of the study.
     """
     console = Console()
+    names = Names(cases)
     windows: dict[_Window, dict[_Line, dict[str, str]]] = {}
     initials = list(dict.fromkeys(case.initial for case in cases))
     forecasts = any(case.forecast.model != PERFECT for case in cases)
@@ -77,13 +103,14 @@ def show(cases: Sequence[Case], rows: Sequence[Mapping[str, Any]], directory: Pa
             case.site.name, case.weather_name, case.start, case.hours, case.evapotranspiration
         )
         done = row["status"] == "done"
-        windows.setdefault(window, {}).setdefault(_Line(_setting(case), _forecast(case)), {})[
+        line = _Line(names.setting(case), forecast_name(case))
+        windows.setdefault(window, {}).setdefault(line, {})[
             case.initial
         ] = f"{row['total_deviation_m3']:.2f}" if done else row["status"].upper()
     for window, lines in windows.items():
         table = Table(
             title=f"Total deviation (m3, summed over the ticks): {window.weather}, "
-            f"{window.hours:g} h from {window.start}, evapotranspiration "
+            f"{shortest(window.hours)} h from {window.start}, evapotranspiration "
             f"{window.evapotranspiration}, {window.site}",
             title_justify="left",
         )
@@ -92,9 +119,9 @@ def show(cases: Sequence[Case], rows: Sequence[Mapping[str, Any]], directory: Pa
             table.add_column("forecast")
         for initial in initials:
             table.add_column(initial, justify="right")
-        for line, totals in lines.items():
-            names = line if forecasts else (line.setting,)
-            table.add_row(*names, *(totals.get(initial, "") for initial in initials))
+        for shown, totals in lines.items():
+            cells = shown if forecasts else (shown.setting,)
+            table.add_row(*cells, *(totals.get(initial, "") for initial in initials))
         console.print(table)
     for column, what in _NOTES.items():
         count = sum(bool(row.get(column)) for row in rows)

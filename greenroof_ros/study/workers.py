@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+import asyncio
 import logging
 import multiprocessing
 import os
 import tempfile
+import time
 from collections.abc import Callable, Iterator, Mapping
-from concurrent.futures import Future
+from concurrent.futures import CancelledError, Future
 from contextlib import contextmanager
-from typing import Any
+from typing import Any, NamedTuple
 
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.processes import end_with
@@ -21,14 +23,27 @@ _PRELOADED = [
     "greenroof_ros.controllers.planning_mpc", "polars",
 ]
 _CONNECT_S = 10
+# A worker that its nanny starts again is back sooner.
+_NO_WORKER_S = 15.0
+# How often a scheduler is asked for its workers.
+_ASK_S = 2.0
 
 
-# Hands a function and its arguments over, and returns the result to come.
-Submit = Callable[..., Future[Any]]
+class WorkersGoneError(Exception):
+    """Nothing is left that could make the runs; the message says what is gone."""
+
+
+class Workers(NamedTuple):
+    """Those who make the runs."""
+
+    submit: Callable[..., Future[Any]]
+    """hands a function and its arguments over, and returns the result to come"""
+    check: Callable[[], None]
+    """raises :class:`WorkersGoneError` where there is no worker any more"""
 
 
 @contextmanager
-def processes(jobs: int) -> Iterator[Submit]:
+def processes(jobs: int) -> Iterator[Workers]:
     """Work in parallel processes; one that is killed fails its own task alone.
 
     Args:
@@ -50,7 +65,10 @@ def processes(jobs: int) -> Iterator[Submit]:
             initargs=(scratch, os.getpid()),
         )
         try:
-            yield lambda function, *arguments: pool.schedule(function, args=arguments)
+            yield Workers(
+                submit=lambda function, *arguments: pool.schedule(function, args=arguments),
+                check=lambda: None,
+            )
         finally:
             pool.stop()
             pool.join()
@@ -72,22 +90,29 @@ def _prepare(scratch: str, study: int) -> None:
 
 
 @contextmanager
-def cluster(address: str) -> Iterator[Submit]:
+def cluster(address: str) -> Iterator[Workers]:
     """Work on the workers of a Dask scheduler.
 
     Args:
         address: such as ``tcp://10.0.0.1:8786``.
 
     Raises:
-        ConfigurationError: distributed is not installed, there is no answer, or a worker has other
-            versions than this process.
+        ConfigurationError: distributed is not installed, there is no answer, no worker, or a
+            worker has other versions than this process.
+        WorkersGoneError: the scheduler or all its workers went while there was work.
     """
     try:
+        import dask
+
+        # It would say in a hundred lines what a sentence here says.
+        quiet = dict.fromkeys(("distributed", "distributed.client", "tornado.application"), 100)
+        dask.config.set({"logging": quiet})
         from distributed import Client
     except ImportError as error:
         raise ConfigurationError(
             "needs distributed: pip install 'greenroof_ros[dask]'", key="--scheduler"
         ) from error
+    gone = WorkersGoneError(f"the Dask scheduler at {address} is gone")
     try:
         client = Client(address, timeout=_CONNECT_S)
     except (OSError, ValueError, TypeError) as error:
@@ -95,16 +120,44 @@ def cluster(address: str) -> Iterator[Submit]:
             f"does not answer: {error}", key="--scheduler", value=address
         ) from error
     with client:
-        _check_versions(client.run(versions))
+        try:
+            client.wait_for_workers(1, timeout=_CONNECT_S)
+            _check_versions(client.run(versions))
+        except asyncio.TimeoutError as error:  # of Python 3.10, another than the built-in one
+            raise ConfigurationError(
+                "has no worker", key="--scheduler", value=address
+            ) from error
+        except (OSError, CancelledError) as error:
+            raise gone from error
         executor = client.get_executor(pure=False, retries=0)
         pending: list[Future[Any]] = []
+        asked = seen = time.monotonic()
 
         def submit(function: Callable[..., Any], *arguments: Any) -> Future[Any]:
             pending.append(executor.submit(function, *arguments))
             return pending[-1]
 
+        def check() -> None:
+            nonlocal asked, seen
+            now = time.monotonic()
+            if now - asked < _ASK_S:
+                return
+            asked = now
+            try:
+                there = client.nthreads()
+            except (OSError, RuntimeError) as error:  # its connection, or the client itself
+                raise gone from error
+            if there:
+                seen = now
+            elif now - seen > _NO_WORKER_S:
+                raise WorkersGoneError(
+                    f"the Dask scheduler at {address} has had no worker for {_NO_WORKER_S:g} s"
+                )
+
         try:
-            yield submit
+            yield Workers(submit, check)
+        except CancelledError as error:  # nobody here cancels what is waited for
+            raise gone from error
         finally:
             # Interrupted, no one waits for the results of what is under way.
             for future in pending:

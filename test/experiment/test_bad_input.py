@@ -42,7 +42,15 @@ OPTIONS: dict[str, tuple[str, tuple[str, ...]]] = {
     "weight-tiny": ("--weight 1e-10", ("--weight", "1e-09 to 1e+06")),
     "fraction-huge": ("--controller onoff --fraction 1e7", ("--fraction", "1e+06")),
     "speed-huge": ("--speed 1e10", ("--speed", "1e9")),
-    "cistern-deep": ("--cistern 2600 --roof 2.4", ("/cistern/level", "104 m", "100")),
+    "cistern-deep": (
+        "--cistern 401 --roof 2.4",
+        ("--cistern = 401.0: must be at most 400 m3, a level of 16 m (", "401 mm is 10.025 m3"),
+    ),
+    "roof-deep": (
+        "--cistern 60 --roof 250",
+        ("--roof = 250.0: must be at most 159.96 m3", "the soil holds 34.4 m3, 0.5 m",
+         "is a unit wrong? It is a volume in m3; a level of 250 mm is 17.2 m3"),
+    ),
     "cistern-huge": ("--cistern 1e10 --roof 2", ("--cistern", "1e+09")),
     "endless-file": ("--weather /dev/zero", ("/dev/zero", "regular file")),
     "weight-text": ("--weight heavy", ("--weight", "heavy")),

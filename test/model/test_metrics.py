@@ -58,10 +58,10 @@ def sums(site: Site, ticks: Ticks) -> dict[str, float]:
             ("rain_cistern_m3", site.tau * rain * site.a_in),
             ("rain_roof_m3", site.tau * rain * site.a2),
             ("evapotranspiration_m3", site.tau * flows.evapotranspiration),
-            ("beyond_hours", site.tau / 3600 * (command > 1)),
+            ("beyond_hours", int(command > 1)),
             ("limited_steps", int(flows.limited)),
             ("pump_starts", int(flows.pump > 0 and not pumping)),
-            ("pump_hours", site.tau / 3600 * (flows.pump > 0)),
+            ("pump_hours", int(flows.pump > 0)),
             ("hydraulic_energy_kwh", energy),
             ("electric_energy_kwh", energy / site.pump_efficiency),
         ):
@@ -70,6 +70,8 @@ def sums(site: Site, ticks: Ticks) -> dict[str, float]:
         pumping = flows.pump > 0
     found["final_cistern_m3"], found["final_roof_m3"] = ticks[-1][:2]
     found["total_deviation_m3"] += abs(ticks[-1][1] - site.x2_star)
+    for name in ("beyond_hours", "pump_hours"):  # exact, as a sum of 1 / 3600 is not
+        found[name] = found[name] * site.tau / 3600
     return found
 
 

@@ -291,6 +291,14 @@ def test_parameter_file_is_honoured(domain: int, tmp_path: Path, observer: Obser
         ("controller --controller pid", ("pid", "mpc", "package.module:Class")),
         ("controller --controller onoff --ros-args -p fraction:=.nan", ("fraction",)),
         ("plant --ros-args -p initial_roof_volume:=-1.0", ("initial_roof_volume", "-1.0")),
+        (
+            "plant --ros-args -p initial_roof_volume:=250.0",
+            ("initial_roof_volume = 250.0", "at most 159.96 m3", "250 mm is 17.2 m3"),
+        ),
+        (
+            "plant --ros-args -p initial_cistern_volume:=401.0",
+            ("initial_cistern_volume = 401.0", "at most 400 m3"),
+        ),
         ("plant --ros-args -p run_length:=0", ("run_length", "0")),
         ("plant --ros-args -p pump:=outside", ("pump", "outside", "external")),
         ("plant --ros-args -p start:=noon", ("start", "noon")),

@@ -40,6 +40,7 @@ from greenroof_ros.report.page import render
 from greenroof_ros.report.results import MOST_POINTS, Report, result, thin
 from greenroof_ros.report.runs import find_runs
 from greenroof_ros.report.seeds import split_by_seeds, spreads
+from greenroof_ros.report.tables import make_tables
 
 START = datetime.fromisoformat("2021-07-07T02:00-05:00")
 START_NS = 1_625_641_200 * 10**9  # date -d 2021-07-07T02:00-05:00 +%s
@@ -564,7 +565,7 @@ def test_seeds_page(seeds: Path, tmp_path: Path) -> None:
     row = next(row for row in table.split("<tr>") if "onoff 000002" in row)
     cells = [cell.partition("<")[0] for cell in row.split('">')[1:]]
     assert cells == [
-        "on/off", "fraction 0.5", "2021-07-07 02:00-05:00", "12", "low-low", "0.5", "25",
+        "on/off", "fraction 0.5", "2021-07-07 02:00-05:00", "12 h", "low-low", "0.5", "25",
         "1013.00", "1024.50", "1025.00", "2.0260", "2.0490", "2.0500",
     ]
     assert "Results of each run" not in text
@@ -574,7 +575,7 @@ def test_seeds_page(seeds: Path, tmp_path: Path) -> None:
     page = (tmp_path / "report" / "report.html").read_text()
     assert "report on 600 runs" in page
     assert (
-        "toronto_2021-07, 2021-07-20 02:00-05:00, 24 h, evapotranspiration published, forecast "
+        "toronto_2021-07.csv, 2021-07-20 02:00-05:00, 24 h, evapotranspiration published, forecast "
         "ensemble members 10 size 1, 25 seeds"
     ) in page
 
@@ -925,6 +926,26 @@ def own_run(directory: Path, one: Simulated) -> Path:
     return directory
 
 
+def test_sites_of_run_directories(tmp_path: Path, simulated: list[Simulated]) -> None:
+    """Runs of equal sites are compared, whatever their directories; other sites are in titles."""
+    paths = [own_run(tmp_path / name, one) for name, one in zip("abc", simulated[:3], strict=True)]
+    report = Report([result(run, Assumptions()) for run in find_runs(paths, None).runs])
+    assert [run.site_name for run in report.entries] == ["site.yaml"] * 3
+    assert len(report.windows) == 1
+    assert "site" not in report.heading(report.windows[0])
+    file = paths[1] / "configuration" / "site.yaml"
+    file.write_text(file.read_text().replace("a1: 25.0", "a1: 30.0"))
+    report = Report([result(run, Assumptions()) for run in find_runs(paths, None).runs])
+    assert [run.site_name for run in report.entries] == [
+        "site.yaml (a)", "site.yaml (b)", "site.yaml (a)"
+    ]
+    headings = list(map(report.heading, report.windows))
+    assert len(set(headings)) == len(headings) == 2
+    assert headings[1].startswith("site.yaml (b), ")
+    header = {table.name: table.header for table in make_tables(report, Assumptions())}
+    assert "site" in header["Results of each run"]
+
+
 def test_no_bound_from_a_sensor_that_errs(
     tmp_path: Path, simulated: list[Simulated]
 ) -> None:
@@ -1060,7 +1081,7 @@ def test_a_run_of_the_graph(domain: int, tmp_path: Path) -> None:
         assert value == pytest.approx(summary[name], rel=1e-12), name
     assert judged.roof_residual_m3 == pytest.approx(0, abs=1e-12)
     assert (entry.controller, entry.initial) == ("onoff", "low-low")
-    assert entry.site_name == "run/configuration/site.yaml"
+    assert entry.site_name == "site.yaml"
     assert trajectory.start.isoformat() == summary["start"]
     assert notes == () and entry.notes == ()
     assert entry.bound(trajectory) == pytest.approx(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import shutil
 import signal
@@ -310,6 +311,129 @@ def test_dask(tmp_path: Path) -> None:
     assert result.returncode == 2
     assert "--scheduler = 'tcp://127.0.0.1:9': does not answer" in result.stderr
     assert "Traceback" not in result.stderr
+
+
+class DaskCluster:
+    """A Dask scheduler and a worker, each a process of its own, on the loopback."""
+
+    def __init__(self, directory: Path) -> None:
+        file = directory / f"scheduler-{time.monotonic_ns()}.json"
+        self.log = (directory / "dask.log").open("a")
+        self.scheduler = self._start(
+            "scheduler", "--host", "127.0.0.1", "--port", "0", "--no-dashboard", "--no-show",
+            "--scheduler-file", str(file),
+        )
+        wait_for(lambda: file.is_file() and file.read_text().endswith("}"), 60, "a scheduler")
+        self.address = json.loads(file.read_text())["address"]
+        self.worker = self._start(
+            "worker", self.address, "--nthreads", "1", "--no-nanny", "--no-dashboard",
+            "--host", "127.0.0.1",
+        )
+
+    def _start(self, what: str, *options: str) -> subprocess.Popen[str]:
+        return subprocess.Popen(
+            [sys.executable, "-m", f"distributed.cli.dask_{what}", *options], text=True,
+            stdout=self.log, stderr=self.log,
+        )
+
+    def end(self) -> None:
+        """Kill both."""
+        for process in (self.worker, self.scheduler):
+            process.kill()
+            process.wait()
+        self.log.close()
+
+
+def study_on(cluster: DaskCluster, directory: Path, stored: int) -> subprocess.Popen[str]:
+    """Begin a study of 12 runs on a cluster, and wait until so many are stored."""
+    process = subprocess.Popen(
+        [sys.executable, "-m", "greenroof_ros.study", grid(directory, edited("0.25", "6")),
+         "--output", "out", "--scheduler", cluster.address],
+        cwd=directory, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),
+    )
+
+    def under_way() -> bool:
+        assert process.poll() is None, process.communicate()
+        return len(finished(directory)) >= stored
+
+    wait_for(under_way, 90, f"{stored} finished runs")
+    return process
+
+
+def finished(directory: Path) -> list[Path]:
+    """Return the runs that are stored."""
+    return [run for run in (directory / "out" / "runs").glob("*") if run.suffix != ".part"]
+
+
+def ended_in_one_sentence(process: subprocess.Popen[str], directory: Path, what: str) -> None:
+    """Check what a study says whose cluster went: exit code 1, the bar, and a sentence."""
+    shown, errors = process.communicate(timeout=40)
+    bar, *said = errors.splitlines()
+    assert bar.startswith("study ")
+    assert said == [
+        f"error: {what}: {len(finished(directory))} of 12 cases are stored; run the same command "
+        "again, it goes on"
+    ]
+    assert (process.returncode, shown) == (1, "")
+    status = [row["status"] for row in rows_of(directory / "out" / "results.csv")]
+    assert (status.count("done"), len(status)) == (len(finished(directory)), 12)
+    assert set(status) == {"done", "not run"}
+
+
+def test_dask_scheduler_killed(tmp_path: Path) -> None:
+    """One sentence; on another cluster the same command goes on, and no run is made twice."""
+    cluster = DaskCluster(tmp_path)
+    try:
+        process = study_on(cluster, tmp_path, stored=2)
+        cluster.scheduler.kill()
+        ended_in_one_sentence(
+            process, tmp_path, f"the Dask scheduler at {cluster.address} is gone"
+        )
+    finally:
+        cluster.end()
+    before = {run: (run / "outcome.json").read_bytes() for run in finished(tmp_path)}
+    cluster = DaskCluster(tmp_path)
+    try:
+        result = study(tmp_path, "grid.yaml", "--output", "out", "--scheduler", cluster.address)
+    finally:
+        cluster.end()
+    assert result.returncode == 0, result.stderr
+    assert f"{len(before)} of 12 runs are there already" in result.stderr
+    assert {row["status"] for row in rows_of(tmp_path / "out" / "results.csv")} == {"done"}
+    for run, outcome in before.items():
+        assert (run / "outcome.json").read_bytes() == outcome
+
+
+def test_dask_workers_killed(tmp_path: Path) -> None:
+    """With no worker left for a while: the same; Ctrl-C before that: interrupted, at once."""
+    cluster = DaskCluster(tmp_path)
+    try:
+        process = study_on(cluster, tmp_path, stored=1)
+        cluster.worker.kill()
+        ended_in_one_sentence(
+            process, tmp_path,
+            f"the Dask scheduler at {cluster.address} has had no worker for 15 s",
+        )
+        process = subprocess.Popen(
+            [sys.executable, "-m", "greenroof_ros.study", "grid.yaml", "--output", "out",
+             "--scheduler", cluster.address],
+            cwd=tmp_path, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
+            preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),
+        )
+        assert process.stderr is not None
+        assert "of 12 runs are there already" in process.stderr.readline()
+        time.sleep(3)  # it waits for a worker
+        process.send_signal(signal.SIGINT)
+        _, errors = process.communicate(timeout=8)
+        assert (process.returncode, errors) == (130, "interrupted\n")
+        result = study(tmp_path, "grid.yaml", "--output", "out", "--scheduler", cluster.address)
+        assert result.returncode == 2
+        assert result.stderr.splitlines()[1:] == [
+            f"error: --scheduler = '{cluster.address}': has no worker"
+        ]
+    finally:
+        cluster.end()
 
 
 def test_ros_in_a_domain_in_use(tmp_path: Path) -> None:

@@ -9,6 +9,7 @@ from commands import run_command
 from graphs import environment
 from studies import CONFIG, GRID, WEATHER, edited, grid
 
+from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.study.case_run import run_case
 from greenroof_ros.study.grid import read_grid
 
@@ -18,15 +19,15 @@ WRONG = {
     "no-yaml": ("site: [\n", "is not valid YAML"),
     "unknown-key": (GRID + "engine: ros\n", "line 14: engine: is not known here"),
     "no-weather": (GRID[: GRID.index("weather")], "weather: is missing or empty"),
-    "no-site-file": (edited("site.yaml", "absent.yaml"), "absent.yaml: cannot be read"),
-    "no-weather-file": (edited("toronto", "absent"), "cannot be read: No such file"),
+    "no-site-file": (edited("site.yaml", "absent.yaml"), "absent.yaml does not exist"),
+    "no-weather-file": (edited("toronto", "absent"), "absent_2021-07.csv does not exist"),
     "no-start": (edited("    start: 2021-07-07T02:00\n", ""), "start: is missing in a window"),
     "start": (edited("2021-07-07T02:00", "noon"), "line 5: start = 'noon': must be a time such as"),
     "uncovered": (edited("2021-07-07T02:00", "2022-07-07T02:00"), "but the run is from 2022-07-07"),
     "hours": (edited("0.25", "0"), "line 6: hours = 0.0: must be a whole number of ticks"),
     "hours-list": (edited("0.25", "[0.25, -1]"), "line 6: hours = -1.0: must be a whole number"),
-    "files": (edited(str(WEATHER), f"[{WEATHER}, b.csv]"), "b.csv: cannot be read"),
-    "pattern": (edited(str(WEATHER), "b-*.csv"), "line 4: file = 'b-*.csv': matches no file"),
+    "files": (edited(str(WEATHER), f"[{WEATHER}, b.csv]"), "line 4: file: b.csv is neither"),
+    "pattern": (edited(str(WEATHER), "b-*.csv"), "line 4: file = 'b-*.csv': b-*.csv is neither"),
     "names": (edited("name: dry", "name: [a, b]"), "name: must be one value, not a list"),
     "volumes": (edited("cistern: 40.0", "cistern: [40, 41]"), "cistern: must be one value, not a"),
     "state-list": (edited("[low-low,", "[[low-low],"), "initial: ['low-low'] must be one of low-l"),
@@ -37,7 +38,11 @@ WRONG = {
     "volume": (edited("roof: 0.5", "roof: -0.5"), "initial: volumes must not be negative"),
     "half-state": (edited(", roof: 0.5", ""), "initial: a state has no roof"),
     "state-twice": (edited("name: dry", "name: low-low"), "initial: has low-low twice"),
-    "level": (edited("cistern: 40.0", "cistern: 4.0e+6"), "m on /cistern/level, where at most 100"),
+    "deep": (
+        edited("cistern: 40.0", "cistern: 4.0e+6"),
+        "line 8: cistern = 4000000.0: must be at most 400 m3, a level of 16 m",
+    ),
+    "ponded": (edited("roof: 0.5", "roof: 250"), "line 8: roof = 250.0: must be at most 159.96 m3"),
     "controller": (edited("onoff:", "pid:"), "line 13: controller = 'pid': must be one of mpc"),
     "parameter": (edited("weight", "wieght"), "line 11: wieght: is not a parameter of mpc; they"),
     "value": (edited("0.1]", "-0.1]"), "line 11: weight: -0.1 must be from 1e-09 to 1e+06"),
@@ -65,7 +70,9 @@ WRONG = {
     "forecast-members": (
         GRID + "forecast: {model: ensemble, members: [0]}\n", "members: 0 must be from 1 to 100"
     ),
-    "forecast-file": (GRID + "forecast: absent.csv\n", "absent.csv: cannot be read: No such file"),
+    "forecast-file": (
+        GRID + "forecast: absent.csv\n", "line 14: forecast = 'absent.csv': absent.csv is neither",
+    ),
     "forecast-none": (GRID + "forecast: []\n", "line 14: forecast: is empty"),
     "forecast-twice": (
         GRID + "forecast: [errors, {model: errors, seed: 0}]\n", "forecast errors"
@@ -151,6 +158,30 @@ def test_window_of_several_files(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("file", sorted(path.name for path in CONFIG.glob("study*.yaml")))
-def test_grids_that_come_with_it(file: str) -> None:
-    """Each can be run as it is."""
-    assert read_grid(CONFIG / file)
+def test_grids_that_come_with_it(tmp_path: Path, file: str) -> None:
+    """A copy of each in an empty directory can be run as it is, with the files of the package."""
+    copy = tmp_path / "my_study.yaml"
+    copy.write_bytes((CONFIG / file).read_bytes())
+    (case, *_) = read_grid(copy)
+    assert case.site.content == (CONFIG / "site.yaml").read_bytes()
+    assert case.weather[0].content == WEATHER.read_bytes()
+
+
+def test_names_of_files(tmp_path: Path) -> None:
+    """Beside the grid first, then the package's config/; an error names both places."""
+    text = GRID.replace(str(CONFIG / "site.yaml"), "site.yaml")
+    text = text.replace(str(WEATHER), "[weather/toronto_*.csv, weather/toronto_2021-07.csv]")
+    copy = tmp_path / grid(tmp_path, text)
+    assert read_grid(copy)[0].site.content == (CONFIG / "site.yaml").read_bytes()
+    mine = (CONFIG / "site.yaml").read_text().replace("a1: 25.0", "a1: 26.0")
+    (tmp_path / "site.yaml").write_text(mine)
+    (case, *_) = read_grid(copy)
+    assert case.site.content.decode() == mine
+    assert [file.name for file in case.weather] == ["toronto_2021-07.csv"]
+    grid(tmp_path, text.replace("site.yaml", "my_site.yaml"))
+    with pytest.raises(ConfigurationError) as refused:
+        read_grid(copy)
+    assert str(refused.value) == (
+        f"{copy}, line 2: site = 'my_site.yaml': my_site.yaml is neither beside the grid, in "
+        f"{tmp_path}, nor among the package's own files, in {CONFIG}"
+    )

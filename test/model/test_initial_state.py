@@ -1,0 +1,39 @@
+"""Initial volumes: those that a place can hold, and no others."""
+
+from __future__ import annotations
+
+import pytest
+from paper import PAPER_SITE
+
+from greenroof_ros.common.errors import ConfigurationError
+from greenroof_ros.model.initial_state import INITIAL_STATES, check_volumes, initial_state
+from greenroof_ros.model.plant import Flows, Plant
+
+KEYS = ("--cistern", "--roof")
+
+
+def test_what_rain_makes_of_a_full_roof_is_taken(caplog: pytest.LogCaptureFixture) -> None:
+    """The most rain of a day on a soil that is full: a run may begin there; not much above it."""
+    plant = Plant(PAPER_SITE, 97.5, 34.4)
+    for _ in range(86_400):
+        rain = 1.825 / 86_400
+        flows: Flows = plant.flows(rain, 0.0, 0.0)
+        plant.step(rain, flows)
+    # 125.56 m3 of rain, less what 7.83e-8 m/s let through, twice to six times.
+    assert 155 < plant.x2 < 34.4 + 125.56
+    check_volumes(PAPER_SITE, plant.x1, plant.x2, KEYS)
+    check_volumes(PAPER_SITE, 399.9, 159.9, KEYS)
+    with pytest.raises(ConfigurationError, match=r"--roof = 160.0: must be at most 159.96 m3"):
+        check_volumes(PAPER_SITE, 60.0, 160.0, KEYS)
+
+
+def test_above_the_soil_is_said_once(caplog: pytest.LogCaptureFixture) -> None:
+    """45.7 may be the target in mm: what does not fit into the soil is taken with a warning."""
+    for _ in range(3):
+        check_volumes(PAPER_SITE, 60.0, 45.7, KEYS)
+    (said,) = caplog.messages
+    assert "--roof = 45.7: more than the 34.4 m3" in said
+    for name in INITIAL_STATES:
+        check_volumes(PAPER_SITE, *initial_state(PAPER_SITE, name), KEYS)
+    check_volumes(PAPER_SITE, 0.0, 34.4, KEYS)
+    assert len(caplog.messages) == 1

@@ -1,0 +1,192 @@
+"""What differs between runs names them: no two rows or curves of one name, whatever is varied."""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Hashable, Iterable
+from pathlib import Path
+
+import pytest
+from places import CONFIG, Once
+from studies import WEATHER, grid, rows_of, study
+
+from greenroof_ros.report.assessment import Assumptions
+from greenroof_ros.report.figures import make_figures
+from greenroof_ros.report.page import render
+from greenroof_ros.report.results import Report, result
+from greenroof_ros.report.runs import find_runs
+from greenroof_ros.report.seeds import split_by_seeds
+from greenroof_ros.report.tables import make_tables
+from greenroof_ros.study.grid import read_grid
+from greenroof_ros.study.table import Names
+
+# Every key of a grid varied: files of one name in two folders, numbers that differ in late digits.
+VARIED = """
+site: [north/site.yaml, south/site.yaml]
+weather:
+  - {file: north/storm.csv, start: 2021-07-07T02:00, hours: 0.02,
+     evapotranspiration: [published, fao56]}
+  - {file: north/storm.csv, start: 2021-07-07T02:00:01, hours: 0.02, evapotranspiration: published}
+  - {file: north/storm.csv, start: 2021-07-07T02:00, hours: 0.02027777777777778}
+  - {file: south/storm.csv, start: 2021-07-07T02:00, hours: 0.02}
+  - file: north/storm.csv
+    start: 2021-07-07T02:00
+    hours: 0.02
+    forecast: [persistence, north/archive.csv, south/archive.csv,
+               {model: errors, size: [0.5, 0.50000001], seed: [1, 2]}]
+initial: [low-low, {name: dry, cistern: 40.0, roof: 0.5}]
+sensor_pump_errors: [{roof_noise: 0.0005}, {roof_noise: 0.00050000001}]
+controllers:
+  mpc: {weight: [0.001, 0.0010000001], max_command: 1.0}
+  onoff: {fraction: 0.5}
+"""
+WINDOWS = 2 * (2 + 1 + 1 + 1 + 3) * 2  # without those of many seeds
+RUNS = 2 * (2 + 1 + 1 + 1 + 3 + 4) * 2 * 2 * 3
+
+
+def write_inputs(directory: Path) -> None:
+    """Write two sites, storms and archives of forecasts under the same names."""
+    issued = "issued,time,precipitation [mm/h]\n"
+    for folder, soil, capacity, rain in (("north", 0.5, 34.4, 4.0), ("south", 0.4, 27.52, 5.0)):
+        (directory / folder).mkdir()
+        site = (CONFIG / "site.yaml").read_text()
+        for old, new in (
+            ("z_soil: 0.5 ", f"z_soil: {soil} "), ("z_cap: 34.4", f"z_cap: {capacity}"),
+        ):
+            assert site.count(old) == 1
+            site = site.replace(old, new)
+        (directory / folder / "site.yaml").write_text(site)
+        storm = WEATHER.read_text()
+        dry = "2021-07-07T02:00-05:00,0.0,"
+        assert storm.count(dry) == 1
+        (directory / folder / "storm.csv").write_text(
+            storm.replace(dry, f"2021-07-07T02:00-05:00,{rain},")
+        )
+        (directory / folder / "archive.csv").write_text(issued + "".join(
+            f"2021-07-07T05:00Z,2021-07-07T{hour:02}:00Z,{rain}\n" for hour in range(5, 22)
+        ))
+
+
+def distinct(labels: Iterable[Hashable], count: int | None = None) -> None:
+    """Check that no label is there twice, and how many there are."""
+    there = list(labels)
+    twice = [label for label in set(there) if there.count(label) > 1]
+    assert not twice
+    assert there and (count is None or len(there) == count)
+
+
+@pytest.fixture(scope="module")
+def varied(once: Once) -> Path:
+    """The directory of a study of the grid."""
+
+    def fill(directory: Path) -> None:
+        write_inputs(directory)
+        done = study(directory, grid(directory, VARIED), "--output", "out")
+        assert done.returncode == 0, done.stderr
+
+    return once("study-of-everything", fill)
+
+
+def test_rows_of_the_table(varied: Path) -> None:
+    """By the columns before the results alone; and each case's name in a sentence."""
+    rows = rows_of(varied / "out" / "results.csv")
+    columns = list(rows[0])
+    given = columns[1 : columns.index("status")]
+    distinct((tuple(row[column] for column in given) for row in rows), RUNS)
+    assert {row["site"] for row in rows} == {"site.yaml", "south-site.yaml"}
+    assert {row["weather"] for row in rows} == {"storm.csv", "south-storm.csv"}
+    cases = read_grid(varied / "grid.yaml")
+    names = Names(cases)
+    distinct(map(names.name, cases), RUNS)
+
+
+def test_tables_on_the_terminal(varied: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Titles, which wrap, and the lines below each."""
+    monkeypatch.setenv("COLUMNS", "400")
+    tables = study(varied, "grid.yaml", "--output", "out").stdout.split("Total deviation")[1:]
+    distinct((" ".join(table.partition("┏")[0].split()) for table in tables), 2 * 5)
+    for table in tables:
+        lines = [line.split("│")[1:3] for line in table.splitlines() if line.startswith("│")]
+        distinct(tuple(cells) for cells in lines)
+
+
+def judged(*paths: Path) -> Report:
+    """Read and judge runs."""
+    single, seeded = split_by_seeds(find_runs(list(paths), None).runs)
+    return Report([result(entry, Assumptions()) for entry in single], seeded)
+
+
+@pytest.fixture(scope="module")
+def report(varied: Path) -> Report:
+    """The report of the study."""
+    return judged(varied / "out")
+
+
+def test_tables_of_the_report(report: Report, varied: Path) -> None:
+    """By the cells that are names; the run's own identity is no name."""
+    tables = {table.name: table for table in make_tables(report, Assumptions())}
+    assert len(tables) == 5
+    for table in tables.values():
+        named = [
+            place for place, name in enumerate(table.header)
+            if name not in ("run", "seeds") and not name.endswith(")")
+        ]
+        distinct(tuple(row[place].text for place in named) for row in table.rows)
+    distinct(map(report.heading, report.windows), WINDOWS)
+    page = render(report, [], find_runs([varied / "out"], None), Assumptions())
+    headings = page.partition("<h1")[2].split("<li>")[1:]
+    distinct(heading.partition("</li>")[0] for heading in headings)
+
+
+def test_figures_of_the_report(report: Report) -> None:
+    """Titles, and in each the names of curves, marks and bars."""
+    figures = [make() for make in make_figures(report, None)]
+    distinct(figure.title for figure in figures)
+    for figure in figures:
+        distinct(str(panel.title) for panel in figure.panels)
+        for dataset, rows in figure.data.items():
+            kind = dataset.partition("-")[0]
+            if kind in ("command", "cistern", "roof"):  # one curve a run
+                found = {row["setting"] for row in rows}
+                assert len(found) == (2 if dataset.endswith("mpc") else 1)
+            elif kind in ("total", "time", "energy", "pump"):
+                if rows and "setting" in rows[0]:
+                    distinct((row["setting"], row["initial"]) for row in rows)
+            elif kind == "balance":
+                distinct((row["run"], row["term"]) for row in rows)
+            elif kind == "forecast":
+                distinct((row["series"], row["size"], row["amount"]) for row in rows)
+
+
+def test_two_studies_that_use_one_name_for_two_things(tmp_path: Path) -> None:
+    """Site, weather, forecasts and a state, of one name and other in each: the study is added."""
+    text = """
+site: site.yaml
+weather: {file: storm.csv, start: 2021-07-07T02:00, hours: 0.02, forecast: archive.csv}
+initial: [low-low, {name: dry, cistern: 40.0, roof: 0.5}]
+controllers: {onoff: }
+"""
+    write_inputs(tmp_path)
+    for folder, roof in (("north", "0.5"), ("south", "0.6")):
+        place = tmp_path / folder
+        name = grid(place, text.replace("roof: 0.5", f"roof: {roof}"))
+        shown = study(place, name, "--output", "out")
+        assert shown.returncode == 0, shown.stderr
+        place.joinpath("out").rename(place.with_name(f"of-{folder}"))
+    both = judged(tmp_path / "of-north", tmp_path / "of-south")
+    distinct(map(both.heading, both.windows), 2)
+    assert [window.sky.site_name for window in both.windows] == [
+        "site.yaml (of-north)", "site.yaml (of-south)"
+    ]
+    assert [window.sky.weather for window in both.windows] == [
+        "storm.csv (of-north)", "storm.csv (of-south)"
+    ]
+    assert [window.forecast for window in both.windows] == [
+        "archive.csv (of-north)", "archive.csv (of-south)"
+    ]
+    assert both.initials == ["low-low", "dry (of-north)", "dry (of-south)"]
+    # What is the same in both is compared.
+    shutil.copytree(tmp_path / "of-north", tmp_path / "again")
+    again = judged(tmp_path / "of-north", tmp_path / "again")
+    assert len(again.windows) == 1
+    assert again.initials == ["low-low", "dry"]
