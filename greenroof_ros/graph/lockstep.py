@@ -302,14 +302,20 @@ class LockstepNode(Node):
 
     def finish(self) -> None:
         """Say from now on that the run is over for this node, with what its summary needs."""
-        refused = {name: entry.refused for name, entry in self._inputs.items() if entry.refused}
-        self._final_values = {"sent": dict(self.sent), "refused": refused, **self.summary()}
+        self._final_values = {"sent": dict(self.sent), **self.summary()}
         self._reports.state = FINISHED
         self._report(time.monotonic())
 
     def _report(self, now: float) -> None:
         self._reported = now
-        self._reports.say({**self.progress(), **self._final_values})
+        refused = {name: entry.refused for name, entry in self._inputs.items() if entry.refused}
+        self._reports.say({**self.progress(), "refused": refused, **self._final_values})
+
+    def last_report(self, error: str | None) -> None:
+        """Say how far the node came, and what ended it if it failed."""
+        if error is not None:
+            self._final_values["error"] = error
+        self._report(time.monotonic())
 
     def _on_finished(self, node: str) -> None:
         if node == "plant" and self._reports.state != FINISHED:
