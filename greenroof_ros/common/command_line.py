@@ -57,8 +57,9 @@ class _Stream(io.FileIO):
 def _stream(number: int, replaced: TextIO | None) -> TextIO:
     """Return a stream to a file descriptor, set up as the one that it replaces."""
     settings: dict[str, Any] = {
-        name: getattr(replaced, name, None)
+        name: getattr(replaced, name)
         for name in ("encoding", "errors", "line_buffering", "write_through")
+        if replaced is not None
     }
     return io.TextIOWrapper(
         io.BufferedWriter(_Stream(number, "w", closefd=False)), **settings

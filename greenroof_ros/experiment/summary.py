@@ -120,14 +120,24 @@ def _setting(run: Run) -> dict[str, Any]:
 def write(summary: Mapping[str, Any], directory: Path) -> None:
     """Write a summary into the directory of its run, whole or not at all.
 
+    A disk that is full has no room for a second file beside the old one, but for what is written
+    over it: there a run must be able to say that it ended.
+
     Raises:
-        OSError: for instance on a full disk; what was there before still is.
+        OSError: it cannot be written.
     """
     path = directory / SUMMARY
     part = directory / f".{SUMMARY}.part"
+    text = json.dumps(summary, indent=2, allow_nan=False) + "\n"
     try:
-        part.write_text(json.dumps(summary, indent=2, allow_nan=False) + "\n", encoding="utf-8")
+        part.write_text(text, encoding="utf-8")
         part.replace(path)
     except OSError as error:
         part.unlink(missing_ok=True)
-        raise OSError(error.errno, error.strerror, str(path)) from error  # a write does not know it
+        try:
+            with path.open("r+", encoding="utf-8") as stream:
+                stream.write(text)
+                stream.truncate()
+        except OSError:
+            # The error of a write does not know its file.
+            raise OSError(error.errno, error.strerror, str(path)) from error
