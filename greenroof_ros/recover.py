@@ -76,8 +76,8 @@ def main() -> int:
     parser = argparse.ArgumentParser(
         prog="python -m greenroof_ros.recover",
         description="Repair the bag of a run whose recorder was killed or ran out of disk: every "
-        "whole tick goes into a new bag beside the old one, which is left as it is. A report of the "
-        "run then uses the new one.",
+        "whole tick goes into a new bag beside the old one, which is left as it is. A report of "
+        "the run then uses the new one.",
     )
     parser.add_argument("directory", type=Path, metavar="DIR", help="a run directory, or its bag")
     parser.add_argument(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import errno
 import functools
 import io
 import os
@@ -32,7 +33,8 @@ class OutputError(Exception):
     """
 
     def __init__(self, error: OSError, elsewhere: str) -> None:
-        super().__init__(f"the output could not be printed: {error.strerror}{elsewhere}")
+        why = "it is closed" if error.errno == errno.EBADF else error.strerror
+        super().__init__(f"standard output cannot be written: {why}{elsewhere}")
         self.quiet = isinstance(error, BrokenPipeError)
 
 
@@ -55,14 +57,12 @@ class _Stream(io.FileIO):
 
 
 def _stream(number: int, replaced: TextIO | None) -> TextIO:
-    """Return a stream to a file descriptor, set up as the one that it replaces."""
-    settings: dict[str, Any] = {
-        name: getattr(replaced, name)
-        for name in ("encoding", "errors", "line_buffering", "write_through")
-        if replaced is not None
-    }
+    """Return a stream to a file descriptor, in the encoding of the one that it replaces."""
     return io.TextIOWrapper(
-        io.BufferedWriter(_Stream(number, "w", closefd=False)), **settings
+        io.BufferedWriter(_Stream(number, "w", closefd=False)),
+        encoding=getattr(replaced, "encoding", None),
+        errors=getattr(replaced, "errors", None),
+        line_buffering=True,
     )
 
 
