@@ -228,33 +228,43 @@ def _end_early(
 ) -> None:
     """Write how far a run came that is not done, and say how its bag is opened."""
     bag = directory / "bag"
-    recover, report, info = (
-        f"  {command} {shlex.quote(str(path))}"
-        for command, path in (
-            ("python -m greenroof_ros.recover", directory),
-            ("python -m greenroof_ros.report", directory),
-            ("ros2 bag info", bag),
-        )
-    )
-    if bag.is_dir():
-        ticks = count_ticks(bag)
-        if ticks is None:
-            lines = [f"{bag} was not closed; to restore its ticks, and to see them:",
-                     recover, report]
-        elif ticks:
-            lines = [f"ticks in {bag}: {ticks}; to see them:", report, info]
-        else:
-            lines = [f"ticks in {bag}: 0"]
-        print(*lines, sep="\n", file=sys.stderr)
+    ticks = count_ticks(bag)
+    for line in _bag_lines(directory, bag, ticks):
+        print(line, file=sys.stderr)
     last = supervisor.last
+    # A plant that was killed came further than it had said, and the recorder heard of it.
+    reached = max(last.get("plant", {}).get("tick", -1), (ticks or 0) - 1)
     summary.write(
         summary.build_unfinished(
-            run, status, reason=reason, last_tick=last.get("plant", {}).get("tick"),
+            run, status, reason=reason, last_tick=reached if reached >= 0 else None,
             refused=_refused(supervisor),
             parameter_changes=last.get(run.controller.name, {}).get("parameter_changes"),
         ),
         directory,
     )
+
+
+def _bag_lines(directory: Path, bag: Path, ticks: int | None) -> list[str]:
+    """Say what is in the bag of a run that is not done, and how it is opened.
+
+    Args:
+        directory: of the run.
+        bag: in it.
+        ticks: that it holds; None where there is none, or it was not closed.
+    """
+    recover, report, info = (
+        f"  {tool} {shlex.quote(str(path))}"
+        for tool, path in (
+            ("python -m greenroof_ros.recover", directory),
+            ("python -m greenroof_ros.report", directory),
+            ("ros2 bag info", bag),
+        )
+    )
+    if ticks:
+        return [f"ticks in {bag}: {ticks}; to look at them:", report, info]
+    if ticks is None and bag.is_dir():
+        return [f"{bag} was not closed; to restore its ticks and look at them:", recover, report]
+    return ["no tick was recorded"]
 
 
 @command

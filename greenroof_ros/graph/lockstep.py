@@ -311,18 +311,19 @@ class LockstepNode(Node):
         refused = {name: entry.refused for name, entry in self._inputs.items() if entry.refused}
         self._reports.say({**self.progress(), "refused": refused, **self._final_values})
 
-    def last_report(self, error: str | None) -> None:
-        """Say how far the node came, and what ended it if it failed."""
-        if error is not None:
-            self._final_values["error"] = error
-        self._report(time.monotonic())
-
     def _on_finished(self, node: str) -> None:
         if node == "plant" and self._reports.state != FINISHED:
             self.on_plant_finished()
 
-    def flush(self) -> None:
-        """Wait until the readers have what was published, for at most a second."""
+    def flush(self, failure: str | None) -> None:
+        """Say how far the node came, and wait a second at most until its readers have all it said.
+
+        Args:
+            failure: what ended it; None where it was asked to end.
+        """
+        if failure is not None:
+            self._final_values["failure"] = failure
+        self._report(time.monotonic())
         until = time.monotonic() + _FLUSH_S
         for publisher in [*self._outputs, self._reports.publisher]:
             left = max(0.0, until - time.monotonic())

@@ -91,8 +91,7 @@ def run_node(make: Callable[[], LockstepNode], args: list[str] | None = None) ->
             except OSError as error:
                 _fail(node, error)
                 code, failure = EXIT_FAILED, str(error)
-            node.last_report(failure)
-            node.flush()
+            node.flush(failure)
         # All is said and written. Fast DDS can lock up, and spin, in taking itself down while a
         # peer does the same, be it here or where Python frees the last of it at the process's end;
         # no Python would run then, so that the kernel has to end it.

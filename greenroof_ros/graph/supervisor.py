@@ -212,7 +212,7 @@ class Supervisor:
             if code is not None:
                 how = f"exit code {code}" if code >= 0 else signal.Signals(-code).name
                 last_lines = self._quoted(node)
-                why = self.last.get(node, {}).get("error")
+                why = self.last.get(node, {}).get("failure")
                 raise NodeFailed(
                     f"node {node} ended ({how})" + (f": {why}" if why else ""), last_lines,
                     code if code in (EXIT_USAGE, EXIT_OCCUPIED) else EXIT_FAILED,

@@ -68,7 +68,7 @@ def assert_ended_early(process: Process, status: str, reason: str) -> None:
     if (run / "bag" / "metadata.yaml").exists():
         ticks = readable_ticks(run)
         # The last tick was begun; it is in the bag if all its messages were there.
-        assert summary["last_tick"] in (ticks - 1, ticks)
+        assert ticks - 1 <= summary["last_tick"] <= ticks
         assert f"ticks in {run / 'bag'}: {ticks};" in process.stderr()
         assert f"  ros2 bag info {run / 'bag'}\n" in process.stderr()
         assert commands == [f"  python -m greenroof_ros.report {run}"]
@@ -203,7 +203,7 @@ def test_interrupted_while_starting(domain: int, tmp_path: Path, delay: float) -
         process.process.send_signal(signal.SIGINT)
         time.sleep(0.05)
     assert process.wait(12) == 130
-    assert process.stderr().count("interrupted") == 1
+    assert process.stderr().count("interrupted by SIGINT\n") == 1
     assert summary_of(tmp_path / "run")["status"] == "interrupted"
     assert "Traceback" not in process.stderr()
     assert not [name for name, pid in nodes.items() if alive(pid)]
