@@ -25,8 +25,9 @@ from greenroof_ros.common.processes import end_with_parent
 from greenroof_ros.graph.shared_memory import remove_left, segments_of
 from greenroof_ros.graph.states import REPORT_PIPE
 
-# How long to wait for a process that was asked to end, before the next, harder signal (s).
-_ENDING_S = {signal.SIGINT: 4.0, signal.SIGTERM: 1.0, signal.SIGKILL: 5.0}
+# How long to wait for a process that was asked to end, before the next, harder signal (s). Not
+# SIGINT: what a shell starts in its background ignores it, and so would a node that just begins.
+_ENDING_S = {signal.SIGTERM: 5.0, signal.SIGKILL: 5.0}
 _LAST_LINES = 15
 # Nodes that report four times a second fall silent for one reason within this time (s).
 _SAME_SILENCE_S = 0.5
