@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import re
+import shlex
 import signal
 import sys
 from pathlib import Path
@@ -24,29 +25,32 @@ from greenroof_ros.experiment.run_directory import make_run_directory, write_con
 from greenroof_ros.graph.domain import only_bringup, refuse_other_nodes
 from greenroof_ros.graph.states import FINISHED, STARTING
 from greenroof_ros.graph.supervisor import NodeFailed, Supervisor
+from greenroof_ros.recording.bag_reader import count_ticks
 
 # From the start of the processes to all being ready (s): imports on a busy machine take seconds.
 _START_LIMIT_S = 30.0
 
 
 class _Interrupted(Exception):
-    """Ctrl-C, or SIGTERM, or the terminal was closed."""
+    """Ctrl-C, or SIGTERM, or the terminal was closed; the message says which."""
 
 
 class _Signals:
     """Notes that a signal came; the run looks at it where it can end cleanly.
 
     An exception out of the handler could fall into the middle of anything, the end of the nodes
-    among it.
+    among it. A signal that is ignored stays so: ``nohup`` ignores the end of the terminal, and a
+    shell Ctrl-C for what it starts in the background.
     """
 
     def __init__(self) -> None:
-        self._came = False
+        self._came: signal.Signals | None = None
         for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
-            signal.signal(number, self._on_signal)
+            if signal.getsignal(number) is not signal.SIG_IGN:
+                signal.signal(number, self._on_signal)
 
     def _on_signal(self, signum: int, frame: Any) -> None:
-        self._came = True
+        self._came = signal.Signals(signum)
 
     def ignore(self) -> None:
         """Take no further one: the end of the interpreter would be ended by it."""
@@ -55,8 +59,8 @@ class _Signals:
 
     def check(self) -> None:
         """Raise :class:`_Interrupted` if one came."""
-        if self._came:
-            raise _Interrupted
+        if self._came is not None:
+            raise _Interrupted(f"interrupted by {self._came.name}")
 
 
 def _parser() -> argparse.ArgumentParser:
@@ -107,9 +111,7 @@ def _namespace(text: str) -> str:
 _namespace.__name__ = "namespace: letters, digits and _, no digit first, such as site1"
 
 
-def _watch(
-    run: Run, limit: float, supervisor: Supervisor, signals: _Signals
-) -> dict[str, dict[str, Any]]:
+def _watch(run: Run, limit: float, supervisor: Supervisor, signals: _Signals) -> None:
     """Watch the nodes until all have reported the end of the run.
 
     Args:
@@ -118,22 +120,20 @@ def _watch(
         supervisor: has started the nodes.
         signals: looked at ten times a second.
 
-    Returns:
-        The final report of each node.
-
     Raises:
         NodeFailed: one ended, hangs, or is not ready in time.
+        _Interrupted: a signal came.
     """
     waiting = set(supervisor.nodes)
-    final: dict[str, dict[str, Any]] = {}
+    running = set(supervisor.nodes)
     with RunProgress(run.steps, run.site.tau) as progress:
-        while len(final) < len(supervisor.nodes):
+        while running:
             signals.check()
             for node, report in supervisor.reports():
                 if report["state"] != STARTING:
                     waiting.discard(node)
                 if report["state"] == FINISHED:
-                    final[node] = report
+                    running.discard(node)
                 if node == "plant" and not waiting:
                     progress.update(
                         report["tick"], report["cistern_level"], report["roof_level"],
@@ -144,20 +144,18 @@ def _watch(
                 supervisor.check(_START_LIMIT_S)
             else:
                 supervisor.check(limit)
-    return final
 
 
-def _run_graph(
-    run: Run, arguments: argparse.Namespace, signals: _Signals
-) -> tuple[Path, dict[str, dict[str, Any]]]:
-    """Make the run's directory, start the nodes, watch them, and end them.
+def _run_graph(run: Run, arguments: argparse.Namespace, signals: _Signals) -> int:
+    """Make the run's directory, start the nodes, watch them, end them, and say how it went.
 
     Returns:
-        The directory and the final report of each node.
+        The exit code.
 
     Raises:
         ConfigurationError: there is a graph already, no ROS 2, or the directory cannot be made.
-        NodeFailed: a node ended or hangs.
+        OSError: the summary cannot be written.
+        OutputError: it cannot be printed.
     """
     namespace: str = arguments.namespace
     controller = run.controller
@@ -174,13 +172,99 @@ def _run_graph(
                 "peer_limit": arguments.peer_limit,
             },
         )
-        with Supervisor(directory / "log", parameters, namespace) as supervisor:
-            supervisor.start("plant", "plant")
-            supervisor.start("weather", "weather")
-            supervisor.start(controller.name, "controller", "--controller", controller.reference)
-            if not arguments.no_record:
-                supervisor.start("recorder", "recorder")
-            return directory, _watch(run, arguments.peer_limit, supervisor, signals)
+        summary.write(summary.build_unfinished(run, summary.RUNNING), directory)
+        supervisor = Supervisor(directory / "log", parameters, namespace)
+        try:
+            with supervisor:
+                supervisor.start("plant", "plant")
+                supervisor.start("weather", "weather")
+                supervisor.start(
+                    controller.name, "controller", "--controller", controller.reference
+                )
+                if not arguments.no_record:
+                    supervisor.start("recorder", "recorder")
+                _watch(run, arguments.peer_limit, supervisor, signals)
+        except _Interrupted as error:
+            signals.ignore()
+            print(error, file=sys.stderr)
+            _end_early(run, directory, supervisor, summary.INTERRUPTED, str(error))
+            return EXIT_INTERRUPTED
+        except NodeFailed as error:
+            signals.ignore()
+            print(f"error: {error}", file=sys.stderr)
+            _end_early(run, directory, supervisor, summary.FAILED, error.reason)
+            return error.code
+        _end_whole(run, directory, supervisor, as_json=arguments.json)
+        return EXIT_DONE
+
+
+def _refused(supervisor: Supervisor) -> dict[str, int]:
+    """Return how many values of each topic the nodes refused."""
+    refused: dict[str, int] = {}
+    for report in supervisor.last.values():
+        for topic, count in report["refused"].items():
+            refused[topic] = refused.get(topic, 0) + count
+    return refused
+
+
+def _end_whole(run: Run, directory: Path, supervisor: Supervisor, *, as_json: bool) -> None:
+    """Write and print the summary of a run that is done."""
+    plant, controller = supervisor.last["plant"], supervisor.last[run.controller.name]
+    result = summary.build(
+        run,
+        plant["metrics"],
+        wall_s=plant["wall_s"],
+        solver=controller["solver"],
+        messages=supervisor.last.get("recorder", {}).get("messages"),
+        refused=_refused(supervisor),
+        parameter_changes=controller["parameter_changes"],
+    )
+    summary.write(result, directory)
+    summary_table.show(result, directory, as_json=as_json)
+
+
+def _end_early(
+    run: Run, directory: Path, supervisor: Supervisor, status: str, reason: str
+) -> None:
+    """Write how far a run came that is not done, and say how its bag is opened."""
+    bag = directory / "bag"
+    ticks = count_ticks(bag)
+    for line in _bag_lines(directory, bag, ticks):
+        print(line, file=sys.stderr)
+    last = supervisor.last
+    # A plant that was killed came further than it had said, and the recorder heard of it.
+    reached = max(last.get("plant", {}).get("tick", -1), (ticks or 0) - 1)
+    summary.write(
+        summary.build_unfinished(
+            run, status, reason=reason, last_tick=reached if reached >= 0 else None,
+            refused=_refused(supervisor),
+            parameter_changes=last.get(run.controller.name, {}).get("parameter_changes"),
+        ),
+        directory,
+    )
+
+
+def _bag_lines(directory: Path, bag: Path, ticks: int | None) -> list[str]:
+    """Say what is in the bag of a run that is not done, and how it is opened.
+
+    Args:
+        directory: of the run.
+        bag: in it.
+        ticks: that it holds; None where there is none, or it was not closed.
+    """
+    recover, report, info = (
+        f"  {tool} {shlex.quote(str(path))}"
+        for tool, path in (
+            ("python -m greenroof_ros.recover", directory),
+            ("python -m greenroof_ros.report", directory),
+            ("ros2 bag info", bag),
+        )
+    )
+    if ticks:
+        return [f"ticks in {bag}: {ticks}; to look at them:", report, info]
+    if ticks is None and bag.is_dir():
+        return [f"{bag} was not closed; to restore its ticks and look at them:", recover, report]
+    return ["no tick was recorded"]
 
 
 @command
@@ -192,33 +276,10 @@ def main() -> int:
     if arguments.pump == "external":
         run.sensor_pump_errors.refuse_external_pump()
     try:
-        directory, final = _run_graph(run, arguments, signals)
-    except _Interrupted:
-        signals.ignore()
-        print("interrupted", file=sys.stderr)
+        return _run_graph(run, arguments, signals)
+    except _Interrupted as error:  # before a node was started
+        print(error, file=sys.stderr)
         return EXIT_INTERRUPTED
-    except NodeFailed as error:
-        signals.ignore()
-        print(f"error: {error}", file=sys.stderr)
-        return error.code
-    controller = final[run.controller.name]
-    plant = final["plant"]
-    refused: dict[str, int] = {}
-    for report in final.values():
-        for topic, count in report.get("refused", {}).items():
-            refused[topic] = refused.get(topic, 0) + count
-    result = summary.build(
-        run,
-        plant["metrics"],
-        wall_s=plant["wall_s"],
-        solver=controller["solver"],
-        messages=final["recorder"]["messages"] if "recorder" in final else None,
-        refused=refused,
-        parameter_changes=controller["parameter_changes"],
-    )
-    summary.write(result, directory / "summary.json")
-    summary_table.show(result, as_json=arguments.json, path=directory)
-    return EXIT_DONE
 
 
 if __name__ == "__main__":

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import shutil
 from dataclasses import replace
 from pathlib import Path
 
@@ -10,7 +11,7 @@ from greenroof_ros.common.command_line import command
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.interface import find_namespace, read_topics
 from greenroof_ros.recording.bag_writer import BagWriter
-from greenroof_ros.recording.damaged_bag import read_ticks
+from greenroof_ros.recording.damaged_bag import read_ticks, recovered_bag
 
 
 def recover(directory: Path, output: Path | None = None) -> tuple[Path, int]:
@@ -33,34 +34,40 @@ def recover(directory: Path, output: Path | None = None) -> tuple[Path, int]:
             f"must be a run directory or the bag in it, with one .mcap file, not {len(files)}",
             file=directory,
         )
-    target = output or bag.with_name(f"{bag.name}-recovered")
+    target = output or recovered_bag(bag)
     if target.exists():
         raise ConfigurationError("exists already; nothing was written", file=target)
+    try:
+        return target, _rewrite(files[0], target)
+    except OSError as error:
+        shutil.rmtree(target, ignore_errors=True)
+        raise ConfigurationError(
+            f"cannot be written: {error.strerror}; --output puts it elsewhere", file=target
+        ) from error
+
+
+def _rewrite(file: Path, target: Path) -> int:
+    """Write the whole ticks of a bag's file into a new bag and return their number."""
     topics = read_topics()
     writer: BagWriter | None = None
-    for channels, time_ns, messages in read_ticks(files[0]):
+    for channels, time_ns, messages in read_ticks(file):
         if writer is None:
             names = [channel.topic for channel in channels]
-            namespace = find_namespace(names, ["/clock"], files[0])
+            namespace = find_namespace(names, ["/clock"], file)
             foreign = [name for name in names if name.removeprefix(namespace) not in topics]
             if foreign:
                 raise ConfigurationError(
-                    f"holds {', '.join(foreign)}, which is no topic of this graph", file=files[0]
+                    f"holds {', '.join(foreign)}, which is no topic of this graph", file=file
                 )
-            try:
-                writer = BagWriter(
-                    target,
-                    [replace(topics[name.removeprefix(namespace)], name=name) for name in names],
-                )
-            except OSError as error:
-                raise ConfigurationError(
-                    f"cannot be written: {error.strerror}", file=target
-                ) from error
+            writer = BagWriter(
+                target,
+                [replace(topics[name.removeprefix(namespace)], name=name) for name in names],
+            )
         writer.write_tick(time_ns, messages)
     if writer is None:
-        raise ConfigurationError("holds not one whole tick", file=files[0])
+        raise ConfigurationError("holds not one whole tick", file=file)
     writer.close()
-    return target, writer.ticks
+    return writer.ticks
 
 
 @command
@@ -69,7 +76,8 @@ def main() -> int:
     parser = argparse.ArgumentParser(
         prog="python -m greenroof_ros.recover",
         description="Repair the bag of a run whose recorder was killed or ran out of disk: every "
-        "whole tick goes into a new bag beside the old one, which is left as it is.",
+        "whole tick goes into a new bag beside the old one, which is left as it is. A report of "
+        "the run then uses the new one.",
     )
     parser.add_argument("directory", type=Path, metavar="DIR", help="a run directory, or its bag")
     parser.add_argument(

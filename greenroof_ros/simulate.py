@@ -101,8 +101,8 @@ def main() -> int:
         wall_s=wall,
         solver=controller.statistics(),
     )
-    summary.write(result, directory / "summary.json")
-    summary_table.show(result, as_json=arguments.json, path=directory)
+    summary.write(result, directory)
+    summary_table.show(result, directory, as_json=arguments.json)
     return EXIT_DONE
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import fcntl
+import signal
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
@@ -15,6 +16,9 @@ from studies import study
 # The same examples on every machine, and no limit on their time.
 settings.register_profile("greenroof_ros", deadline=None, derandomize=True)
 settings.load_profile("greenroof_ros")
+
+# What a shell starts in its background ignores Ctrl-C, and so would the commands of the tests.
+signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
 @pytest.hookimpl(tryfirst=True)  # before pytest-xdist looks at the groups

@@ -91,7 +91,17 @@ class Process:
 
     started: ClassVar[list[Process]] = []
 
-    def __init__(self, domain: int, module: str, *arguments: str, cwd: Path) -> None:
+    def __init__(
+        self, domain: int, module: str, *arguments: str, cwd: Path,
+        ignored: Iterable[signal.Signals] = (),
+    ) -> None:
+        """Start it, with some signals ignored."""
+
+        def prepare() -> None:
+            end_with_parent()  # a worker of pytest that is killed leaves no graph
+            for number in ignored:
+                signal.signal(number, signal.SIG_IGN)
+
         self.cwd = cwd
         number = len(list(cwd.glob("*.err")))
         self._out = (cwd / f"{number}-{module}.out").open("w+")
@@ -100,7 +110,7 @@ class Process:
             [sys.executable, "-m", f"greenroof_ros.{module}", *arguments],
             cwd=cwd, env=environment(domain), stdin=subprocess.DEVNULL,
             stdout=self._out, stderr=self._err, start_new_session=True,
-            preexec_fn=end_with_parent,  # a worker of pytest that is killed leaves no graph
+            preexec_fn=prepare,
         )
         self.started.append(self)
 
@@ -155,6 +165,12 @@ class Process:
         return Path(self._err.name).read_text()
 
 
+def summary_of(run: Path) -> dict[str, Any]:
+    """Return what a run has written about itself."""
+    summary: dict[str, Any] = json.loads((run / "summary.json").read_text())
+    return summary
+
+
 def bag_file(run: Path) -> Path:
     """Return the mcap file of a run."""
     return run / "bag" / "bag_0.mcap"
@@ -167,7 +183,7 @@ def bring_up(
     process = Process(domain, "bringup", "--output", output, *arguments, cwd=cwd)
     code = process.wait(seconds)
     assert code == 0, process.stderr()
-    summary: dict[str, Any] = json.loads((cwd / output / "summary.json").read_text())
+    summary = summary_of(cwd / output)
     with bag_file(cwd / output).open("rb") as stream:
         index = make_reader(stream).get_summary()
     assert index is not None and index.statistics is not None

@@ -1,13 +1,15 @@
-"""What every command has in common: its exit codes and how it reports a mistake."""
+"""What every command has in common: exit codes, how it reports a mistake, where its output goes."""
 
 from __future__ import annotations
 
 import argparse
+import errno
 import functools
+import io
 import os
 import sys
 from collections.abc import Callable
-from typing import NoReturn
+from typing import Any, NoReturn, TextIO
 
 from greenroof_ros.common.errors import ConfigurationError, OccupiedError
 
@@ -23,29 +25,108 @@ def exit_code(error: Exception) -> int:
     return EXIT_OCCUPIED if isinstance(error, OccupiedError) else EXIT_USAGE
 
 
+class OutputError(Exception):
+    """What a command has to say could not be printed.
+
+    Attributes:
+        quiet: whether nobody is there who reads it, as behind ``| head``.
+    """
+
+    def __init__(self, error: OSError, elsewhere: str) -> None:
+        why = "it is closed" if error.errno == errno.EBADF else error.strerror
+        super().__init__(f"standard output cannot be written: {why}{elsewhere}")
+        self.quiet = isinstance(error, BrokenPipeError)
+
+
+class _Stream(io.FileIO):
+    """Standard output or standard error, which keeps its first error instead of raising it.
+
+    A progress bar whose terminal is gone must not end a run, and a summary that cannot be printed
+    is in its file.
+    """
+
+    error: OSError | None = None
+
+    def write(self, data: Any, /) -> int:
+        """Write, or keep why that was not possible."""
+        try:
+            return super().write(data)
+        except OSError as error:
+            self.error = self.error or error
+            return len(data)
+
+
+def _stream(number: int, replaced: TextIO | None) -> TextIO:
+    """Return a stream to a file descriptor, in the encoding of the one that it replaces."""
+    return io.TextIOWrapper(
+        io.BufferedWriter(_Stream(number, "w", closefd=False)),
+        encoding=getattr(replaced, "encoding", None),
+        errors=getattr(replaced, "errors", None),
+        line_buffering=True,
+    )
+
+
+def _set_up_streams() -> None:
+    """Have standard output and error keep their errors, also where they are closed.
+
+    The number of a closed one would go to the next file or pipe that is opened, and what is printed
+    with it. Output is opened for reading instead, so that it answers "Bad file descriptor".
+    """
+    for number, mode in enumerate((os.O_RDONLY, os.O_RDONLY, os.O_RDWR)):
+        try:
+            os.fstat(number)
+        except OSError:
+            os.open(os.devnull, mode)  # takes the lowest number that is free, this one
+    # Not those that a caller within Python has put there to read them.
+    if sys.stdout is sys.__stdout__:
+        sys.stdout = _stream(1, sys.stdout)
+    if sys.stderr is sys.__stderr__:
+        sys.stderr = _stream(2, sys.stderr)
+
+
+def flush_output(elsewhere: str = "") -> None:
+    """Hand over all that was printed.
+
+    Args:
+        elsewhere: where else it is, for the message.
+
+    Raises:
+        OutputError: some of it could not be written.
+    """
+    sys.stdout.flush()
+    raw = getattr(getattr(sys.stdout, "buffer", None), "raw", None)
+    if isinstance(raw, _Stream) and raw.error is not None:
+        raise OutputError(raw.error, elsewhere)
+
+
 def command(main: Callable[[], int]) -> Callable[[], NoReturn]:
     """Make a function a command: it exits with the code that the function returns.
 
     A :class:`ConfigurationError` becomes one line on standard error and exit code 2, or 3 where
-    another graph is in the way; a file that cannot be written likewise 1, and Ctrl-C exit code 130;
-    none leaves a traceback. Where the output has no reader any more, as behind ``| head``, nothing
-    is said: exit code 1.
+    another graph is in the way; a file or an output that cannot be written likewise 1, and Ctrl-C
+    exit code 130; none leaves a traceback. Where the output has no reader any more, as behind
+    ``| head``, nothing is said: exit code 1.
     """
 
     @functools.wraps(main)
     def wrapper() -> NoReturn:
+        _set_up_streams()
         try:
-            code = main()
-            sys.stdout.flush()
-        except BrokenPipeError:
-            # What is still to be written would fail once more at the interpreter's end.
-            os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+            try:
+                code: str | int | None = main()
+            except SystemExit as end:  # of argparse: --help is done, usage is wrong
+                code = end.code
+            flush_output()
+        except OutputError as error:
+            if not error.quiet:
+                print(f"error: {error}", file=sys.stderr)
             code = EXIT_FAILED
         except (ConfigurationError, argparse.ArgumentError) as error:
             print(f"error: {error}", file=sys.stderr)
             code = exit_code(error)
         except OSError as error:
-            print(f"error: {error.filename or ''}: {error.strerror}", file=sys.stderr)
+            what = (error.filename, error.strerror or str(error))
+            print("error:", ": ".join(filter(None, what)), file=sys.stderr)
             code = EXIT_FAILED
         except KeyboardInterrupt:
             print("interrupted", file=sys.stderr)

@@ -12,8 +12,11 @@ _PR_SET_PDEATHSIG = 1
 
 
 def end_with_parent() -> None:
-    """Have the kernel interrupt this process when its parent dies, even by kill -9."""
-    ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGINT)
+    """Have the kernel end this process when its parent dies, even by kill -9.
+
+    By SIGTERM: what runs in the background of a shell may ignore SIGINT.
+    """
+    ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGTERM)
 
 
 def end_with(process: int) -> None:

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import shutil
+from contextlib import suppress
 from dataclasses import replace
 from datetime import datetime
+from itertools import count
 from pathlib import Path
 
 import yaml
@@ -13,6 +15,9 @@ from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.files import unique_name
 from greenroof_ros.experiment.run import Run
 
+# Where runs go that were given no directory.
+_RUNS = Path("runs")
+
 
 def make_run_directory(output: Path | None, controller: str) -> Path:
     """Make the directory of a run: ``output``, or a dated one under ``runs/``.
@@ -20,16 +25,10 @@ def make_run_directory(output: Path | None, controller: str) -> Path:
     Raises:
         ConfigurationError: it holds something already, or cannot be made or written.
     """
-    if output is None:
-        name = f"{datetime.now().astimezone().strftime('%Y-%m-%dT%H-%M-%S')}-{controller}"
-        directory = Path("runs") / name
-        number = 1
-        while directory.exists():
-            number += 1
-            directory = Path("runs") / f"{name}-{number}"
-    else:
-        directory = output
+    directory = output
     try:
+        if directory is None:
+            directory = _make_dated_directory(controller)
         directory.mkdir(parents=True, exist_ok=True)
         if any(directory.iterdir()):
             raise ConfigurationError(
@@ -39,9 +38,21 @@ def make_run_directory(output: Path | None, controller: str) -> Path:
         (directory / "configuration").mkdir()
     except OSError as error:
         raise ConfigurationError(
-            f"cannot be written: {error.strerror}", key="--output", value=str(directory)
+            f"cannot be written: {error.strerror}", key="--output", value=str(directory or _RUNS)
         ) from error
     return directory.resolve()
+
+
+def _make_dated_directory(controller: str) -> Path:
+    """Make a directory of this second; who comes second in it gets the name with -2, and so on."""
+    name = f"{datetime.now().astimezone().strftime('%Y-%m-%dT%H-%M-%S')}-{controller}"
+    _RUNS.mkdir(exist_ok=True)
+    for number in count(1):
+        directory = _RUNS / (name if number == 1 else f"{name}-{number}")
+        with suppress(FileExistsError):
+            directory.mkdir()
+            break
+    return directory
 
 
 def write_configuration(directory: Path, run: Run, nodes: dict[str, object]) -> Path:

@@ -1,4 +1,4 @@
-"""What a run reports at its end: ``summary.json``."""
+"""What a run reports of itself: ``summary.json``, from its start on."""
 
 from __future__ import annotations
 
@@ -11,6 +11,11 @@ from typing import Any
 from greenroof_ros.common.versions import versions
 from greenroof_ros.experiment.run import Run
 
+# The file's name in the directory of a run.
+SUMMARY = "summary.json"
+# How a run ended. It is RUNNING until then, and for ever if what runs it was killed.
+RUNNING, DONE, FAILED, INTERRUPTED = "running", "done", "failed", "interrupted"
+
 
 def build(
     run: Run,
@@ -22,7 +27,7 @@ def build(
     refused: Mapping[str, int] | None = None,
     parameter_changes: list[dict[str, Any]] | None = None,
 ) -> dict[str, Any]:
-    """Put a run's summary together, the same for ``simulate`` and the graph.
+    """Put the summary of a run that is done together, the same for ``simulate`` and the graph.
 
     Args:
         run: what was asked for.
@@ -33,6 +38,56 @@ def build(
         refused: how many values of each topic were refused.
         parameter_changes: parameters changed during the run, with their tick.
     """
+    return {
+        **_status(DONE, None, run.steps),
+        **_setting(run),
+        "frost_hours": run.series.frost_hours,
+        "precipitation_in_frost_mm": run.series.precipitation_in_frost,
+        **metrics,
+        "solver": dict(solver) if solver is not None else None,
+        "wall_s": wall_s,
+        "times_real_time": run.steps * run.site.tau / wall_s,
+        "messages": dict(messages or {}),
+        "refused": dict(refused or {}),
+        "parameter_changes": parameter_changes or [],
+        "versions": versions(),
+    }
+
+
+def build_unfinished(
+    run: Run,
+    status: str,
+    *,
+    reason: str | None = None,
+    last_tick: int | None = None,
+    refused: Mapping[str, int] | None = None,
+    parameter_changes: list[dict[str, Any]] | None = None,
+) -> dict[str, Any]:
+    """Put the summary of a run that is not done together: without metrics, which are of whole runs.
+
+    Args:
+        run: what was asked for.
+        status: one of those above.
+        reason: why it ended.
+        last_tick: the last that the plant reported.
+        refused: how many values of each topic were refused until then.
+        parameter_changes: parameters changed until then, with their tick.
+    """
+    return {
+        **_status(status, reason, last_tick),
+        **_setting(run),
+        "refused": dict(refused or {}),
+        "parameter_changes": parameter_changes or [],
+        "versions": versions(),
+    }
+
+
+def _status(status: str, reason: str | None, last_tick: int | None) -> dict[str, Any]:
+    return {"status": status, "reason": reason, "last_tick": last_tick}
+
+
+def _setting(run: Run) -> dict[str, Any]:
+    """Return what was asked for, and what was done to its weather."""
     repeats_from = run.forecast.repeats_from
     choice = run.forecast_choice
     return {
@@ -59,19 +114,30 @@ def build(
         "sensor_pump_errors": run.sensor_pump_errors.values(),
         "filled": run.series.filled,
         "filled_hours": run.series.filled_hours,
-        "frost_hours": run.series.frost_hours,
-        "precipitation_in_frost_mm": run.series.precipitation_in_frost,
-        **metrics,
-        "solver": dict(solver) if solver is not None else None,
-        "wall_s": wall_s,
-        "times_real_time": run.steps * run.site.tau / wall_s,
-        "messages": dict(messages or {}),
-        "refused": dict(refused or {}),
-        "parameter_changes": parameter_changes or [],
-        "versions": versions(),
     }
 
 
-def write(summary: Mapping[str, Any], path: Path) -> None:
-    """Write a summary as JSON."""
-    path.write_text(json.dumps(summary, indent=2, allow_nan=False) + "\n", encoding="utf-8")
+def write(summary: Mapping[str, Any], directory: Path) -> None:
+    """Write a summary into the directory of its run, whole or not at all.
+
+    A disk that is full has no room for a second file beside the old one, but for what is written
+    over it: there a run must be able to say that it ended.
+
+    Raises:
+        OSError: it cannot be written.
+    """
+    path = directory / SUMMARY
+    part = directory / f".{SUMMARY}.part"
+    text = json.dumps(summary, indent=2, allow_nan=False) + "\n"
+    try:
+        part.write_text(text, encoding="utf-8")
+        part.replace(path)
+    except OSError as error:
+        part.unlink(missing_ok=True)
+        try:
+            with path.open("r+", encoding="utf-8") as stream:
+                stream.write(text)
+                stream.truncate()
+        except OSError:
+            # The error of a write does not know its file.
+            raise OSError(error.errno, error.strerror, str(path)) from error

@@ -10,6 +10,8 @@ from typing import Any
 from rich.console import Console
 from rich.table import Table
 
+from greenroof_ros.common.command_line import flush_output
+from greenroof_ros.experiment.summary import SUMMARY
 from greenroof_ros.forecast.choice import PERFECT
 from greenroof_ros.model.metrics import METRICS
 from greenroof_ros.model.sensor_pump_errors import SensorPumpErrors
@@ -112,12 +114,16 @@ def table(summary: Mapping[str, Any]) -> Table:
     return grid
 
 
-def show(summary: Mapping[str, Any], *, as_json: bool, path: Path | None) -> None:
-    """Print a summary: as a table with the path of the run, or as JSON alone."""
+def show(summary: Mapping[str, Any], directory: Path, *, as_json: bool) -> None:
+    """Print a summary: as a table with the directory of the run, or as JSON alone.
+
+    Raises:
+        OutputError: it could not be printed; the message says where it is.
+    """
     if as_json:
         print(json.dumps(summary, indent=2, allow_nan=False))
-        return
-    console = Console()
-    console.print(table(summary))
-    if path is not None:
-        console.print(f"written to {path}", soft_wrap=True, highlight=False)
+    else:
+        console = Console()
+        console.print(table(summary))
+        console.print(f"written to {directory}", soft_wrap=True, highlight=False)
+    flush_output(f"; the summary is in {directory / SUMMARY}")

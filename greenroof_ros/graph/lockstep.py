@@ -302,21 +302,28 @@ class LockstepNode(Node):
 
     def finish(self) -> None:
         """Say from now on that the run is over for this node, with what its summary needs."""
-        refused = {name: entry.refused for name, entry in self._inputs.items() if entry.refused}
-        self._final_values = {"sent": dict(self.sent), "refused": refused, **self.summary()}
+        self._final_values = {"sent": dict(self.sent), **self.summary()}
         self._reports.state = FINISHED
         self._report(time.monotonic())
 
     def _report(self, now: float) -> None:
         self._reported = now
-        self._reports.say({**self.progress(), **self._final_values})
+        refused = {name: entry.refused for name, entry in self._inputs.items() if entry.refused}
+        self._reports.say({**self.progress(), "refused": refused, **self._final_values})
 
     def _on_finished(self, node: str) -> None:
         if node == "plant" and self._reports.state != FINISHED:
             self.on_plant_finished()
 
-    def flush(self) -> None:
-        """Wait until the readers have what was published, for at most a second."""
+    def flush(self, failure: str | None) -> None:
+        """Say how far the node came, and wait a second at most until its readers have all it said.
+
+        Args:
+            failure: what ended it; None where it was asked to end.
+        """
+        if failure is not None:
+            self._final_values["failure"] = failure
+        self._report(time.monotonic())
         until = time.monotonic() + _FLUSH_S
         for publisher in [*self._outputs, self._reports.publisher]:
             left = max(0.0, until - time.monotonic())

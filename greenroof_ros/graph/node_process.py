@@ -67,6 +67,7 @@ def run_node(make: Callable[[], LockstepNode], args: list[str] | None = None) ->
         print(f"error: {' '.join(str(error).split())}", file=sys.stderr)
         return EXIT_USAGE
     code = EXIT_DONE
+    failure: str | None = None
     node: LockstepNode | None = None
     try:
         node = make()
@@ -77,10 +78,10 @@ def run_node(make: Callable[[], LockstepNode], args: list[str] | None = None) ->
             node.check()
     except ConfigurationError as error:
         print(f"error: {error}", file=sys.stderr)
-        code = exit_code(error)
+        code, failure = exit_code(error), str(error)
     except (LockstepError, OSError) as error:
         _fail(node, error)
-        code = EXIT_FAILED
+        code, failure = EXIT_FAILED, str(error)
     except ExternalShutdownException:
         pass
     finally:
@@ -89,8 +90,8 @@ def run_node(make: Callable[[], LockstepNode], args: list[str] | None = None) ->
                 node.on_stop()
             except OSError as error:
                 _fail(node, error)
-                code = EXIT_FAILED
-            node.flush()
+                code, failure = EXIT_FAILED, str(error)
+            node.flush(failure)
         # All is said and written. Fast DDS can lock up, and spin, in taking itself down while a
         # peer does the same, be it here or where Python frees the last of it at the process's end;
         # no Python would run then, so that the kernel has to end it.

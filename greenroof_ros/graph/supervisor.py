@@ -25,8 +25,9 @@ from greenroof_ros.common.processes import end_with_parent
 from greenroof_ros.graph.shared_memory import remove_left, segments_of
 from greenroof_ros.graph.states import REPORT_PIPE
 
-# How long to wait for a process that was asked to end, before the next, harder signal (s).
-_ENDING_S = {signal.SIGINT: 4.0, signal.SIGTERM: 1.0, signal.SIGKILL: 5.0}
+# How long to wait for a process that was asked to end, before the next, harder signal (s). Not
+# SIGINT: what a shell starts in its background ignores it, and so would a node that just begins.
+_ENDING_S = {signal.SIGTERM: 5.0, signal.SIGKILL: 5.0}
 _LAST_LINES = 15
 # Nodes that report four times a second fall silent for one reason within this time (s).
 _SAME_SILENCE_S = 0.5
@@ -36,11 +37,13 @@ class NodeFailed(Exception):
     """A node of the run ended or hangs; the message names it and quotes its last lines.
 
     Attributes:
+        reason: the message without these lines.
         code: what the run's exit code should be.
     """
 
-    def __init__(self, message: str, code: int = EXIT_FAILED) -> None:
-        super().__init__(message)
+    def __init__(self, reason: str, last_lines: str, code: int = EXIT_FAILED) -> None:
+        super().__init__(f"{reason}\n{last_lines}")
+        self.reason = reason
         self.code = code
 
 
@@ -59,6 +62,7 @@ class Supervisor:
 
     Attributes:
         nodes: the processes, by node.
+        last: the last report of each node that has said something.
     """
 
     def __init__(self, logs: Path, parameters: Path, namespace: str) -> None:
@@ -70,6 +74,7 @@ class Supervisor:
             namespace: of all nodes, such as ``/site1``; empty for none.
         """
         self.nodes: dict[str, subprocess.Popen[bytes]] = {}
+        self.last: dict[str, dict[str, Any]] = {}
         self._logs = logs
         self._ros_arguments = ["--ros-args", "--params-file", str(parameters)]
         if namespace:
@@ -107,8 +112,8 @@ class Supervisor:
             EXIT_DONE, -signal.SIGALRM,
         )
         if not closed and not isinstance(error, NodeFailed):
-            message = self._with_last_lines("recorder", "the recorder could not close its bag")
-            print(f"error: {message}", file=sys.stderr)
+            print("error: the recorder could not close its bag", file=sys.stderr)
+            print(self._quoted("recorder"), file=sys.stderr)
         remove_left(set().union(*self._segments.values()))
 
     def start(self, node: str, module: str, *arguments: str) -> None:
@@ -180,7 +185,8 @@ class Supervisor:
         for line in lines:
             # A line that did not fit into a full pipe is cut short; the next one says it again.
             with contextlib.suppress(json.JSONDecodeError):
-                self._reports.append((node, json.loads(line)))
+                self.last[node] = json.loads(line)
+                self._reports.append((node, self.last[node]))
 
     def _note_segments(self, node: str) -> None:
         """Note a node's shared memory while it lives: after a kill -9 it is unknown."""
@@ -206,8 +212,10 @@ class Supervisor:
             code = process.poll()
             if code is not None:
                 how = f"exit code {code}" if code >= 0 else signal.Signals(-code).name
+                last_lines = self._quoted(node)
+                why = self.last.get(node, {}).get("failure")
                 raise NodeFailed(
-                    self._with_last_lines(node, f"node {node} ended ({how})"),
+                    f"node {node} ended ({how})" + (f": {why}" if why else ""), last_lines,
                     code if code in (EXIT_USAGE, EXIT_OCCUPIED) else EXIT_FAILED,
                 )
         now = time.monotonic()
@@ -216,22 +224,21 @@ class Supervisor:
         # that want it: all of them are named, and which of them is stopped.
         if max(silent.values(), default=0.0) > limit + _SAME_SILENCE_S:
             raise NodeFailed(
-                "\n".join(
-                    self._with_last_lines(
-                        node,
-                        f"node {node}{' (stopped)' if _is_stopped(self.nodes[node].pid) else ''} "
-                        f"has not answered for {limit:g} s",
-                    )
+                "; ".join(
+                    f"node {node}{' (stopped)' if _is_stopped(self.nodes[node].pid) else ''} "
+                    f"has not answered for {limit:g} s"
                     for node in silent
-                )
+                ),
+                "\n".join(map(self._quoted, silent)),
             )
 
-    def _with_last_lines(self, node: str, message: str) -> str:
+    def _quoted(self, node: str) -> str:
+        """Read all that a node has said, and return its last lines."""
         for key in list(self._pipes.get_map().values()):
             if key.data[0] == node:
                 self._read(key)
         quoted = [f"  {line}" for line in self._last_lines[node]] or ["  (none)"]
-        return "\n".join([f"{message}; its last lines:", *quoted])
+        return "\n".join([f"last lines of {node}:", *quoted])
 
     def _end(self, processes: list[subprocess.Popen[bytes]]) -> None:
         for number, limit in _ENDING_S.items():

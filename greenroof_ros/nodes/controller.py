@@ -82,12 +82,13 @@ class ControllerNode(LockstepNode):
             )
         return rain
 
+    def progress(self) -> dict[str, Any]:
+        """Return the parameters that changed."""
+        return {"parameter_changes": self._parameter_changes}
+
     def summary(self) -> dict[str, Any]:
-        """Return the solver's figures, and the parameters that changed."""
-        return {
-            "solver": self._controller.statistics(),
-            "parameter_changes": self._parameter_changes,
-        }
+        """Return the solver's figures."""
+        return {"solver": self._controller.statistics()}
 
     def _on_clock(self, message: bytes) -> None:
         self.set_time(decode_clock(message))

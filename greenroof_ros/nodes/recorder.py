@@ -144,8 +144,8 @@ class RecorderNode(LockstepNode):
     def _damaged(self, error: OSError) -> OSError:
         bag = self._bag.directory
         return OSError(
-            f"{bag}: {error.strerror}; the run ends here, and 'python -m greenroof_ros.recover "
-            f"{bag}' restores its first {self._bag.safe} ticks"
+            f"{bag}: {error.strerror}; 'python -m greenroof_ros.recover {bag}' restores its first "
+            f"{self._bag.safe} ticks"
         )
 
     def on_stop(self) -> None:

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
+from mcap.reader import make_reader
 from numpy.typing import NDArray
 
 from greenroof_ros.common.errors import ConfigurationError
@@ -20,6 +21,21 @@ from greenroof_ros.recording.trajectory import Trajectory
 _GAP_S, _GAP_SPACINGS = 600, 10
 
 _MOST_NAMED = 10
+
+
+def count_ticks(bag: Path) -> int | None:
+    """Return how many ticks a bag of this package holds, by its index.
+
+    None where it was not closed: its recorder was killed, or its disk was full.
+    """
+    if not (bag / "metadata.yaml").is_file():
+        return None
+    (file,) = bag.glob("*.mcap")
+    with file.open("rb") as stream:
+        summary = make_reader(stream).get_summary()
+    if summary is None or summary.statistics is None:
+        return None
+    return min(summary.statistics.channel_message_counts.values(), default=0)
 
 
 class Recorded(NamedTuple):

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import os
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any, BinaryIO
 
@@ -87,6 +89,7 @@ class BagWriter:
         directory.mkdir(parents=True)
         self._path = directory / f"{directory.name}_0.mcap"
         self._stream: BinaryIO = self._path.open("xb")
+        self._safe_bytes = 0
         self._writer = Writer(self._stream, compression=CompressionType.ZSTD)
         self._writer.start(profile="ros2", library=_LIBRARY)
         self._types = read_yaml(shared_directory() / "msg_defs" / "types.yaml")
@@ -117,14 +120,15 @@ class BagWriter:
             messages: the serialised (CDR) message of each topic, in the order of the topics.
 
         Raises:
-            OSError: for instance on a full disk.
+            OSError: for instance on a full disk; the file then ends with the safe ticks.
         """
         if self._first_ns is None:
             self._first_ns = time_ns
         self._last_ns = time_ns
         add = self._writer.add_message
-        for channel, message in zip(self._channels, messages, strict=True):
-            add(channel, time_ns, message, time_ns, self.ticks)
+        with self._cut_on_error():
+            for channel, message in zip(self._channels, messages, strict=True):
+                add(channel, time_ns, message, time_ns, self.ticks)
         self.ticks += 1
         if self.ticks % _TICKS_PER_CHUNK == 0:
             self.flush()
@@ -133,22 +137,45 @@ class BagWriter:
         """Hand everything written so far to the operating system; a killed process keeps it.
 
         Raises:
-            OSError: for instance on a full disk.
+            OSError: for instance on a full disk; the file then ends with the safe ticks.
         """
-        self._writer.flush()
+        with self._cut_on_error():
+            self._writer.flush()
         self.safe = self.ticks
+        self._safe_bytes = self._stream.tell()
+
+    @contextmanager
+    def _cut_on_error(self) -> Iterator[None]:
+        """Leave nothing behind the safe ticks where writing more of them failed.
+
+        Of what did not fit, whole ticks may be in the file; how many can be recovered would then
+        be another number than that of the safe ones.
+        """
+        try:
+            yield
+        except OSError:
+            with suppress(OSError):
+                self._stream.close()  # tries again to write the rest
+            os.truncate(self._path, self._safe_bytes)
+            raise
 
     def close(self) -> None:
         """Finish the file and write ``metadata.yaml``.
 
         Raises:
-            OSError: for instance on a full disk; ``python -m greenroof_ros.recover`` then repairs
-                the bag.
+            OSError: for instance on a full disk; ``python -m greenroof_ros.recover`` then restores
+                the safe ticks.
         """
-        self._writer.finish()
-        self._stream.close()
+        with self._cut_on_error():
+            self._writer.finish()
+            self._stream.close()
         self.safe = self.ticks
-        (self.directory / "metadata.yaml").write_text(self._metadata(), encoding="utf-8")
+        metadata = self.directory / "metadata.yaml"
+        try:
+            metadata.write_text(self._metadata(), encoding="utf-8")
+        except OSError:
+            metadata.unlink(missing_ok=True)  # it says that the bag was closed
+            raise
 
     def _metadata(self) -> str:
         start = {"nanoseconds_since_epoch": self._first_ns or 0}

@@ -1,4 +1,4 @@
-"""The whole ticks of a bag whose writer was killed."""
+"""The whole ticks of a bag whose writer was killed, and where they are put."""
 
 from __future__ import annotations
 
@@ -10,6 +10,12 @@ import zstandard
 from mcap.exceptions import McapError
 from mcap.records import Channel, Message
 from mcap.stream_reader import StreamReader
+
+
+def recovered_bag(bag: Path) -> Path:
+    """Return where the recovery of a damaged bag goes unless it is told otherwise: beside it."""
+    place = bag.resolve()
+    return place.parent / f"{place.name}-recovered"
 
 
 def read_ticks(path: Path) -> Iterator[tuple[list[Channel], int, list[bytes]]]:

@@ -16,6 +16,7 @@ from greenroof_ros.experiment.run import build_run
 from greenroof_ros.forecast.choice import ForecastChoice
 from greenroof_ros.model.site import Site, read_site
 from greenroof_ros.recording.bag_reader import load_bag
+from greenroof_ros.recording.damaged_bag import recovered_bag
 from greenroof_ros.recording.trajectory import Trajectory
 from greenroof_ros.report.about import read_about
 from greenroof_ros.report.entries import Note, RunEntry, known_bound
@@ -35,8 +36,10 @@ def run_directory(path: Path) -> Path:
 def bag_entry(path: Path, name: str, site_file: Path | None, given: Site | None) -> RunEntry:
     """Return the run of a run directory or a bag, under a name."""
     bag = path / "bag" if (path / "bag").is_dir() else path
+    if not _is_closed(bag) and _is_closed(recovered_bag(bag)):
+        bag = recovered_bag(bag)
     repair = f"python -m greenroof_ros.recover {path} makes a whole one"
-    if not (bag / "metadata.yaml").is_file():
+    if not _is_closed(bag):
         if any(bag.glob("*.mcap")) or any(bag.glob("*.db3")):
             raise ConfigurationError(f"has no metadata.yaml, its recorder was killed; {repair}",
                                      file=bag)
@@ -89,6 +92,10 @@ def bag_entry(path: Path, name: str, site_file: Path | None, given: Site | None)
             "initial": about.what_initial,
         },
     )
+
+
+def _is_closed(bag: Path) -> bool:
+    return (bag / "metadata.yaml").is_file()
 
 
 def _own_bound(

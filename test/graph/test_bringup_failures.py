@@ -18,9 +18,12 @@ from graphs import (
     environment,
     left_behind,
     shared_memory_of,
+    summary_of,
     wait_for,
 )
 from mcap.reader import make_reader
+
+from greenroof_ros.model.metrics import METRICS
 
 pytest.importorskip("rclpy", reason="the graph needs ROS 2")
 
@@ -52,17 +55,55 @@ def readable_ticks(run: Path) -> int:
         return sum(channel.topic == "/clock" for _, channel, _ in reader.iter_messages())
 
 
+def assert_ended_early(process: Process, status: str, reason: str) -> None:
+    """The run says how it ended and where, and how what there is of it is opened."""
+    run = process.cwd / "run"
+    summary = summary_of(run)
+    assert summary["status"] == status
+    assert summary["reason"] == reason and reason in process.stderr()
+    assert (summary["controller"], summary["steps"]) == ("mpc", 43200)
+    assert (summary["refused"], summary["parameter_changes"]) == ({}, [])
+    assert not [metric.name for metric in METRICS if metric.name in summary]
+    commands = [line for line in process.stderr().splitlines() if line.startswith("  python")]
+    if (run / "bag" / "metadata.yaml").exists():
+        ticks = readable_ticks(run)
+        # The last tick was begun; it is in the bag if all its messages were there.
+        assert ticks - 1 <= summary["last_tick"] <= ticks
+        assert f"ticks in {run / 'bag'}: {ticks};" in process.stderr()
+        assert f"  ros2 bag info {run / 'bag'}\n" in process.stderr()
+        assert commands == [f"  python -m greenroof_ros.report {run}"]
+    else:
+        assert commands == [f"  python -m greenroof_ros.{name} {run}"
+                            for name in ("recover", "report")]
+
+
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM], ids=["ctrl-c", "sigterm"])
 def test_interrupted(domain: int, tmp_path: Path, number: signal.Signals) -> None:
     """It ends within seconds with exit code 130, no traceback, and a bag that is closed."""
     process, nodes = started(domain, tmp_path)
+    assert summary_of(tmp_path / "run")["status"] == "running"
     shared_memory = shared_memory_of(nodes.values())
     process.process.send_signal(number)
     assert process.wait(8) == 130
     assert "Traceback" not in process.stderr()
     assert_gone(nodes, shared_memory)
-    assert readable_ticks(tmp_path / "run") > 0
     assert (tmp_path / "run" / "bag" / "metadata.yaml").exists()
+    assert_ended_early(process, "interrupted", f"interrupted by {number.name}")
+
+
+def test_ignored_signals(domain: int, tmp_path: Path) -> None:
+    """Under nohup, and in a shell's background: the run goes on, and SIGTERM still ends it."""
+    process = Process(
+        domain, "bringup", "--output", "run", cwd=tmp_path,
+        ignored=[signal.SIGHUP, signal.SIGINT],
+    )
+    process.wait_for_ticks(size=0)
+    for number in (signal.SIGHUP, signal.SIGINT):
+        process.process.send_signal(number)
+    process.wait_for_ticks()
+    process.process.send_signal(signal.SIGTERM)
+    assert process.wait(8) == 130
+    assert_ended_early(process, "interrupted", "interrupted by SIGTERM")
 
 
 @pytest.mark.parametrize("victim", NODES)
@@ -72,9 +113,9 @@ def test_killed_node(domain: int, tmp_path: Path, victim: str) -> None:
     shared_memory = shared_memory_of(nodes.values())
     os.kill(nodes[victim], signal.SIGKILL)
     assert process.wait(8) == 1
-    assert f"node {NODES[victim]} ended (SIGKILL)" in process.stderr()
     assert "Traceback" not in process.stderr()
     assert_gone(nodes, shared_memory)
+    assert_ended_early(process, "failed", f"node {NODES[victim]} ended (SIGKILL)")
 
 
 @pytest.mark.parametrize(
@@ -95,6 +136,26 @@ def test_hanging_nodes(domain: int, tmp_path: Path, victims: list[str]) -> None:
         assert any(text in process.stderr() for text in reported), process.stderr()
     assert "Traceback" not in process.stderr()
     assert_gone(nodes, shared_memory)
+
+
+def test_output_that_is_closed(domain: int, tmp_path: Path) -> None:
+    """The run is done and in its directory; one sentence says that its summary is there."""
+    done = subprocess.run(
+        f"{sys.executable} -m greenroof_ros.bringup --hours 0.01 --output run <&- >&-",
+        shell=True, cwd=tmp_path, env=environment(domain), stderr=subprocess.PIPE, text=True,
+        timeout=60, check=False,
+    )
+    assert done.returncode == 1
+    *_, last = done.stderr.splitlines()
+    assert last == (
+        "error: standard output cannot be written: it is closed; the summary is in "
+        f"{tmp_path / 'run' / 'summary.json'}"
+    )
+    assert "Traceback" not in done.stderr
+    assert summary_of(tmp_path / "run")["status"] == "done"
+    assert readable_ticks(tmp_path / "run") == 37
+    # A closed number went to no file or pipe of the run, and nothing was printed into those.
+    assert "recorder" not in (tmp_path / "run" / "log" / "plant.log").read_text()
 
 
 def test_last_words_are_in_the_log(domain: int, tmp_path: Path) -> None:
@@ -142,7 +203,8 @@ def test_interrupted_while_starting(domain: int, tmp_path: Path, delay: float) -
         process.process.send_signal(signal.SIGINT)
         time.sleep(0.05)
     assert process.wait(12) == 130
-    assert process.stderr().count("interrupted") == 1
+    assert process.stderr().count("interrupted by SIGINT\n") == 1
+    assert summary_of(tmp_path / "run")["status"] == "interrupted"
     assert "Traceback" not in process.stderr()
     assert not [name for name, pid in nodes.items() if alive(pid)]
 
@@ -167,6 +229,7 @@ def test_bringup_itself_killed(domain: int, tmp_path: Path) -> None:
     process.process.wait()
     wait_for(lambda: not any(map(alive, nodes.values())), 8, "the end of all nodes")
     assert readable_ticks(tmp_path / "run") > 0
+    assert summary_of(tmp_path / "run")["status"] == "running"
 
 
 def test_shared_memory_whose_maker_was_killed(domain: int, tmp_path: Path) -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import os
 import signal
 import subprocess
@@ -11,7 +10,7 @@ from pathlib import Path
 
 import pytest
 from bag_topics import MPC_TOPICS, bag_topics
-from graphs import Process, bag_file, bring_up, environment, wait_for
+from graphs import Process, bag_file, bring_up, environment, summary_of, wait_for
 from mcap.reader import make_reader
 
 pytest.importorskip("rclpy", reason="the graph needs ROS 2")
@@ -42,10 +41,6 @@ def bag_names(run: Path) -> set[str]:
         summary = make_reader(stream).get_summary()
     assert summary is not None
     return {channel.topic for channel in summary.channels.values()}
-
-
-def summary_of(run: Path) -> dict[str, object]:
-    return json.loads((run / "summary.json").read_text())
 
 
 def test_two_at_once(domain: int, tmp_path: Path) -> None:

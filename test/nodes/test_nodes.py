@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from graphs import Process, environment, shared_memory_of, wait_for
+from graphs import Process, environment, shared_memory_of, summary_of, wait_for
 
 rclpy = pytest.importorskip("rclpy", reason="nodes need ROS 2")
 
@@ -184,18 +184,22 @@ def test_two_masters(domain: int, tmp_path: Path, observer: Observer) -> None:
     """A second publisher of the command ends the run, and the message names the topic."""
     process = Process(domain, "bringup", "--output", "run", cwd=tmp_path)
     process.wait_for_ticks()
+    assert weight_setter(observer)(0.01).successful
     observer.node.create_publisher(Float64, "/pump/command", qos("/pump/command"))
     observer.until(lambda: process.process.poll() is not None, 15, "the end of the run")
     assert process.wait(1) == 1
     assert "/pump/command has 2 publishers (mpc, observer)" in process.stderr()
     assert "Traceback" not in process.stderr()
+    # What is known of a run is written also where it fails, with the words of the node.
+    summary = summary_of(tmp_path / "run")
+    assert "/pump/command has 2 publishers (mpc, observer)" in summary["reason"]
+    (change,) = summary["parameter_changes"]
+    assert (change["parameter"], change["value"]) == ("weight", 0.01)
+    assert 0 <= change["tick"] <= summary["last_tick"]
 
 
-def test_weight_is_set_during_a_run(domain: int, tmp_path: Path, observer: Observer) -> None:
-    """A valid weight takes effect, recorded with its tick; others are refused with a reason."""
-    process = Process(
-        domain, "bringup", "--output", "run", "--hours", "0.2", "--speed", "100", cwd=tmp_path
-    )
+def weight_setter(observer: Observer) -> Callable[[float], Any]:
+    """Wait for the service, and return what asks for a weight and returns the answer."""
     client = observer.node.create_client(SetParameters, "/mpc/set_parameters")
     observer.until(client.service_is_ready, 30, "the parameter service")
 
@@ -208,14 +212,22 @@ def test_weight_is_set_during_a_run(domain: int, tmp_path: Path, observer: Obser
         observer.until(future.done, 10, "an answer")
         return future.result().results[0]
 
+    return set_weight
+
+
+def test_weight_is_set_during_a_run(domain: int, tmp_path: Path, observer: Observer) -> None:
+    """A valid weight takes effect, recorded with its tick; others are refused with a reason."""
+    process = Process(
+        domain, "bringup", "--output", "run", "--hours", "0.2", "--speed", "100", cwd=tmp_path
+    )
+    set_weight = weight_setter(observer)
     for bad in (-1.0, 0.0, math.nan, math.inf):
         refused = set_weight(bad)
         assert not refused.successful
         assert "weight" in refused.reason
     assert set_weight(0.01).successful
     assert process.wait(60) == 0, process.stderr()
-    summary = json.loads((tmp_path / "run" / "summary.json").read_text())
-    (change,) = summary["parameter_changes"]
+    (change,) = summary_of(tmp_path / "run")["parameter_changes"]
     assert (change["parameter"], change["value"]) == ("weight", 0.01)
     assert 0 <= change["tick"] <= 720
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -12,10 +13,12 @@ from pathlib import Path
 import pytest
 import yaml
 from bag_topics import MPC_TOPICS
-from graphs import Process, bag_file, bring_up, environment
+from graphs import Process, bag_file, bring_up, environment, summary_of
 from mcap.reader import make_reader
 from places import Once
 from rosbags.highlevel import AnyReader
+
+from greenroof_ros.report.runs import find_runs
 
 pytest.importorskip("rclpy", reason="the graph needs ROS 2")
 
@@ -121,6 +124,10 @@ def test_killed_recorder_costs_at_most_32_ticks(domain: int, tmp_path: Path) -> 
     ticks = counts.pop()
     assert ticks > 32
     assert reached - ticks <= 32, f"{reached} ticks begun, {ticks} restored"
+    assert done.stdout.startswith(f"{ticks} ticks recovered to ")
+    # A report of the run takes the bag that was recovered.
+    trajectory, _ = find_runs([tmp_path / "run"], None).runs[0].load()
+    assert len(trajectory.time) == ticks
 
 
 def test_recovering_a_whole_bag_changes_nothing(recorded: Path, tmp_path: Path) -> None:
@@ -145,12 +152,25 @@ def test_full_disk(domain: int, tmp_path: Path) -> None:
         assert process.wait(60) == 1
         assert "node recorder ended" in process.stderr()
         assert "No space left on device" in process.stderr()
-        assert "greenroof_ros.recover" in process.stderr()
         assert "Traceback" not in process.stderr()
+        summary = summary_of(disk / "run")
+        assert summary["status"] == "failed"
+        reason = re.fullmatch(
+            r"node recorder ended \(exit code 1\): .*/bag: No space left on device; "
+            r"'python -m greenroof_ros.recover .*/bag' restores its first (\d+) ticks",
+            summary["reason"],
+        )
+        assert reason is not None, summary["reason"]
+        assert summary["reason"] in process.stderr()
+        there = recover(disk / "run")
+        assert there.returncode == 2
+        assert "bag-recovered: cannot be written: No space left on device" in there.stderr
+        assert not (disk / "run" / "bag-recovered").exists()
         done = recover(disk / "run", "--output", str(tmp_path / "rescued"))
         assert done.returncode == 0, done.stderr
         with AnyReader([tmp_path / "rescued"]) as reader:
-            assert {connection.msgcount for connection in reader.connections} != {0}
-            assert reader.message_count > len(MPC_TOPICS) * 300
+            (ticks,) = {connection.msgcount for connection in reader.connections}
+        assert ticks == int(reason[1]) > 300
+        assert ticks <= summary["last_tick"] <= ticks + 64
     finally:
         subprocess.run(["umount", str(disk)], check=True)

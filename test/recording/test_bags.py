@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import resource
 import struct
 from datetime import datetime
 from pathlib import Path
+from random import Random
 
 import numpy as np
 import pytest
@@ -91,6 +93,29 @@ def test_a_bag_that_was_cut_keeps_its_whole_ticks(tmp_path: Path, share: float) 
             for channel, message in zip(channels, messages, strict=True)
         }
         assert values == row
+
+
+@pytest.mark.parametrize("room", range(20_000, 24_000, 400))
+def test_a_file_that_cannot_grow_keeps_what_was_safe(tmp_path: Path, room: int) -> None:
+    """Wherever in its chunks the room ends: as many ticks as the writer says, and no more."""
+    interface = read_topics()
+    writer = BagWriter(tmp_path / "bag", [interface[name] for name in TOPICS])
+    random = Random(1)
+
+    def write() -> None:
+        for tick in range(2000):
+            messages = [struct.pack("<Id", 256, random.random()) for _ in TOPICS]
+            writer.write_tick(START_NS + tick * 10**9, messages)
+
+    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (room, hard))
+    try:
+        with pytest.raises(OSError, match="File too large"):
+            write()
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
+    assert writer.safe > 0
+    assert len(list(read_ticks(tmp_path / "bag" / "bag_0.mcap"))) == writer.safe
 
 
 def test_a_trajectory_keeps_every_bit(tmp_path: Path) -> None:

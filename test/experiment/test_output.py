@@ -1,0 +1,96 @@
+"""Where a command's output goes: a directory of its own, and streams that may be full or closed."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+from threading import Barrier
+
+import pytest
+
+from greenroof_ros.common.errors import ConfigurationError
+from greenroof_ros.experiment.run_directory import make_run_directory
+
+
+def run_in_shell(command: str, cwd: Path) -> subprocess.CompletedProcess[str]:
+    """Run a line of a shell, in which $SIMULATE is a short run, and return what it printed."""
+    return subprocess.run(
+        command, shell=True, cwd=cwd, capture_output=True, text=True, timeout=60, check=False,
+        env={"SIMULATE": f"{sys.executable} -m greenroof_ros.simulate --hours 0.01 --output run",
+             "PYTHONPATH": ":".join(filter(None, sys.path)), "LC_ALL": "C.UTF-8"},
+    )
+
+
+@pytest.mark.parametrize(
+    ("redirections", "why"),
+    [
+        (">/dev/full", "No space left on device"),
+        ("--json >/dev/full", "No space left on device"),
+        (">&-", "it is closed"),
+        ("<&- >&-", "it is closed"),
+        (">/dev/full 2>/dev/full", None),
+        ("<&- >&- 2>&-", None),
+    ],
+)
+def test_summary_that_cannot_be_printed(
+    tmp_path: Path, redirections: str, why: str | None
+) -> None:
+    """The run is done, exit code 1, and one sentence says where its summary is."""
+    done = run_in_shell(f"$SIMULATE {redirections}", tmp_path)
+    assert done.returncode == 1
+    assert done.stdout == ""
+    file = tmp_path / "run" / "summary.json"
+    assert json.loads(file.read_text())["status"] == "done"
+    if why is not None:
+        *_, last = done.stderr.splitlines()
+        assert last == (
+            f"error: standard output cannot be written: {why}; the summary is in {file}"
+        )
+    assert "Traceback" not in done.stderr
+
+
+@pytest.mark.parametrize("redirection", ["2>/dev/full", "2>&-"])
+def test_progress_that_cannot_be_shown(tmp_path: Path, redirection: str) -> None:
+    """As after the end of the terminal: the run goes on, and its summary is printed."""
+    done = run_in_shell(f"$SIMULATE {redirection}", tmp_path)
+    assert done.returncode == 0
+    assert f"written to {tmp_path / 'run'}\n" in done.stdout
+
+
+@pytest.mark.parametrize("redirection", [">/dev/full", ">&-"])
+def test_help_that_cannot_be_printed(tmp_path: Path, redirection: str) -> None:
+    """argparse says nothing of it."""
+    done = run_in_shell(f"$SIMULATE --help {redirection}", tmp_path)
+    assert done.returncode == 1
+    assert done.stderr.startswith("error: standard output cannot be written: ")
+    assert done.stderr.count("\n") == 1
+
+
+def test_runs_of_one_second(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Started at once, without --output: each has a directory of its own."""
+    monkeypatch.chdir(tmp_path)
+    count = 16
+    together = Barrier(count)
+
+    def make(_: int) -> Path:
+        together.wait()
+        return make_run_directory(None, "mpc")
+
+    with ThreadPoolExecutor(count) as threads:
+        made = list(threads.map(make, range(count)))
+    assert sorted(made) == sorted((tmp_path / "runs").iterdir())
+    assert len(set(made)) == count
+    assert all((directory / "configuration").is_dir() for directory in made)
+
+
+def test_runs_in_a_place_that_is_no_directory(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A link to a disk that is not there is refused."""
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "runs").symlink_to("nowhere")
+    with pytest.raises(ConfigurationError, match=r"--output = 'runs': cannot be written"):
+        make_run_directory(None, "mpc")
