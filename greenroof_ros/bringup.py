@@ -130,6 +130,7 @@ def _watch(
         while len(final) < len(supervisor.nodes):
             signals.check()
             for node, report in supervisor.reports():
+                progress.warn(report["warnings"])
                 if report["state"] != STARTING:
                     waiting.discard(node)
                 if report["state"] == FINISHED:
