@@ -5,12 +5,12 @@ from __future__ import annotations
 import argparse
 import sys
 import textwrap
-from collections.abc import Callable, Collection, Iterable, Iterator
+from collections.abc import Collection, Iterable, Iterator
 from typing import NoReturn
 
 from rclpy.utilities import remove_ros_args
 
-from greenroof_ros.common.command_line import EXIT_DONE, EXIT_USAGE
+from greenroof_ros.common.command_line import EXIT_USAGE
 from greenroof_ros.common.interface import Topic, read_topics
 from greenroof_ros.graph.parameters import NodeParameter
 
@@ -33,13 +33,6 @@ class NodeParser(argparse.ArgumentParser):
     def error(self, message: str) -> NoReturn:
         """End the process with a mistake's one line."""
         self.exit(EXIT_USAGE, f"error: {message}; --help shows what the node takes\n")
-
-
-def answer_help(text: Callable[[], str]) -> None:
-    """Refuse arguments that are not for ROS; to ``--help`` say this text, and end the process."""
-    if NodeParser().own_arguments().help:
-        print(text())
-        sys.exit(EXIT_DONE)
 
 
 def node_help(

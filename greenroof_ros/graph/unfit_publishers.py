@@ -18,9 +18,8 @@ from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 
 from greenroof_ros.common.interface import Qos, Topic, read_topics
 
-# The name of a node is known a moment after its publisher; how long to wait for it (s).
-_UNKNOWN = "_NODE_NAME_UNKNOWN_"
-_NAMING_S = 1.0
+# The name of a node and its other ends are known a moment after its publisher (s).
+_DISCOVERY_S = 1.0
 
 
 class UnfitPublishers:
@@ -49,30 +48,27 @@ class UnfitPublishers:
         return note
 
     def look(self) -> None:
-        """Warn of those that came since the last call, once they have a name."""
-        for topic, since in list(self._due.items()):
-            found = self._node.get_publishers_info_by_topic(topic.graph_name)
-            unfit = [one for one in found if lacks(one.qos_profile, topic.qos)]
-            named = unfit and all(one.node_name != _UNKNOWN for one in found)
-            if not named and time.monotonic() - since < _NAMING_S:
-                continue
+        """Warn of those that came a second ago."""
+        if not self._due:
+            return
+        now = time.monotonic()
+        for topic in [one for one, since in self._due.items() if now - since > _DISCOVERY_S]:
             del self._due[topic]
-            others = sorted({one.node_name for one in found if one not in unfit})
-            for one in unfit:
-                self._warn(topic, one, others)
+            for publisher in self._node.get_publishers_info_by_topic(topic.graph_name):
+                lacking = lacks(publisher.qos_profile, topic.qos)
+                if lacking:
+                    self._warn(topic, publisher.node_name, " and ".join(lacking))
 
-    def _warn(self, topic: Topic, publisher: Any, others: list[str]) -> None:
-        name = self._node.resolve_topic_name(topic.graph_name)
+    def _warn(self, topic: Topic, node_name: str, lacking: str) -> None:
         sentence = (
-            f"{name}: what node {publisher.node_name} publishes does not arrive: it "
-            f"{' and '.join(lacks(publisher.qos_profile, topic.qos))}, and must be "
-            f"{requirements(topic.qos)} (doc/real-pump.md)"
+            f"{self._node.resolve_topic_name(topic.graph_name)}: what node {node_name} publishes "
+            f"does not arrive: it {lacking}, and must be {requirements(topic.qos)} "
+            "(doc/real-pump.md)"
         )
-        lossy = self._lossy_subscriptions(publisher.node_name)
+        lossy = self._lossy_subscriptions(node_name)
         if lossy:
             sentence += f"; so must its subscription to {', '.join(lossy)}, or it misses messages"
-        if others:
-            sentence += f"; besides, {', '.join(others)} publishes it already, and only one may"
+        sentence += f"; a graph has exactly one publisher of it, {' or '.join(topic.publishers)}"
         if sentence not in self.warnings:
             self.warnings.append(sentence)
             self._node.get_logger().warning(sentence)

@@ -6,7 +6,6 @@ class as ``package.module:Class``; the node is named after it.
 
 from __future__ import annotations
 
-import sys
 from functools import partial
 from typing import Any
 
@@ -14,7 +13,7 @@ import numpy as np
 from rcl_interfaces.msg import SetParametersResult
 from rclpy.parameter import Parameter
 
-from greenroof_ros.common.command_line import EXIT_DONE, EXIT_USAGE
+from greenroof_ros.common.command_line import EXIT_DONE, command
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.interface import optional_topics
 from greenroof_ros.controllers.decide import decide
@@ -119,11 +118,14 @@ def _help(choice: ControllerChoice | None) -> str:
     )
 
 
-def main(controller: str | None = None) -> None:
+def _run(controller: str | None) -> int:
     """Run the node.
 
     Args:
         controller: which; that of the command line's ``--controller`` if None.
+
+    Raises:
+        ConfigurationError: there is no such controller.
     """
     parser = NodeParser()
     if controller is None:
@@ -131,26 +133,23 @@ def main(controller: str | None = None) -> None:
     else:
         parser.set_defaults(controller=controller)
     arguments = parser.own_arguments()
-    try:
-        choice = None if arguments.controller is None else find_controller(arguments.controller)
-        if arguments.help:
-            print(_help(choice))
-            sys.exit(EXIT_DONE)
-        if choice is None:
-            parser.error("--controller NAME is missing")
-        _ = choice.kind
-    except ConfigurationError as error:
-        print(f"error: {error}", file=sys.stderr)
-        sys.exit(EXIT_USAGE)
-    sys.exit(run_node(partial(ControllerNode, choice)))
+    choice = None if arguments.controller is None else find_controller(arguments.controller)
+    if arguments.help:
+        print(_help(choice))
+        return EXIT_DONE
+    if choice is None:
+        parser.error("--controller NAME is missing")
+    _ = choice.kind
+    return run_node(partial(ControllerNode, choice))
 
 
+main = command(partial(_run, None))
 # The executables of this package's controllers.
-mpc = partial(main, "mpc")
-onoff = partial(main, "onoff")
-planning_mpc = partial(main, "planning_mpc")
-anticipating_onoff = partial(main, "anticipating_onoff")
-scenario_mpc = partial(main, "scenario_mpc")
+mpc = command(partial(_run, "mpc"))
+onoff = command(partial(_run, "onoff"))
+planning_mpc = command(partial(_run, "planning_mpc"))
+anticipating_onoff = command(partial(_run, "anticipating_onoff"))
+scenario_mpc = command(partial(_run, "scenario_mpc"))
 
 
 if __name__ == "__main__":

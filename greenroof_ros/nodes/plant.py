@@ -6,14 +6,14 @@ external pump, the flow), publishes what moved, and steps the exact model to k +
 
 from __future__ import annotations
 
-import sys
 import time
 from typing import Any
 
+from greenroof_ros.common.command_line import EXIT_DONE, command
 from greenroof_ros.common.times import DEFAULT_START, epoch_ns, read_start
 from greenroof_ros.graph.errors import LockstepError
 from greenroof_ros.graph.lockstep import CLOCK, LISTEN_S, LockstepNode
-from greenroof_ros.graph.node_help import answer_help, node_help
+from greenroof_ros.graph.node_help import NodeParser, node_help
 from greenroof_ros.graph.node_process import run_node
 from greenroof_ros.graph.parameters import (
     NodeParameter,
@@ -245,10 +245,13 @@ def _help() -> str:
     )
 
 
-def main() -> None:
+@command
+def main() -> int:
     """Run the node."""
-    answer_help(_help)
-    sys.exit(run_node(PlantNode))
+    if NodeParser().own_arguments().help:
+        print(_help())
+        return EXIT_DONE
+    return run_node(PlantNode)
 
 
 if __name__ == "__main__":

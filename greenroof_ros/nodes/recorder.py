@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 import time
 from collections import deque
 from collections.abc import Callable
@@ -10,12 +9,13 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+from greenroof_ros.common.command_line import EXIT_DONE, command
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.interface import recorded_topics
 from greenroof_ros.controllers.registry import DEFAULT, find_controller
 from greenroof_ros.graph.errors import LockstepError
 from greenroof_ros.graph.lockstep import CLOCK, LISTEN_S, LockstepNode
-from greenroof_ros.graph.node_help import answer_help, node_help
+from greenroof_ros.graph.node_help import NodeParser, node_help
 from greenroof_ros.graph.node_process import run_node
 from greenroof_ros.graph.parameters import NodeParameter, declare
 from greenroof_ros.graph.serialization import decode_clock
@@ -166,10 +166,13 @@ def _help() -> str:
     )
 
 
-def main() -> None:
+@command
+def main() -> int:
     """Run the node."""
-    answer_help(_help)
-    sys.exit(run_node(RecorderNode))
+    if NodeParser().own_arguments().help:
+        print(_help())
+        return EXIT_DONE
+    return run_node(RecorderNode)
 
 
 if __name__ == "__main__":

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-import sys
 from dataclasses import replace
 from typing import Any
 
+from greenroof_ros.common.command_line import EXIT_DONE, command
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.times import DEFAULT_START, epoch_ns, read_start
 from greenroof_ros.controllers.protocol import HORIZON
@@ -13,7 +13,7 @@ from greenroof_ros.forecast.choice import MODELS, OPTIONS, ForecastChoice, choos
 from greenroof_ros.forecast.resampling import make_forecast
 from greenroof_ros.graph.errors import LockstepError
 from greenroof_ros.graph.lockstep import CLOCK, LockstepNode
-from greenroof_ros.graph.node_help import answer_help, node_help
+from greenroof_ros.graph.node_help import NodeParser, node_help
 from greenroof_ros.graph.node_process import run_node
 from greenroof_ros.graph.parameters import (
     NodeParameter,
@@ -130,10 +130,13 @@ def _help() -> str:
     )
 
 
-def main() -> None:
+@command
+def main() -> int:
     """Run the node."""
-    answer_help(_help)
-    sys.exit(run_node(WeatherNode))
+    if NodeParser().own_arguments().help:
+        print(_help())
+        return EXIT_DONE
+    return run_node(WeatherNode)
 
 
 if __name__ == "__main__":

@@ -52,6 +52,16 @@ def test_help_starts_no_node(tmp_path: Path, command: str) -> None:
     assert list(tmp_path.iterdir()) == []  # the recorder makes no bag
 
 
+def test_help_without_a_reader(tmp_path: Path) -> None:
+    """As behind '| head -1': no traceback."""
+    line = f"{sys.executable} -m greenroof_ros.nodes.plant --help | true"
+    done = subprocess.run(
+        ["bash", "-c", line], cwd=tmp_path, env=environment(1000), stderr=subprocess.PIPE,
+        text=True, timeout=10, check=False,
+    )
+    assert done.stderr == ""
+
+
 @pytest.mark.parametrize(
     ("command", "words"),
     [
