@@ -11,6 +11,7 @@ import signal
 import subprocess
 import sys
 import time
+import venv
 from pathlib import Path
 
 import pytest
@@ -263,6 +264,24 @@ def test_ros2_lines_work_as_printed(page, ros2_checkout, domain):
         printed = end(graph, 0)
         end(start("ros2 daemon stop"), 20)
     assert graph.returncode == 130, printed
+
+
+def test_make_keeps_an_environment_that_is_active(tmp_path):
+    """AMENT_PREFIX_PATH, exported for ros2 interface, does not make its rclpy a sourced one."""
+    shutil.copy(CHECKOUT / "Makefile", tmp_path)
+    (tmp_path / "setup.py").touch()
+    venv.create(tmp_path / ".venv")
+    (packages,) = (tmp_path / ".venv").glob("lib/python*/site-packages")
+    (packages / "rclpy").mkdir()
+    (packages / "rclpy" / "__init__.py").touch()
+    for stamp in (".made-wheels", ".for-run"):
+        (tmp_path / ".venv" / stamp).touch()
+    environment = bare_environment(tmp_path, tmp_path / ".venv" / "bin")
+    plan = run(
+        "make", "--dry-run", "run", cwd=tmp_path,
+        env=environment | {"AMENT_PREFIX_PATH": str(tmp_path / ".venv")},
+    )
+    assert plan == ".venv/bin/python -m greenroof_ros.bringup --controller mpc\n"
 
 
 # -------------------------------------------------------------------------------------- colcon
