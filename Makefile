@@ -11,9 +11,10 @@ ARGS ?=
 
 # Without a ROS 2, pip brings one (the extra [ros]). One that is sourced is used as it is, through
 # an environment that sees the packages outside; wheels on top of it would mix two ROS 2. Changing
-# from one to the other makes .venv again.
+# from one to the other makes .venv again. What is in .venv itself, be it active, is not sourced.
 ifdef AMENT_PREFIX_PATH
-ROS := $(shell $(PYTHON) -c 'import importlib.util as u; print("sourced" if u.find_spec("rclpy") else "wheels")')
+ROS := $(shell $(PYTHON) -c 'import importlib.util as u; s = u.find_spec("rclpy"); \
+    print("sourced" if s and not s.origin.startswith("$(CURDIR)/$(VENV)/") else "wheels")')
 else
 ROS := wheels
 endif

@@ -14,9 +14,7 @@ import math
 import os
 import re
 import sys
-import tempfile
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 from typing import Any
 from unittest import mock
@@ -41,8 +39,6 @@ COMMANDS = {
     "topics": "greenroof_ros.topics",
     "check_controller": "greenroof_ros.check_controller",
 }
-# A parameter that every rclpy node declares.
-_RCLPYS = "start_type_description_service"
 _BLOCK = re.compile(
     r"(?<=<!-- table: )(?P<name>[a-z_ ]+)(?P<gap> -->\n)(?P<table>.*?)(?=<!-- end of table -->)",
     re.DOTALL,
@@ -255,80 +251,27 @@ def nodes() -> str | None:
     """Return the parameters that each node declares; None without a ROS 2."""
     if importlib.util.find_spec("rclpy") is None:
         return None
-    import rclpy
+    from greenroof_ros.graph.parameters import default_site, site_file
+    from greenroof_ros.nodes import plant, recorder, weather
 
-    from greenroof_ros.nodes.controller import ControllerNode
-    from greenroof_ros.nodes.plant import PlantNode
-    from greenroof_ros.nodes.recorder import RecorderNode
-    from greenroof_ros.nodes.weather import WeatherNode
-
-    parts = []
-    with _somewhere():
-        rclpy.init(args=[])
-        try:
-            for name, make in {
-                "plant": PlantNode, "weather": WeatherNode, "recorder": RecorderNode,
-                "controllers": lambda: ControllerNode(find_controller("onoff")),
-            }.items():
-                own = {} if name != "controllers" else find_controller("onoff").parameters
-                parts.append(f"### {name}\n\n{_declared(make, own)}")
-        finally:
-            rclpy.try_shutdown()
-    return "\n".join(parts)
-
-
-@contextmanager
-def _somewhere() -> Iterator[None]:
-    """Work in an empty directory: the recorder makes its bag."""
-    before = Path.cwd()
-    with tempfile.TemporaryDirectory() as directory:
-        os.chdir(directory)
-        try:
-            yield
-        finally:
-            os.chdir(before)
-
-
-def _declared(make: Callable[[], Any], elsewhere: Mapping[str, Parameter]) -> str:
-    """Return the parameters that a node declares while it is made, less those shown elsewhere."""
-    from rclpy.node import Node
-
-    declared: list[tuple[str, Any, Any]] = []
-    declare = Node.declare_parameter
-
-    def record(self: Any, name: str, value: Any, *arguments: Any) -> Any:
-        if arguments:  # rclpy's own come without a descriptor
-            declared.append((name, value, arguments[0]))
-        return declare(self, name, value, *arguments)
-
-    with mock.patch.object(Node, "declare_parameter", record):
-        node = make()
-    node.on_stop()
-    node.destroy_node()
-    return markdown(
-        ("parameter", "type", "default", "range", "meaning, unit"),
-        (
-            (f"`{name}`", _type(value), number(value), _range(about), about.description)
-            for name, value, about in declared
-            if name not in (*elsewhere, _RCLPYS)
-        ),
+    site = default_site()
+    declared = {
+        "plant": [site_file(), *plant.parameters(site)],
+        "weather": [site_file(), *weather.parameters(site)],
+        "recorder": recorder.PARAMETERS,
+        "controllers": [site_file()],
+    }
+    return "\n".join(
+        f"### {node}\n\n"
+        + markdown(
+            ("parameter", "type", "default", "range", "meaning, unit"),
+            (
+                (f"`{one.name}`", one.type_name, number(one.default), one.limits, one.meaning)
+                for one in parameters
+            ),
+        )
+        for node, parameters in declared.items()
     )
-
-
-def _type(value: object) -> str:
-    """Return the type of a ROS 2 parameter."""
-    if isinstance(value, list):
-        return "string array"
-    return {bool: "bool", int: "integer", float: "double", str: "string"}[type(value)]
-
-
-def _range(about: Any) -> str:
-    """Return the range that a parameter's descriptor has."""
-    for whole in about.integer_range:
-        return f"{whole.from_value} to {whole.to_value}"
-    for real in about.floating_point_range:
-        return span(real.from_value, real.to_value)
-    return str(about.additional_constraints).removeprefix("must be ")
 
 
 TABLES: dict[str, Callable[[], str | None]] = {

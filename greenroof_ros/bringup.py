@@ -69,7 +69,7 @@ def _parser() -> argparse.ArgumentParser:
         usage="%(prog)s [options]",
         description="Start plant, weather, controller and recorder as ROS 2 nodes, each its own\n"
         "process, run them in lockstep on simulated time, and end them. While it runs,\n"
-        "'ros2 topic echo /roof/level' shows the roof.",
+        "'ros2 topic echo --qos-durability volatile /roof/level' shows the roof.",
         epilog="examples:\n"
         "  python -m greenroof_ros.bringup --controller planning_mpc --initial high-low\n"
         "  python -m greenroof_ros.bringup --weather mine.csv --start 2024-06-01 --hours 24\n"
@@ -130,6 +130,7 @@ def _watch(run: Run, limit: float, supervisor: Supervisor, signals: _Signals) ->
         while running:
             signals.check()
             for node, report in supervisor.reports():
+                progress.warn(report["warnings"])
                 if report["state"] != STARTING:
                     waiting.discard(node)
                 if report["state"] == FINISHED:

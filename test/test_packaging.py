@@ -1,13 +1,17 @@
 """What pip and colcon make of the checkout: the real tools, in directories of their own."""
 
+import contextlib
 import filecmp
 import importlib.util
 import json
 import os
 import re
 import shutil
+import signal
 import subprocess
 import sys
+import time
+import venv
 from pathlib import Path
 
 import pytest
@@ -55,7 +59,7 @@ def bare_environment(home, *path):
     """
     kept = {
         name: value for name, value in os.environ.items()
-        if name.upper().startswith(("PIP_", "SSL_", "REQUESTS_"))
+        if name.upper().startswith(("PIP_", "SSL_", "REQUESTS_", "GIT_"))
         or name.upper() in ("HTTP_PROXY", "HTTPS_PROXY", "NO_PROXY", "XDG_CACHE_HOME")
     }
     return kept | {
@@ -198,6 +202,98 @@ def test_pip_install_runs_copies_of_its_grids(pip_installed, pip_environment, tm
         cwd=tmp_path, env=pip_environment,
     )
     assert printed.splitlines() == [f"{name} {count}" for name, count in counts.items()]
+# -------------------------------------------------------------------------------------- ros2
+
+# What each kind of line prints, among other things.
+ROS2_PRINTS = {
+    "topic list": "/roof/level", "topic echo": "---", "topic hz": "average rate",
+    "param set": "Set parameter successful", "interface show": "float64 data",
+}
+
+
+def blocks(page):
+    """Return the blocks of shell lines of a page."""
+    return re.findall(r"^```\n(.*?)^```$", (CHECKOUT / page).read_text(), re.DOTALL | re.MULTILINE)
+
+
+@pytest.fixture(scope="module")
+def ros2_checkout(package_index, tmp_path_factory):
+    """Return a copy of the checkout whose .venv is what make run and README.md's lines make."""
+    if not os.environ.get("GREENROOF_ROS_TEST_ROS2"):
+        pytest.skip("takes minutes: GREENROOF_ROS_TEST_ROS2=1 runs it")
+    repository = "https://github.com/ros2/ros2cli"
+    if subprocess.run(["git", "ls-remote", "-q", repository], capture_output=True).returncode:
+        pytest.skip(f"{repository} cannot be reached")
+    (lines,) = (block for block in blocks("README.md") if repository in block)
+    assert lines in blocks("doc/tutorials/first-run.md")
+    checkout = copy_of_checkout(tmp_path_factory.mktemp("ros2") / "checkout")
+    # Where pip's cache is.
+    environment = bare_environment(os.environ.get("HOME", checkout), Path(sys.executable).parent)
+    for command in (["make", ".venv/.for-run"], ["bash", "-e", "-c", lines]):
+        run(*command, cwd=checkout, env=environment, timeout=600)
+    return checkout
+
+
+@pytest.mark.parametrize(
+    "page", ["README.md", "doc/tutorials/first-run.md", "doc/reference/topics.md"]
+)
+def test_ros2_lines_work_as_printed(page, ros2_checkout, domain):
+    """Each line, in a terminal of its own in which only .venv was activated."""
+    environment = bare_environment(ros2_checkout) | {"ROS_DOMAIN_ID": str(domain)}
+    lines = [
+        line for block in blocks(page) for line in block.splitlines()
+        if re.search(r"(^| )ros2 (topic|param|interface) ", line)
+    ]
+    assert lines
+    # The other pages' reader has seen the README.
+    (export,) = re.findall(r"^export .*$", "\n".join(blocks("README.md")), re.MULTILINE)
+
+    def start(line):
+        script = f". .venv/bin/activate; {export}; {line}"
+        return subprocess.Popen(
+            ["bash", "-c", script], cwd=ros2_checkout, env=environment, text=True,
+            stdout=subprocess.PIPE, stderr=subprocess.STDOUT, start_new_session=True,
+        )
+
+    def end(process, seconds):
+        """Wait, press Ctrl-C, and return what was printed."""
+        with contextlib.suppress(subprocess.TimeoutExpired):
+            return process.communicate(timeout=seconds)[0]
+        os.killpg(process.pid, signal.SIGINT)
+        return process.communicate(timeout=20)[0]
+
+    graph = start("exec python -m greenroof_ros.bringup --controller mpc --speed 20 --no-record")
+    try:
+        until = time.monotonic() + 60
+        while "sec:" not in end(start("ros2 topic echo --once /clock"), 10):
+            assert graph.poll() is None and time.monotonic() < until
+        for line in lines:
+            printed = end(start(line), 10)
+            kind = re.search(r"ros2 (\w+ \w+)", line)[1]
+            assert ROS2_PRINTS[kind] in printed, f"{line}\n{printed}"
+            assert "Error" not in printed, f"{line}\n{printed}"
+    finally:
+        printed = end(graph, 0)
+        end(start("ros2 daemon stop"), 20)
+    assert graph.returncode == 130, printed
+
+
+def test_make_keeps_an_environment_that_is_active(tmp_path):
+    """AMENT_PREFIX_PATH, exported for ros2 interface, does not make its rclpy a sourced one."""
+    shutil.copy(CHECKOUT / "Makefile", tmp_path)
+    (tmp_path / "setup.py").touch()
+    venv.create(tmp_path / ".venv")
+    (packages,) = (tmp_path / ".venv").glob("lib/python*/site-packages")
+    (packages / "rclpy").mkdir()
+    (packages / "rclpy" / "__init__.py").touch()
+    for stamp in (".made-wheels", ".for-run"):
+        (tmp_path / ".venv" / stamp).touch()
+    environment = bare_environment(tmp_path, tmp_path / ".venv" / "bin")
+    plan = run(
+        "make", "--dry-run", "run", cwd=tmp_path,
+        env=environment | {"AMENT_PREFIX_PATH": str(tmp_path / ".venv")},
+    )
+    assert plan == ".venv/bin/python -m greenroof_ros.bringup --controller mpc\n"
 
 
 # -------------------------------------------------------------------------------------- colcon

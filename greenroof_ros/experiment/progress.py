@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Iterable
 from types import TracebackType
 
 from rich.console import Console
@@ -25,6 +26,7 @@ class RunProgress:
         self._steps = steps
         self._tau = tau
         self._began: tuple[float, int] | None = None
+        self._warned: set[str] = set()
         self._progress = Progress(
             TextColumn("{task.fields[clock]}"),
             BarColumn(bar_width=None),
@@ -50,6 +52,15 @@ class RunProgress:
         """Leave the bar as it stands."""
         self._progress.refresh()
         self._progress.stop()
+
+    def warn(self, warnings: Iterable[str]) -> None:
+        """Print those warnings above the bar that were not printed yet."""
+        for text in warnings:
+            if text not in self._warned:
+                self._warned.add(text)
+                self._progress.console.print(
+                    f"warning: {text}", markup=False, highlight=False, soft_wrap=True
+                )
 
     def waiting(self, for_what: str) -> None:
         """Say what the run waits for before its first tick."""

@@ -26,6 +26,7 @@ from greenroof_ros.graph.qos import message_class, qos_profile
 from greenroof_ros.graph.reports import Reports
 from greenroof_ros.graph.serialization import encoder
 from greenroof_ros.graph.states import FINISHED, READY, STARTING
+from greenroof_ros.graph.unfit_publishers import UnfitPublishers
 from greenroof_ros.graph.validation import Input
 
 CLOCK = "/clock"
@@ -75,6 +76,7 @@ class LockstepNode(Node):
         self._interface = read_topics()
         self._inputs: dict[str, Input] = {}
         self._watches: dict[str, PublisherWatch] = {}
+        self._unfit = UnfitPublishers(self)
         self._bits: dict[str, int] = {}  # of the inputs that must be fresh
         self._fresh = 0
         self._all = 0
@@ -175,13 +177,15 @@ class LockstepNode(Node):
         else:
             on_message = self._with_value(entry, callback)
         self._watches[name] = watch = PublisherWatch(self, topic, self._on_second, recorded=raw)
+        events = watch.events()
+        events.incompatible_qos = self._unfit.on_event(topic)
         self.create_subscription(
             message_class(topic.type),
             topic.graph_name,
             self._guarded(on_message),
             watch.profile(),
             raw=True,
-            event_callbacks=watch.events(),
+            event_callbacks=events,
         )
         return entry
 
@@ -284,6 +288,7 @@ class LockstepNode(Node):
         """
         if self.error is not None:
             raise self.error
+        self._unfit.look()
         now = time.monotonic()
         if self._reports.state == STARTING and self.ready:
             self._reports.state = READY
@@ -309,7 +314,10 @@ class LockstepNode(Node):
     def _report(self, now: float) -> None:
         self._reported = now
         refused = {name: entry.refused for name, entry in self._inputs.items() if entry.refused}
-        self._reports.say({**self.progress(), "refused": refused, **self._final_values})
+        self._reports.say({
+            **self.progress(), "refused": refused, "warnings": self._unfit.warnings,
+            **self._final_values,
+        })
 
     def _on_finished(self, node: str) -> None:
         if node == "plant" and self._reports.state != FINISHED:

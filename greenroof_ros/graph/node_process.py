@@ -32,12 +32,11 @@ def make_executor() -> Any:
     return EventsExecutor()
 
 
-def run_node(make: Callable[[], LockstepNode], args: list[str] | None = None) -> int:
+def run_node(make: Callable[[], LockstepNode]) -> int:
     """Run one node until it is asked to stop or fails; the process has to end with it, soon.
 
     Args:
         make: the node's class, or what else returns the node.
-        args: ROS arguments; ``sys.argv`` if None.
 
     Returns:
         An exit code: 0 asked to stop, 1 failed, 2 wrong arguments or parameters, 3 another graph
@@ -62,7 +61,7 @@ def run_node(make: Callable[[], LockstepNode], args: list[str] | None = None) ->
         signal.signal(number, on_signal)
     remove_unfinished()
     try:
-        rclpy.init(args=args, signal_handler_options=SignalHandlerOptions.NO)
+        rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
     except RuntimeError as error:  # of rcl: arguments that it cannot read
         print(f"error: {' '.join(str(error).split())}", file=sys.stderr)
         return EXIT_USAGE

@@ -1,8 +1,9 @@
-"""Node parameters: declared with description and range, refused in one clear line."""
+"""Node parameters: described once, declared with description and range, refused in one line."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -15,76 +16,127 @@ from greenroof_ros.common.files import shared_directory
 from greenroof_ros.common.parameter import Parameter
 from greenroof_ros.model.site import Site, read_site
 
+# Of each Python type: what ROS 2 calls it, and what a value must be, for messages.
 _KINDS = {
-    float: "a number such as 1.0",
-    int: "a whole number",
-    bool: "true or false",
-    str: "a text",
-    list: "a list of texts",
+    float: ("double", "a number such as 1.0"),
+    int: ("integer", "a whole number"),
+    bool: ("bool", "true or false"),
+    str: ("string", "a text"),
+    list: ("string array", "a list of texts"),
 }
 
 
-def declare(
-    node: Node,
-    name: str,
-    default: str | float | int | bool | list[str],
-    description: str,
-    low: float | None = None,
-    high: float | None = None,
-    *,
-    among: tuple[str, ...] = (),
-    read_only: bool = True,
-) -> Any:
-    """Declare a parameter with its description and range, and return its value.
+@dataclass(frozen=True)
+class NodeParameter:
+    """A parameter of a node.
 
-    Raises:
-        ConfigurationError: the value given on the command line or in a file is of the wrong type
-            or out of range.
+    From it come the declared parameter, the node's ``--help`` and the table in the documentation.
+
+    Attributes:
+        name: lower case, with underscores.
+        default: its value unless given; it gives the type.
+        meaning: one line, with its unit.
+        low: least value, where it has a range.
+        high: largest value.
+        among: the values that it may have, where they are few.
+        may_change: whether it may change during a run.
     """
-    kind = _KINDS[type(default)]
-    expected = f"must be {kind}"
-    descriptor = ParameterDescriptor(description=description, read_only=read_only)
-    if low is not None and high is not None:
-        expected += f" from {low:g} to {high:g}"
-        if isinstance(default, float):
+
+    name: str
+    default: str | float | int | bool | list[str]
+    meaning: str
+    low: float | None = None
+    high: float | None = None
+    among: tuple[str, ...] = ()
+    may_change: bool = False
+
+    @property
+    def type_name(self) -> str:
+        """What ROS 2 calls its type."""
+        return _KINDS[type(self.default)][0]
+
+    @property
+    def limits(self) -> str:
+        """Its range, or the values that it may have; empty where there is no limit."""
+        if self.low is None or self.high is None:
+            return " or ".join(self.among)
+        if isinstance(self.default, int):
+            return f"{self.low} to {self.high}"
+        return f"{self.low:g} to {self.high:g}"
+
+    @property
+    def expected(self) -> str:
+        """What a value must be, for messages."""
+        if self.among:
+            return f"must be {self.limits}"
+        return f"must be {_KINDS[type(self.default)][1]}{self.limits and ' from '}{self.limits}"
+
+    def descriptor(self) -> ParameterDescriptor:
+        """Return what a ROS tool is told of it."""
+        descriptor = ParameterDescriptor(
+            description=self.meaning, read_only=not self.may_change,
+            additional_constraints=self.expected if self.among else "",
+        )
+        if self.low is None or self.high is None:
+            return descriptor
+        if isinstance(self.default, float):
             descriptor.floating_point_range = [
-                FloatingPointRange(from_value=float(low), to_value=float(high))
+                FloatingPointRange(from_value=float(self.low), to_value=float(self.high))
             ]
         else:
-            descriptor.integer_range = [IntegerRange(from_value=int(low), to_value=int(high))]
-    if among:
-        expected = f"must be {' or '.join(among)}"
-        descriptor.additional_constraints = expected
-    key = f"parameter {name} of {node.get_name()}"
+            descriptor.integer_range = [
+                IntegerRange(from_value=int(self.low), to_value=int(self.high))
+            ]
+        return descriptor
+
+
+def site_file() -> NodeParameter:
+    """Return the parameter that every node has but the recorder, the same in a run."""
+    default = str(shared_directory() / "config" / "site.yaml")
+    return NodeParameter("site_file", default, "the parameters of Table I")
+
+
+def declare(node: Node, parameters: Iterable[NodeParameter]) -> dict[str, Any]:
+    """Declare parameters, and return their values by name.
+
+    Raises:
+        ConfigurationError: a value given on the command line or in a file is of the wrong type or
+            out of range.
+    """
+    return {one.name: _declare(node, one) for one in parameters}
+
+
+def _declare(node: Node, one: NodeParameter) -> Any:
+    key = f"parameter {one.name} of {node.get_name()}"
     try:
-        value = node.declare_parameter(name, default, descriptor).value
+        value = node.declare_parameter(one.name, one.default, one.descriptor()).value
     except (InvalidParameterTypeException, InvalidParameterValueException) as error:
-        raise ConfigurationError(f"{expected} ({error})", key=key) from error
-    if among and value not in among:
-        raise ConfigurationError(expected, key=key, value=value)
+        raise ConfigurationError(f"{one.expected} ({error})", key=key) from error
+    if one.among and value not in one.among:
+        raise ConfigurationError(one.expected, key=key, value=value)
     return value
 
 
-def declare_table(node: Node, table: Iterable[Parameter]) -> dict[str, float]:
-    """Declare the parameters of a controller, and return their values by name.
-
-    Raises:
-        ConfigurationError: a value is of the wrong type or out of range.
-    """
-    return {
-        one.name: declare(
-            node, one.name, one.default, f"{one.meaning} ({one.unit})", one.low, one.high,
-            read_only=not one.may_change,
+def of_controller(table: Iterable[Parameter]) -> list[NodeParameter]:
+    """Return the parameters of a controller as those of its node."""
+    return [
+        NodeParameter(
+            one.name, one.default, f"{one.meaning} ({one.unit})", one.low, one.high,
+            may_change=one.may_change,
         )
         for one in table
-    }
+    ]
 
 
 def declare_site(node: Node) -> Site:
-    """Declare the parameter ``site_file``, the same for every node of a run, and read the site.
+    """Declare the parameter ``site_file``, and read the site.
 
     Raises:
         ConfigurationError: the file, or a value in it, is wrong.
     """
-    default = str(shared_directory() / "config" / "site.yaml")
-    return read_site(Path(declare(node, "site_file", default, "the parameters of Table I")))
+    return read_site(Path(declare(node, [site_file()])["site_file"]))
+
+
+def default_site() -> Site:
+    """Return the site of a node that is given no ``site_file``."""
+    return read_site(Path(str(site_file().default)))

@@ -6,24 +6,22 @@ class as ``package.module:Class``; the node is named after it.
 
 from __future__ import annotations
 
-import argparse
-import sys
 from functools import partial
 from typing import Any
 
 import numpy as np
 from rcl_interfaces.msg import SetParametersResult
 from rclpy.parameter import Parameter
-from rclpy.utilities import remove_ros_args
 
-from greenroof_ros.common.command_line import EXIT_USAGE
+from greenroof_ros.common.command_line import EXIT_DONE, command
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.interface import optional_topics
 from greenroof_ros.controllers.decide import decide
 from greenroof_ros.controllers.registry import ControllerChoice, controller_names, find_controller
 from greenroof_ros.graph.lockstep import CLOCK, LockstepNode
+from greenroof_ros.graph.node_help import NodeParser, node_help
 from greenroof_ros.graph.node_process import run_node
-from greenroof_ros.graph.parameters import declare_site, declare_table
+from greenroof_ros.graph.parameters import declare, declare_site, of_controller, site_file
 from greenroof_ros.graph.serialization import decode_clock
 
 
@@ -34,7 +32,7 @@ class ControllerNode(LockstepNode):
         """Declare the controller's parameters and open the topics."""
         super().__init__(choice.name, "controller")
         site = declare_site(self)
-        values = declare_table(self, choice.kind.parameters)
+        values = declare(self, of_controller(choice.kind.parameters))
         self._controller = choice.make(site, values)
         self._ensemble = choice.ensemble
         self._may_change = {one.name for one in choice.kind.parameters if one.may_change}
@@ -107,36 +105,52 @@ class ControllerNode(LockstepNode):
         return SetParametersResult(successful=True)
 
 
-def main(controller: str | None = None) -> None:
+def _help(choice: ControllerChoice | None) -> str:
+    """Return the help of a controller's node; without a controller, what all have in common."""
+    own = [] if choice is None else of_controller(choice.kind.parameters)
+    return node_help(
+        f"controller --controller {'NAME' if choice is None else choice.reference}",
+        "controller",
+        f"{__doc__}\nRegistered are {', '.join(controller_names())}.",
+        [site_file(), *own],
+        "--ros-args "
+        + (f"-p {own[0].name}:={own[0].default}" if own else "--params-file FILE"),
+        () if choice is None else choice.outputs,
+    )
+
+
+def _run(controller: str | None) -> int:
     """Run the node.
 
     Args:
         controller: which; that of the command line's ``--controller`` if None.
+
+    Raises:
+        ConfigurationError: there is no such controller.
     """
+    parser = NodeParser()
     if controller is None:
-        parser = argparse.ArgumentParser(
-            description="Run a controller as a node of the graph. ROS arguments follow --ros-args."
-        )
-        parser.add_argument(
-            "--controller", required=True, metavar="NAME",
-            help=f"{', '.join(controller_names())}, or package.module:Class",
-        )
-        controller = parser.parse_args(remove_ros_args(sys.argv)[1:]).controller
-    try:
-        choice = find_controller(str(controller))
-        _ = choice.kind
-    except ConfigurationError as error:
-        print(f"error: {error}", file=sys.stderr)
-        sys.exit(EXIT_USAGE)
-    sys.exit(run_node(partial(ControllerNode, choice)))
+        parser.add_argument("--controller", metavar="NAME")
+    else:
+        parser.set_defaults(controller=controller)
+    arguments = parser.own_arguments()
+    choice = None if arguments.controller is None else find_controller(arguments.controller)
+    if arguments.help:
+        print(_help(choice))
+        return EXIT_DONE
+    if choice is None:
+        parser.error("--controller NAME is missing")
+    _ = choice.kind
+    return run_node(partial(ControllerNode, choice))
 
 
+main = command(partial(_run, None))
 # The executables of this package's controllers.
-mpc = partial(main, "mpc")
-onoff = partial(main, "onoff")
-planning_mpc = partial(main, "planning_mpc")
-anticipating_onoff = partial(main, "anticipating_onoff")
-scenario_mpc = partial(main, "scenario_mpc")
+mpc = command(partial(_run, "mpc"))
+onoff = command(partial(_run, "onoff"))
+planning_mpc = command(partial(_run, "planning_mpc"))
+anticipating_onoff = command(partial(_run, "anticipating_onoff"))
+scenario_mpc = command(partial(_run, "scenario_mpc"))
 
 
 if __name__ == "__main__":

@@ -6,40 +6,68 @@ external pump, the flow), publishes what moved, and steps the exact model to k +
 
 from __future__ import annotations
 
-import sys
 import time
 from typing import Any
 
-from rclpy.node import Node
-
+from greenroof_ros.common.command_line import EXIT_DONE, command
 from greenroof_ros.common.times import DEFAULT_START, epoch_ns, read_start
 from greenroof_ros.graph.errors import LockstepError
 from greenroof_ros.graph.lockstep import CLOCK, LISTEN_S, LockstepNode
+from greenroof_ros.graph.node_help import NodeParser, node_help
 from greenroof_ros.graph.node_process import run_node
-from greenroof_ros.graph.parameters import declare, declare_site
+from greenroof_ros.graph.parameters import (
+    NodeParameter,
+    declare,
+    declare_site,
+    default_site,
+    site_file,
+)
 from greenroof_ros.model.initial_state import check_volumes, initial_state
 from greenroof_ros.model.metrics import Metrics
 from greenroof_ros.model.plant import Flows, Plant
 from greenroof_ros.model.sensor_pump_errors import RANGES, Pump, RoofSensor, SensorPumpErrors
+from greenroof_ros.model.site import Site
 
 # How far the plant may run ahead of what the recorder has safely written (ticks).
 _AHEAD = 32
 
 
-def _declare_sensor_pump_errors(node: Node) -> SensorPumpErrors:
-    """Declare the sensor and pump errors of the site, each a parameter, and return them."""
-    descriptions = {
-        "roof_noise": "standard deviation of the roof's level sensor (m)",
-        "roof_offset": "what that sensor reads above the true level (m)",
-        "noise_seed": "of the noise",
-        "minimum_on": "once on, the pumps stay on for so long (s)",
-        "minimum_off": "once off, the pumps stay off for so long (s)",
-    }
+_SENSOR_PUMP_ERRORS = {
+    "roof_noise": "standard deviation of the roof's level sensor (m)",
+    "roof_offset": "what that sensor reads above the true level (m)",
+    "noise_seed": "of the noise",
+    "minimum_on": "once on, the pumps stay on for so long (s)",
+    "minimum_off": "once off, the pumps stay off for so long (s)",
+}
+
+
+def parameters(site: Site) -> list[NodeParameter]:
+    """Return the node's parameters, but that of the site."""
+    cistern, roof = initial_state(site, "low-low")
     perfect = SensorPumpErrors().values()
-    return SensorPumpErrors(**{
-        name: declare(node, name, perfect[name], descriptions[name], low=low, high=high)
-        for name, (low, high) in RANGES.items()
-    })
+    return [
+        NodeParameter(
+            "initial_cistern_volume", cistern, "volume in the cistern at tick 0 (m3)", 0, 1e9
+        ),
+        NodeParameter("initial_roof_volume", roof, "volume on the roof at tick 0 (m3)", 0, 1e9),
+        NodeParameter("start", DEFAULT_START, "time of tick 0, ISO 8601 with its offset"),
+        NodeParameter("run_length", site.N, "N (ticks)", 1, 2**40),
+        NodeParameter("speed", 0.0, "simulated per wall time, 0 = as fast as it goes", 0, 1e9),
+        NodeParameter(
+            "pump", "internal", "internal, or external: /pump/flow is a driver's",
+            among=("internal", "external"),
+        ),
+        *(
+            NodeParameter(name, perfect[name], meaning, *RANGES[name])
+            for name, meaning in _SENSOR_PUMP_ERRORS.items()
+        ),
+        NodeParameter("record", False, "wait for a recorder"),
+        NodeParameter("peer_limit", 5.0, "longest wait for another node (s of wall time)", 2, 1e6),
+        NodeParameter(
+            "start_limit", 30.0, "longest wait for the other nodes to come (s of wall time)",
+            0.1, 1e6,
+        ),
+    ]
 
 
 class PlantNode(LockstepNode):
@@ -50,42 +78,23 @@ class PlantNode(LockstepNode):
         super().__init__("plant", "plant")
         site = declare_site(self)
         self._site = site
-        cistern, roof = initial_state(site, "low-low")
-        keys = ("initial_cistern_volume", "initial_roof_volume")
-        cistern = declare(
-            self, keys[0], cistern, "volume in the cistern at tick 0 (m3)", low=0, high=1e9
-        )
-        roof = declare(self, keys[1], roof, "volume on the roof at tick 0 (m3)", low=0, high=1e9)
-        check_volumes(site, cistern, roof, keys)
-        self._plant = Plant(site, cistern, roof)
-        start = declare(self, "start", DEFAULT_START, "time of tick 0, ISO 8601 with its offset")
-        self._run_length = declare(self, "run_length", site.N, "N (ticks)", low=1, high=2**40)
-        self._speed = declare(
-            self, "speed", 0.0, "simulated per wall time, 0 = as fast as it goes", low=0, high=1e9
-        )
-        self._external = (
-            declare(
-                self, "pump", "internal", "internal, or external: /pump/flow is a driver's",
-                among=("internal", "external"),
-            )
-            == "external"
-        )
-        errors = _declare_sensor_pump_errors(self)
+        values = declare(self, parameters(site))
+        volumes = {key: values[key] for key in ("initial_cistern_volume", "initial_roof_volume")}
+        check_volumes(site, *volumes.values(), tuple(volumes))
+        self._plant = Plant(site, *volumes.values())
+        self._run_length = values["run_length"]
+        self._speed = values["speed"]
+        self._external = values["pump"] == "external"
+        errors = SensorPumpErrors(**{name: values[name] for name in RANGES})
         if self._external:
             errors.refuse_external_pump()
-        self._record = declare(self, "record", False, "wait for a recorder")
-        self._limit = declare(
-            self, "peer_limit", 5.0, "longest wait for another node (s of wall time)",
-            low=2, high=1e6,
-        )
-        self._start_limit = declare(
-            self, "start_limit", 30.0, "longest wait for the other nodes to come (s of wall time)",
-            low=0.1, high=1e6,
-        )
+        self._record = values["record"]
+        self._limit = values["peer_limit"]
+        self._start_limit = values["start_limit"]
         self._sensor = RoofSensor(errors)
         self._pump = Pump(errors, site.tau)
         self._metrics = Metrics()
-        self._start_ns = epoch_ns(read_start(start))
+        self._start_ns = epoch_ns(read_start(values["start"]))
         self._tick_ns = round(site.tau * 1e9)
         self._tick = 0
         self._written = 0
@@ -229,9 +238,20 @@ class PlantNode(LockstepNode):
         return {"metrics": self._metrics.results(), "wall_s": self._wall_s}
 
 
-def main(args: list[str] | None = None) -> None:
+def _help() -> str:
+    return node_help(
+        "plant", "plant", __doc__, [site_file(), *parameters(default_site())],
+        "--ros-args -p record:=true -p run_length:=3600",
+    )
+
+
+@command
+def main() -> int:
     """Run the node."""
-    sys.exit(run_node(PlantNode, args))
+    if NodeParser().own_arguments().help:
+        print(_help())
+        return EXIT_DONE
+    return run_node(PlantNode)
 
 
 if __name__ == "__main__":

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 import time
 from collections import deque
 from collections.abc import Callable
@@ -10,15 +9,25 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+from greenroof_ros.common.command_line import EXIT_DONE, command
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.interface import recorded_topics
 from greenroof_ros.controllers.registry import DEFAULT, find_controller
 from greenroof_ros.graph.errors import LockstepError
 from greenroof_ros.graph.lockstep import CLOCK, LISTEN_S, LockstepNode
+from greenroof_ros.graph.node_help import NodeParser, node_help
 from greenroof_ros.graph.node_process import run_node
-from greenroof_ros.graph.parameters import declare
+from greenroof_ros.graph.parameters import NodeParameter, declare
 from greenroof_ros.graph.serialization import decode_clock
 from greenroof_ros.recording.bag_writer import BagWriter
+
+PARAMETERS = (
+    NodeParameter("directory", "bag", "the bag; must not exist"),
+    NodeParameter(
+        "controller", DEFAULT, "the active controller: a name, or package.module:Class"
+    ),
+    NodeParameter("peer_limit", 5.0, "longest wait for the last messages (s)", 0.1, 1e6),
+)
 
 
 class RecorderNode(LockstepNode):
@@ -31,15 +40,11 @@ class RecorderNode(LockstepNode):
     def __init__(self) -> None:
         """Declare the parameters, make the bag and open the topics."""
         super().__init__("recorder", "recorder")
-        directory = declare(self, "directory", "bag", "the bag; must not exist")
-        reference = declare(
-            self, "controller", DEFAULT, "the active controller: a name, or package.module:Class"
-        )
-        self._limit = declare(
-            self, "peer_limit", 5.0, "longest wait for the last messages (s)", low=0.1, high=1e6
-        )
+        values = declare(self, PARAMETERS)
+        directory = values["directory"]
+        self._limit = values["peer_limit"]
         try:
-            controller = find_controller(reference)
+            controller = find_controller(values["controller"])
             self._topics = recorded_topics(controller.outputs)
         except ConfigurationError as error:
             raise ConfigurationError(f"parameter controller of recorder: {error}") from error
@@ -154,9 +159,20 @@ class RecorderNode(LockstepNode):
             self._close()
 
 
-def main(args: list[str] | None = None) -> None:
+def _help() -> str:
+    return node_help(
+        "recorder", "recorder", __doc__, PARAMETERS,
+        "--ros-args -p directory:=my_bag -p controller:=mpc",
+    )
+
+
+@command
+def main() -> int:
     """Run the node."""
-    sys.exit(run_node(RecorderNode, args))
+    if NodeParser().own_arguments().help:
+        print(_help())
+        return EXIT_DONE
+    return run_node(RecorderNode)
 
 
 if __name__ == "__main__":

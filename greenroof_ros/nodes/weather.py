@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-import sys
 from dataclasses import replace
+from typing import Any
 
-from rclpy.node import Node
-
+from greenroof_ros.common.command_line import EXIT_DONE, command
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.times import DEFAULT_START, epoch_ns, read_start
 from greenroof_ros.controllers.protocol import HORIZON
@@ -14,37 +13,65 @@ from greenroof_ros.forecast.choice import MODELS, OPTIONS, ForecastChoice, choos
 from greenroof_ros.forecast.resampling import make_forecast
 from greenroof_ros.graph.errors import LockstepError
 from greenroof_ros.graph.lockstep import CLOCK, LockstepNode
+from greenroof_ros.graph.node_help import NodeParser, node_help
 from greenroof_ros.graph.node_process import run_node
-from greenroof_ros.graph.parameters import declare, declare_site
+from greenroof_ros.graph.parameters import (
+    NodeParameter,
+    declare,
+    declare_site,
+    default_site,
+    site_file,
+)
+from greenroof_ros.model.site import Site
 from greenroof_ros.weather.joining import find_files
 from greenroof_ros.weather.reading import default_weather, read_weather
 from greenroof_ros.weather.series import WeatherSeries
 
 
-def _declare_forecast(node: Node) -> ForecastChoice:
-    """Declare the parameters that choose the forecasts, and return the choice."""
-    default = ForecastChoice()
-    text = declare(node, "forecast", str(default), f"{', '.join(MODELS)}, or a FILE.csv")
+def parameters(site: Site) -> list[NodeParameter]:
+    """Return the node's parameters, but that of the site."""
+    forecast = ForecastChoice()
+    return [
+        NodeParameter("weather_files", [str(default_weather())], "hourly records, joined"),
+        NodeParameter("start", DEFAULT_START, "time of tick 0, ISO 8601"),
+        NodeParameter("run_length", site.N, "N (ticks)", 1, 2**40),
+        NodeParameter(
+            "evapotranspiration", "",
+            "fao56, or the name of the file's own column; empty: the file's own if it has one",
+        ),
+        NodeParameter(
+            "horizon", 0.0,
+            "h that the forecasts reach, in steps that grow; 0: the M ticks that come",
+            0.0, HORIZON.high,
+        ),
+        NodeParameter(
+            "all_members", False, "of an ensemble: for scenario_mpc; otherwise the first"
+        ),
+        NodeParameter("forecast", str(forecast), f"{', '.join(MODELS)}, or a FILE.csv"),
+        NodeParameter(
+            "forecast_size", forecast.size, "errors, ensemble: 0.25 small, 0.5 medium, 1 large",
+            *OPTIONS["size"],
+        ),
+        NodeParameter(
+            "forecast_seed", forecast.seed, "errors, ensemble: of the errors", *OPTIONS["seed"]
+        ),
+        NodeParameter(
+            "forecast_members", forecast.members, "ensemble: number of its members",
+            *OPTIONS["members"],
+        ),
+    ]
+
+
+def _forecast(values: dict[str, Any]) -> ForecastChoice:
+    """Return the forecasts that the parameters choose."""
+    text = values["forecast"]
     try:
         choice = choose(text)
     except ValueError as error:
-        key = f"parameter forecast of {node.get_name()}"
-        raise ConfigurationError(str(error), key=key, value=text) from error
-    return replace(
-        choice,
-        size=declare(
-            node, "forecast_size", default.size,
-            "errors, ensemble: 0.25 small, 0.5 medium, 1 large", *OPTIONS["size"],
-        ),
-        seed=declare(
-            node, "forecast_seed", default.seed, "errors, ensemble: of the errors",
-            *OPTIONS["seed"],
-        ),
-        members=declare(
-            node, "forecast_members", default.members, "ensemble: number of its members",
-            *OPTIONS["members"],
-        ),
-    )
+        raise ConfigurationError(
+            str(error), key="parameter forecast of weather", value=text
+        ) from error
+    return replace(choice, **{name: values[f"forecast_{name}"] for name in OPTIONS})
 
 
 class WeatherNode(LockstepNode):
@@ -54,31 +81,18 @@ class WeatherNode(LockstepNode):
         """Declare the parameters and open the topics."""
         super().__init__("weather", "weather")
         site = declare_site(self)
-        files = declare(
-            self, "weather_files", [str(default_weather())], "hourly records, joined"
-        )
-        start_text = declare(self, "start", DEFAULT_START, "time of tick 0, ISO 8601")
-        self._run_length = declare(self, "run_length", site.N, "N (ticks)", low=1, high=2**40)
-        method = declare(
-            self, "evapotranspiration", "",
-            "fao56, or the name of the file's own column; empty: the file's own if it has one",
-        )
+        values = declare(self, parameters(site))
+        self._run_length = values["run_length"]
         weather = read_weather(
             # rclpy makes None of an empty list.
-            find_files(files or [], "parameter weather_files of weather"), site, method or None
+            find_files(values["weather_files"] or [], "parameter weather_files of weather"),
+            site, values["evapotranspiration"] or None,
         )
-        start = read_start(start_text, weather.first.tzinfo)
-        horizon = declare(
-            self, "horizon", 0.0,
-            "h that the forecasts reach, in steps that grow; 0: the M ticks that come",
-            0.0, HORIZON.high,
-        )
-        all_members = declare(
-            self, "all_members", False, "of an ensemble: for scenario_mpc; otherwise the first"
-        )
+        start = read_start(values["start"], weather.first.tzinfo)
         self._series = WeatherSeries(weather, site, start, self._run_length)
         self._forecast = make_forecast(
-            weather, self._series, site, start, horizon, _declare_forecast(self), all_members
+            weather, self._series, site, start, values["horizon"], _forecast(values),
+            values["all_members"],
         )
         self._start_ns = epoch_ns(start)
         self._tick_ns = round(site.tau * 1e9)
@@ -109,9 +123,20 @@ class WeatherNode(LockstepNode):
         self.set_time(self._time.value)
 
 
-def main(args: list[str] | None = None) -> None:
+def _help() -> str:
+    return node_help(
+        "weather", "weather", __doc__, [site_file(), *parameters(default_site())],
+        "--ros-args -p forecast:=persistence",
+    )
+
+
+@command
+def main() -> int:
     """Run the node."""
-    sys.exit(run_node(WeatherNode, args))
+    if NodeParser().own_arguments().help:
+        print(_help())
+        return EXIT_DONE
+    return run_node(WeatherNode)
 
 
 if __name__ == "__main__":

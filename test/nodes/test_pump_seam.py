@@ -11,7 +11,7 @@ import sys
 from pathlib import Path
 
 import pytest
-from graphs import bag_file, bring_up, environment, wait_for
+from graphs import Process, bag_file, bring_up, environment, wait_for
 from mcap.reader import make_reader
 from places import CHECKOUT
 
@@ -20,6 +20,30 @@ pytest.importorskip("rclpy", reason="the graph needs ROS 2")
 DRIVER = CHECKOUT / "examples" / "pump_driver.py"
 # Table I of the paper.
 A1, A2, A_IN = 25.0, 68.8, 0.305**2 * math.pi
+
+# With rclpy's own settings; at a signal it publishes a command, too.
+DEFAULT_DRIVER = """
+import signal
+import rclpy
+from std_msgs.msg import Float64
+
+rclpy.init()
+node = rclpy.create_node("pump")
+publisher = node.create_publisher(Float64, "/pump/flow", 10)
+node.create_subscription(Float64, "/pump/command", publisher.publish, 10)
+signal.signal(
+    signal.SIGUSR1, lambda *_: setattr(node, "more", node.create_publisher(
+        Float64, "/pump/command", 10))
+)
+while True:
+    rclpy.spin_once(node, timeout_sec=0.1)
+"""
+
+
+def log(directory: Path, node: str) -> str:
+    """Return what a node of the run in a directory has printed."""
+    file = directory / "run" / "log" / f"{node}.log"
+    return file.read_text() if file.exists() else ""
 
 
 def values(run: Path, topic: str) -> list[float]:
@@ -77,3 +101,48 @@ def test_example_driver(domain: int, tmp_path: Path) -> None:
         assert cistern[k + 1] * A1 == pytest.approx(cistern[k] * A1 + into_cistern, abs=1e-9)
         assert roof[k + 1] * A2 == pytest.approx(roof[k] * A2 + into_roof, abs=1e-9)
     assert roof[1000] > 0.0457  # it kept flowing for a while after the command fell to 0
+
+
+def test_publisher_that_does_not_fit_is_named_at_once(domain: int, tmp_path: Path) -> None:
+    """One line on the console and in the log: who, what it is, and all that it must be.
+
+    A driver with rclpy's own settings, then a command as ``ros2 topic pub`` publishes it.
+    """
+    driver = subprocess.Popen(
+        [sys.executable, "-c", DEFAULT_DRIVER], cwd=tmp_path, env=environment(domain),
+        stderr=subprocess.DEVNULL,
+    )
+    try:
+        process = Process(
+            domain, "bringup", "--pump", "external", "--output", "run", cwd=tmp_path
+        )
+
+        def warnings() -> list[str]:
+            assert process.process.poll() is None, process.stderr()
+            return [line for line in process.stderr().splitlines() if "warning" in line]
+
+        wait_for(warnings, 20, "a warning")
+        (flow,) = warnings()
+        wait_for(lambda: flow.removeprefix("warning: ") in log(tmp_path, "plant"), 5, "the log")
+        driver.send_signal(signal.SIGUSR1)  # it publishes /pump/command, too
+        wait_for(lambda: len(warnings()) == 2, 20, "a second warning")
+        command = warnings()[1]
+        process.process.terminate()
+        assert process.wait(15) == 130
+    finally:
+        driver.kill()
+        driver.wait(5)
+    must = (
+        "it is volatile and has no liveliness lease, and must be reliable, transient local, "
+        "keep last 64, with a liveliness lease of 1 s (doc/real-pump.md)"
+    )
+    assert flow == (
+        f"warning: /pump/flow: what node pump publishes does not arrive: {must}; so must its "
+        "subscription to /pump/command, or it misses messages; a graph has exactly one publisher "
+        "of it, plant or pump"
+    )
+    assert command.startswith(
+        f"warning: /pump/command: what node pump publishes does not arrive: {must}"
+    )
+    assert command.endswith("; a graph has exactly one publisher of it, controller")
+    assert "Last incompatible policy" not in log(tmp_path, "plant") + log(tmp_path, "recorder")

@@ -1,0 +1,69 @@
+"""Whoever looks on, as the documentation says, sees the present and not what was kept."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import pytest
+from graphs import Process
+from places import CHECKOUT
+
+rclpy = pytest.importorskip("rclpy", reason="nodes need ROS 2")
+
+from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy  # noqa: E402
+from rosgraph_msgs.msg import Clock  # noqa: E402
+from test_nodes import Observer, observer, qos  # noqa: E402, F401
+
+START = 1_625_641_200  # 2021-07-07T02:00-05:00 in seconds since 1970
+PAGES = ("README.md", "doc/tutorials/first-run.md", "doc/reference/topics.md")
+
+
+def printed_durabilities() -> set[str]:
+    """Return what the documentation tells ``ros2 topic echo``."""
+    found = set()
+    for page in PAGES:
+        lines = re.findall(r"^ros2 topic echo .*$", (CHECKOUT / page).read_text(), re.MULTILINE)
+        assert lines, page
+        for line in lines:
+            option = re.search(r"--qos-durability (\w+)", line)
+            # Where all publishers are transient local, ros2 chooses that.
+            found.add(option[1] if option else "transient_local")
+    return found
+
+
+def first_seen(watcher: Observer, profile: QoSProfile) -> int:
+    """Return the first clock (s) that a new subscription gets."""
+    seen: list[int] = []
+    subscription = watcher.node.create_subscription(
+        Clock, "/clock", lambda message: seen.append(message.clock.sec), profile
+    )
+    watcher.until(lambda: seen, 20, "a message")
+    watcher.node.destroy_subscription(subscription)
+    return seen[0]
+
+
+def test_echo_as_printed_shows_the_present(
+    domain: int, tmp_path: Path, observer: Observer  # noqa: F811
+) -> None:
+    """The first message is not older than the newest when the subscription was made."""
+    (durability,) = printed_durabilities()
+    newest = [0]
+    process = Process(domain, "bringup", "--no-record", "--speed", "50", cwd=tmp_path)
+    observer.node.create_subscription(
+        Clock, "/clock", lambda message: newest.__setitem__(0, message.clock.sec), qos("/clock")
+    )
+    observer.until(lambda: newest[0] >= START + 100, 40, "100 ticks")
+    # As ros2 topic echo subscribes once one policy is given: the others are a sensor's.
+    as_printed = QoSProfile(
+        depth=5, reliability=ReliabilityPolicy.BEST_EFFORT,
+        durability=DurabilityPolicy[durability.upper()],
+    )
+    for _ in range(3):
+        before = newest[0]
+        assert before <= first_seen(observer, as_printed) <= newest[0] + 5
+    # The history is there, for nodes that join late.
+    before = newest[0]
+    assert first_seen(observer, qos("/clock")) <= before - 50
+    process.process.terminate()
+    assert process.wait(15) == 130

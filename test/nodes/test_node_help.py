@@ -1,0 +1,173 @@
+"""``--help`` of each node: nothing is started, and what it says is what the started node has."""
+
+from __future__ import annotations
+
+import re
+import subprocess
+import sys
+import time
+from pathlib import Path
+from typing import Any
+
+import pytest
+from graphs import environment, wait_for
+from mcap.reader import make_reader
+from places import CONFIG
+
+rclpy = pytest.importorskip("rclpy", reason="nodes need ROS 2")
+
+from rcl_interfaces.srv import DescribeParameters, ListParameters  # noqa: E402
+from rclpy.node import NodeNameNonExistentError  # noqa: E402
+from test_nodes import Observer, observer  # noqa: E402, F401
+
+from greenroof_ros.common.interface import read_topics  # noqa: E402
+
+COMMANDS = ("plant", "weather", "recorder", "controller", "controller --controller mpc")
+
+
+def run_module(cwd: Path, command: str) -> subprocess.CompletedProcess[str]:
+    """Run a node's module in a domain in which no node can be made: 232 is the last."""
+    return subprocess.run(
+        [sys.executable, "-m", *f"greenroof_ros.nodes.{command}".split()],
+        cwd=cwd, env=environment(1000), capture_output=True, text=True, timeout=10, check=False,
+    )
+
+
+def section(text: str, heading: str) -> dict[str, str]:
+    """Return the entries of a section of a help, each with its explanation on one line."""
+    found = re.search(rf"^{heading}.*:\n((?:  .*\n)*)", text, re.MULTILINE)
+    assert found, text
+    entries = re.findall(r"^  (\S+) .*\n((?:      .*\n)*)", found[1], re.MULTILINE)
+    return {name: " ".join(meaning.split()) for name, meaning in entries}
+
+
+@pytest.mark.parametrize("command", COMMANDS)
+def test_help_starts_no_node(tmp_path: Path, command: str) -> None:
+    """Exit code 0 at once, in the domain where every start fails."""
+    began = time.monotonic()
+    done = run_module(tmp_path, f"{command} --help")
+    assert time.monotonic() - began < 5  # 0.8 s alone on the machine
+    assert (done.returncode, done.stderr) == (0, "")
+    assert done.stdout.startswith(f"usage: python -m greenroof_ros.nodes.{command.split()[0]} ")
+    assert list(tmp_path.iterdir()) == []  # the recorder makes no bag
+
+
+def test_help_without_a_reader(tmp_path: Path) -> None:
+    """As behind '| head -1': no traceback."""
+    line = f"{sys.executable} -m greenroof_ros.nodes.plant --help | true"
+    done = subprocess.run(
+        ["bash", "-c", line], cwd=tmp_path, env=environment(1000), stderr=subprocess.PIPE,
+        text=True, timeout=10, check=False,
+    )
+    assert done.stderr == ""
+
+
+@pytest.mark.parametrize(
+    ("command", "words"),
+    [
+        ("plant --nonsense", "--nonsense"),
+        ("weather mine.csv", "mine.csv"),
+        ("recorder --directory bag", "--directory"),
+        ("controller", "--controller"),
+        ("controller --controller mpc --weight 1", "--weight"),
+        ("controller --controller pid --help", "pid"),
+        ("plant --ros-args -p speed", "-p speed"),
+    ],
+)
+def test_unknown_argument(tmp_path: Path, command: str, words: str) -> None:
+    """Exit code 2 and one line."""
+    done = run_module(tmp_path, command)
+    assert done.returncode == 2, done.stderr
+    assert done.stderr.startswith("error: ")
+    assert words in done.stderr
+    assert len(done.stderr.splitlines()) == 1
+
+
+def parameters_of(watcher: Observer, node: str) -> dict[str, str]:
+    """Return the description of each parameter of a started node, but rclpy's own."""
+
+    def call(kind: Any, name: str, request: Any) -> Any:
+        client = watcher.node.create_client(kind, f"/{node}/{name}")
+        watcher.until(client.service_is_ready, 20, f"{name} of {node}")
+        future = client.call_async(request)
+        watcher.until(future.done, 10, "an answer")
+        return future.result()
+
+    names = [
+        name for name in
+        call(ListParameters, "list_parameters", ListParameters.Request()).result.names
+        if name not in ("use_sim_time", "start_type_description_service")
+    ]
+    found = call(
+        DescribeParameters, "describe_parameters", DescribeParameters.Request(names=names)
+    )
+    return {each.name: " ".join(each.description.split()) for each in found.descriptors}
+
+
+def check_topics(watcher: Observer, node: str, text: str) -> None:
+    """Hold a help's topics against those of the started node."""
+
+    def found(names_and_types: Any) -> set[str]:
+        try:
+            return {name for name, _ in names_and_types(node, "/")} & read_topics().keys()
+        except NodeNameNonExistentError:
+            return set()
+
+    publishes, subscribes = section(text, "publishes"), section(text, "subscribes to")
+    own = watcher.node
+    watcher.until(
+        lambda: found(own.get_publisher_names_and_types_by_node) == publishes.keys(),
+        20, f"{publishes.keys()} of {node}",
+    )
+    # Some are subscribed to only where they are needed.
+    needed = subscribes.keys() - {
+        "plant": {"/weather/frost", "/pump/flow", "/recorder/written"},
+        "recorder": {"/controller/planned_deviation"},
+    }.get(node, set())
+    watcher.until(
+        lambda: needed <= found(own.get_subscriber_names_and_types_by_node) <= subscribes.keys(),
+        20, f"{needed} of {node}",
+    )
+
+
+def test_help_is_what_the_nodes_have(
+    domain: int, tmp_path: Path, observer: Observer  # noqa: F811
+) -> None:
+    """Parameters and topics of the started nodes; their examples, as typed, are a graph."""
+    helps = {
+        node: run_module(tmp_path, f"{command} --help").stdout
+        for node, command in {
+            "plant": "plant", "weather": "weather", "recorder": "recorder",
+            "mpc": "controller --controller mpc",
+        }.items()
+    }
+    started = {}
+
+    def start(node: str) -> None:
+        line = helps[node].splitlines()[-1].split()
+        assert line[0] == "python"
+        started[node] = subprocess.Popen(
+            [sys.executable, *line[1:]], cwd=tmp_path, env=environment(domain)
+        )
+
+    try:
+        for node in ("plant", "weather", "recorder"):  # they wait for the controller
+            start(node)
+        for node in started:
+            assert section(helps[node], "parameters") == parameters_of(observer, node)
+            check_topics(observer, node, helps[node])
+        start("mpc")
+        check_topics(observer, "mpc", helps["mpc"])
+        bag = tmp_path / "my_bag"
+        wait_for(lambda: (bag / "metadata.yaml").exists(), 60, "the bag")
+    finally:
+        for process in started.values():
+            process.terminate()
+        for process in started.values():
+            process.wait(8)
+    with (bag / "my_bag_0.mcap").open("rb") as stream:
+        index = make_reader(stream).get_summary()
+    assert index is not None and index.statistics is not None
+    assert set(index.statistics.channel_message_counts.values()) == {3601}
+    weights = re.findall(r"^    (\w+):", (CONFIG / "mpc.yaml").read_text(), re.MULTILINE)
+    assert set(weights) < section(helps["mpc"], "parameters").keys()
