@@ -97,7 +97,7 @@ class LockstepNode(Node):
         self._run_of: str | None = None  # the process of its plant
         self._doubts: set[PublisherWatch] = set()
         self._looked = self._reported = 0.0
-        self._finished_at = 0.0
+        self._finished_since = 0.0
         self._final_values: dict[str, Any] = {}
 
     # --- to override ------------------------------------------------------------------------
@@ -290,14 +290,14 @@ class LockstepNode(Node):
 
     def absent(self) -> str:
         """Name the topics without a publisher, and who should publish them."""
-        return self._blame({name for name, watch in self._watches.items() if not watch.count})
+        return self._blame([name for name, watch in self._watches.items() if not watch.count])
 
     def missing(self) -> str:
         """Name the topics that the node waits for, and who should publish them.
 
         Those of a node that waits itself for another one of them are left out.
         """
-        return self._blame({name for name, bit in self._bits.items() if not self._fresh & bit})
+        return self._blame([name for name, bit in self._bits.items() if not self._fresh & bit])
 
     def _blame(self, names: Collection[str]) -> str:
         """Name topics from which nothing comes by who should publish them, where the cause is."""
@@ -370,7 +370,7 @@ class LockstepNode(Node):
         if self._reports.state == FINISHED:
             self.over = (
                 not self._reports.supervised
-                and now - self._finished_at > _LAST_WORD_S
+                and now - self._finished_since > _LAST_WORD_S
                 and not self.peers.running(now)
             )
         elif not self.acted:
@@ -385,8 +385,8 @@ class LockstepNode(Node):
         refused = {name: entry.refused for name, entry in self._inputs.items() if entry.refused}
         self._final_values = {"sent": dict(self.sent), "refused": refused, **self.summary()}
         self._reports.state = FINISHED
-        self._finished_at = time.monotonic()
-        self._report(self._finished_at)
+        self._finished_since = time.monotonic()
+        self._report(self._finished_since)
 
     def _report(self, now: float) -> None:
         self._reported = now

@@ -96,8 +96,10 @@ class Peers:
         if before is None:
             return
         again = before.process != report.process
-        if report.state == ENDED and before.state in (STARTING, READY):
-            self._logger.warning(f"{name} has ended")
+        if report.state == ENDED:
+            # The end of the plant is that of the run, which says so itself.
+            if before.state in (STARTING, READY) and report.role != "plant":
+                self._logger.warning(f"{name} has ended")
         elif name in self._silent or (again and before.state != FINISHED):
             self._logger.info(f"{name} {'was started' if again else 'answers'} again")
         self._silent.discard(name)
