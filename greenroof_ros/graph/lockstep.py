@@ -184,11 +184,6 @@ class LockstepNode(Node):
         if callback is None:
             self._bits[name] = bit = 1 << len(self._bits)
             self._all |= bit
-            on_message = self._when_fresh(entry, bit)
-        elif raw:
-            on_message = callback
-        else:
-            on_message = self._with_value(entry, callback)
 
         def answer_anew() -> None:
             # A node that was started again answers the present tick, of which the one that was
@@ -199,6 +194,12 @@ class LockstepNode(Node):
         self._watches[name] = watch = PublisherWatch(
             self, topic, self._refuse, self._on_doubt, answer_anew, recorded=raw
         )
+        if callback is None:
+            on_message = self._when_fresh(entry, bit, watch)
+        elif raw:
+            on_message = callback
+        else:
+            on_message = self._with_value(entry, callback)
         self.create_subscription(
             message_class(topic.type),
             topic.graph_name,
@@ -213,7 +214,9 @@ class LockstepNode(Node):
         """Act on the first fresh inputs: for the plant, whom the others wait for."""
         self._joining = False
 
-    def _when_fresh(self, entry: Input, bit: int) -> Callable[[bytes], None]:
+    def _when_fresh(
+        self, entry: Input, bit: int, watch: PublisherWatch
+    ) -> Callable[[bytes], None]:
         """Return what receives an input, and acts when it was the last one missing."""
         receive = entry.receive
 
@@ -225,8 +228,8 @@ class LockstepNode(Node):
                 return
             if self._fresh & bit:
                 raise LockstepError(
-                    f"{entry.name} came twice in one tick; another publisher, or nodes of an "
-                    "earlier run, are in this graph"
+                    f"{entry.name} came twice in one tick ({watch.said_names()}); another "
+                    "publisher, or nodes of an earlier run, are in this graph"
                 )
             self._fresh |= bit
             if self._fresh == self._all:
@@ -290,38 +293,31 @@ class LockstepNode(Node):
 
     def absent(self) -> str:
         """Name the topics without a publisher, and who should publish them."""
-        return self._blame([name for name, watch in self._watches.items() if not watch.count])
+        return self._name(self._without_publisher())
 
     def missing(self) -> str:
         """Name the topics that the node waits for, and who should publish them.
 
         Those of a node that waits itself for another one of them are left out.
         """
-        return self._blame([name for name, bit in self._bits.items() if not self._fresh & bit])
-
-    def _blame(self, names: Collection[str]) -> str:
-        """Name topics from which nothing comes by who should publish them, where the cause is."""
-        silent = self._by_publisher(names)
+        silent = self._by_publisher([n for n, bit in self._bits.items() if not self._fresh & bit])
         causes = root_causes(silent, self._interface.values())
+        return self._name({role: silent[role] for role in silent if role in causes})
+
+    def _name(self, silent: dict[str, list[str]]) -> str:
         return "; ".join(
-            "{} from {}".format(
-                ", ".join(self._inputs[name].name for name in silent[role]),
-                self.peers.call(role, self._watches[silent[role][0]].names()),
-            )
-            for role in silent
-            if role in causes
+            f"{', '.join(self._inputs[name].name for name in names)} from "
+            f"{self.peers.call(role, self._watches[names[0]].names())}"
+            for role, names in silent.items()
         )
+
+    def _without_publisher(self) -> dict[str, list[str]]:
+        return self._by_publisher([n for n, watch in self._watches.items() if not watch.count])
 
     def _by_publisher(self, names: Collection[str]) -> dict[str, list[str]]:
         """Return those of the node's topics, by the role of who should publish them."""
         topics = {name: self._interface[name] for name in self._watches}
         return by_publisher(names, topics, self._role)
-
-    def _waits_for(self) -> list[str]:
-        """Return the roles that have no node before the run: for whom this node waits."""
-        return sorted(self._by_publisher([
-            name for name, watch in self._watches.items() if not watch.count
-        ]))
 
     def _act(self) -> None:
         self._fresh = 0
@@ -374,7 +370,8 @@ class LockstepNode(Node):
                 and not self.peers.running(now)
             )
         elif not self.acted:
-            self.peers.say_missing({*self._waits_for(), *self.peers.waited_for(self._role)}, now)
+            missing = {*self._without_publisher(), *self.peers.waited_for(self._role)}
+            self.peers.say_missing(missing, now)
         elif not self._reports.supervised and "plant" not in self.final_reports:
             end = self.peers.end_of("plant", now)
             if end is not None:
@@ -390,7 +387,8 @@ class LockstepNode(Node):
 
     def _report(self, now: float) -> None:
         self._reported = now
-        waiting = {"waiting": self._waits_for()} if self._reports.state == STARTING else {}
+        starting = self._reports.state == STARTING
+        waiting = {"waiting": list(self._without_publisher())} if starting else {}
         self._reports.say({**self.progress(), **waiting, **self._final_values})
 
     def _on_report(self, report: Report) -> None:

@@ -105,9 +105,9 @@ class PublisherWatch:
             return
         if self._lease:
             if passed > _LEASE_S:
-                self._refuse_second(self.count, names)
+                self._refuse_second(self.count)
         elif len(names) > 1:
-            self._refuse_second(self.count, names)
+            self._refuse_second(self.count)
         else:
             self._doubt(False)
 
@@ -132,7 +132,7 @@ class PublisherWatch:
             self._doubt(True)
         elif self.doubtful and count < before:
             if left:
-                self._refuse_second(before, self._names() | {"one that has left"})
+                self._refuse_second(before, "one that has left")
             elif count == 1:
                 self._doubt(False)
 
@@ -140,12 +140,14 @@ class PublisherWatch:
         self.doubtful = doubtful
         self._on_doubt(self)
 
-    def _refuse_second(self, count: int, names: set[str]) -> None:
-        said = sorted(names - {_UNKNOWN})
-        if _UNKNOWN in names:
-            said.append("a node that does not say its name")
+    def said_names(self, *others: str) -> str:
+        """Return the names of the publishers' nodes, and of some others, for a message."""
+        unnamed = ["a node that does not say its name"] if _UNKNOWN in self._names() else []
+        return ", ".join([*self.names(), *unnamed, *others])
+
+    def _refuse_second(self, count: int, *others: str) -> None:
         self._refuse(
-            f"{self.name} has {count} publishers ({', '.join(said)}); a graph must have "
+            f"{self.name} has {count} publishers ({self.said_names(*others)}); a graph must have "
             "exactly one: end the other, or take another ROS_DOMAIN_ID or --namespace"
         )
 
