@@ -38,8 +38,10 @@ _SILENCE_S = 0.5
 _FLUSH_S = 1.0
 # How often a node says how it is (s of wall time).
 _REPORT_S = 0.25
-# How long a node that nobody supervises still says that it has finished (s).
+# How long a node that nobody supervises still says at least that it has finished (s).
 _LAST_WORD_S = 1.0
+# For how long after that a node that has not joined may still be one of this run (s).
+_JOINING_S = 5.0
 # Among the inputs that must be fresh: that none of them has two publishers, of which one may live.
 _NO_DOUBT = 1 << 32
 
@@ -364,10 +366,11 @@ class LockstepNode(Node):
         """
         self.peers.look(now)
         if self._reports.state == FINISHED:
+            passed = now - self._finished_since
             self.over = (
                 not self._reports.supervised
-                and now - self._finished_since > _LAST_WORD_S
-                and not self.peers.running(now)
+                and passed > _LAST_WORD_S
+                and not self.peers.running(now, just_finished=passed < _JOINING_S)
             )
         elif not self.acted:
             missing = {*self._without_publisher(), *self.peers.waited_for(self._role)}
@@ -396,7 +399,7 @@ class LockstepNode(Node):
         self.peers.hear(report)
         is_plant = report.role == "plant"
         if not self.acted:
-            if report.state == FINISHED or (is_plant and report.state == ENDED):
+            if self._joining and (report.state == FINISHED or (is_plant and report.state == ENDED)):
                 self._fresh = 0
             return
         if is_plant and report.state in (STARTING, READY):

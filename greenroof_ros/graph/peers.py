@@ -158,10 +158,16 @@ class Peers:
             return max(names, key=self._heard.__getitem__)
         return publishers[0] if publishers else self.names.get(role, role)
 
-    def running(self, now: float) -> bool:
-        """Whether a node is here for which the run is not over."""
+    def running(self, now: float, *, just_finished: bool) -> bool:
+        """Whether a node is here for which the run is not over.
+
+        Args:
+            now: of the steady clock (s).
+            just_finished: so that one which has not joined may be of this run, and not of the next.
+        """
+        states = (STARTING, READY) if just_finished else (READY,)
         return any(
-            report.state == READY and now - self._heard[name] < _GONE_S
+            report.state in states and now - self._heard[name] < _GONE_S
             for name, report in self._reports.items()
         )
 
