@@ -7,7 +7,7 @@ and no sleeps on the way of a tick; the only wall clocks here end a run which ha
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Collection
 from typing import Any, cast
 
 from rclpy.clock import ROSClock
@@ -21,11 +21,12 @@ from rclpy.time import Time
 from greenroof_ros.common.errors import ConfigurationError, OccupiedError
 from greenroof_ros.common.interface import read_topics
 from greenroof_ros.graph.errors import LockstepError
+from greenroof_ros.graph.peers import Peers, by_publisher, root_causes
 from greenroof_ros.graph.publishers import PublisherWatch
 from greenroof_ros.graph.qos import message_class, qos_profile
-from greenroof_ros.graph.reports import Reports
+from greenroof_ros.graph.reports import Report, Reports
 from greenroof_ros.graph.serialization import encoder
-from greenroof_ros.graph.states import FINISHED, READY, STARTING
+from greenroof_ros.graph.states import ENDED, FINISHED, READY, STARTING
 from greenroof_ros.graph.unfit_publishers import UnfitPublishers
 from greenroof_ros.graph.validation import Input
 
@@ -38,6 +39,12 @@ _SILENCE_S = 0.5
 _FLUSH_S = 1.0
 # How often a node says how it is (s of wall time).
 _REPORT_S = 0.25
+# How long a node that nobody supervises still says at least that it has finished (s).
+_LAST_WORD_S = 1.0
+# For how long after that a node that has not joined may still be one of this run (s).
+_JOINING_S = 5.0
+# Among the inputs that must be fresh: that none of them has two publishers, of which one may live.
+_NO_DOUBT = 1 << 32
 
 
 class LockstepNode(Node):
@@ -51,6 +58,9 @@ class LockstepNode(Node):
         sent: how many messages went out, by topic.
         error: why the node cannot go on.
         acted: whether the run has begun for the node.
+        over: whether the node may end by itself: nobody supervises it, the run is over, and all
+            who were in it have its last word.
+        final_reports: the values of the reports of nodes that have finished, by node.
     """
 
     def __init__(self, name: str, role: str) -> None:
@@ -82,10 +92,16 @@ class LockstepNode(Node):
         self._all = 0
         self._joining = True
         self.acted = False
+        self.over = False
+        self.final_reports: dict[str, dict[str, Any]] = {}
         self._last_arrival = time.monotonic()
         self._outputs: list[Publisher] = []
-        self._reports = Reports(self, self._on_finished)
-        self._reported = 0.0
+        self._reports = Reports(self, role, self._on_report)
+        self.peers = Peers(self.get_logger())
+        self._run_of: str | None = None  # the process of its plant
+        self._doubts: set[PublisherWatch] = set()
+        self._looked = self._reported = 0.0
+        self._finished_since = 0.0
         self._final_values: dict[str, Any] = {}
 
     # --- to override ------------------------------------------------------------------------
@@ -168,15 +184,26 @@ class LockstepNode(Node):
         topic = self._interface[name]
         entry = Input(topic, self.resolve_topic_name(topic.graph_name), self.get_logger())
         self._inputs[name] = entry
+        bit = 0
         if callback is None:
             self._bits[name] = bit = 1 << len(self._bits)
             self._all |= bit
-            on_message = self._when_fresh(entry, bit)
+
+        def answer_anew() -> None:
+            # A node that was started again answers the present tick, of which the one that was
+            # killed may have answered a part.
+            if not self._joining:
+                self._fresh &= ~bit
+
+        self._watches[name] = watch = PublisherWatch(
+            self, topic, self._refuse, self._on_doubt, answer_anew, recorded=raw
+        )
+        if callback is None:
+            on_message = self._when_fresh(entry, bit, watch)
         elif raw:
             on_message = callback
         else:
             on_message = self._with_value(entry, callback)
-        self._watches[name] = watch = PublisherWatch(self, topic, self._on_second, recorded=raw)
         events = watch.events()
         events.incompatible_qos = self._unfit.on_event(topic)
         self.create_subscription(
@@ -193,7 +220,9 @@ class LockstepNode(Node):
         """Act on the first fresh inputs: for the plant, whom the others wait for."""
         self._joining = False
 
-    def _when_fresh(self, entry: Input, bit: int) -> Callable[[bytes], None]:
+    def _when_fresh(
+        self, entry: Input, bit: int, watch: PublisherWatch
+    ) -> Callable[[bytes], None]:
         """Return what receives an input, and acts when it was the last one missing."""
         receive = entry.receive
 
@@ -205,8 +234,8 @@ class LockstepNode(Node):
                 return
             if self._fresh & bit:
                 raise LockstepError(
-                    f"{entry.name} came twice in one tick; another publisher, or nodes of an "
-                    "earlier run, are in this graph"
+                    f"{entry.name} came twice in one tick ({watch.said_names()}); another "
+                    "publisher, or nodes of an earlier run, are in this graph"
                 )
             self._fresh |= bit
             if self._fresh == self._all:
@@ -234,17 +263,29 @@ class LockstepNode(Node):
 
         return guarded
 
-    def _on_second(self, message: str) -> None:
+    def _refuse(self, message: str) -> None:
         """Refuse a second publisher: a wrong set-up before the run, in it a failure of the run."""
         kind = LockstepError if self.acted else OccupiedError
         self.error = self.error or kind(message)
+
+    def _on_doubt(self, watch: PublisherWatch) -> None:
+        """Do not act as long as a publisher may be one too many.
+
+        What came meanwhile on its topic counts once it is known to be of the only one that lives;
+        of two that live both answer a tick, or stay, and either is refused.
+        """
+        (self._doubts.add if watch.doubtful else self._doubts.discard)(watch)
+        if any(each.topic.name in self._bits for each in self._doubts):
+            self._all |= _NO_DOUBT
+        else:
+            self._all &= ~_NO_DOUBT
 
     # --- running ----------------------------------------------------------------------------
 
     @property
     def ready(self) -> bool:
         """Whether every input has its publisher."""
-        return all(watch.count for watch in self._watches.values())
+        return not self._doubts and all(watch.count for watch in self._watches.values())
 
     @property
     def good(self) -> bool:
@@ -252,26 +293,37 @@ class LockstepNode(Node):
         return all(entry.good for entry in self._inputs.values())
 
     @property
-    def final_reports(self) -> dict[str, dict[str, Any]]:
-        """The values of the reports of nodes that have finished, by node."""
-        return self._reports.final
+    def doubtful(self) -> bool:
+        """Whether a topic has two publishers, of which one may be dead: see its watch."""
+        return bool(self._doubts)
 
     def absent(self) -> str:
         """Name the topics without a publisher, and who should publish them."""
-        return self._names(name for name, watch in self._watches.items() if not watch.count)
+        return self._name(self._without_publisher())
 
     def missing(self) -> str:
-        """Name the topics that the node waits for, and who should publish them."""
-        return self._names(name for name, bit in self._bits.items() if not self._fresh & bit)
+        """Name the topics that the node waits for, and who should publish them.
 
-    def _names(self, names: Iterable[str]) -> str:
+        Those of a node that waits itself for another one of them are left out.
+        """
+        silent = self._by_publisher([n for n, bit in self._bits.items() if not self._fresh & bit])
+        causes = root_causes(silent, self._interface.values())
+        return self._name({role: silent[role] for role in silent if role in causes})
+
+    def _name(self, silent: dict[str, list[str]]) -> str:
         return "; ".join(
-            "{} from {}".format(
-                self._inputs[name].name,
-                " or ".join(who for who in self._interface[name].publishers if who != self._role),
-            )
-            for name in names
+            f"{', '.join(self._inputs[name].name for name in names)} from "
+            f"{self.peers.call(role, self._watches[names[0]].names())}"
+            for role, names in silent.items()
         )
+
+    def _without_publisher(self) -> dict[str, list[str]]:
+        return self._by_publisher([n for n, watch in self._watches.items() if not watch.count])
+
+    def _by_publisher(self, names: Collection[str]) -> dict[str, list[str]]:
+        """Return those of the node's topics, by the role of who should publish them."""
+        topics = {name: self._interface[name] for name in self._watches}
+        return by_publisher(names, topics, self._role)
 
     def _act(self) -> None:
         self._fresh = 0
@@ -286,49 +338,96 @@ class LockstepNode(Node):
             ConfigurationError: nor can it as it was set up.
             OSError: nor can the node, for instance on a full disk.
         """
+        now = time.monotonic()
+        if now - self._looked > LISTEN_S:
+            self._looked = now
+            for watch in list(self._doubts):
+                watch.settle(now)
+            self._look_at_peers(now)
         if self.error is not None:
             raise self.error
         self._unfit.look()
-        now = time.monotonic()
         if self._reports.state == STARTING and self.ready:
             self._reports.state = READY
             self._report(now)
         elif now - self._reported > _REPORT_S:
             # Again and again, for a reader that joins late may miss what was said once.
             self._report(now)
-        if (
-            self._joining
-            and self._all
-            and self._fresh == self._all
-            and now - self._last_arrival > _SILENCE_S
-        ):
-            self._joining = False
-            self._act()
+        if self._all and self._fresh == self._all:  # joining, or a doubt is over
+            if not self._joining:
+                self._act()
+            elif now - self._last_arrival > _SILENCE_S:
+                self._joining = False
+                self._act()
+
+    def _look_at_peers(self, now: float) -> None:
+        """Say who is missing before the run, and who goes in it; end with the run.
+
+        A node that somebody supervises ends when it is asked to: the supervisor needs the last word
+        of each, and names the node that failed first.
+
+        Raises:
+            LockstepError: the plant went in the run.
+        """
+        self.peers.look(now)
+        if self._reports.state == FINISHED:
+            passed = now - self._finished_since
+            self.over = (
+                not self._reports.supervised
+                and passed > _LAST_WORD_S
+                and not self.peers.running(now, just_finished=passed < _JOINING_S)
+            )
+        elif not self.acted:
+            missing = {*self._without_publisher(), *self.peers.waited_for(self._role)}
+            self.peers.say_missing(missing, now)
+        elif not self._reports.supervised and "plant" not in self.final_reports:
+            end = self.peers.end_of("plant", now)
+            if end is not None:
+                raise LockstepError(f"{end}, and the run with it")
 
     def finish(self) -> None:
         """Say from now on that the run is over for this node, with what its summary needs."""
         self._final_values = {"sent": dict(self.sent), **self.summary()}
         self._reports.state = FINISHED
-        self._report(time.monotonic())
+        self._finished_since = time.monotonic()
+        self._report(self._finished_since)
 
     def _report(self, now: float) -> None:
         self._reported = now
+        starting = self._reports.state == STARTING
+        waiting = {"waiting": list(self._without_publisher())} if starting else {}
         refused = {name: entry.refused for name, entry in self._inputs.items() if entry.refused}
         self._reports.say({
-            **self.progress(), "refused": refused, "warnings": self._unfit.warnings,
+            **self.progress(), **waiting, "refused": refused, "warnings": self._unfit.warnings,
             **self._final_values,
         })
 
-    def _on_finished(self, node: str) -> None:
-        if node == "plant" and self._reports.state != FINISHED:
-            self.on_plant_finished()
+    def _on_report(self, report: Report) -> None:
+        """Take a peer's report; one of an earlier run is none of this node's."""
+        self.peers.hear(report)
+        is_plant = report.role == "plant"
+        if not self.acted:
+            if self._joining and (report.state == FINISHED or (is_plant and report.state == ENDED)):
+                self._fresh = 0
+            return
+        if is_plant and report.state in (STARTING, READY):
+            self._run_of = self._run_of or report.process
+            if report.process != self._run_of and self._reports.state != FINISHED:
+                self.error = self.error or LockstepError(
+                    f"{report.name} was started again, or there are two; a run ends with its plant"
+                )
+        if report.state == FINISHED:
+            self.final_reports[report.name] = report.values
+            if is_plant and self._reports.state != FINISHED:
+                self.on_plant_finished()
 
     def flush(self, failure: str | None) -> None:
-        """Say how far the node came, and wait a second at most until its readers have all it said.
+        """Say that the node ends, and wait a second at most until its readers have all it said.
 
         Args:
             failure: what ended it; None where it was asked to end.
         """
+        self._reports.state = ENDED
         if failure is not None:
             self._final_values["failure"] = failure
         self._report(time.monotonic())

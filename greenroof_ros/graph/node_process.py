@@ -33,14 +33,16 @@ def make_executor() -> Any:
 
 
 def run_node(make: Callable[[], LockstepNode]) -> int:
-    """Run one node until it is asked to stop or fails; the process has to end with it, soon.
+    """Run one node until it is asked to stop, fails, or the run is over for all who were in it.
+
+    The process has to end with it, soon.
 
     Args:
         make: the node's class, or what else returns the node.
 
     Returns:
-        An exit code: 0 asked to stop, 1 failed, 2 wrong arguments or parameters, 3 another graph
-        is there.
+        An exit code: 0 over or asked to stop, 1 failed, 2 wrong arguments or parameters, 3 another
+        graph is there.
     """
     os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
     profiles = str(shared_directory() / "config" / "fastdds.xml")
@@ -72,7 +74,7 @@ def run_node(make: Callable[[], LockstepNode]) -> int:
         node = make()
         executor = make_executor()
         executor.add_node(node)
-        while not stopping:
+        while not (stopping or node.over):
             executor.spin_once(timeout_sec=node.on_idle())
             node.check()
     except ConfigurationError as error:

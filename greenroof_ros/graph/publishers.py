@@ -15,25 +15,40 @@ from rclpy.qos import QoSProfile
 from greenroof_ros.common.interface import Topic
 from greenroof_ros.graph.qos import qos_profile
 
-# The name of a node is known a moment after its publisher; how long to wait for it (s).
+# What ROS calls a publisher whose node has not yet said its name.
 _UNKNOWN = "_NODE_NAME_UNKNOWN_"
-_NAMING_S = 0.5
+# How long a second publisher is in doubt (s). A killed one lives until its lease of 1 s is over;
+# ROS repeats the names of nodes every 3 s, and a publisher that is not of ROS never has one.
+_LEASE_S = 2.0
+_NAMING_S = 5.0
 
 
 class PublisherWatch:
-    """How many publishers a topic has; a second one is refused.
+    """How many publishers a topic has; a second one is in doubt, then taken or refused.
 
-    Where the interface gives a topic a liveliness lease, those that live are counted, otherwise
-    those that are matched: a killed process stays matched for 20 s.
+    A second publisher is either a node that was started again, and the first is dead; or there are
+    two, and the run has to end. As long as that is open the topic is in doubt, and a node does not
+    act on what it says. A doubt ends well in two ways:
+
+    - Where the interface gives the topic a liveliness lease, those that live are counted, and the
+      lease of one of them runs out. (A killed process stays matched for 20 s.)
+    - Without a lease all publishers have one node's name: it, and what it was before its restart.
+      That they do not both live is seen on the one topic of each node that has a lease.
+
+    Otherwise the second is refused: two live longer than a lease, they have two names, or one of
+    them left in good order, so that it lived, and what was said meanwhile may be its.
 
     Attributes:
         topic: what the interface says of it.
         name: of the topic on the wire, with its namespace.
         count: of its publishers.
+        doubtful: whether it has two, of which one may be dead.
     """
 
     def __init__(
-        self, node: Node, topic: Topic, refuse: Callable[[str], None], *, recorded: bool
+        self, node: Node, topic: Topic, refuse: Callable[[str], None],
+        on_doubt: Callable[[PublisherWatch], None], on_second: Callable[[], None],
+        *, recorded: bool,
     ) -> None:
         """Prepare for a subscription.
 
@@ -41,15 +56,23 @@ class PublisherWatch:
             node: subscribes to it.
             topic: the interface's.
             refuse: called with a message that names them, when there are two.
+            on_doubt: called when a doubt begins, and when it ends.
+            on_second: called when a publisher comes beside another, before its first message.
             recorded: the node only keeps what is published. Each message of a topic with a lease
                 sets a timer again in its reader; only where a node acts on it is that worth it.
         """
         self.topic = topic
         self.name = node.resolve_topic_name(topic.graph_name)
         self.count = 0
+        self.doubtful = False
         self._node = node
         self._refuse = refuse
+        self._on_doubt = on_doubt
+        self._on_second = on_second
         self._lease = math.isfinite(topic.qos.lease_s) and not recorded
+        self._matched = 0
+        self._known = 0  # those with a lease, alive or not
+        self._since = 0.0
 
     def profile(self) -> QoSProfile:
         """Return the profile of the subscription."""
@@ -61,36 +84,73 @@ class PublisherWatch:
     def events(self) -> SubscriptionEventCallbacks:
         """Return the callbacks of the subscription, which count."""
         if self._lease:
-            return SubscriptionEventCallbacks(liveliness=self._on_liveliness)
+            return SubscriptionEventCallbacks(
+                liveliness=self._on_liveliness, matched=self._on_matched
+            )
         return SubscriptionEventCallbacks(matched=self._on_matched)
 
+    def names(self) -> list[str]:
+        """Return the names of the publishers' nodes, as far as they are known."""
+        return sorted(self._names() - {_UNKNOWN})
+
+    def settle(self, now: float) -> None:
+        """Look whether a doubt is over, and refuse a second publisher that stays.
+
+        Args:
+            now: of the steady clock (s).
+        """
+        passed = now - self._since
+        names = self._names()
+        if _UNKNOWN in names and passed < _NAMING_S:
+            return
+        if self._lease:
+            if passed > _LEASE_S:
+                self._refuse_second(self.count)
+        elif len(names) > 1:
+            self._refuse_second(self.count)
+        else:
+            self._doubt(False)
+
     def _on_liveliness(self, event: Any) -> None:
-        self._on_count(event.alive_count)
+        known = event.alive_count + event.not_alive_count
+        left = known < self._known
+        self._known = known
+        self._on_count(event.alive_count, left=left)
 
     def _on_matched(self, event: Any) -> None:
-        self._on_count(event.current_count)
+        before, self._matched = self._matched, event.current_count
+        if self._matched > before > 0:
+            self._on_second()
+        if not self._lease:
+            self._on_count(self._matched, left=self._matched < before)
 
-    def _on_count(self, count: int) -> None:
-        """Note how many there are, and refuse a second one.
+    def _on_count(self, count: int, *, left: bool) -> None:
+        """Note how many there are, and whether one of them left in good order."""
+        before, self.count = self.count, count
+        if count > max(before, 1):
+            self._since = time.monotonic()
+            self._doubt(True)
+        elif self.doubtful and count < before:
+            if left:
+                self._refuse_second(before, "one that has left")
+            elif count == 1:
+                self._doubt(False)
 
-        Without a lease two publishers of one name, a node and what it was before its restart, are
-        let pass. (A third party under that name is met by its first message.)
-        """
-        self.count = count
-        if count <= 1:
-            return
-        names = self._publisher_names()
-        if self._lease or len(names) > 1:
-            self._refuse(
-                f"{self.name} has {count} publishers ({', '.join(names)}); a graph must have "
-                "exactly one: end the other, or take another ROS_DOMAIN_ID or --namespace"
-            )
+    def _doubt(self, doubtful: bool) -> None:
+        self.doubtful = doubtful
+        self._on_doubt(self)
 
-    def _publisher_names(self) -> list[str]:
-        until = time.monotonic() + _NAMING_S
-        while True:
-            found = self._node.get_publishers_info_by_topic(self.topic.graph_name)
-            names = sorted({info.node_name for info in found})
-            if _UNKNOWN not in names or time.monotonic() > until:
-                return names
-            time.sleep(0.02)
+    def said_names(self, *others: str) -> str:
+        """Return the names of the publishers' nodes, and of some others, for a message."""
+        unnamed = ["a node that does not say its name"] if _UNKNOWN in self._names() else []
+        return ", ".join([*self.names(), *unnamed, *others])
+
+    def _refuse_second(self, count: int, *others: str) -> None:
+        self._refuse(
+            f"{self.name} has {count} publishers ({self.said_names(*others)}); a graph must have "
+            "exactly one: end the other, or take another ROS_DOMAIN_ID or --namespace"
+        )
+
+    def _names(self) -> set[str]:
+        found = self._node.get_publishers_info_by_topic(self.topic.graph_name)
+        return {info.node_name for info in found}

@@ -5,7 +5,9 @@ from __future__ import annotations
 import contextlib
 import json
 import os
+import socket
 from collections.abc import Callable
+from dataclasses import dataclass
 from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
@@ -13,7 +15,26 @@ from rclpy.node import Node
 
 from greenroof_ros.common.interface import read_topics
 from greenroof_ros.graph.qos import qos_profile
-from greenroof_ros.graph.states import FINISHED, REPORT_PIPE, STARTING
+from greenroof_ros.graph.states import REPORT_PIPE, STARTING, STATES
+
+
+@dataclass(frozen=True)
+class Report:
+    """What a peer says of itself.
+
+    Attributes:
+        name: of the node.
+        role: what the interface calls it.
+        process: that runs it; another one after a restart.
+        state: one of :mod:`greenroof_ros.graph.states`.
+        values: what else it says.
+    """
+
+    name: str
+    role: str
+    process: str
+    state: str
+    values: dict[str, Any]
 
 
 class Reports:
@@ -23,24 +44,27 @@ class Reports:
     node's fully qualified name, and its values are written as JSON.
 
     Attributes:
-        state: of the node: starting, ready or finished.
+        state: of the node.
         publisher: of the reports.
-        final: the values of the reports of nodes that have finished, by node.
+        supervised: whether the process that started the node wants its reports, and ends it.
     """
 
-    def __init__(self, node: Node, on_finished: Callable[[str], None]) -> None:
+    def __init__(self, node: Node, role: str, on_report: Callable[[Report], None]) -> None:
         """Open the topic and, where a parent process wants reports, the pipe to it.
 
         Args:
             node: whose state it is.
-            on_finished: called with the name of a node that has finished, at each of its reports.
+            role: what the interface calls it.
+            on_report: called with each report of another node.
         """
         self.state = STARTING
-        self.final: dict[str, dict[str, Any]] = {}
         self._node = node
-        self._on_finished = on_finished
+        self._role = role
+        self._on_report = on_report
+        self._process = f"{socket.gethostname()} {os.getpid()}"
         self._pipe: int | None = None
-        if REPORT_PIPE in os.environ:
+        self.supervised = REPORT_PIPE in os.environ
+        if self.supervised:
             self._pipe = int(os.environ[REPORT_PIPE])
             os.set_blocking(self._pipe, False)
         topic = read_topics()["/diagnostics"]
@@ -50,10 +74,12 @@ class Reports:
 
     def say(self, values: dict[str, Any]) -> None:
         """Publish the node's state with these values."""
+        values = {"role": self._role, **values}
         status = DiagnosticStatus(
             level=DiagnosticStatus.OK,
             name=self._node.get_fully_qualified_name(),
             message=self.state,
+            hardware_id=self._process,
             values=[KeyValue(key=key, value=json.dumps(value)) for key, value in values.items()],
         )
         array = DiagnosticArray(status=[status])
@@ -69,8 +95,15 @@ class Reports:
     def _on_reports(self, array: DiagnosticArray) -> None:
         for status in array.status:
             namespace, _, name = status.name.rpartition("/")
-            if status.message != FINISHED or (namespace or "/") != self._node.get_namespace():
+            if (
+                status.message not in STATES
+                or (namespace or "/") != self._node.get_namespace()
+                or status.hardware_id == self._process
+            ):
                 continue
-            with contextlib.suppress(json.JSONDecodeError):  # another's status of that name
-                self.final[name] = {entry.key: json.loads(entry.value) for entry in status.values}
-                self._on_finished(name)
+            try:
+                values = {entry.key: json.loads(entry.value) for entry in status.values}
+                role = values["role"]
+            except (json.JSONDecodeError, KeyError):
+                continue  # another's status of that name
+            self._on_report(Report(name, role, status.hardware_id, status.message, values))

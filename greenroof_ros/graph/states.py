@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-# The states of a node: not all its peers are there; they are; the run is over.
-STARTING, READY, FINISHED = "starting", "ready", "finished"
+# The states of a node: not all its peers are there; they are; the run is over; so is the process.
+STARTING, READY, FINISHED, ENDED = STATES = ("starting", "ready", "finished", "ended")
 
 # The environment variable that holds the file descriptor to which a started node writes its
 # reports, one JSON object a line with the key "state".

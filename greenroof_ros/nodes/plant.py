@@ -216,7 +216,9 @@ class PlantNode(LockstepNode):
                 return min(pause, LISTEN_S)
             self._publish_tick()
             return LISTEN_S
-        if now - self._waiting_since > self._limit:
+        if self.doubtful:
+            self._waiting_since = now
+        elif now - self._waiting_since > self._limit:
             missing = "/recorder/written from recorder" if self._held else self.missing()
             raise LockstepError(
                 f"tick {self._tick}: nothing came within {self._limit:g} s on {missing}"

@@ -52,7 +52,8 @@ class RecorderNode(LockstepNode):
             replace(topic, name=self.resolve_topic_name(topic.graph_name))
             for topic in self._topics
         ]
-        self._peers = ("plant", "weather", controller.name)
+        self._reporting = ("plant", "weather", controller.name)
+        self.peers.names["controller"] = controller.name
         try:
             self._bag = BagWriter(Path(directory), self._in_bag)
         except FileExistsError:
@@ -114,7 +115,7 @@ class RecorderNode(LockstepNode):
             self._finished_at = time.monotonic()
         late = time.monotonic() - self._finished_at > self._limit
         ticks = reports["plant"]["sent"]["/clock"]
-        missing = [name for name in self._peers if name not in reports]
+        missing = [name for name in self._reporting if name not in reports]
         complete = self._bag.ticks == ticks and not missing
         if not complete and not late:
             return
@@ -123,7 +124,7 @@ class RecorderNode(LockstepNode):
         if missing:
             raise LockstepError(f"{', '.join(missing)} did not report the messages sent")
         sent: dict[str, int] = {}
-        for name in self._peers:
+        for name in self._reporting:
             sent.update(reports[name]["sent"])
         wrong = [
             f"{topic.name}: {self._bag.ticks} recorded, {sent.get(topic.name, ticks)} sent, "

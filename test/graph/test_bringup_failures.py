@@ -132,7 +132,8 @@ def test_hanging_nodes(domain: int, tmp_path: Path, victims: list[str]) -> None:
     assert time.monotonic() - stopped > 1.5
     for victim in victims:
         # The supervisor says it, or the plant, which waits for what the victim publishes.
-        reported = [f"node {NODES[victim]} (stopped) has not answered for 2 s", f" from {victim}"]
+        name = NODES[victim]
+        reported = [f"node {name} (stopped) has not answered for 2 s", f" from {name}"]
         assert any(text in process.stderr() for text in reported), process.stderr()
     assert "Traceback" not in process.stderr()
     assert_gone(nodes, shared_memory)
@@ -295,5 +296,5 @@ def test_node_that_was_never_started(domain: int, tmp_path: Path) -> None:
         weather.send_signal(signal.SIGINT)
         assert weather.wait(8) == 0
     assert plant.returncode == 1
-    assert "/pump/command from controller" in plant.stderr
+    assert "/pump/command from the controller" in plant.stderr
     assert "weather" not in plant.stderr

@@ -1,0 +1,369 @@
+"""Nodes started by hand: whom they wait for, who went, a restart at once, the end of the run."""
+
+from __future__ import annotations
+
+import json
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import pytest
+from graphs import bag_file, bring_up, environment, wait_for
+from mcap.reader import make_reader
+from places import Once
+
+rclpy = pytest.importorskip("rclpy", reason="nodes need ROS 2")
+
+from greenroof_ros.common.interface import read_topics  # noqa: E402
+from greenroof_ros.graph.peers import by_publisher, root_causes  # noqa: E402
+from greenroof_ros.graph.qos import qos_profile  # noqa: E402
+
+# A node that has imported all it needs, and starts when it is told to: a restart without the
+# second that the imports take.
+AT_ONCE = """
+import sys
+from greenroof_ros.nodes import controller, weather
+from greenroof_ros.controllers import onoff
+from greenroof_ros.graph.node_process import make_executor
+from std_msgs.msg import Float64, Float64MultiArray
+sys.stdin.readline()
+{}.main()
+"""
+# A publisher that knows nothing of the graph: it answers each level with a command.
+ROGUE = """
+import rclpy
+from rclpy.qos import DurabilityPolicy, QoSProfile
+from rclpy.duration import Duration
+from std_msgs.msg import Float64
+rclpy.init()
+node = rclpy.create_node("rogue")
+qos = QoSProfile(depth=64, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+qos.liveliness_lease_duration = Duration(seconds=1)
+publisher = node.create_publisher(Float64, "/pump/command", qos)
+if {speaks}:
+    node.create_subscription(
+        Float64, "/roof/level", lambda _: publisher.publish(Float64(data=0.77)), qos_profile=10
+    )
+print("here", flush=True)
+rclpy.spin(node)
+"""
+
+
+class Nodes:
+    """Nodes started by hand, each with what it prints in a file."""
+
+    def __init__(self, domain: int, cwd: Path) -> None:
+        self.domain, self.cwd = domain, cwd
+        self.started: dict[str, subprocess.Popen[str]] = {}
+
+    def start(self, name: str, *arguments: str) -> subprocess.Popen[str]:
+        """Start a command of Python under a name of the test's own."""
+        with (self.cwd / f"{name}.log").open("w") as log:
+            self.started[name] = process = subprocess.Popen(
+                [sys.executable, *arguments], cwd=self.cwd, env=environment(self.domain), text=True,
+                stdin=subprocess.PIPE, stdout=log, stderr=log,
+            )
+        return process
+
+    def node(self, name: str, *arguments: str) -> subprocess.Popen[str]:
+        """Start a node of this package."""
+        module = "controller" if name in ("mpc", "onoff") else name
+        which = ("--controller", name) if module == "controller" else ()
+        return self.start(name, "-m", f"greenroof_ros.nodes.{module}", *which, *arguments)
+
+    def log(self, name: str) -> str:
+        return (self.cwd / f"{name}.log").read_text()
+
+    def says(self, name: str, text: str, seconds: float = 20) -> None:
+        """Wait until a node has printed a text."""
+        wait_for(lambda: text in self.log(name), seconds, f"'{text}' of {name}")
+
+    def code(self, name: str, seconds: float) -> int:
+        """Wait for the end of a node by itself and return its exit code."""
+        wait_for(lambda: self.started[name].poll() is not None, seconds, f"the end of {name}")
+        return self.started[name].returncode
+
+
+@pytest.fixture
+def nodes(domain: int, tmp_path: Path) -> Iterator[Nodes]:
+    with by_hand(domain, tmp_path) as it:
+        yield it
+
+
+@contextmanager
+def by_hand(domain: int, cwd: Path) -> Iterator[Nodes]:
+    it = Nodes(domain, cwd)
+    try:
+        yield it
+    finally:
+        for process in it.started.values():
+            if process.poll() is None:
+                process.send_signal(signal.SIGCONT)
+                process.send_signal(signal.SIGINT)
+        for process in it.started.values():
+            process.wait(10)
+
+
+def parameters(**values: object) -> list[str]:
+    """Return ROS arguments that set parameters."""
+    return [
+        "--ros-args",
+        *(word for name, value in values.items() for word in ("-p", f"{name}:={value}")),
+    ]
+
+
+@pytest.fixture(scope="session")
+def recorded_by_hand(domain: int, once: Once) -> Path:
+    """A run of 360 ticks, each node started when the others wait; its exit codes in codes.json."""
+
+    def fill(cwd: Path) -> None:
+        with by_hand(domain, cwd) as it:
+            it.node("weather", *parameters(run_length=360))
+            it.says("weather", "waiting for plant\n")
+            it.node("recorder", *parameters(directory="bag"))
+            it.says("recorder", "waiting for mpc, plant\n")
+            it.node("plant", *parameters(run_length=360, record="true"))
+            it.says("plant", "waiting for the controller\n")
+            it.says("weather", "waiting for the controller\n")
+            it.node("mpc")
+            it.says("plant", "finished 360 ticks")
+            codes = {name: it.code(name, 12) for name in it.started}
+        (cwd / "codes.json").write_text(json.dumps(codes))
+
+    return once("recorded-by-hand", fill)
+
+
+def test_nodes_wait_by_name_and_end_with_the_run(recorded_by_hand: Path) -> None:
+    """All end by themselves with exit code 0; what they said is in the fixture."""
+    codes = json.loads((recorded_by_hand / "codes.json").read_text())
+    assert codes == {"weather": 0, "recorder": 0, "plant": 0, "mpc": 0}
+    for name in codes:
+        log = (recorded_by_hand / f"{name}.log").read_text()
+        assert "does not answer" not in log
+        assert "ended" not in log
+        assert log.count("waiting for") < 15
+
+
+def test_started_by_hand_gives_the_bag_of_bringup(
+    domain: int, recorded_by_hand: Path, once: Once
+) -> None:
+    """Equal in every byte."""
+    run = once("recorded", lambda cwd: bring_up(domain, cwd, "--hours", "0.1")) / "run"
+    mine = recorded_by_hand / "bag" / "bag_0.mcap"
+    assert mine.read_bytes() == bag_file(run).read_bytes()
+
+
+def test_restarted_at_once(nodes: Nodes) -> None:
+    """kill -9 of the weather, then of the controller, each new in 0.1 s: the run has its numbers.
+
+    The names of restarted nodes come seconds after their publishers, and a dead node's lease may
+    still run.
+    """
+    nodes.start("weather-again", "-c", AT_ONCE.format("weather"))
+    nodes.start(
+        "onoff-again", "-c",
+        "import sys; sys.argv = ['controller', '--controller', 'onoff']\n"
+        + AT_ONCE.format("controller"),
+    )
+    nodes.node("weather")
+    nodes.node("onoff")
+    nodes.node("plant", *parameters(run_length=1500, speed=200.0))
+    ticks = TickCount(nodes.domain)
+    try:
+        for victim, reached in (("weather", 200), ("onoff", 700)):
+            ticks.wait_for(reached)
+            nodes.started[victim].kill()
+            time.sleep(0.1)
+            again = nodes.started[f"{victim}-again"]
+            assert again.stdin is not None
+            again.stdin.write("\n")
+            again.stdin.flush()
+    finally:
+        ticks.close()
+    assert nodes.code("plant", 60) == 0, nodes.log("plant")
+    assert nodes.code("weather-again", 10) == 0
+    assert nodes.code("onoff-again", 10) == 0
+    done = subprocess.run(
+        [
+            sys.executable, "-m", "greenroof_ros.simulate", "--controller", "onoff",
+            "--hours", str(1500 / 3600), "--output", "inprocess", "--json",
+        ],
+        cwd=nodes.cwd, env=environment(nodes.domain), capture_output=True, text=True, check=True,
+    )
+    total = json.loads(done.stdout)["total_deviation_m3"]
+    assert "finished 1500 ticks in" in nodes.log("plant")
+    assert f"total deviation {total:.2f} m3" in nodes.log("plant")
+    assert "onoff was started again" in nodes.log("plant")
+
+
+class TickCount:
+    """A node of the test's own that counts the ticks, and keeps the flows."""
+
+    def __init__(self, domain: int) -> None:
+        from rclpy.executors import SingleThreadedExecutor
+        from rclpy.node import Node
+        from std_msgs.msg import Float64
+
+        self.flows: list[float] = []
+        self.context = rclpy.Context()
+        rclpy.init(args=[], context=self.context, domain_id=domain)
+        self.node = Node("observer", context=self.context, start_parameter_services=False)
+        self.executor = SingleThreadedExecutor(context=self.context)
+        self.executor.add_node(self.node)
+        self.node.create_subscription(
+            Float64, "/pump/flow", lambda message: self.flows.append(message.data),
+            qos_profile(read_topics()["/pump/flow"].qos),
+        )
+
+    def wait_for(self, ticks: int) -> None:
+        def reached() -> bool:
+            self.spin()
+            return len(self.flows) >= ticks
+
+        wait_for(reached, 40, f"{ticks} ticks")
+
+    def spin(self) -> None:
+        for _ in range(100):
+            self.executor.spin_once(timeout_sec=0.001)
+
+    def close(self) -> None:
+        self.node.destroy_node()
+        self.context.try_shutdown()
+
+
+def test_second_command_never_pumps(nodes: Nodes) -> None:
+    """A second publisher of the command that stays: the run ends with both names.
+
+    One that was killed before its lease ran out does not end it, and from the moment there are two
+    until the end nothing of either is pumped.
+    """
+    nodes.node("weather")
+    nodes.node("onoff")
+    nodes.node("plant", *parameters(run_length=40_000, speed=200.0))
+    ticks = TickCount(nodes.domain)
+    try:
+        ticks.wait_for(100)
+        dead = nodes.start("dead", "-c", ROGUE.format(speaks=False))
+        nodes.says("dead", "here")
+        time.sleep(0.3)
+        dead.kill()
+        dead.wait(5)
+        ticks.wait_for(len(ticks.flows) + 500)
+        assert nodes.started["plant"].poll() is None
+        nodes.start("rogue", "-c", ROGUE.format(speaks=True))
+        nodes.says("plant", "FATAL")
+        ticks.spin()
+        assert nodes.code("plant", 5) == 1
+    finally:
+        ticks.close()
+    (said,) = [line for line in nodes.log("plant").splitlines() if "FATAL" in line]
+    assert "/pump/command" in said
+    assert "(onoff, rogue)" in said
+    # Its share of the pumps' flow differs from that of on/off at every level.
+    assert not {0.77 * flow for flow in ticks.flows if flow} & set(ticks.flows)
+    for name in ("weather", "onoff"):
+        assert nodes.code(name, 8) == 1
+        assert "plant has ended" in nodes.log(name)
+
+
+@pytest.mark.parametrize("how", [signal.SIGKILL, signal.SIGINT], ids=["killed", "ctrl-c"])
+def test_plant_that_goes_ends_the_others(nodes: Nodes, how: signal.Signals) -> None:
+    """In a few seconds, by name, with exit code 1; the bag is closed."""
+    nodes.node("weather")
+    nodes.node("onoff")
+    nodes.node("recorder", *parameters(directory="bag", controller="onoff"))
+    nodes.node("plant", *parameters(run_length=40_000, record="true", speed=500.0))
+    file = nodes.cwd / "bag" / "bag_0.mcap"
+    wait_for(lambda: file.exists() and file.stat().st_size > 20_000, 40, "a growing bag")
+    nodes.started["plant"].send_signal(how)
+    words = "plant has ended" if how == signal.SIGINT else "plant has not answered for 5 s"
+    for name in ("weather", "onoff", "recorder"):
+        assert nodes.code(name, 10) == 1, name
+        (line,) = [line for line in nodes.log(name).splitlines() if "FATAL" in line]
+        assert words in line
+    with file.open("rb") as stream:
+        assert make_reader(stream, validate_crcs=True).get_summary() is not None
+
+
+@pytest.mark.parametrize(
+    ("victim", "how", "line"),
+    [
+        (
+            "weather", signal.SIGKILL,
+            "nothing came within 2 s on /weather/precipitation, /weather/evapotranspiration "
+            "from weather\n",
+        ),
+        ("onoff", signal.SIGSTOP, "nothing came within 2 s on /pump/command from onoff\n"),
+    ],
+    ids=["weather", "onoff"],
+)
+def test_fatal_line_names_the_cause(
+    nodes: Nodes, victim: str, how: signal.Signals, line: str
+) -> None:
+    """Not the controller that waits for the weather's forecast, and no controller but this one."""
+    nodes.node("weather")
+    nodes.node("onoff")
+    nodes.node("plant", *parameters(run_length=40_000, speed=100.0, peer_limit=2.0))
+    ticks = TickCount(nodes.domain)
+    try:
+        ticks.wait_for(50)
+        nodes.started[victim].send_signal(how)
+    finally:
+        ticks.close()
+    assert nodes.code("plant", 8) == 1
+    (said,) = [text for text in nodes.log("plant").splitlines(True) if "FATAL" in text]
+    assert said.endswith(line), said
+
+
+def test_root_causes_of_the_interface() -> None:
+    """Who waits for whom, as the plant sees it."""
+    topics = read_topics()
+    external = {
+        name: topics[name]
+        for name in (
+            "/weather/precipitation", "/weather/evapotranspiration", "/pump/command", "/pump/flow"
+        )
+    }
+
+    def causes(*missing: str) -> set[str]:
+        return root_causes(by_publisher(missing, external, "plant"), topics.values())
+
+    assert causes("/weather/precipitation", "/pump/command", "/pump/flow") == {"weather"}
+    assert causes("/pump/command", "/pump/flow") == {"controller"}
+    assert causes("/pump/flow") == {"pump"}
+
+
+def test_plant_beside_a_finished_one(nodes: Nodes) -> None:
+    """A report of a plant that has finished is none of a plant's that waits for its peers."""
+    from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+
+    ticks = TickCount(nodes.domain)
+    publisher = ticks.node.create_publisher(
+        DiagnosticArray, "/diagnostics", qos_profile(read_topics()["/diagnostics"].qos)
+    )
+    report = DiagnosticArray(status=[
+        DiagnosticStatus(
+            name="/plant", message="finished", hardware_id="another",
+            values=[KeyValue(key="role", value='"plant"')],
+        )
+    ])
+    try:
+        nodes.node("plant", *parameters(start_limit=4.0))
+
+        def ended() -> Any:
+            publisher.publish(report)
+            time.sleep(0.05)
+            return nodes.started["plant"].poll() is not None
+
+        wait_for(ended, 30, "the end of the plant")
+    finally:
+        ticks.close()
+    assert nodes.started["plant"].returncode == 1
+    assert "no start within 4 s" in nodes.log("plant")
+    assert "/pump/command from the controller" in nodes.log("plant")
+    assert "Traceback" not in nodes.log("plant")
