@@ -37,7 +37,9 @@ class ControllerNode(LockstepNode):
         values = declare_table(self, choice.kind.parameters)
         self._controller = choice.make(site, values)
         self._ensemble = choice.ensemble
-        self._may_change = {one.name for one in choice.kind.parameters if one.may_change}
+        self._may_change = {
+            one.name: values[one.name] for one in choice.kind.parameters if one.may_change
+        }
         self._tick = 0
         self._parameter_changes: list[dict[str, Any]] = []
         self._cistern = self.subscribe("/cistern/level")
@@ -96,10 +98,13 @@ class ControllerNode(LockstepNode):
         for parameter in parameters:
             if parameter.name not in self._may_change:
                 continue
+            before = self._may_change[parameter.name]
+            self._may_change[parameter.name] = parameter.value
             setattr(self._controller, parameter.name, parameter.value)
-            self._parameter_changes.append(
-                {"tick": self._tick, "parameter": parameter.name, "value": parameter.value}
-            )
+            self._parameter_changes.append({
+                "tick": self._tick, "parameter": parameter.name,
+                "before": before, "value": parameter.value,
+            })
             self.get_logger().info(
                 f"{parameter.name} is {parameter.value:g} from tick {self._tick} on"
             )
