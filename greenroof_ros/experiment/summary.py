@@ -31,14 +31,17 @@ def build(
         solver: the controller's statistics; None where it has no solver.
         messages: how many messages of each topic are in the bag.
         refused: how many values of each topic were refused.
-        parameter_changes: tick, parameter, value before and value of each change during the run.
+        parameter_changes: parameters changed during the run, with their tick.
     """
     repeats_from = run.forecast.repeats_from
     choice = run.forecast_choice
     return {
         "controller": run.controller.name,
         "controller_reference": run.controller.reference,
-        "parameters": {key: _number(value) for key, value in run.parameters.items()},
+        # JSON has no infinity: null stands for "no bound".
+        "parameters": {
+            key: value if math.isfinite(value) else None for key, value in run.parameters.items()
+        },
         "initial": {"name": run.initial, "cistern_m3": run.x1, "roof_m3": run.x2},
         "start": run.start.isoformat(),
         "steps": run.steps,
@@ -64,17 +67,9 @@ def build(
         "times_real_time": run.steps * run.site.tau / wall_s,
         "messages": dict(messages or {}),
         "refused": dict(refused or {}),
-        "parameter_changes": [
-            {**change, "before": _number(change["before"]), "value": _number(change["value"])}
-            for change in parameter_changes or []
-        ],
+        "parameter_changes": parameter_changes or [],
         "versions": versions(),
     }
-
-
-def _number(value: float) -> float | None:
-    """Return a number as JSON has it, which knows no infinity: null stands for "no bound"."""
-    return value if math.isfinite(value) else None
 
 
 def write(summary: Mapping[str, Any], path: Path) -> None:

@@ -7,6 +7,7 @@ class as ``package.module:Class``; the node is named after it.
 from __future__ import annotations
 
 import argparse
+import math
 import sys
 from functools import partial
 from typing import Any
@@ -103,12 +104,17 @@ class ControllerNode(LockstepNode):
             setattr(self._controller, parameter.name, parameter.value)
             self._parameter_changes.append({
                 "tick": self._tick, "parameter": parameter.name,
-                "before": before, "value": parameter.value,
+                "before": _finite(before), "value": _finite(parameter.value),
             })
             self.get_logger().info(
                 f"{parameter.name} is {parameter.value:g} from tick {self._tick} on"
             )
         return SetParametersResult(successful=True)
+
+
+def _finite(value: float) -> float | None:
+    """Return a parameter's value as a summary has it, in which null stands for no limit."""
+    return value if math.isfinite(value) else None
 
 
 def main(controller: str | None = None) -> None:
