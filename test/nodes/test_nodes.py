@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import math
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -216,7 +217,11 @@ def test_weight_is_set_during_a_run(domain: int, tmp_path: Path, observer: Obser
     assert process.wait(60) == 0, process.stderr()
     summary = json.loads((tmp_path / "run" / "summary.json").read_text())
     (change,) = summary["parameter_changes"]
-    assert (change["parameter"], change["value"]) == ("weight", 0.01)
+    assert (change["parameter"], change["before"], change["value"]) == ("weight", 0.001, 0.01)
+    time = f"00:{change['tick'] // 60:02}"
+    assert f"0.001 -> 0.01 at {time} (tick {change['tick']})" in " ".join(
+        re.sub("[│\n]", " ", process.stdout()).split()
+    )
     assert 0 <= change["tick"] <= 720
 
 
