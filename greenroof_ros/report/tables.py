@@ -257,13 +257,12 @@ def _best_table(report: Report) -> Table:
         ),
         _BestColumn("best setting", lambda best: _word(best.setting)),
         _BestColumn("from", lambda best: _word(best.initial)),
-        _BestColumn("window", lambda best: _word(str(best.window))),
     ]
-    if len(report.windows) == 1:
-        columns = [column for column in columns if column.header != "window"]
+    windows = [_Column("window", lambda one: _word(str(one.window)))]
     for column in (
         *_endings(report),
         _metric(METRICS_BY_NAME["total_deviation_m3"]), *_ratio(report),
+        *(windows if len(report.windows) > 1 else []),
         _metric(METRICS_BY_NAME["pumped_m3"]), _metric(METRICS_BY_NAME["max_command"]), _RUN,
     ):
         columns.append(_BestColumn(column.header, partial(_cell_of_run, column)))
