@@ -59,8 +59,8 @@ run: $(FOR_RUN)
 	@$(BIN)/python -m greenroof_ros.bringup $(or $(ARGS),--controller mpc)
 
 study: $(FOR_STUDY)
-	@$(BIN)/python -m greenroof_ros.study; code=$$?; rm -rf studies/paper/report; \
-	    $(BIN)/python -m greenroof_ros.report studies/paper && exit $$code
+	@$(BIN)/python -m greenroof_ros.study; code=$$?; \
+	    $(BIN)/python -m greenroof_ros.report studies/paper --force && exit $$code
 
 # Without ARGS every test, one process more than there are cores, since graphs wait for each other.
 # Which tests may run side by side, test/conftest.py says.

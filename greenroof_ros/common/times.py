@@ -54,6 +54,17 @@ def to_people(time: datetime) -> str:
     return time.isoformat(" ", "minutes" if whole else "auto")
 
 
+def hours_minutes(seconds: float) -> str:
+    """Write a time since the start of a run in whole minutes: ``00:05``."""
+    minutes = int(seconds) // 60
+    return f"{minutes // 60:02}:{minutes % 60:02}"
+
+
+def hours_minutes_seconds(seconds: float) -> str:
+    """Write a time since the start of a run in whole seconds: ``00:20:34``."""
+    return f"{hours_minutes(seconds)}:{int(seconds) % 60:02}"
+
+
 def epoch_ns(time: datetime) -> int:
     """Nanoseconds since 1970-01-01 UTC, without a rounding on the way."""
     return (time - _EPOCH) // timedelta(microseconds=1) * 1000

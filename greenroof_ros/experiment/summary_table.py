@@ -11,6 +11,7 @@ from rich.console import Console
 from rich.table import Table
 
 from greenroof_ros.common.command_line import flush_output
+from greenroof_ros.common.times import hours_minutes
 from greenroof_ros.experiment.summary import SUMMARY
 from greenroof_ros.forecast.choice import PERFECT
 from greenroof_ros.model.metrics import METRICS
@@ -24,6 +25,11 @@ def _metric_rows(summary: Mapping[str, Any]) -> Iterator[tuple[str, str, str]]:
         if value or metric.most:
             label = metric.label.upper() if value > metric.most else metric.label
             yield label, f"{value:{metric.form}}", metric.description
+
+
+def _limit(value: float | None) -> str:
+    """Return a parameter's value, which is null where there is no limit."""
+    return "no limit" if value is None else f"{value:g}"
 
 
 def table(summary: Mapping[str, Any]) -> Table:
@@ -62,8 +68,13 @@ def table(summary: Mapping[str, Any]) -> Table:
         topics = ", ".join(f"{count} on {topic}" for topic, count in summary["refused"].items())
         rows.append(("REFUSED", str(sum(summary["refused"].values())), f"values: {topics}"))
     for change in summary["parameter_changes"]:
+        tick = change["tick"]
         rows.append(
-            ("CHANGED", change["parameter"], f"{change['value']:g} from tick {change['tick']} on")
+            (
+                "CHANGED", change["parameter"],
+                f"{_limit(change['before'])} -> {_limit(change['value'])} at "
+                f"{hours_minutes(tick * summary['tau_s'])} (tick {tick})",
+            )
         )
     if summary["frost_hours"]:
         rows.append(

@@ -6,6 +6,7 @@ class as ``package.module:Class``; the node is named after it.
 
 from __future__ import annotations
 
+import math
 from functools import partial
 from typing import Any
 
@@ -35,7 +36,9 @@ class ControllerNode(LockstepNode):
         values = declare(self, of_controller(choice.kind.parameters))
         self._controller = choice.make(site, values)
         self._ensemble = choice.ensemble
-        self._may_change = {one.name for one in choice.kind.parameters if one.may_change}
+        self._may_change = {
+            one.name: values[one.name] for one in choice.kind.parameters if one.may_change
+        }
         self._tick = 0
         self._parameter_changes: list[dict[str, Any]] = []
         self._cistern = self.subscribe("/cistern/level")
@@ -95,14 +98,22 @@ class ControllerNode(LockstepNode):
         for parameter in parameters:
             if parameter.name not in self._may_change:
                 continue
+            before = self._may_change[parameter.name]
+            self._may_change[parameter.name] = parameter.value
             setattr(self._controller, parameter.name, parameter.value)
-            self._parameter_changes.append(
-                {"tick": self._tick, "parameter": parameter.name, "value": parameter.value}
-            )
+            self._parameter_changes.append({
+                "tick": self._tick, "parameter": parameter.name,
+                "before": _finite(before), "value": _finite(parameter.value),
+            })
             self.get_logger().info(
                 f"{parameter.name} is {parameter.value:g} from tick {self._tick} on"
             )
         return SetParametersResult(successful=True)
+
+
+def _finite(value: float) -> float | None:
+    """Return a parameter's value as a summary has it, in which null stands for no limit."""
+    return value if math.isfinite(value) else None
 
 
 def _help(choice: ControllerChoice | None) -> str:

@@ -34,16 +34,38 @@ class Limit(NamedTuple):
     """what the highest is; empty where it is the interface's"""
 
 
-def limits_of(site: Site, values: Mapping[str, Values], own: bool) -> dict[str, Limit]:
-    """Return what the values of each topic in a bag can be: by the interface, and by the site.
+def refuse(values: dict[str, Values], *, external_pump: bool) -> list[str]:
+    """Do with the values of a run of this package what its plant did: what it refused acted as 0.
 
-    A run of this package may begin with more water than a site's cistern holds, and give commands
-    far above 1; its flows and levels are then as far above those of the site.
+    What the plant itself says is as it is: the run's own numbers are of it.
+
+    Args:
+        values: of each topic; those of the plant's inputs change.
+        external_pump: whether the flow is one of them; else it is the plant's.
+
+    Returns:
+        What was refused, for people.
     """
+    notes = []
+    interface = read_topics()
+    for topic, column in values.items():
+        known = interface[topic]
+        if "plant" not in known.subscribers or (topic == "/pump/flow" and not external_pump):
+            continue
+        fine = (column >= known.low) & (column <= known.high)  # a NaN is neither
+        refused = np.count_nonzero(~fine)
+        if refused:
+            values[topic] = np.where(fine, column, 0.0)
+            notes.append(
+                f"{refused} of {len(column)} values of {topic} were refused in the run, and acted "
+                f"as 0: not from {known.low:g} to {known.high:g} {known.unit}"
+            )
+    return notes
+
+
+def limits_of(site: Site, values: Mapping[str, Values]) -> dict[str, Limit]:
+    """Return what the values of each topic in a bag can be: by the interface, and by the site."""
     full, outlet = maximum_pump_flow(site, site.a1 * site.z_o), site.z_o
-    if own:
-        full *= max(1.0, float(np.max(values["/pump/command"])))
-        outlet = max(outlet, float(values["/cistern/level"][0]))
     _, _, rain = QUANTITIES[PRECIPITATION]
     _, _, evaporation = QUANTITIES[EVAPOTRANSPIRATION]
     # A crop takes that many times the most that grass does.

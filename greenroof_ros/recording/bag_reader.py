@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.times import from_epoch_ns
 from greenroof_ros.model.site import Site
-from greenroof_ros.recording.bag_limits import limits_of, plausible
+from greenroof_ros.recording.bag_limits import limits_of, plausible, refuse
 from greenroof_ros.recording.bag_topics import NEEDED, OPTIONAL, Stamps, Values, read_topics
 from greenroof_ros.recording.trajectory import Trajectory
 
@@ -45,7 +45,10 @@ class Recorded(NamedTuple):
     notes: tuple[str, ...] = ()
 
 
-def load_bag(bag: Path, site: Site, zone: tzinfo, *, own: bool, repair: str = "") -> Recorded:
+def load_bag(
+    bag: Path, site: Site, zone: tzinfo, *, own: bool, external_pump: bool = False,
+    repair: str = "",
+) -> Recorded:
     """Read what happened from a bag alone.
 
     A sample is a time at which a message of any topic that is used here was logged; every topic
@@ -56,7 +59,9 @@ def load_bag(bag: Path, site: Site, zone: tzinfo, *, own: bool, repair: str = ""
         bag: its directory.
         site: where it was.
         zone: offset from UTC of the times.
-        own: whether this package wrote down that the run is its own.
+        own: whether this package wrote down that the run is its own: what is not plausible was
+            then refused by its plant, and acted as 0; elsewhere it is left out, or is an error.
+        external_pump: whether its plant was given the flow by a pump driver.
         repair: how a damaged one can be repaired, for the message.
 
     Raises:
@@ -65,7 +70,9 @@ def load_bag(bag: Path, site: Site, zone: tzinfo, *, own: bool, repair: str = ""
     times, values = read_topics(bag, repair)
     notes = [f"{topic} is not in the bag and counts as 0" for topic in OPTIONAL
              if topic not in times]
-    for topic, limit in limits_of(site, values, own).items():
+    if own:
+        notes += refuse(values, external_pump=external_pump)
+    for topic, limit in ({} if own else limits_of(site, values)).items():
         fine = plausible(bag, topic, limit, times[topic], values[topic])
         outliers = np.count_nonzero(~fine)
         if outliers:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import argparse
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 from rich.console import Console
@@ -13,15 +13,17 @@ from rich.table import Table
 from greenroof_ros.common.command_line import EXIT_DONE, command, within
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.report.assessment import Assumptions
+from greenroof_ros.report.entries import FailedRun
 from greenroof_ros.report.results import Report, best_runs, result
-from greenroof_ros.report.runs import find_runs
+from greenroof_ros.report.runs import find_runs, nothing_to_show
 from greenroof_ros.report.seeds import split_by_seeds
 from greenroof_ros.report.settings import controller_name
 
 _DEFAULTS = Assumptions()
 # On the terminal; the report has them all.
 _MOST_TABLES = 3
-
+# Besides it, a report's directory holds figures/.
+_PAGE = "report.html"
 
 _DESCRIPTION = """\
 Judge and draw runs: every figure of the paper, tables of deviation, water balance, energy and pump
@@ -37,6 +39,8 @@ examples:
   python -m greenroof_ros.report runs/a runs/b --output both
                                                           two runs, side by side
   python -m greenroof_ros.report bag --site my_site.yaml  a bag of a real site
+  python -m greenroof_ros.report runs/a --force --water-price 5
+                                                          once more, with another price
 """
 
 
@@ -54,7 +58,11 @@ def _parser() -> argparse.ArgumentParser:
     )
     parser.add_argument(
         "--output", type=Path, metavar="DIR",
-        help="of the report, new or empty (default: report in the first PATH)",
+        help="of the report, new or empty unless --force (default: report in the first PATH)",
+    )
+    parser.add_argument(
+        "--force", action="store_true",
+        help="replace the report that the output holds; never anything else",
     )
     parser.add_argument(
         "--site", type=Path, metavar="FILE",
@@ -84,23 +92,43 @@ def _parser() -> argparse.ArgumentParser:
     return parser
 
 
-def _check_output(directory: Path) -> None:
-    """Refuse a directory that holds something.
+def _former_report(directory: Path, own: Callable[[str], bool], *, force: bool) -> list[Path]:
+    """Return the files of a report that is to be replaced.
+
+    Args:
+        directory: of the new one.
+        own: whether a file in ``figures/`` is a report's, by its name.
+        force: whether one may be replaced.
 
     Raises:
-        ConfigurationError: it does, or is no directory.
+        ConfigurationError: there is one, or somebody else's file, or it is no directory.
     """
     try:
-        taken = directory.exists() and any(directory.iterdir())
+        entries = list(directory.iterdir()) if directory.exists() else []
+        figures = directory / "figures"
+        found = [entry for entry in entries if entry != figures or not figures.is_dir()]
+        found += figures.iterdir() if figures.is_dir() else []
     except OSError as error:
         raise ConfigurationError(
             f"cannot be written: {error.strerror}", key="--output", value=str(directory)
         ) from error
-    if taken:
+    foreign = [
+        str(file.relative_to(directory)) for file in sorted(found)
+        if not file.is_file()
+        or (file != directory / _PAGE and not (file.parent == figures and own(file.name)))
+    ]
+    if foreign:
         raise ConfigurationError(
-            "exists and is not empty; a report is never written over",
+            f"exists and is not empty: {', '.join(foreign[:3])}{', ...' * (len(foreign) > 3)} "
+            "is no report's, and never written over; name another directory",
             key="--output", value=str(directory),
         )
+    if found and not force:
+        raise ConfigurationError(
+            "holds a report already; --force replaces it, or name another directory",
+            key="--output", value=str(directory),
+        )
+    return found
 
 
 @command
@@ -120,21 +148,29 @@ def main() -> int:
         currency=arguments.currency,
         band=arguments.band,
     )
-    _check_output(output)
+    former = _former_report(output, figures.is_figure, force=arguments.force)
     sources = find_runs(arguments.paths, arguments.site)
     with Progress(
         TextColumn("{task.description}"), BarColumn(), TextColumn("{task.completed}/{task.total}"),
         console=Console(stderr=True), transient=True,
     ) as progress:
         single, seeded = split_by_seeds(sources.runs)
-        results = [
-            result(entry, assumptions)
-            for entry in progress.track(single, description="reading runs")
-        ]
+        results = []
+        for entry in progress.track(single, description="reading runs"):
+            try:
+                results.append(result(entry, assumptions))
+            except ConfigurationError as error:
+                if entry.ending is None:
+                    raise
+                sources.failed.append(
+                    FailedRun(entry.name, entry.controller, f"{entry.ending.sentence}; {error}")
+                )
+        if not results and not seeded:
+            raise nothing_to_show(sources)
         report = Report(results, seeded)
         makers = figures.make_figures(report, arguments.pump_data)
         try:
-            (output / "figures").mkdir(parents=True)
+            (output / "figures").mkdir(parents=True, exist_ok=True)
         except OSError as error:
             raise ConfigurationError(
                 f"cannot be written: {error.strerror}", key="--output", value=str(output)
@@ -145,8 +181,18 @@ def main() -> int:
             figure.save(output / "figures")
             drawn.append(figure)
     html = page.render(report, drawn, sources, assumptions)
-    (output / "report.html").write_text(html, encoding="utf-8")
+    (output / _PAGE).write_text(html, encoding="utf-8")
+    names = {figure.name for figure in drawn}
+    for file in former:
+        if file.parent.name == "figures" and file.stem not in names:
+            file.unlink()
     console = Console()
+    for entry in report.entries:
+        if entry.ending is not None:
+            console.print(
+                f"{entry.name} {entry.ending.sentence}; what follows is of the part that was "
+                "recorded", style="bold", soft_wrap=True, markup=False,
+            )
     for table in _tables(report):
         console.print(table)
     if len(report.windows) > _MOST_TABLES:
@@ -161,7 +207,7 @@ def main() -> int:
             f"runs that failed or did not run: {len(sources.failed)}; the report lists them",
             style="bold",
         )
-    console.print(f"written to {output.resolve() / 'report.html'}", soft_wrap=True, highlight=False)
+    console.print(f"written to {output.resolve() / _PAGE}", soft_wrap=True, highlight=False)
     return EXIT_DONE
 
 

@@ -12,12 +12,22 @@ from typing import Any
 
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.files import YamlMapping, read_text, read_yaml
+from greenroof_ros.common.times import hours_minutes_seconds
 from greenroof_ros.forecast.choice import OPTIONS, PERFECT
 from greenroof_ros.model.initial_state import INITIAL_STATES
 from greenroof_ros.model.sensor_pump_errors import RANGES
 from greenroof_ros.recording.results_table import shortest
-from greenroof_ros.report.entries import Note, Parameters
+from greenroof_ros.report.entries import Change, Ending, Note, Parameters, parameter_text
 from greenroof_ros.weather.records import name_files
+
+_PARAMETERS = "configuration/parameters.yaml"
+
+# What a run did that is not done, as a sentence and in short, by the status of its summary.
+_NOT_DONE = {
+    "failed": ("failed", "failed"),
+    "interrupted": ("was interrupted", "interrupted"),
+    "running": ("has not ended, or bringup was killed", "not ended"),
+}
 
 
 @dataclass(frozen=True)
@@ -26,7 +36,7 @@ class About:
 
     Attributes:
         controller: its name.
-        parameters: the controller's; no entry where there is no bound.
+        parameters: the controller's at the start; no entry where there is no bound.
         initial: name of the initial state, or its volumes.
         what_initial: what that name means; None where it is unknown.
         weather: name of the weather.
@@ -36,6 +46,9 @@ class About:
         exact_sensor: whether the roof's level is the true one.
         zone: offset from UTC; None where it is unknown.
         own: whether this package wrote it.
+        external_pump: whether its flow was that of a pump driver.
+        changes: of parameters, in the run.
+        ending: how the run ended; None if it is done, or nothing says that it is not.
         notes: what a reader should know of the run.
     """
 
@@ -50,6 +63,9 @@ class About:
     exact_sensor: bool = True
     zone: tzinfo | None = None
     own: bool = False
+    external_pump: bool = False
+    changes: tuple[Change, ...] = ()
+    ending: Ending | None = None
     notes: tuple[Note, ...] = ()
 
 
@@ -60,7 +76,7 @@ def read_about(run: Path) -> About:
     """
     notes: list[Note] = []
     for name, read in (
-        ("summary.json", _summary), ("configuration/parameters.yaml", _node_parameters)
+        ("summary.json", _summary), (_PARAMETERS, _node_parameters)
     ):
         if not (run / name).is_file():
             continue
@@ -74,7 +90,9 @@ def read_about(run: Path) -> About:
                 Note(f"{name} beside the bag is damaged or foreign, and not used: {reason}")
             )
             continue
-        return replace(about, notes=(*notes, *about.notes))
+        return replace(
+            about, external_pump=_external_pump(run), notes=(*notes, *about.notes)
+        )
     return About(notes=tuple(notes))
 
 
@@ -88,14 +106,28 @@ def _summary(file: Path) -> dict[str, Any]:
     return content
 
 
-def _node_parameters(file: Path) -> dict[str, Any]:
-    """Return the parameters of a run's nodes in the form of a summary."""
+def _external_pump(run: Path) -> bool:
+    """Whether the parameters of a run's nodes say that a pump driver was to give the flow."""
+    try:
+        return bool(_nodes(run / _PARAMETERS)["plant"]["pump"] == "external")
+    except Exception:  # no such file, or a foreign one, which can be wrong in any way
+        return False
+
+
+def _nodes(file: Path) -> dict[str, YamlMapping]:
+    """Return the parameters of each of a run's nodes, by its name."""
     nodes: dict[str, YamlMapping] = {}
     for key, section in read_yaml(file).items():
         values = section.get("ros__parameters") if isinstance(section, YamlMapping) else None
         if not isinstance(values, YamlMapping):
             raise ConfigurationError("must hold 'ros__parameters:'", file=file, key=key)
         nodes[key.removeprefix("/**/")] = values
+    return nodes
+
+
+def _node_parameters(file: Path) -> dict[str, Any]:
+    """Return the parameters of a run's nodes in the form of a summary."""
+    nodes = _nodes(file)
     empty = YamlMapping()
     plant, weather = nodes.get("plant", empty), nodes.get("weather", empty)
     controller = nodes.get("recorder", empty).get("controller")
@@ -140,6 +172,23 @@ def _understand(content: dict[str, Any]) -> About:
         content.get("forecast_repeats_last_record_from"),
         float(content.get("limited_steps") or 0),
     )
+    given = parameters(content.get("parameters") or {})
+    changes = [
+        Change(
+            parameter=str(change["parameter"]),
+            value=None if change["value"] is None else float(change["value"]),
+            tick=int(change["tick"]),
+            time=change["tick"] * float(content["tau_s"]),
+        )
+        for change in content.get("parameter_changes") or []
+    ]
+    for name in dict.fromkeys(change.parameter for change in changes):
+        found = [change for change in changes if change.parameter == name]
+        ticks = ", ".join(f"{change.tick}" for change in found)
+        notes.append(Note(
+            f"the controller's {name} was changed in the run: {parameter_text(given.get(name))}"
+            f"{''.join(map(str, found))} (tick {ticks})"
+        ))
     site = content.get("sensor_pump_errors") or {}
     sensor_pump_errors = sensor_pump_errors_label(site)
     exact_sensor = not (site.get("roof_noise") or site.get("roof_offset"))
@@ -150,7 +199,7 @@ def _understand(content: dict[str, Any]) -> About:
         ))
     return About(
         controller=content["controller"],
-        parameters=parameters(content.get("parameters") or {}),
+        parameters=given,
         initial=(
             initial_label(initial.get("name", ""), initial["cistern_m3"], initial["roof_m3"])
             if initial else About.initial
@@ -166,8 +215,24 @@ def _understand(content: dict[str, Any]) -> About:
         exact_sensor=exact_sensor,
         zone=datetime.fromisoformat(content["start"]).tzinfo if "start" in content else None,
         own=True,
+        changes=tuple(changes),
+        ending=_ending(content) if content.get("status", "done") != "done" else None,
         notes=tuple(notes),
     )
+
+
+def _ending(content: Mapping[str, Any]) -> Ending:
+    """Return how a run ended that is not done, by its summary."""
+    sentence, short = _NOT_DONE[content["status"]]
+    tick = content.get("last_tick")
+    if tick is not None:
+        time = hours_minutes_seconds(tick * content["tau_s"])
+        sentence += f" at tick {tick} of {content['steps']} ({time})"
+        short += f" at tick {tick}"
+    if content.get("reason"):
+        # The last lines of a log may be among it.
+        sentence += f": {' '.join(content['reason'].split())}"
+    return Ending(sentence, short)
 
 
 def run_notes(fallbacks: float, repeats_from: str | None, limited: float) -> list[Note]:

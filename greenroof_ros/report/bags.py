@@ -19,7 +19,7 @@ from greenroof_ros.recording.bag_reader import load_bag
 from greenroof_ros.recording.damaged_bag import recovered_bag
 from greenroof_ros.recording.trajectory import Trajectory
 from greenroof_ros.report.about import read_about
-from greenroof_ros.report.entries import Note, RunEntry, known_bound
+from greenroof_ros.report.entries import FailedRun, Note, RunEntry, Sources, known_bound
 from greenroof_ros.weather.reading import read_weather
 
 _WEATHER = Path("configuration") / "weather"
@@ -33,21 +33,28 @@ def run_directory(path: Path) -> Path:
                  if (place / "configuration").is_dir()), path)
 
 
-def bag_entry(path: Path, name: str, site_file: Path | None, given: Site | None) -> RunEntry:
-    """Return the run of a run directory or a bag, under a name."""
+def read_run(
+    path: Path, name: str, site_file: Path | None, given: Site | None, sources: Sources
+) -> None:
+    """Add the run of a run directory or a bag, under a name."""
     bag = path / "bag" if (path / "bag").is_dir() else path
     if not _is_closed(bag) and _is_closed(recovered_bag(bag)):
         bag = recovered_bag(bag)
+    run = run_directory(path)
+    about = read_about(run)
     repair = f"python -m greenroof_ros.recover {path} makes a whole one"
     if not _is_closed(bag):
         if any(bag.glob("*.mcap")) or any(bag.glob("*.db3")):
             raise ConfigurationError(f"has no metadata.yaml, its recorder was killed; {repair}",
                                      file=bag)
+        if about.ending is not None:
+            error = f"{about.ending.sentence}; no bag"
+            sources.failed.append(FailedRun(name, about.controller, error))
+            return
         raise ConfigurationError(
             "must be a study (with results.csv), a run (with bag/) or a bag (with metadata.yaml)",
             file=path,
         )
-    run = run_directory(path)
     own_site = run / "configuration" / "site.yaml"
     notes = []
     if given is not None:
@@ -60,10 +67,9 @@ def bag_entry(path: Path, name: str, site_file: Path | None, given: Site | None)
         notes.append(
             Note("no site file came with the bag: the site is the paper's, config/site.yaml")
         )
-    about = read_about(run)
     if about.zone is None:
         notes.append(Note("times are in UTC: no configuration says the offset"))
-    return RunEntry(
+    sources.runs.append(RunEntry(
         name=name,
         site_name=site_name,
         site=site,
@@ -74,7 +80,8 @@ def bag_entry(path: Path, name: str, site_file: Path | None, given: Site | None)
         initial=about.initial,
         notes=(*notes, *about.notes),
         load=partial(
-            load_bag, bag, site, about.zone or timezone.utc, own=about.own, repair=repair
+            load_bag, bag, site, about.zone or timezone.utc,
+            own=about.own, external_pump=about.external_pump, repair=repair,
         ),
         forecast=about.forecast,
         # What a sensor reads is neither the roof's initial volume nor its deviation.
@@ -84,6 +91,8 @@ def bag_entry(path: Path, name: str, site_file: Path | None, given: Site | None)
             if about.exact_sensor else known_bound(None)
         ),
         sensor_pump_errors=about.sensor_pump_errors,
+        changes=about.changes,
+        ending=about.ending,
         source=name,
         meant={
             "site_name": site,
@@ -91,7 +100,7 @@ def bag_entry(path: Path, name: str, site_file: Path | None, given: Site | None)
             "forecast": file_digest(run / "configuration" / "forecast.csv"),
             "initial": about.what_initial,
         },
-    )
+    ))
 
 
 def _is_closed(bag: Path) -> bool:

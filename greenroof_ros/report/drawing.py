@@ -15,6 +15,8 @@ COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#000000", "#E69F00", "#5
 _DASHES = ([1, 0], [8, 3], [2, 2], [10, 3, 2, 3], [5, 2, 1, 2, 1, 2])
 SHAPES = ("circle", "diamond", "square", "triangle-up", "cross", "triangle-down")
 _PANEL_WIDTH = 400
+# Of a legend (px): its symbols with what is about them, its widest label, and a letter of those.
+_LEGEND_SYMBOL, _LEGEND_LABEL, _LETTER = 46, 240, 7
 CONFIG: dict[str, Any] = {
     "font": "Arial, Helvetica, sans-serif",
     "background": "white",
@@ -27,7 +29,7 @@ CONFIG: dict[str, Any] = {
         "orient": "bottom", "direction": "horizontal", "columns": 3, "labelFontSize": 11,
         "titleFontSize": 11, "titleFontWeight": "normal", "titleOrient": "left",
         "labelColor": "#222222", "titleColor": "#222222", "symbolStrokeWidth": 2,
-        "labelLimit": 240, "symbolOpacity": 1,
+        "labelLimit": _LEGEND_LABEL, "symbolOpacity": 1,
     },
     "title": {"anchor": "start", "fontSize": 13, "fontWeight": "bold", "color": "#222222"},
 }
@@ -64,6 +66,8 @@ class Panel:
         specification: dict[str, Any] = sized.to_dict()
         del specification["config"]  # altair's own defaults
         layers = specification.get("layer", [specification])
+        for layer in layers:
+            _fit_legend(layer.get("encoding", {}).get("color", {}))
         if self.toggle:
             toggled = [
                 layer for layer in layers
@@ -91,6 +95,17 @@ class Panel:
             along = next(layer for layer in layers if "field" in layer["encoding"].get("x", {}))
             along.setdefault("params", []).append(zoom)
         return specification
+
+
+def _fit_legend(color: dict[str, Any]) -> None:
+    """Give a legend as many columns as fit into the panel, however wide the page makes it."""
+    names = color.get("scale", {}).get("domain")
+    if not names:
+        return
+    entry = _LEGEND_SYMBOL + min(_LEGEND_LABEL, _LETTER * max(map(len, names)))
+    title = _LETTER * len(color.get("title") or "")
+    columns = f"clamp(floor((width - {title:g}) / {entry:g}), 1, {len(names)})"
+    color.setdefault("legend", {})["columns"] = {"expr": columns}
 
 
 @dataclass(frozen=True)

@@ -6,8 +6,12 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
+import numpy as np
+
+from greenroof_ros.common.times import hours_minutes
 from greenroof_ros.model.site import Site
 from greenroof_ros.recording.bag_reader import Recorded
+from greenroof_ros.recording.results_table import shortest
 from greenroof_ros.recording.trajectory import Trajectory
 
 Parameters = dict[str, "float | str"]
@@ -35,6 +39,48 @@ class Note:
 
     def _with(self, count: str) -> str:
         return self.text.replace("{count}", count)
+
+
+@dataclass(frozen=True)
+class Change:
+    """A parameter that was set while the run was under way.
+
+    Attributes:
+        parameter: its name.
+        value: from then on; None where there is no bound.
+        tick: the first with this value.
+        time: of that tick since the start (s).
+    """
+
+    parameter: str
+    value: float | None
+    tick: int
+    time: float
+
+    def __str__(self) -> str:
+        """As it stands behind the value before."""
+        return f" -> {parameter_text(self.value)} at {hours_minutes(self.time)}"
+
+
+@dataclass(frozen=True)
+class Ending:
+    """How a run ended, or not yet, that was not done.
+
+    Attributes:
+        sentence: about the run, without its name and full stop.
+        short: the same in a few words.
+    """
+
+    sentence: str
+    short: str
+
+
+def parameter_text(value: float | str | None) -> str:
+    """Return a parameter's value as people write it: 0.00001, not 1e-05."""
+    if not isinstance(value, float):
+        return value or "none"
+    plain = 1e-7 < abs(value) < 1e7
+    return np.format_float_positional(value, trim="-") if plain else shortest(value)
 
 
 @dataclass(frozen=True)
@@ -70,7 +116,7 @@ _UNKNOWN_BOUND = known_bound(None)
 
 @dataclass(frozen=True)
 class RunEntry:
-    """A finished run, and how to read what happened in it.
+    """A run, and how to read what happened in it.
 
     Attributes:
         name: of the run, unique in the report.
@@ -79,7 +125,7 @@ class RunEntry:
         weather: name of the weather.
         method: of the evapotranspiration.
         controller: its name, ``unknown`` where it was not written down.
-        parameters: the controller's; no entry where there is no bound.
+        parameters: the controller's at the start; no entry where there is no bound.
         initial: name of the initial state, or its volumes.
         notes: what a reader should know of it.
         load: reads the trajectory, and returns it with further notes.
@@ -90,6 +136,8 @@ class RunEntry:
         sensor_pump_errors: of level sensor and pumps; empty where there were none, or they were
             not written down.
         seeded: what a study's table says of it; None unless its forecasts had random errors.
+        changes: of parameters, in the run.
+        ending: how it ended; None if it is done, or nothing says that it is not.
         source: the study or run directory that it is from, by a name that no other one has.
         meant: what stands behind the names ``site_name``, ``weather``, ``forecast`` and
             ``initial``: where two sources use a name for different things, they are told apart.
@@ -111,6 +159,8 @@ class RunEntry:
     seeded: Seeded | None = None
     source: str = ""
     meant: Mapping[str, object] = field(default_factory=dict)
+    changes: tuple[Change, ...] = ()
+    ending: Ending | None = None
 
 
 def tell_apart(entries: Sequence[RunEntry]) -> list[RunEntry]:
@@ -134,7 +184,7 @@ def tell_apart(entries: Sequence[RunEntry]) -> list[RunEntry]:
 
 @dataclass(frozen=True)
 class FailedRun:
-    """A run of a study that failed or was not begun, and why."""
+    """A run that left nothing to show: it failed or was not begun, and why."""
 
     name: str
     what: str
@@ -146,7 +196,7 @@ class Sources:
     """All that a report is made from.
 
     Attributes:
-        runs: the finished ones.
+        runs: those that left something to show.
         failed: the others.
         configuration: name and text of each further file that decided the numbers.
     """

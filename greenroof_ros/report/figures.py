@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
@@ -14,6 +15,17 @@ from greenroof_ros.report.seed_figures import forecast_errors
 from greenroof_ros.report.setting_figures import QUANTITIES, by_setting
 from greenroof_ros.report.trajectory_figures import trajectories
 from greenroof_ros.report.weather_figure import weather
+
+# The names of all figures begin with these; their numbers follow.
+_KINDS = (
+    "pump-curve", "pump-smoothing", "weather", *(one.name for one in QUANTITIES), "trajectories",
+    "water-balance", "forecast-errors",
+)
+
+
+def is_figure(name: str) -> bool:
+    """Whether a file's name is that of a report's figure."""
+    return re.fullmatch(rf"({'|'.join(_KINDS)})(-\d+)*\.(svg|png)", name) is not None
 
 
 def make_figures(report: Report, pump_data: Path | None) -> list[Callable[[], Figure]]:
@@ -38,8 +50,10 @@ def make_figures(report: Report, pump_data: Path | None) -> list[Callable[[], Fi
     for number, sky in enumerate(skies, start=1):
         makers.append(partial(weather, report, sky, number))
     for number, window in enumerate(report.windows, start=1):
-        for quantity in QUANTITIES:
-            makers.append(partial(by_setting, report, window, number, quantity))
+        # A single mark in each panel would say what the table does.
+        if any(len(report.of(window, name)) > 1 for name in report.controllers):
+            for quantity in QUANTITIES:
+                makers.append(partial(by_setting, report, window, number, quantity))
     for number, window in enumerate(report.windows, start=1):
         for initial in report.initials:
             if report.of(window, initial=initial):

@@ -39,6 +39,7 @@ def render(
     environment = jinja2.Environment(
         autoescape=True, trim_blocks=True, lstrip_blocks=True, undefined=jinja2.StrictUndefined
     )
+    environment.filters["two_lines"] = _two_lines
     text = importlib.resources.files(__package__).joinpath("template.html").read_text("utf-8")
     panels = [
         {
@@ -63,6 +64,10 @@ def render(
         failed=sources.failed,
         tables=make_tables(report, assumptions),
         warnings=make_warnings(report),
+        not_done=[
+            (one.entry.name, one.entry.ending.sentence)
+            for one in report.results if one.entry.ending is not None
+        ],
         metrics=[(metric.label, unit(metric), metric.meaning) for metric in shown_metrics(report)],
         bounds=any(one.bound_m3 for one in report.results)
         or any(one.bound_m3 for one in spreads(report)),
@@ -75,6 +80,16 @@ def render(
         library=Markup(library.replace("</script", "<\\/script")),  # noqa: S704
         payload=Markup(payload.replace("<", "\\u003c")),  # noqa: S704
     )
+
+
+def _two_lines(text: str) -> Markup:
+    """Break a text where the longer of two lines is shortest: a column is no wider than it must."""
+    words = text.split()
+    lines = min(
+        ((" ".join(words[:count]), " ".join(words[count:])) for count in range(1, len(words) + 1)),
+        key=lambda pair: max(map(len, pair)),
+    )
+    return Markup(" <br>").join(filter(None, lines))
 
 
 def _names(specification: dict[str, Any]) -> list[str]:

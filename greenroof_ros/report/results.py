@@ -194,7 +194,7 @@ class Report:
     """All results, and how they fall into controllers, settings, windows and initial states.
 
     Attributes:
-        results: every finished run but the seeded ones.
+        results: every run that left something to show but the seeded ones.
         seeded: runs of which only what the study's table says is known, as they differ from others
             in the seed of their forecasts' errors alone.
         entries: of all of them.

@@ -6,7 +6,7 @@ from pathlib import Path
 
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.model.site import read_site
-from greenroof_ros.report.bags import bag_entry, run_directory
+from greenroof_ros.report.bags import read_run, run_directory
 from greenroof_ros.report.entries import Sources, tell_apart
 from greenroof_ros.report.studies import read_study
 
@@ -41,18 +41,24 @@ def find_runs(paths: list[Path], site_file: Path | None) -> Sources:
         elif (path / "runs").is_dir() or (path / "configuration" / "study.json").is_file():
             raise ConfigurationError("is a study without results.csv", file=path)
         else:
-            sources.runs.append(bag_entry(path, name, site_file, given))
+            read_run(path, name, site_file, given, sources)
     names = [run.name for run in sources.runs]
     for name in names:
         if names.count(name) > 1:
             raise ConfigurationError(f"two runs are named {name}; give each path once")
     if not sources.runs:
-        raise ConfigurationError(
-            f"holds no finished run; {len(sources.failed)} failed or did not run",
-            file=paths[0] / "results.csv",
-        )
+        raise nothing_to_show(sources)
     sources.runs = tell_apart(sources.runs)
     return sources
+
+
+def nothing_to_show(sources: Sources) -> ConfigurationError:
+    """Return the error of a report none of whose runs left anything to show."""
+    first = sources.failed[0]
+    return ConfigurationError(
+        f"holds no finished run; {len(sources.failed)} failed or did not run, the first: "
+        f"{first.name} {first.error}"
+    )
 
 
 def _names(places: list[Path]) -> list[str]:

@@ -5,10 +5,8 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
-import numpy as np
-
-from greenroof_ros.recording.results_table import differing, shortest
-from greenroof_ros.report.entries import RunEntry
+from greenroof_ros.recording.results_table import differing
+from greenroof_ros.report.entries import RunEntry, parameter_text
 
 PAPERS_CONTROLLERS = {"mpc": "MPC", "onoff": "on/off"}
 
@@ -19,22 +17,26 @@ def controller_name(name: str) -> str:
 
 
 class Settings:
-    """The names of one controller's runs: the parameters that differ among them.
+    """The names of one controller's runs: the parameters that differ, or were changed in a run.
 
     Attributes:
         title: what a label gives, the parameter's name where there is just one.
         labels: all labels, in the order of their values.
-        axis: the one numeric parameter that differs; empty if there is none, or more than one.
+        axis: the one numeric parameter that differs; empty if there is none, or more than one, or
+            one was changed in a run.
         log: whether it spans so much that its axis is logarithmic.
     """
 
     def __init__(self, entries: Sequence[RunEntry]) -> None:
+        changed = {change.parameter for entry in entries for change in entry.changes}
         apart = differing([entry.parameters for entry in entries])
+        apart += sorted(changed.difference(apart))
         self._shown = apart or list(entries[0].parameters)[:1]
         self.title = self._shown[0] if len(self._shown) == 1 else "setting"
         numbers = [entry.parameters.get(self.title) for entry in entries]
         floats = [number for number in numbers if isinstance(number, float)]
-        self.axis = self.title if len(apart) == 1 and len(floats) == len(numbers) else ""
+        fixed = len(floats) == len(numbers) and not changed
+        self.axis = self.title if len(apart) == 1 and fixed else ""
         self.log = bool(self.axis) and min(floats) > 0 and max(floats) / min(floats) > 20
         keys = sorted({self._key(entry) for entry in entries})
         self.labels = list(dict.fromkeys(label for _, label in keys))
@@ -54,8 +56,8 @@ class Settings:
         if not self._shown:
             return entry.name
         if len(self._shown) == 1:
-            return _text(entry.parameters.get(self.title))
-        return ", ".join(f"{name} {_text(entry.parameters.get(name))}" for name in self._shown)
+            return _text(entry, self.title)
+        return ", ".join(f"{name} {_text(entry, name)}" for name in self._shown)
 
     def full_label(self, entry: RunEntry) -> str:
         """Return the label with the parameter's name."""
@@ -63,9 +65,7 @@ class Settings:
         return f"{self.title} {label}" if len(self._shown) == 1 else label
 
 
-def _text(value: float | str | None) -> str:
-    if not isinstance(value, float):
-        return value or "none"
-    # 0.00001 as people write it, not 1e-05.
-    plain = 1e-7 < abs(value) < 1e7
-    return np.format_float_positional(value, trim="-") if plain else shortest(value)
+def _text(entry: RunEntry, name: str) -> str:
+    """Return a parameter of a run, with what it became in the run."""
+    changes = "".join(str(change) for change in entry.changes if change.parameter == name)
+    return parameter_text(entry.parameters.get(name)) + changes

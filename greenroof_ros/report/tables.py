@@ -33,7 +33,10 @@ class Cell(NamedTuple):
 
 
 class Table(NamedTuple):
-    """A table that a reader can sort; the first column names the row."""
+    """A table that a reader can sort; the first column names the row.
+
+    Without a header each row is a quantity of the only run.
+    """
 
     name: str
     header: Sequence[str]
@@ -43,7 +46,7 @@ class Table(NamedTuple):
 def make_tables(report: Report, assumptions: Assumptions) -> list[Table]:
     """Return the tables that a report has something for."""
     tables = _seeded(report)
-    if report.results:
+    if len(report.results) > len(best_runs(report)):
         tables.append(_best_table(report))
     tables += _methods(report)
     if report.results:
@@ -90,11 +93,11 @@ def _named(report: Report) -> list[_Column]:
         )
 
     return [
-        _Column("run", lambda one: _word(one.entry.name)),
-        *(_Column(name, partial(_fact, name)) for name in report.apart),
-        _Column("from", lambda one: _word(one.entry.initial)),
         _Column("controller", lambda one: _word(controller_name(one.entry.controller))),
         _Column("setting", setting),
+        _Column("from", lambda one: _word(one.entry.initial)),
+        *(_Column(name, partial(_fact, name)) for name in report.apart),
+        *_endings(report),
     ]
 
 
@@ -102,6 +105,23 @@ def _fact(name: str, one: Result) -> Cell:
     """Return what a fact of its window says of a run."""
     text = one.window.facts[name]
     return Cell(text, one.window.sky.hours) if name == "length" else _word(text)
+
+
+def _endings(report: Report) -> list[_Column]:
+    """Return the column that says of which runs the results are of a part, where there are any."""
+    if all(one.entry.ending is None for one in report.results):
+        return []
+    return [_Column("ended", _ended)]
+
+
+def _ended(one: Result) -> Cell:
+    """Return whether a run is done, and if not where it ended."""
+    ending = one.entry.ending
+    return _word("done") if ending is None else Cell(ending.short, ending.short, warning=True)
+
+
+# The directory's name stands behind the first results: it may be long, and says little.
+_RUN = _Column("run", lambda one: _word(one.entry.name))
 
 
 def _metric(metric: Metric) -> _Column:
@@ -139,9 +159,10 @@ def _results_table(report: Report, assumptions: Assumptions) -> Table:
     deviation, *others = [
         _metric(metric) for metric in shown_metrics(report) if metric.name not in _BALANCE_ONLY
     ]
-    return _run_table(report, "Results of each run", [
+    return _run_table(report, "Results", [
         deviation,
         *_ratio(report),
+        _RUN,
         _Column("near target (h)", lambda one: _number(one.assessment.band_hours, ".2f")),
         _Column("near target (%)", lambda one: _number(
             100 * one.assessment.band_hours / one.assessment.hours, ".1f")),
@@ -164,28 +185,33 @@ def _balance_table(report: Report) -> Table:
         column = _metric(METRICS_BY_NAME[name])
         return _Column(f"{title} (m³)", column.cell)
 
-    return _run_table(report, "Water balance of each run", [
+    return _run_table(report, "Water balance", [
         metric("rain_cistern_m3", "cistern: rain"),
         metric("pumped_m3", "pumped"),
         metric("outflow_m3", "to the sewer"),
-        _Column("change (m³)", lambda one: _number(one.assessment.cistern_change_m3)),
-        _Column("unexplained (m³)", lambda one: _number(
+        _Column("cistern: change (m³)", lambda one: _number(one.assessment.cistern_change_m3)),
+        _Column("cistern: unexplained (m³)", lambda one: _number(
             one.assessment.cistern_residual_m3, ".1e")),
-        metric("final_cistern_m3", "at the end"),
+        metric("final_cistern_m3", "cistern: at the end"),
         metric("rain_roof_m3", "roof: rain"),
         metric("evapotranspiration_m3", "evapotranspiration"),
         metric("drainage_m3", "drainage"),
-        _Column("change (m³)", lambda one: _number(one.assessment.roof_change_m3)),
-        _Column("unexplained (m³)", lambda one: _number(one.assessment.roof_residual_m3, ".1e")),
-        metric("final_roof_m3", "at the end"),
+        _Column("roof: change (m³)", lambda one: _number(one.assessment.roof_change_m3)),
+        _Column("roof: unexplained (m³)", lambda one: _number(
+            one.assessment.roof_residual_m3, ".1e")),
+        metric("final_roof_m3", "roof: at the end"),
+        _RUN,
     ])
 
 
 def _run_table(report: Report, name: str, columns: Sequence[_Column]) -> Table:
-    """Return a table with a line a run."""
+    """Return a table with a line a run; of a single one a line a quantity."""
     columns = [*_named(report), *columns]
+    if len(report.results) == 1:
+        rows = [[_word(column.header), column.cell(report.results[0])] for column in columns]
+        return Table(f"{name} of the run", header=(), rows=rows)
     return Table(
-        name=name,
+        name=f"{name} of each run",
         header=[column.header for column in columns],
         rows=[[column.cell(one) for column in columns] for one in report.results],
     )
@@ -206,19 +232,18 @@ def _share(value: float | None) -> Cell:
 def _best_table(report: Report) -> Table:
     """Return the best run of each controller."""
     columns = [
-        _BestColumn("run", lambda best: _word(best.run.entry.name)),
-        _BestColumn("window", lambda best: _word(report.heading(best.window))),
-        _BestColumn("from", lambda best: _word(best.initial)),
         _BestColumn(
             "controller", lambda best: _word(controller_name(best.run.entry.controller))
         ),
         _BestColumn("best setting", lambda best: _word(best.setting)),
+        _BestColumn("from", lambda best: _word(best.initial)),
     ]
-    if len(report.windows) == 1:
-        columns = [column for column in columns if column.header != "window"]
+    windows = [_Column("window", lambda one: _word(report.heading(one.window)))]
     for column in (
+        *_endings(report),
         _metric(METRICS_BY_NAME["total_deviation_m3"]), *_ratio(report),
-        _metric(METRICS_BY_NAME["pumped_m3"]), _metric(METRICS_BY_NAME["max_command"]),
+        *(windows if len(report.windows) > 1 else []),
+        _metric(METRICS_BY_NAME["pumped_m3"]), _metric(METRICS_BY_NAME["max_command"]), _RUN,
     ):
         columns.append(_BestColumn(column.header, partial(_cell_of_run, column)))
     return Table(

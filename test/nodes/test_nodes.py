@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import math
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -227,8 +228,13 @@ def test_weight_is_set_during_a_run(domain: int, tmp_path: Path, observer: Obser
         assert "weight" in refused.reason
     assert set_weight(0.01).successful
     assert process.wait(60) == 0, process.stderr()
-    (change,) = summary_of(tmp_path / "run")["parameter_changes"]
-    assert (change["parameter"], change["value"]) == ("weight", 0.01)
+    summary = summary_of(tmp_path / "run")
+    (change,) = summary["parameter_changes"]
+    assert (change["parameter"], change["before"], change["value"]) == ("weight", 0.001, 0.01)
+    time = f"00:{change['tick'] // 60:02}"
+    assert f"0.001 -> 0.01 at {time} (tick {change['tick']})" in " ".join(
+        re.sub("[│\n]", " ", process.stdout()).split()
+    )
     assert 0 <= change["tick"] <= 720
 
 

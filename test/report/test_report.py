@@ -5,7 +5,9 @@ from __future__ import annotations
 import csv
 import dataclasses
 import json
+import math
 import os
+import re
 import shutil
 import struct
 import subprocess
@@ -113,7 +115,7 @@ def report_of(path: Path) -> Report:
 def page_of(path: Path) -> str:
     """Return the text of the page on what is under a path, without figures and blanks."""
     html = render(report_of(path), [], find_runs([path], None), Assumptions())
-    return " ".join(html.partition("<main>")[2].partition("</main>")[0].split())
+    return " ".join(html.partition("<body>")[2].partition("</main>")[0].split()).replace("<br>", "")
 
 
 def drawn(report: Report, name: str) -> Figure:
@@ -647,8 +649,8 @@ def test_study(study: Path, tmp_path: Path) -> None:
     assert "<td>not run</td>" in text
     assert "The command was above 1" in text
     assert "no real pump can follow it." in text and "better than" not in text
-    assert text.count("pumped (m³)</button>") == 3
-    assert "over the least possible" not in text
+    assert text.count("pumped <br>(m³)</button>") == 3
+    assert "over the least" not in text
     names = {path.stem for path in (tmp_path / "report" / "figures").iterdir()}
     assert {"pump-curve-1", "weather-1", "total-deviation-1", "trajectories-1-2"} <= names
     for name in names:
@@ -946,6 +948,25 @@ def test_sites_of_run_directories(tmp_path: Path, simulated: list[Simulated]) ->
     assert "site" in header["Results of each run"]
 
 
+def ended_run(directory: Path, status: str, **known: Any) -> Path:
+    """Write what bringup leaves of 720 ticks of MPC; without metrics, if it is not done."""
+    one = simulate("mpc", "0.001", "low-low")
+    ticks = known.get("last_tick") or 720
+    columns = {name: getattr(one.trajectory, name)[: ticks + 1] for name in NAMES}
+    write_bag(directory / "bag", messages_of(Trajectory(start=START, **columns)))
+    (directory / "configuration").mkdir()
+    shutil.copy(CONFIG / "site.yaml", directory / "configuration")
+    (directory / "summary.json").write_text(json.dumps({
+        "status": status, "reason": None, "last_tick": None, "controller": "mpc",
+        "parameters": {"weight": 0.001, "max_command": None}, "weather": "toronto_2021-07.csv",
+        "initial": {"name": "low-low", "cistern_m3": 57.69, "roof_m3": 2.42},
+        "start": START.isoformat(), "steps": 720, "tau_s": 1.0,
+        "evapotranspiration_method": "published", "parameter_changes": [], "refused": {},
+        **known,
+    }))
+    return directory
+
+
 def test_no_bound_from_a_sensor_that_errs(
     tmp_path: Path, simulated: list[Simulated]
 ) -> None:
@@ -1093,8 +1114,208 @@ def test_a_run_of_the_graph(domain: int, tmp_path: Path) -> None:
     done = command("run", cwd=tmp_path)
     assert done.returncode == 0, done.stderr
     assert (tmp_path / "run" / "report" / "report.html").is_file()
-    again = command("run", cwd=tmp_path)
-    assert again.returncode == 2 and "never written over" in again.stderr
+
+
+# A pump that gives 1 L/s, and in every tenth tick, the first among them, what cannot be.
+BAD_DRIVER = """
+import math, rclpy
+from rclpy.duration import Duration
+from rclpy.event_handler import SubscriptionEventCallbacks
+from rclpy.qos import DurabilityPolicy, QoSProfile
+from std_msgs.msg import Float64
+
+BAD, ticks = [math.nan, 5.0, -0.001, math.inf], 0
+
+def on_command(message):
+    global ticks
+    publisher.publish(Float64(data=0.001 if ticks % 10 else BAD[ticks // 10 % 4]))
+    ticks += 1
+
+def on_liveliness(event):
+    if event.alive_count == 0:
+        raise SystemExit
+
+rclpy.init()
+node = rclpy.create_node("pump")
+qos = QoSProfile(depth=64, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+qos.liveliness_lease_duration = Duration(seconds=1)
+publisher = node.create_publisher(Float64, "pump/flow", qos)
+events = SubscriptionEventCallbacks(liveliness=on_liveliness)
+node.create_subscription(Float64, "pump/command", on_command, qos, event_callbacks=events)
+rclpy.spin(node)
+"""
+
+
+def test_refused_flows_act_as_zero(domain: int, tmp_path: Path) -> None:
+    """Summary and report agree, and with the sum by hand: 9 of 10 ticks of 1 L/s, 12 starts."""
+    pytest.importorskip("rclpy", reason="the graph needs ROS 2")
+    driver = subprocess.Popen(
+        [sys.executable, "-c", BAD_DRIVER], cwd=tmp_path, env=environment(domain)
+    )
+    try:
+        summary = bring_up(
+            domain, tmp_path, "--hours", str(120 / 3600), "--controller", "onoff",
+            "--pump", "external",
+        )
+        assert driver.wait(10) == 0
+    finally:
+        driver.kill()
+        driver.wait()
+    assert summary["refused"] == {"/pump/flow": 13}  # of ticks 0 to 120
+    assert summary["pumped_m3"] == pytest.approx(108 * 0.001, rel=1e-12)
+    assert summary["pump_starts"] == 12
+    (one,) = report_of(tmp_path / "run").results
+    for name, value in one.assessment.metrics.items():
+        assert value == pytest.approx(summary[name], rel=1e-12, abs=1e-15), name
+    assert one.assessment.metrics["pump_starts"] == 12
+    assert any("13 of 121 values of /pump/flow were refused" in str(note) for note in one.notes)
+
+
+def test_what_the_plant_refuses_acts_as_zero(tmp_path: Path) -> None:
+    """Command, rain and evapotranspiration of a run of this package; its own flow is as it was."""
+    path = ended_run(tmp_path / "run", "done")
+    shutil.rmtree(path / "bag")
+    small_bag(
+        path / "bag", pump_command=[math.nan, 2000.0, 0.5], pump_flow=[0.0, 8.0, 0.0],
+        weather_precipitation=[2e-3, 1e-6, 0.0], weather_evapotranspiration=[-1.0, 1e-6, math.inf],
+    )
+    trajectory, notes = find_runs([path], None).runs[0].load()
+    assert trajectory.command.tolist() == [0, 2000, 0.5]
+    assert trajectory.pump_flow.tolist() == [0, 8, 0]
+    assert trajectory.precipitation.tolist() == [0, 1e-6, 0]
+    assert trajectory.evapotranspiration.tolist() == [0, 1e-6, 0]
+    refused = {note.split()[5]: note.split()[0] for note in notes if "refused" in note}
+    assert refused == {
+        "/pump/command": "1", "/weather/precipitation": "1", "/weather/evapotranspiration": "2"
+    }
+
+
+def test_a_changed_parameter(tmp_path: Path) -> None:
+    """It is in the setting, wherever that stands, and a warning; no axis has it as a number."""
+    changes = [
+        {"tick": 300, "parameter": "weight", "before": 0.001, "value": 0.00001},
+        {"tick": 3660, "parameter": "weight", "before": 0.00001, "value": 0.1},
+    ]
+    path = ended_run(tmp_path / "run", "done", parameter_changes=changes)
+    other = ended_run(tmp_path / "other", "done")
+    report = report_of(path)
+    became = "0.001 -> 0.00001 at 00:05 -> 0.1 at 01:01"
+    assert report.settings["mpc"].labels == [became]
+    rows = drawn(report, "trajectories-1-1").data["command-1-1-mpc"]
+    assert {row["setting"] for row in rows} == {became}
+    text = page_of(path).replace("&gt;", ">")
+    assert f"weight was changed in the run: {became} (tick 300, 3660)." in text
+    assert f">weight {became}<" in text
+    both = Report([result(entry, Assumptions()) for entry in find_runs([path, other], None).runs])
+    assert both.settings["mpc"].labels == ["0.001", became]
+    assert both.settings["mpc"].axis == ""
+    for make in make_figures(both, None):
+        make()
+    limit = {"tick": 60, "parameter": "max_command", "before": None, "value": 1.0}
+    path = ended_run(tmp_path / "limited", "done", parameter_changes=[limit])
+    assert report_of(path).settings["mpc"].full_label(find_runs([path], None).runs[0]) == (
+        "max_command none -> 1 at 00:01"
+    )
+
+
+ENDINGS = {
+    "failed": (
+        {"last_tick": 72, "reason": "node weather ended (SIGKILL); its last lines:\n  none"},
+        "failed at tick 72 of 720 (00:01:12): node weather ended (SIGKILL); its last lines: none",
+    ),
+    "interrupted": ({"last_tick": 610}, "was interrupted at tick 610 of 720 (00:10:10)"),
+    "running": ({}, "has not ended, or bringup was killed"),
+}
+
+
+@pytest.mark.parametrize("status", ENDINGS)
+def test_a_run_that_is_not_done_says_it_first(tmp_path: Path, status: str) -> None:
+    """Alone before all else; beside others by name, and in its rows."""
+    known, sentence = ENDINGS[status]
+    path = ended_run(tmp_path / "broken", status, **known)
+    text = page_of(path)
+    said = f"<strong>This run {sentence}.</strong> What follows is the part that was recorded."
+    assert said in text
+    assert text.index(said) < text.index("A green roof")
+    if status == "failed":
+        done = command("broken", cwd=tmp_path)
+        assert f"broken {sentence}; what follows is of the part" in " ".join(done.stdout.split())
+    whole = ended_run(tmp_path / "whole", "done")
+    sources = find_runs([whole, path], None)
+    html = render(
+        Report([result(entry, Assumptions()) for entry in sources.runs]), [], sources,
+        Assumptions(),
+    )
+    box = " ".join(html.partition('class="not-done"')[2].partition("</div>")[0].split())
+    assert "1 of 2 runs are not done." in box
+    assert f"<strong>broken</strong> {sentence}." in box
+    short = {"failed": "failed at tick 72", "interrupted": "interrupted at tick 610",
+             "running": "not ended"}[status]
+    assert html.count(f'class="text warning">{short}</td>') >= 2
+    assert html.count(">done</td>") >= 2
+
+
+def test_a_run_that_left_nothing(tmp_path: Path) -> None:
+    """Refused with why it failed; beside others it is in the list."""
+    path = ended_run(tmp_path / "broken", "failed", reason="no start within 30 s")
+    shutil.rmtree(path / "bag")
+    silent = ended_run(tmp_path / "silent", "interrupted", last_tick=0)
+    shutil.rmtree(silent / "bag")
+    small_bag(silent / "bag", roof_level=[], cistern_level=[], pump_command=[], pump_flow=[])
+    ended_run(tmp_path / "whole", "done")
+    done = command("broken", cwd=tmp_path)
+    assert done.returncode == 2 and "Traceback" not in done.stderr
+    assert "broken failed: no start within 30 s; no bag" in done.stderr
+    done = command("silent", cwd=tmp_path)
+    assert done.returncode == 2 and "silent was interrupted at tick 0 of 720" in done.stderr
+    done = command("whole", "broken", "silent", cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    page = (tmp_path / "whole" / "report" / "report.html").read_text()
+    assert "2 runs failed or did not run" in page
+    assert "<strong>broken</strong> failed: no start within 30 s" in page
+
+
+def test_one_run_alone(tmp_path: Path) -> None:
+    """No figure of single marks, and a line for each quantity; two runs of one kind have them."""
+    path = ended_run(tmp_path / "run", "done")
+    names = [make().name for make in make_figures(report_of(path), None)]
+    assert names == [
+        "pump-curve-1", "pump-smoothing-1", "weather-1", "trajectories-1-1", "water-balance-1"
+    ]
+    text = page_of(path)
+    assert "Least total deviation" not in text and "<thead>" not in text.partition("Site:")[0]
+    assert re.search(r">total deviation \(m³\)</th> <td data-key=\S+ class=\"\">[\d.]+</td>", text)
+    other = ended_run(tmp_path / "other", "done", parameters={"weight": 0.01})
+    both = Report([result(entry, Assumptions()) for entry in find_runs([path, other], None).runs])
+    assert "energy-1" in [make().name for make in make_figures(both, None)]
+    assert len(both.windows) == 1  # their sites are equal, each with its own copy
+
+
+def test_force_replaces_a_report_and_nothing_else(tmp_path: Path) -> None:
+    """Refused with how; then page and figures are new, and those of before gone."""
+    ended_run(tmp_path / "run", "done")
+    report = tmp_path / "run" / "report"
+    assert command("run", "--force", cwd=tmp_path).returncode == 0
+    first = (report / "report.html").read_text()
+    (report / "figures" / "weather-7.svg").write_text("of a report before")
+    done = command("run", "--water-price", "5", cwd=tmp_path)
+    assert done.returncode == 2
+    assert "--force replaces it" in done.stderr
+    assert (report / "report.html").read_text() == first
+    before = {file.name for file in (report / "figures").iterdir()}
+    done = command("run", "--water-price", "5", "--force", cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    assert "5 CAD/m³" in (report / "report.html").read_text()
+    assert {file.name for file in (report / "figures").iterdir()} == before - {"weather-7.svg"}
+    for name in ("notes.txt", "figures/mine.svg", "figures/more/energy-1.svg"):
+        (report / name).parent.mkdir(exist_ok=True)
+        (report / name).write_text("mine")
+        done = command("run", "--force", cwd=tmp_path)
+        assert done.returncode == 2, name
+        assert name.removesuffix("/energy-1.svg") in done.stderr and "no report's" in done.stderr
+        assert (report / name).read_text() == "mine"
+        (report / name).unlink()
+    assert "5 CAD/m³" in (report / "report.html").read_text()
 
 
 # --- wrong inputs ------------------------------------------------------------------------------

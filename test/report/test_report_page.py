@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import shutil
 import subprocess
 import sys
@@ -12,7 +13,7 @@ from typing import Any
 import numpy as np
 import pytest
 from graphs import environment
-from test_report import SEEDED, START, seeded_rows, simulate, write_study
+from test_report import SEEDED, START, ended_run, seeded_rows, simulate, write_study
 
 from greenroof_ros.recording.trajectory import Trajectory
 
@@ -38,6 +39,27 @@ window.marks = (id, type) => {
 };
 // Where the plotting area begins on the canvas.
 window.corner = (view) => view.origin().map((one, i) => one + view.padding()[i ? "top" : "left"]);
+// By how much legends stick out of their canvases, or these out of the window (px).
+window.clipped = () => [...window.reportViews].flatMap(([id, view]) => {
+  const canvas = document.querySelector(`#${id} canvas`).getBoundingClientRect();
+  const [left, top] = corner(view);
+  const legends = [];
+  const walk = (item) => {
+    if (item.role === "legend") legends.push(item.items[0].bounds);
+    (item.items ?? []).forEach(walk);
+  };
+  walk(view.scenegraph().root);
+  const out = legends.map((one) => Math.max(left + one.x2 - canvas.width,
+                                            top + one.y2 - canvas.height));
+  return [...out, canvas.right - document.documentElement.clientWidth];
+});
+// How many lines the fullest cell of any table has.
+window.mostLines = () => Math.max(...[...document.querySelectorAll("td, th")].map((cell) => {
+  const range = document.createRange();
+  range.selectNodeContents(cell);
+  const height = range.getBoundingClientRect().height;
+  return Math.round(height / parseFloat(getComputedStyle(cell).lineHeight));
+}));
 window.legendEntry = (id, text) => {
   const view = window.reportViews.get(id);
   let found = null;
@@ -96,10 +118,30 @@ def seeds_file(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return reported(directory)
 
 
-def reported(directory: Path) -> Path:
-    """Make the report on a study."""
+@pytest.fixture(scope="module")
+def runs_file(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The report on a whole run, one whose setting was changed, and one that failed."""
+    directory = tmp_path_factory.mktemp("runs")
+    change = {"tick": 300, "parameter": "weight", "before": 0.001, "value": 0.01}
+    ended_run(directory / "whole", "done")
+    ended_run(directory / "2026-11-21T02-25-10-changed", "done", parameter_changes=[change])
+    ended_run(directory / "broken", "failed", last_tick=72, reason="node weather ended (SIGKILL)")
+    return reported(directory, "whole", "2026-11-21T02-25-10-changed", "broken")
+
+
+@pytest.fixture(scope="module")
+def run_file(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The report on one run."""
+    directory = tmp_path_factory.mktemp("run")
+    ended_run(directory / "2026-11-21T02-25-10-mpc", "done")
+    return reported(directory, "2026-11-21T02-25-10-mpc")
+
+
+def reported(directory: Path, *paths: str) -> Path:
+    """Make the report on a study, or on runs."""
     done = subprocess.run(
-        [sys.executable, "-m", "greenroof_ros.report", "study", "--output", "report"],
+        [sys.executable, "-m", "greenroof_ros.report", *(paths or ["study"]), "--output",
+         "report"],
         cwd=directory, env=environment(0), capture_output=True, text=True, timeout=300,
         check=False,
     )
@@ -211,7 +253,7 @@ def test_table_sorts(page: Any) -> None:
     header.locator("button").press("Enter")
     assert header.get_attribute("aria-sort") == "descending"
     assert values() == sorted(before, reverse=True)
-    table.locator("thead button").first.click()
+    table.locator("thead button", has_text=re.compile(r"^run$")).click()
     assert values() == before
     assert header.get_attribute("aria-sort") is None
     settings = table.locator("thead th", has_text="setting")
@@ -346,6 +388,34 @@ def test_many_seeds(browser: Any, seeds_file: Path) -> None:
         assert marks(first, "symbol") == 12
         assert page.locator("table.sortable").count() == 1
         assert overflow(page) == 0
+    finally:
+        page.close()
+
+
+@pytest.mark.parametrize("name", ["page_file", "seeds_file", "runs_file", "run_file"])
+def test_readable_at_any_width(
+    browser: Any, request: pytest.FixtureRequest, name: str
+) -> None:
+    """No cell of three lines at 1400 px; no legend is clipped there, at 500 px, or once made so.
+
+    At 500 px the first table shows a number without being moved.
+    """
+    page = opened(browser, request.getfixturevalue(name), 1400)
+    try:
+        assert page.evaluate("mostLines()") <= 2
+        assert max(page.evaluate("clipped()")) <= 1
+        page.set_viewport_size({"width": 500, "height": 900})
+        page.wait_for_function("Math.max(...clipped()) <= 1", timeout=10_000)
+    finally:
+        page.close()
+    page = opened(browser, request.getfixturevalue(name), 500)
+    try:
+        assert max(page.evaluate("clipped()")) <= 1
+        number = page.locator("table").first.evaluate(
+            "(one) => Math.min(...[...one.tBodies[0].querySelectorAll('td:not(.text)')].map("
+            "(cell) => cell.getBoundingClientRect().right))"
+        )
+        assert number <= 500 - 16 or name == "runs_file"  # with its long setting
     finally:
         page.close()
 

@@ -1,0 +1,45 @@
+"""The table at the end of a run: sentences for people, whatever the summary holds."""
+
+from __future__ import annotations
+
+import io
+
+from paper import paper_run
+from rich.console import Console
+
+from greenroof_ros.experiment import summary, summary_table
+from greenroof_ros.experiment.closed_loop import closed_loop, record
+from greenroof_ros.model.metrics import Metrics
+
+
+def test_no_raw_data() -> None:
+    """No dictionary, list or None in any row of a run in which everything happened."""
+    run = paper_run(
+        "--hours", "0.1", "--forecast", "ensemble", "--roof-noise", "0.001", "--minimum-on", "60",
+        "--weight", "0.01",
+    )
+    metrics = Metrics()
+    record(run, closed_loop(run, run.make_controller(), metrics))
+    result = summary.build(
+        run, metrics.results(), wall_s=1.0,
+        solver={"mean_s": 1e-5, "p99_s": 1e-5, "max_s": 1e-5, "solves": 9, "fallbacks": 1},
+        messages={"/pump/flow": 361, "/clock": 361},
+        refused={"/pump/flow": 37, "/roof/level": 2},
+        parameter_changes=[
+            {"tick": 300, "parameter": "weight", "before": 0.001, "value": 0.01},
+            {"tick": 301, "parameter": "most", "before": None, "value": 2.0},
+        ],
+    )
+    result |= {
+        "frost_hours": 2.0, "weather_notes": ["rain was moved an hour back"],
+        "filled": {"dew point": ["2021-07-20T13:00-05:00", "2021-07-20T14:00-05:00"]},
+        "forecast_repeats_last_record_from": "2021-07-31T23:00-05:00",
+    }
+    stream = io.StringIO()
+    Console(file=stream, width=200).print(summary_table.table(result))
+    text = stream.getvalue()
+    assert not set("{}[]'").intersection(text) and "None" not in text
+    rows = [" ".join(line.replace("│", " ").split()) for line in text.splitlines()]
+    assert "REFUSED 39 values: 37 on /pump/flow, 2 on /roof/level" in rows
+    assert "CHANGED weight 0.001 -> 0.01 at 00:05 (tick 300)" in rows
+    assert "CHANGED most no limit -> 2 at 00:05 (tick 301)" in rows
