@@ -121,6 +121,12 @@ class LockstepNode(Node):
         """End the run for this node: the plant has."""
         self.finish()
 
+    def on_answered_again(self, name: str) -> None:
+        """Forget what came on a topic for the present tick: its publisher was started again.
+
+        It answers that tick as a whole, of which the one that was killed may have answered a part.
+        """
+
     def on_stop(self) -> None:
         """Put away what is open; called once at the end, whatever the reason."""
 
@@ -189,14 +195,13 @@ class LockstepNode(Node):
             self._bits[name] = bit = 1 << len(self._bits)
             self._all |= bit
 
-        def answer_anew() -> None:
-            # A node that was started again answers the present tick, of which the one that was
-            # killed may have answered a part.
+        def on_second() -> None:
             if not self._joining:
                 self._fresh &= ~bit
+            self.on_answered_again(name)
 
         self._watches[name] = watch = PublisherWatch(
-            self, topic, self._refuse, self._on_doubt, answer_anew, recorded=raw
+            self, topic, self._refuse, self._on_doubt, on_second, recorded=raw
         )
         if callback is None:
             on_message = self._when_fresh(entry, bit, watch)

@@ -68,6 +68,7 @@ class Peers:
 
     Attributes:
         names: what to call a node that has not reported, by its role.
+        restarted: names of nodes that were started again before they had finished.
     """
 
     def __init__(self, logger: RcutilsLogger) -> None:
@@ -77,6 +78,7 @@ class Peers:
             logger: of the node.
         """
         self.names = dict(_ROLES)
+        self.restarted: set[str] = set()
         self._logger = logger
         self._reports: dict[str, Report] = {}
         self._heard: dict[str, float] = {}
@@ -96,6 +98,8 @@ class Peers:
         if before is None:
             return
         again = before.process != report.process
+        if again and before.state != FINISHED:
+            self.restarted.add(name)
         if report.state == ENDED:
             # The end of the plant is that of the run, which says so itself.
             if before.state in (STARTING, READY) and report.role != "plant":

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import csv
 import json
 import signal
+import struct
 import subprocess
 import sys
 import time
@@ -159,7 +161,7 @@ def test_started_by_hand_gives_the_bag_of_bringup(
 
 
 def test_restarted_at_once(nodes: Nodes) -> None:
-    """kill -9 of the weather, then of the controller, each new in 0.1 s: the run has its numbers.
+    """kill -9 of the weather, then of the controller, each new in 0.1 s: every number is that of simulate.
 
     The names of restarted nodes come seconds after their publishers, and a dead node's lease may
     still run.
@@ -172,7 +174,8 @@ def test_restarted_at_once(nodes: Nodes) -> None:
     )
     nodes.node("weather")
     nodes.node("onoff")
-    nodes.node("plant", *parameters(run_length=1500, speed=200.0))
+    nodes.node("recorder", *parameters(directory="bag", controller="onoff"))
+    nodes.node("plant", *parameters(run_length=1500, speed=200.0, record="true"))
     ticks = TickCount(nodes.domain)
     try:
         for victim, reached in (("weather", 200), ("onoff", 700)):
@@ -188,10 +191,11 @@ def test_restarted_at_once(nodes: Nodes) -> None:
     assert nodes.code("plant", 60) == 0, nodes.log("plant")
     assert nodes.code("weather-again", 10) == 0
     assert nodes.code("onoff-again", 10) == 0
+    assert nodes.code("recorder", 10) == 0, nodes.log("recorder")
     done = subprocess.run(
         [
             sys.executable, "-m", "greenroof_ros.simulate", "--controller", "onoff",
-            "--hours", str(1500 / 3600), "--output", "inprocess", "--json",
+            "--hours", str(1500 / 3600), "--trajectory", "inprocess.csv", "--json",
         ],
         cwd=nodes.cwd, env=environment(nodes.domain), capture_output=True, text=True, check=True,
     )
@@ -199,6 +203,16 @@ def test_restarted_at_once(nodes: Nodes) -> None:
     assert "finished 1500 ticks in" in nodes.log("plant")
     assert f"total deviation {total:.2f} m3" in nodes.log("plant")
     assert "onoff was started again" in nodes.log("plant")
+    with (nodes.cwd / "inprocess.csv").open(newline="") as rows:
+        expected = [(row["roof_level_m"], row["command"]) for row in csv.DictReader(rows)]
+    recorded: dict[str, list[str]] = {}
+    with (nodes.cwd / "bag" / "bag_0.mcap").open("rb") as stream:
+        for _, channel, message in make_reader(stream).iter_messages():
+            value = repr(struct.unpack_from("<d", message.data, 4)[0])
+            recorded.setdefault(channel.topic, []).append(value)
+    assert {len(values) for values in recorded.values()} == {1501}
+    both = zip(recorded["/roof/level"], recorded["/pump/command"], strict=True)
+    assert list(both) == expected
 
 
 class TickCount:
