@@ -271,9 +271,9 @@ def _seeded(report: Report) -> list[Table]:
         return [
             _word(controller_name(one.controller)),
             Cell(one.setting, f"{one.controller} {rank:06}"),
+            Cell(shortest(one.size), one.size),
             *(_word(one.place.facts[name]) for name in where),
             _word(one.place.initial),
-            Cell(shortest(one.size), one.size),
             _number(len(one.totals), "d"),
             *(_number(total, ".2f") for total in totals),
             *(_share(total / one.bound_m3 if one.bound_m3 else None)
@@ -283,7 +283,7 @@ def _seeded(report: Report) -> list[Table]:
     amounts = ("mean", "worst tenth", "worst")
     return [Table(
         "Total deviation under forecast errors, over their seeds",
-        ["controller", "setting", *where, "from", "size of the errors",
+        ["controller", "setting", "size of the errors", *where, "from",
          "seeds", *(f"{amount} (m³)" for amount in amounts),
          *(f"{amount} over the least (1)" for amount in amounts if known)],
         [row(rank, one) for rank, one in enumerate(found)],

@@ -161,7 +161,7 @@ def test_started_by_hand_gives_the_bag_of_bringup(
 
 
 def test_restarted_at_once(nodes: Nodes) -> None:
-    """kill -9 of the weather, then of the controller, each new in 0.1 s: every number is that of simulate.
+    """kill -9 of the weather, then of the controller, each new in 0.1 s: the numbers of simulate.
 
     The names of restarted nodes come seconds after their publishers, and a dead node's lease may
     still run.
