@@ -195,8 +195,8 @@ class LockstepNode(Node):
             self._bits[name] = bit = 1 << len(self._bits)
             self._all |= bit
 
-        def on_second() -> None:
-            if not self._joining:
+        def on_second(*, answered: bool) -> None:
+            if not self._joining and not answered:
                 self._fresh &= ~bit
             self.on_answered_again(name)
 
@@ -238,10 +238,7 @@ class LockstepNode(Node):
                 self._last_arrival = time.monotonic()
                 return
             if self._fresh & bit:
-                raise LockstepError(
-                    f"{entry.name} came twice in one tick ({watch.said_names()}); another "
-                    "publisher, or nodes of an earlier run, are in this graph"
-                )
+                watch.came_twice()
             self._fresh |= bit
             if self._fresh == self._all:
                 self._act()

@@ -21,6 +21,8 @@ _UNKNOWN = "_NODE_NAME_UNKNOWN_"
 # ROS repeats the names of nodes every 3 s, and a publisher that is not of ROS never has one.
 _LEASE_S = 2.0
 _NAMING_S = 5.0
+# How long the news of a second publisher may come behind its first message (s).
+_NEWS_S = 1.0
 
 
 class PublisherWatch:
@@ -35,6 +37,9 @@ class PublisherWatch:
     - Without a lease all publishers have one node's name: it, and what it was before its restart.
       That they do not both live is seen on the one topic of each node that has a lease.
 
+    A second message in one tick is a doubt as well, since the news of a second publisher may come
+    behind its first message: without that news it is refused.
+
     Otherwise the second is refused: two live longer than a lease, they have two names, or one of
     them left in good order, so that it lived, and what was said meanwhile may be its.
 
@@ -47,7 +52,7 @@ class PublisherWatch:
 
     def __init__(
         self, node: Node, topic: Topic, refuse: Callable[[str], None],
-        on_doubt: Callable[[PublisherWatch], None], on_second: Callable[[], None],
+        on_doubt: Callable[[PublisherWatch], None], on_second: Callable[..., None],
         *, recorded: bool,
     ) -> None:
         """Prepare for a subscription.
@@ -57,7 +62,8 @@ class PublisherWatch:
             topic: the interface's.
             refuse: called with a message that names them, when there are two.
             on_doubt: called when a doubt begins, and when it ends.
-            on_second: called when a publisher comes beside another, before its first message.
+            on_second: called when a publisher comes beside another; ``answered`` says whether it
+                has answered the present tick already.
             recorded: the node only keeps what is published. Each message of a topic with a lease
                 sets a timer again in its reader; only where a node acts on it is that worth it.
         """
@@ -65,6 +71,7 @@ class PublisherWatch:
         self.name = node.resolve_topic_name(topic.graph_name)
         self.count = 0
         self.doubtful = False
+        self._twice = False
         self._node = node
         self._refuse = refuse
         self._on_doubt = on_doubt
@@ -100,16 +107,30 @@ class PublisherWatch:
             now: of the steady clock (s).
         """
         passed = now - self._since
+        if self._twice:
+            if passed > _NEWS_S:
+                self._refuse(self._said_twice())
+            return
         names = self._names()
         if _UNKNOWN in names and passed < _NAMING_S:
             return
         if self._lease:
-            if passed > _LEASE_S:
+            if self.count > 1 and passed > _LEASE_S:
                 self._refuse_second(self.count)
+            elif self.count <= 1 and passed > _NEWS_S:
+                self._doubt(False)  # the first one's lease ran out before the second came
         elif len(names) > 1:
             self._refuse_second(self.count)
         else:
             self._doubt(False)
+
+    def came_twice(self) -> None:
+        """Note that two messages came in one tick; a third is one too many whoever sends it."""
+        if self._twice:
+            self._refuse(self._said_twice())
+        self._twice = True
+        self._since = time.monotonic()
+        self._doubt(True)
 
     def _on_liveliness(self, event: Any) -> None:
         known = event.alive_count + event.not_alive_count
@@ -120,7 +141,8 @@ class PublisherWatch:
     def _on_matched(self, event: Any) -> None:
         before, self._matched = self._matched, event.current_count
         if self._matched > before > 0:
-            self._on_second()
+            self._on_second(answered=self._twice)
+            self._twice = False
         if not self._lease:
             self._on_count(self._matched, left=self._matched < before)
 
@@ -133,21 +155,27 @@ class PublisherWatch:
         elif self.doubtful and count < before:
             if left:
                 self._refuse_second(before, "one that has left")
-            elif count == 1:
+            elif count == 1 and not self._twice:
                 self._doubt(False)
 
     def _doubt(self, doubtful: bool) -> None:
         self.doubtful = doubtful
         self._on_doubt(self)
 
-    def said_names(self, *others: str) -> str:
+    def _said_twice(self) -> str:
+        return (
+            f"{self.name} came twice in one tick ({self._said_names()}); another publisher, or "
+            "nodes of an earlier run, are in this graph"
+        )
+
+    def _said_names(self, *others: str) -> str:
         """Return the names of the publishers' nodes, and of some others, for a message."""
         unnamed = ["a node that does not say its name"] if _UNKNOWN in self._names() else []
         return ", ".join([*self.names(), *unnamed, *others])
 
     def _refuse_second(self, count: int, *others: str) -> None:
         self._refuse(
-            f"{self.name} has {count} publishers ({self.said_names(*others)}); a graph must have "
+            f"{self.name} has {count} publishers ({self._said_names(*others)}); a graph must have "
             "exactly one: end the other, or take another ROS_DOMAIN_ID or --namespace"
         )
 

@@ -164,7 +164,8 @@ def test_restarted_at_once(nodes: Nodes) -> None:
     """kill -9 of the weather, then of the controller, each new in 0.1 s: the numbers of simulate.
 
     The names of restarted nodes come seconds after their publishers, and a dead node's lease may
-    still run.
+    still run. (The run is slow, or the kill would fall between what a node says to one reader and
+    to the next now and then; nothing brings that message back.)
     """
     nodes.start("weather-again", "-c", AT_ONCE.format("weather"))
     nodes.start(
@@ -175,10 +176,10 @@ def test_restarted_at_once(nodes: Nodes) -> None:
     nodes.node("weather")
     nodes.node("onoff")
     nodes.node("recorder", *parameters(directory="bag", controller="onoff"))
-    nodes.node("plant", *parameters(run_length=1500, speed=200.0, record="true"))
+    nodes.node("plant", *parameters(run_length=400, speed=30.0, record="true"))
     ticks = TickCount(nodes.domain)
     try:
-        for victim, reached in (("weather", 200), ("onoff", 700)):
+        for victim, reached in (("weather", 50), ("onoff", 200)):
             ticks.wait_for(reached)
             nodes.started[victim].kill()
             time.sleep(0.1)
@@ -195,12 +196,12 @@ def test_restarted_at_once(nodes: Nodes) -> None:
     done = subprocess.run(
         [
             sys.executable, "-m", "greenroof_ros.simulate", "--controller", "onoff",
-            "--hours", str(1500 / 3600), "--trajectory", "inprocess.csv", "--json",
+            "--hours", str(400 / 3600), "--trajectory", "inprocess.csv", "--json",
         ],
         cwd=nodes.cwd, env=environment(nodes.domain), capture_output=True, text=True, check=True,
     )
     total = json.loads(done.stdout)["total_deviation_m3"]
-    assert "finished 1500 ticks in" in nodes.log("plant")
+    assert "finished 400 ticks in" in nodes.log("plant")
     assert f"total deviation {total:.2f} m3" in nodes.log("plant")
     assert "onoff was started again" in nodes.log("plant")
     with (nodes.cwd / "inprocess.csv").open(newline="") as rows:
@@ -210,7 +211,7 @@ def test_restarted_at_once(nodes: Nodes) -> None:
         for _, channel, message in make_reader(stream).iter_messages():
             value = repr(struct.unpack_from("<d", message.data, 4)[0])
             recorded.setdefault(channel.topic, []).append(value)
-    assert {len(values) for values in recorded.values()} == {1501}
+    assert {len(values) for values in recorded.values()} == {401}
     both = zip(recorded["/roof/level"], recorded["/pump/command"], strict=True)
     assert list(both) == expected
 
