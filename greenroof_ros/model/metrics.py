@@ -223,7 +223,7 @@ METRICS = (
         _pump_starts, _count, "d",
     ),
     Metric(
-        "busiest_hour_starts", "1", "busiest hour", "the most pump starts in an hour",
+        "busiest_hour_starts", "1", "starts in an hour", "the most pump starts in 60 minutes",
         _starts_in_hour, lambda before, values: int(_largest(before, values)), "d",
     ),
     Metric(
