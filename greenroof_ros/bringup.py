@@ -23,7 +23,7 @@ from greenroof_ros.experiment.progress import RunProgress
 from greenroof_ros.experiment.run import Run
 from greenroof_ros.experiment.run_directory import make_run_directory, write_configuration
 from greenroof_ros.graph.domain import only_bringup, refuse_other_nodes
-from greenroof_ros.graph.states import FINISHED, STARTING
+from greenroof_ros.graph.states import FINISHED, READY
 from greenroof_ros.graph.supervisor import NodeFailed, Supervisor
 from greenroof_ros.recording.bag_reader import count_ticks
 
@@ -131,7 +131,7 @@ def _watch(run: Run, limit: float, supervisor: Supervisor, signals: _Signals) ->
             signals.check()
             for node, report in supervisor.reports():
                 progress.warn(report["warnings"])
-                if report["state"] != STARTING:
+                if report["state"] in (READY, FINISHED):
                     waiting.discard(node)
                 if report["state"] == FINISHED:
                     running.discard(node)
@@ -141,10 +141,20 @@ def _watch(run: Run, limit: float, supervisor: Supervisor, signals: _Signals) ->
                         report["command"],
                     )
             if waiting:
-                progress.waiting(f"waiting for {', '.join(sorted(waiting))}")
+                progress.waiting(f"waiting for {', '.join(_missing(run, waiting, supervisor))}")
                 supervisor.check(_START_LIMIT_S)
             else:
                 supervisor.check(limit)
+
+
+def _missing(run: Run, waiting: set[str], supervisor: Supervisor) -> list[str]:
+    """Return who has not come yet: nodes that say nothing, and for whom the others wait."""
+    names = {"controller": run.controller.name, "pump": "the pump driver"}
+    missing = {
+        names.get(role, role)
+        for report in supervisor.last.values() for role in report.get("waiting", [])
+    }
+    return sorted(missing | (waiting - supervisor.last.keys()) or waiting)
 
 
 def _run_graph(run: Run, arguments: argparse.Namespace, signals: _Signals) -> int:

@@ -196,6 +196,12 @@ class LockstepNode(Node):
             self._all |= bit
 
         def on_second(*, answered: bool) -> None:
+            if self.acted and bit and not self._awaits_publisher_of(name):
+                self._refuse(
+                    f"a second publisher of {entry.name} ({watch.said_names()}) came when the "
+                    "first had answered the tick; which tick it answers cannot be told: end all "
+                    "nodes and start the run again"
+                )
             if not self._joining and not answered:
                 self._fresh &= ~bit
             self.on_answered_again(name)
@@ -220,6 +226,28 @@ class LockstepNode(Node):
             event_callbacks=events,
         )
         return entry
+
+    def _awaits_publisher_of(self, name: str) -> bool:
+        """Whether a tick waits for the node that publishes a topic.
+
+        One that is started again answers the newest tick that it sees. Only where that tick still
+        waits for it does it answer once; otherwise the answer would count for the next tick.
+        """
+        bits = sum(
+            bit for other, bit in self._bits.items()
+            if self._publisher_of(other) == self._publisher_of(name)
+        )
+        return self.tick_is_open() and self._fresh & bits != bits
+
+    def _publisher_of(self, name: str) -> str:
+        return next(who for who in self._interface[name].publishers if who != self._role)
+
+    def tick_is_open(self) -> bool:
+        """Whether the plant has published a tick on which this node has not acted."""
+        return all(
+            self._fresh & bit
+            for name, bit in self._bits.items() if self._publisher_of(name) == "plant"
+        )
 
     def start_fresh(self) -> None:
         """Act on the first fresh inputs: for the plant, whom the others wait for."""
@@ -408,6 +436,9 @@ class LockstepNode(Node):
         """Take a peer's report; one of an earlier run is none of this node's."""
         self.peers.hear(report)
         is_plant = report.role == "plant"
+        failure = report.values.get("failure") if report.state == ENDED else None
+        if failure and not self._reports.supervised and "plant" in (self._role, report.role):
+            self.error = self.error or LockstepError(f"{report.name} has ended: {failure}")
         if not self.acted:
             if self._joining and (report.state == FINISHED or (is_plant and report.state == ENDED)):
                 self._fresh = 0

@@ -59,8 +59,9 @@ def run_node(make: Callable[[], LockstepNode]) -> int:
 
     # Not rclpy's own handlers: after them nothing can be published, and a node that stops has a
     # last word.
-    for number in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(number, on_signal)
+    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
+        if signal.getsignal(number) != signal.SIG_IGN:
+            signal.signal(number, on_signal)
     remove_unfinished()
     try:
         rclpy.init(signal_handler_options=SignalHandlerOptions.NO)

@@ -81,6 +81,8 @@ class Peers:
         self.restarted: set[str] = set()
         self._logger = logger
         self._reports: dict[str, Report] = {}
+        self._processes: dict[str, set[str]] = {}  # that have had a name
+        self._doubled: set[str] = set()
         self._heard: dict[str, float] = {}
         self._silent: set[str] = set()
         self._looked = time.monotonic()
@@ -93,6 +95,13 @@ class Peers:
         """Take a report, and say if the node has ended, or is here again."""
         name = report.name
         before = self._reports.get(name)
+        known = self._processes.setdefault(name, set())
+        if before is not None and report.process in known - {before.process}:
+            if name not in self._doubled:
+                self._doubled.add(name)
+                self._logger.warning(f"there are two nodes named {name}")
+            return
+        known.add(report.process)
         self._reports[name] = report
         self._heard[name] = time.monotonic()
         if before is None:
@@ -103,7 +112,8 @@ class Peers:
         if report.state == ENDED:
             # The end of the plant is that of the run, which says so itself.
             if before.state in (STARTING, READY) and report.role != "plant":
-                self._logger.warning(f"{name} has ended")
+                why = f": {report.values['failure']}" if "failure" in report.values else ""
+                self._logger.warning(f"{name} has ended{why}")
         elif name in self._silent or (again and before.state != FINISHED):
             self._logger.info(f"{name} {'was started' if again else 'answers'} again")
         self._silent.discard(name)

@@ -164,18 +164,18 @@ class PublisherWatch:
 
     def _said_twice(self) -> str:
         return (
-            f"{self.name} came twice in one tick ({self._said_names()}); another publisher, or "
+            f"{self.name} came twice in one tick ({self.said_names()}); another publisher, or "
             "nodes of an earlier run, are in this graph"
         )
 
-    def _said_names(self, *others: str) -> str:
+    def said_names(self, *others: str) -> str:
         """Return the names of the publishers' nodes, and of some others, for a message."""
         unnamed = ["a node that does not say its name"] if _UNKNOWN in self._names() else []
         return ", ".join([*self.names(), *unnamed, *others])
 
     def _refuse_second(self, count: int, *others: str) -> None:
         self._refuse(
-            f"{self.name} has {count} publishers ({self._said_names(*others)}); a graph must have "
+            f"{self.name} has {count} publishers ({self.said_names(*others)}); a graph must have "
             "exactly one: end the other, or take another ROS_DOMAIN_ID or --namespace"
         )
 

@@ -22,7 +22,7 @@ _ROUNDING = 1e-6
 # evapotranspiration does.
 _OPTIONAL = {
     "pump_efficiency": (0.001, 1.0),
-    "starts_per_hour": (0.01, 3600.0),
+    "starts_per_hour": (1.0, 3600.0),
     "latitude": (-66.0, 66.0),
     "longitude": (-180.0, 180.0),
     "elevation": (-430.0, 6000.0),

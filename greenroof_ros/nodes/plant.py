@@ -142,6 +142,10 @@ class PlantNode(LockstepNode):
         cistern, roof = self._plant.levels()
         return cistern, self._sensor.reading(self._tick, roof)
 
+    def tick_is_open(self) -> bool:
+        """Whether the present tick was published."""
+        return self._running and not self._held and not self._done
+
     def _publish_tick(self) -> None:
         """Publish the time and the levels of the present tick."""
         now = self._start_ns + self._tick * self._tick_ns

@@ -139,8 +139,8 @@ class RecorderNode(LockstepNode):
             if name not in self.peers.restarted:
                 sent.update(reports[name]["sent"])
         wrong = [
-            f"{topic.name}: {self._bag.ticks} recorded, {sent.get(topic.name, ticks)} sent, "
-            f"{ticks} expected"
+            f"{topic.name}: {self._bag.ticks + len(queue)} came, "
+            f"{sent.get(topic.name, ticks)} sent, {ticks} expected"
             for topic, queue in zip(self._topics, self._queues, strict=True)
             if not self._bag.ticks == sent.get(topic.name, ticks) == ticks or queue
         ]

@@ -96,9 +96,16 @@ def _named(report: Report) -> list[_Column]:
         _Column("controller", lambda one: _word(controller_name(one.entry.controller))),
         _Column("setting", setting),
         _Column("from", lambda one: _word(one.entry.initial)),
-        *(_Column(name, partial(_fact, name)) for name in report.apart),
         *_endings(report),
     ]
+
+
+def _apart(report: Report) -> list[_Column]:
+    """Return the columns of what differs between the runs' windows.
+
+    They stand behind the first number, which a narrow screen would not show otherwise.
+    """
+    return [_Column(name, partial(_fact, name)) for name in report.apart]
 
 
 def _fact(name: str, one: Result) -> Cell:
@@ -162,6 +169,7 @@ def _results_table(report: Report, assumptions: Assumptions) -> Table:
     return _run_table(report, "Results", [
         deviation,
         *_ratio(report),
+        *_apart(report),
         _RUN,
         _Column("near target (h)", lambda one: _number(one.assessment.band_hours, ".2f")),
         _Column("near target (%)", lambda one: _number(
@@ -200,6 +208,7 @@ def _balance_table(report: Report) -> Table:
         _Column("roof: unexplained (m³)", lambda one: _number(
             one.assessment.roof_residual_m3, ".1e")),
         metric("final_roof_m3", "roof: at the end"),
+        *_apart(report),
         _RUN,
     ])
 
