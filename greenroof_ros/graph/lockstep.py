@@ -436,9 +436,8 @@ class LockstepNode(Node):
         """Take a peer's report; one of an earlier run is none of this node's."""
         self.peers.hear(report)
         is_plant = report.role == "plant"
-        failure = report.values.get("failure") if report.state == ENDED else None
-        if failure and not self._reports.supervised and "plant" in (self._role, report.role):
-            self.error = self.error or LockstepError(f"{report.name} has ended: {failure}")
+        if report.state == ENDED and "failure" in report.values:
+            self._end_with(report)
         if not self.acted:
             if self._joining and (report.state == FINISHED or (is_plant and report.state == ENDED)):
                 self._fresh = 0
@@ -453,6 +452,15 @@ class LockstepNode(Node):
             self.final_reports[report.name] = report.values
             if is_plant and self._reports.state != FINISHED:
                 self.on_plant_finished()
+
+    def _end_with(self, report: Report) -> None:
+        """End with a node that failed and on which this one depends, and say why it did."""
+        needed = {self._publisher_of(name) for name in self._watches}
+        alone = not self._reports.supervised
+        if alone and report.role in needed and self._reports.state != FINISHED:
+            self.error = self.error or LockstepError(
+                f"{report.name} has ended: {report.values['failure']}"
+            )
 
     def flush(self, failure: str | None) -> None:
         """Say that the node ends, and wait a second at most until its readers have all it said.

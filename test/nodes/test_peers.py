@@ -306,6 +306,17 @@ def test_second_command_never_pumps(nodes: Nodes) -> None:
         assert "plant has ended" in nodes.log(name)
 
 
+def test_a_plant_that_fails_before_the_run_ends_the_others(nodes: Nodes) -> None:
+    """There is no weather: the plant gives up, and the controller says why it ends, too."""
+    nodes.node("onoff")
+    nodes.node("plant", *parameters(run_length=100, start_limit=4.0))
+    assert nodes.code("plant", 20) == 1
+    assert nodes.code("onoff", 5) == 1
+    (line,) = [line for line in nodes.log("onoff").splitlines() if "FATAL" in line]
+    assert "plant has ended: no start within 4 s: " in line
+    assert "/weather/precipitation" in line and "from weather" in line
+
+
 @pytest.mark.parametrize("how", [signal.SIGKILL, signal.SIGINT], ids=["killed", "ctrl-c"])
 def test_plant_that_goes_ends_the_others(nodes: Nodes, how: signal.Signals) -> None:
     """In a few seconds, by name, with exit code 1; the bag is closed."""
