@@ -280,7 +280,10 @@ def test_nodes_that_are_there_already(domain: int, tmp_path: Path) -> None:
 
 
 def test_node_that_was_never_started(domain: int, tmp_path: Path) -> None:
-    """Plant and weather by hand, no controller: the plant names it and ends within its limit."""
+    """Plant and weather by hand, no controller: the plant names it and ends within its limit.
+
+    The weather ends with it.
+    """
     environ = environment(domain)
     weather = subprocess.Popen(
         [sys.executable, "-m", "greenroof_ros.nodes.weather"], cwd=tmp_path, env=environ
@@ -293,9 +296,9 @@ def test_node_that_was_never_started(domain: int, tmp_path: Path) -> None:
             ],
             cwd=tmp_path, env=environ, capture_output=True, text=True, timeout=30, check=False,
         )
+        assert weather.wait(8) == 1
     finally:
-        weather.send_signal(signal.SIGINT)
-        assert weather.wait(8) == 0
+        weather.kill()
     assert plant.returncode == 1
     assert "/pump/command from the controller" in plant.stderr
     assert "weather" not in plant.stderr
