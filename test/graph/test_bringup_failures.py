@@ -275,8 +275,8 @@ def test_nodes_that_are_there_already(domain: int, tmp_path: Path) -> None:
         assert process.wait(20) == 3
         assert "ROS_DOMAIN_ID" in process.stderr()
     finally:
-        weather.send_signal(signal.SIGINT)
-        assert weather.wait(8) == 0
+        weather.kill()
+        weather.wait()
 
 
 def test_node_that_was_never_started(domain: int, tmp_path: Path) -> None:
@@ -299,6 +299,7 @@ def test_node_that_was_never_started(domain: int, tmp_path: Path) -> None:
         assert weather.wait(8) == 1
     finally:
         weather.kill()
+        weather.wait()
     assert plant.returncode == 1
     assert "/pump/command from the controller" in plant.stderr
     assert "weather" not in plant.stderr
