@@ -23,7 +23,7 @@ from greenroof_ros.experiment.progress import RunProgress
 from greenroof_ros.experiment.run import Run
 from greenroof_ros.experiment.run_directory import make_run_directory, write_configuration
 from greenroof_ros.graph.domain import only_bringup, refuse_other_nodes
-from greenroof_ros.graph.states import FINISHED, READY
+from greenroof_ros.graph.states import FINISHED, READY, ROLES
 from greenroof_ros.graph.supervisor import NodeFailed, Supervisor
 from greenroof_ros.recording.bag_reader import count_ticks
 
@@ -149,7 +149,7 @@ def _watch(run: Run, limit: float, supervisor: Supervisor, signals: _Signals) ->
 
 def _missing(run: Run, waiting: set[str], supervisor: Supervisor) -> list[str]:
     """Return who has not come yet: nodes that say nothing, and for whom the others wait."""
-    names = {"controller": run.controller.name, "pump": "the pump driver"}
+    names = {**ROLES, "controller": run.controller.name}
     missing = {
         names.get(role, role)
         for report in supervisor.last.values() for role in report.get("waiting", [])

@@ -84,7 +84,7 @@ class Planner:
 
     From one start of the pumps to the next it waits 3600 s / ``starts_per_hour`` of the site. The
     program does not know of starts, and without this rule it would follow evapotranspiration with
-    up to 120 of them an hour. What evaporates meanwhile is little: 0.05 mm at 1 mm/h and 20 starts.
+    up to 121 of them an hour. What evaporates meanwhile is little: 0.05 mm at 1 mm/h and 20 starts.
 
     The roof's level is not taken as read, and forecasts of rain not for ever: see
     :class:`~greenroof_ros.controllers.roof_observer.RoofObserver` and
@@ -263,7 +263,7 @@ class Planner:
     def _start(self, share: float) -> float:
         """Return the command of pumps that stand still: 0 while it is too early for a start."""
         # Half a tick less: the sum of the ticks is rounded.
-        if share and self._since_start < 3600 / self._site.starts_per_hour - self._site.tau / 2:
+        if self._since_start < 3600 / self._site.starts_per_hour - self._site.tau / 2:
             return 0.0
         if share:
             self._since_start = 0.0

@@ -9,7 +9,7 @@ from rclpy.impl.rcutils_logger import RcutilsLogger
 
 from greenroof_ros.common.interface import Topic
 from greenroof_ros.graph.reports import Report
-from greenroof_ros.graph.states import ENDED, FINISHED, READY, STARTING
+from greenroof_ros.graph.states import ENDED, FINISHED, READY, ROLES, STARTING
 
 # Nodes report four times a second. One that is silent for so long (s) does not answer; one that is
 # for longer than the other limit, the plant's own for its peers, will not.
@@ -20,8 +20,6 @@ _PAUSE_S = 1.0
 # How long somebody must be missing before it is said, and how often it is said again (s).
 _PATIENCE_S = 2.0
 _AGAIN_S = 5.0
-# What to call a node whose name is not known.
-_ROLES = {"controller": "the controller", "pump": "the pump driver"}
 
 
 def root_causes(roles: Collection[str], topics: Iterable[Topic]) -> set[str]:
@@ -77,7 +75,7 @@ class Peers:
         Args:
             logger: of the node.
         """
-        self.names = dict(_ROLES)
+        self.names = dict(ROLES)
         self.restarted: set[str] = set()
         self._logger = logger
         self._reports: dict[str, Report] = {}

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager, suppress
+from collections.abc import Sequence
+from contextlib import suppress
 from pathlib import Path
 from typing import Any, BinaryIO
 
@@ -126,9 +126,12 @@ class BagWriter:
             self._first_ns = time_ns
         self._last_ns = time_ns
         add = self._writer.add_message
-        with self._cut_on_error():
+        try:
             for channel, message in zip(self._channels, messages, strict=True):
                 add(channel, time_ns, message, time_ns, self.ticks)
+        except OSError:
+            self._cut()
+            raise
         self.ticks += 1
         if self.ticks % _TICKS_PER_CHUNK == 0:
             self.flush()
@@ -139,25 +142,23 @@ class BagWriter:
         Raises:
             OSError: for instance on a full disk; the file then ends with the safe ticks.
         """
-        with self._cut_on_error():
+        try:
             self._writer.flush()
+        except OSError:
+            self._cut()
+            raise
         self.safe = self.ticks
         self._safe_bytes = self._stream.tell()
 
-    @contextmanager
-    def _cut_on_error(self) -> Iterator[None]:
+    def _cut(self) -> None:
         """Leave nothing behind the safe ticks where writing more of them failed.
 
         Of what did not fit, whole ticks may be in the file; how many can be recovered would then
         be another number than that of the safe ones.
         """
-        try:
-            yield
-        except OSError:
-            with suppress(OSError):
-                self._stream.close()  # tries again to write the rest
-            os.truncate(self._path, self._safe_bytes)
-            raise
+        with suppress(OSError):
+            self._stream.close()  # tries again to write the rest
+        os.truncate(self._path, self._safe_bytes)
 
     def close(self) -> None:
         """Finish the file and write ``metadata.yaml``.
@@ -166,9 +167,12 @@ class BagWriter:
             OSError: for instance on a full disk; ``python -m greenroof_ros.recover`` then restores
                 the safe ticks.
         """
-        with self._cut_on_error():
+        try:
             self._writer.finish()
             self._stream.close()
+        except OSError:
+            self._cut()
+            raise
         self.safe = self.ticks
         metadata = self.directory / "metadata.yaml"
         try:

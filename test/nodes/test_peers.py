@@ -77,6 +77,20 @@ class Nodes:
         which = ("--controller", name) if module == "controller" else ()
         return self.start(name, "-m", f"greenroof_ros.nodes.{module}", *which, *arguments)
 
+    def prepare(self, name: str) -> None:
+        """Have a node at hand that starts as soon as it is told to."""
+        module = "weather" if name == "weather" else "controller"
+        which = [] if name == "weather" else ["--controller", name]
+        code = f"import sys; sys.argv = {[module, *which]}\n" + AT_ONCE.format(module)
+        self.start(f"{name}-again", "-c", code)
+
+    def start_again(self, name: str) -> None:
+        """Start a prepared node."""
+        stream = self.started[f"{name}-again"].stdin
+        assert stream is not None
+        stream.write("\n")
+        stream.flush()
+
     def log(self, name: str) -> str:
         return (self.cwd / f"{name}.log").read_text()
 
@@ -166,12 +180,8 @@ def test_restarted_at_once(nodes: Nodes) -> None:
     still run. (The run is slow, or the kill would fall between what a node says to one reader and
     to the next now and then; nothing brings that message back.)
     """
-    nodes.start("weather-again", "-c", AT_ONCE.format("weather"))
-    nodes.start(
-        "onoff-again", "-c",
-        "import sys; sys.argv = ['controller', '--controller', 'onoff']\n"
-        + AT_ONCE.format("controller"),
-    )
+    nodes.prepare("weather")
+    nodes.prepare("onoff")
     nodes.node("weather")
     nodes.node("onoff")
     nodes.node("recorder", *parameters(directory="bag", controller="onoff"))
@@ -182,10 +192,7 @@ def test_restarted_at_once(nodes: Nodes) -> None:
             ticks.wait_for(reached)
             nodes.started[victim].kill()
             time.sleep(0.1)
-            again = nodes.started[f"{victim}-again"]
-            assert again.stdin is not None
-            again.stdin.write("\n")
-            again.stdin.flush()
+            nodes.start_again(victim)
     finally:
         ticks.close()
     assert nodes.code("plant", 60) == 0, nodes.log("plant")
@@ -220,11 +227,7 @@ def test_restarted_in_a_pause(nodes: Nodes) -> None:
 
     The new one would answer that tick again, and each command would pump a tick too late.
     """
-    nodes.start(
-        "onoff-again", "-c",
-        "import sys; sys.argv = ['controller', '--controller', 'onoff']\n"
-        + AT_ONCE.format("controller"),
-    )
+    nodes.prepare("onoff")
     nodes.node("weather")
     nodes.node("onoff")
     nodes.node("plant", *parameters(run_length=100, speed=0.2))
@@ -234,10 +237,7 @@ def test_restarted_in_a_pause(nodes: Nodes) -> None:
     finally:
         ticks.close()
     nodes.started["onoff"].kill()
-    again = nodes.started["onoff-again"]
-    assert again.stdin is not None
-    again.stdin.write("\n")
-    again.stdin.flush()
+    nodes.start_again("onoff")
     assert nodes.code("plant", 10) == 1
     (line,) = [line for line in nodes.log("plant").splitlines() if "FATAL" in line]
     assert "a second publisher of /pump/command" in line
