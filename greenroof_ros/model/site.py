@@ -17,10 +17,14 @@ _MOST_TICKS = {"M": 1000, "N": 31_622_400}
 _LEAST, _LARGEST = 1e-12, 1e9
 # A product that a person rounds when writing it down, such as x2_star, is still consistent.
 _ROUNDING = 1e-6
-# What may be left out, with its range: the pumps' efficiency, which only the electric energy needs,
-# their starts, which only planners and a warning do, and the place, which only a computed
-# evapotranspiration does.
+_WHOLE = {"pumps_in_series", "pumps_in_parallel"}
+# What may be left out, with its range: how many pumps the curve stands for, which only the duty of
+# one of them needs, the pumps' efficiency, which only the electric energy does, their starts, which
+# only planners, pump and a warning do, and the place, which only a computed evapotranspiration
+# does.
 _OPTIONAL = {
+    "pumps_in_series": (1, 100),
+    "pumps_in_parallel": (1, 100),
     "pump_efficiency": (0.001, 1.0),
     "starts_per_hour": (1.0, 3600.0),
     "latitude": (-66.0, 66.0),
@@ -77,6 +81,12 @@ class Site:
     tau: float = _parameter("s", "duration of a tick")
     M: int = _parameter("ticks", "look-ahead of the controller")
     N: int = _parameter("ticks", "length of a run")
+    pumps_in_series: int = _may_be_left_out(
+        1, "pumps", "one behind another, for whose summed head the pump curve stands",
+    )
+    pumps_in_parallel: int = _may_be_left_out(
+        1, "pumps", "side by side, for whose summed flow the pump curve stands",
+    )
     pump_efficiency: float = _may_be_left_out(
         0.5, "1", "hydraulic over electric power of pumps and motors",
     )
@@ -204,6 +214,10 @@ def read_site(path: Path) -> Site:
             low, high = _OPTIONAL[name]
             if not low <= value <= high:
                 raise refuse(f"must be from {low:g} to {high:g}")
+            if name in _WHOLE:
+                if value != int(value):
+                    raise refuse("must be a whole number")
+                value = int(value)
             values[name] = value
             continue
         least = 0.0 if value == 0 or name in _MAY_BE_ZERO else _LEAST
@@ -222,7 +236,7 @@ def read_site(path: Path) -> Site:
                 raise refuse(f"must be a whole number of ticks, at most {_MOST_TICKS[name]}")
             value = int(value)
         values[name] = value
-    site = Site(**values)  # type: ignore[arg-type]  # M and N were made whole above
+    site = Site(**values)  # type: ignore[arg-type]  # what must be whole was made so above
     for name, product, formula in (
         ("x2_star", site.a2 * site.z_veg, "a2 z_veg"),
         ("z_cap", site.a2 * site.z_soil, "a2 z_soil"),

@@ -43,6 +43,8 @@ def test_packaged_site_is_table_i() -> None:
     # Without a source: pumps and motors of this size waste about half.
     assert site.pop("pump_efficiency") == 0.5
     assert site.pop("starts_per_hour") == 20
+    # "We have multiplied the flow rate measurements by two": as of pumps side by side.
+    assert (site.pop("pumps_in_series"), site.pop("pumps_in_parallel")) == (1, 2)
     place = {key: value for key, value in site.items() if key not in TABLE_I}
     # Toronto City Centre; FAO-56's reference grass; radiation "for coastal locations" (Eq. 50).
     assert place == {
@@ -154,10 +156,12 @@ def test_water_deeper_than_the_soil(tmp_path: Path) -> None:
         ("wind_height", "0.0", "must be from 0.5 to 100"),
         ("crop_coefficient", "-1.0", "must be from 0.01 to 3"),
         ("latitude", ".nan", "must be finite"),
+        ("pumps_in_series", "0", "must be from 1 to 100"),
+        ("pumps_in_parallel", "1.5", "must be a whole number"),
     ],
 )
-def test_wrong_place(tmp_path: Path, key: str, value: str, reason: str) -> None:
-    """It may be left out, but not be wrong."""
+def test_wrong_optional_values(tmp_path: Path, key: str, value: str, reason: str) -> None:
+    """They may be left out, but not be wrong."""
     path = write(tmp_path, f"{key}: {value}")
     message = refusal(path)
     assert message.startswith(f"{path}, line {len(TABLE_I) + 1}: {key} = ")

@@ -1,0 +1,1 @@
+"""Drives and sensors by Modbus; no ROS."""

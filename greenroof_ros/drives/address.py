@@ -1,0 +1,71 @@
+"""Where a device on Modbus is: a TCP port, or a serial line."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated
+
+from greenroof_ros.common.errors import ConfigurationError
+from greenroof_ros.common.records import Entry
+
+_TCP = re.compile(r"tcp://(?P<host>[A-Za-z0-9._-]+|\[[0-9A-Fa-f:]+\])(:(?P<port>\d{1,5}))?/?")
+
+
+@dataclass(frozen=True)
+class Serial:
+    """Modbus RTU, 8 data bits."""
+
+    baud_rate: Annotated[int, Entry("bits per second", low=1200, high=1_000_000)]
+    parity: Annotated[str, Entry("parity bit", choices=("even", "odd", "none"))]
+    stop_bits: Annotated[int, Entry("stop bits", low=1, high=2)]
+    device_id: Annotated[int, Entry("slave address", low=1, high=247)]
+
+    def parity_letter(self, line: str) -> str:
+        """Return E, O or N for a line; a pseudo-terminal knows no parity and refuses it."""
+        pseudo = Path(line).resolve().is_relative_to("/dev/pts")
+        return "N" if pseudo else self.parity[0].upper()
+
+
+@dataclass(frozen=True)
+class Address:
+    """Where a device is reached.
+
+    Attributes:
+        host: of Modbus TCP; empty for a serial line.
+        port: of Modbus TCP; None for the one that the device's file names.
+        line: the serial line's device, such as ``/dev/ttyUSB0``; empty for TCP.
+    """
+
+    host: str = ""
+    port: int | None = None
+    line: str = ""
+
+    def __str__(self) -> str:
+        if self.line:
+            return self.line
+        return f"tcp://{self.host}" + (f":{self.port}" if self.port is not None else "")
+
+
+def parse_address(text: str, key: str = "address") -> Address:
+    """Return the address that a user wrote.
+
+    Args:
+        text: ``tcp://HOST``, ``tcp://HOST:PORT`` or the path of a serial line's device.
+        key: the option or parameter, for messages.
+
+    Raises:
+        ConfigurationError: it is neither.
+    """
+    found = _TCP.fullmatch(text)
+    if found is not None:
+        port = int(found["port"]) if found["port"] else None
+        if port is None or 0 < port < 65536:
+            return Address(host=found["host"].strip("[]"), port=port)
+    elif text.startswith("/") and not text.endswith("/"):
+        return Address(line=text)
+    raise ConfigurationError(
+        "must be tcp://HOST, tcp://HOST:PORT, or a serial line such as /dev/ttyUSB0",
+        key=key, value=text,
+    )

@@ -1,0 +1,366 @@
+"""One drive on Modbus, driven as its file says."""
+
+from __future__ import annotations
+
+import asyncio
+import math
+import struct
+import time
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+
+from greenroof_ros.drives.address import Address
+from greenroof_ros.drives.drive_file import Condition, DriveFile, Register, Step
+from greenroof_ros.drives.modbus_line import DriveError, ModbusLine
+
+# Between two looks at whether a drive has reached a state (s).
+_LOOK_S = 0.05
+# Slower than this share of rated speed a pump stands.
+_STANDS = 0.01
+
+
+@dataclass(frozen=True)
+class DriveStatus:
+    """What a drive says of itself.
+
+    Attributes:
+        ready: no fault and no interlock; it would start.
+        running: the motor is fed.
+        at_speed: the speed asked for is reached; None where the drive does not say.
+        fault: in words; empty for none.
+        warning: in words; empty for none.
+        speed: as share of rated speed.
+        flow: m3/s; None where the drive has none.
+        remote: it obeys the bus.
+        says: the bits of its status word, in words.
+        timed_out: the fault is that its own communication timeout has passed, and no other.
+    """
+
+    ready: bool
+    running: bool
+    at_speed: bool | None
+    fault: str
+    warning: str
+    speed: float
+    flow: float | None
+    remote: bool
+    says: str
+    timed_out: bool = False
+
+    @property
+    def stands(self) -> bool:
+        """Whether the pump does not turn."""
+        return abs(self.speed) < _STANDS
+
+    def __str__(self) -> str:
+        parts = [f"speed {self.speed:.1%}", "running" if self.running else "off"]
+        if not self.remote:
+            parts.append("local control")
+        if self.fault:
+            parts.append(f"fault: {self.fault}")
+        if self.warning:
+            parts.append(f"warning: {self.warning}")
+        return ", ".join(parts)
+
+
+class Drive:
+    """One drive; one connection."""
+
+    def __init__(
+        self,
+        file: DriveFile,
+        address: Address,
+        device_id: int | None = None,
+        timeout_s: float = 0.5,
+    ) -> None:
+        """Prepare it; nothing is opened yet.
+
+        Args:
+            file: what the drive is like.
+            address: where it is.
+            device_id: unit identifier or slave address; None for that of the file.
+            timeout_s: longest wait for a connection, and for each answer (s).
+        """
+        self.file = file
+        # Why the drive's own communication timeout counts as off; empty where it does not.
+        self.timeout_note = ""
+        if device_id is None:
+            device_id = file.serial.device_id if address.line else file.tcp.device_id
+        self._line = ModbusLine(
+            address, port=file.tcp.port, device_id=device_id, serial=file.serial,
+            timeout_s=timeout_s,
+        )
+        self._full_scale: dict[str, float] = {}
+        # What the drive was left in by somebody else is not known.
+        self._prepared = False
+
+    @property
+    def connected(self) -> bool:
+        """Whether the connection stands, as far as this end knows."""
+        return self._line.connected
+
+    async def connect(self) -> None:
+        """Open the connection.
+
+        Raises:
+            DriveError: it cannot be opened.
+        """
+        self._full_scale.clear()
+        self._prepared = False
+        await self._line.connect()
+
+    async def close(self) -> None:
+        """Close the connection; the drive is left as it is."""
+        self._line.close()
+
+    async def identify(self) -> str:
+        """Return what the nameplate says, for people.
+
+        Raises:
+            DriveError: it cannot be read.
+        """
+        parts = []
+        for plate in self.file.nameplate:
+            raw = await self._raw(plate.register)
+            text = plate.texts.get(raw, str(raw)) if isinstance(raw, int) else str(raw)
+            parts.append(f"{self.file.registers[plate.register].meaning}: {text}")
+        return f"{self.file.make} {self.file.model} ({'; '.join(parts)})"
+
+    async def timeout(self) -> float | None:
+        """Return the drive's own communication timeout (s), None for off.
+
+        Off is also one after which the drive would not stop; `timeout_note` then says why.
+
+        Raises:
+            DriveError: it cannot be read.
+        """
+        own = self.file.timeout
+        register = self.file.registers[own.register]
+        raw = await self._raw(own.register)
+        seconds = await self._scaled(own.register, raw)
+        self.timeout_note = ""
+        if raw in own.off_values or seconds is None or seconds <= 0:
+            self.timeout_note = f"{register.meaning} (register {register.manual}) is {raw}: off"
+        elif own.action is not None:
+            action = self.file.registers[own.action.register]
+            chosen = await self._number(own.action.register)
+            if chosen not in own.action.stops:
+                text = own.action.runs_on.get(chosen, "not known to the drive's file")
+                self.timeout_note = (
+                    f"{action.meaning} (register {action.manual}) is {chosen}: {text}; the pump "
+                    "would run on"
+                )
+        return None if self.timeout_note else seconds
+
+    async def read(self) -> DriveStatus:
+        """Return what the drive says of itself.
+
+        Raises:
+            DriveError: it cannot be read, or says what cannot be.
+        """
+        status, seen = self.file.status, dict[str, int]()
+        fault, warning, timed_out = "", "", False
+        if await self._holds(status.fault, seen):
+            raw = await self._number(self.file.faults.register)
+            fault = self.file.faults.text(raw) or "the drive names no cause"
+            timed_out = self.file.faults.only(raw, self.file.timeout.trips)
+        if status.warning is not None and await self._holds(status.warning, seen):
+            warning = "the drive names no cause"
+            if self.file.warnings is not None:
+                raw = await self._number(self.file.warnings.register)
+                warning = self.file.warnings.text(raw) or warning
+        speed = await self._scaled("speed", await self._raw("speed"))
+        if speed is None:
+            raise DriveError("answer", f"{self._line.where}: its speed is not available")
+        flow = None
+        if "flow" in self.file.registers:
+            flow = await self._scaled("flow", await self._raw("flow"))
+        return DriveStatus(
+            ready=await self._holds(status.ready, seen),
+            running=await self._holds(status.running, seen),
+            at_speed=(
+                None if status.at_speed is None else await self._holds(status.at_speed, seen)
+            ),
+            fault=fault,
+            warning=warning,
+            speed=speed,
+            flow=flow,
+            remote=status.remote is None or await self._holds(status.remote, seen),
+            says=self._says(seen),
+            timed_out=timed_out,
+        )
+
+    async def run(self, speed: float, go_on: Callable[[], bool] = lambda: True) -> None:
+        """Run at a speed: bring the drive to where it can, then write speed and control word.
+
+        To be called again and again while the pump is to run, since many a drive stops by itself
+        unless it is written to.
+
+        Args:
+            speed: as share of rated speed, 0 to 1.
+            go_on: asked between the steps; where it says no, the sequence ends there.
+
+        Raises:
+            DriveError: no or a wrong answer; a fault stands; a state was not reached in time.
+            ValueError: the speed is out of range.
+        """
+        if not 0 <= speed <= 1:
+            raise ValueError(f"{speed} is no share of rated speed")
+        seen: dict[str, int] = {}
+        if await self._holds(self.file.status.fault, seen):
+            text = self.file.faults.text(await self._number(self.file.faults.register))
+            raise DriveError("drive", f"{self._line.where}: fault: {text or 'no cause named'}")
+        if not self._prepared or not await self._holds(self.file.status.enabled, seen):
+            if not await self._perform(self.file.sequences.ready, go_on):
+                return
+            self._prepared = True
+            seen.clear()
+        await self._perform(self.file.sequences.run, go_on, speed, seen)
+
+    async def stop(self) -> None:
+        """Ramp down and switch off; to be called again and again while the pump is to stand.
+
+        Raises:
+            DriveError: no or a wrong answer.
+        """
+        await self._perform(self.file.sequences.stop)
+
+    async def reset(self) -> None:
+        """Stop, and acknowledge a fault.
+
+        Raises:
+            DriveError: no or a wrong answer; the fault does not go.
+        """
+        await self.stop()
+        self._prepared = False
+        await self._perform(self.file.sequences.reset)
+
+    # --- sequences --------------------------------------------------------------------------------
+
+    async def _perform(
+        self,
+        steps: Iterable[Step],
+        go_on: Callable[[], bool] = lambda: True,
+        speed: float = 0.0,
+        seen: dict[str, int] | None = None,
+    ) -> bool:
+        """Do the steps; return whether all were done.
+
+        Args:
+            steps: in order.
+            go_on: asked before each; where it says no, the rest is left.
+            speed: what a step that writes the speed writes.
+            seen: raw values just read; what already holds in them is not waited for.
+        """
+        for step in steps:
+            if not go_on():
+                return False
+            if isinstance(step.value, int):
+                word = int(step.value)
+            else:
+                word = await self._encoded(step.write, speed)
+            await self._line.write(self.file.registers[step.write].address, word)
+            until = step.until
+            if until is None or (seen and until.register in seen
+                                 and until.holds(seen[until.register])):
+                continue
+            if not await self._reached(step, until, word, go_on):
+                return False
+        return True
+
+    async def _reached(
+        self, step: Step, until: Condition, word: int, go_on: Callable[[], bool]
+    ) -> bool:
+        """Wait for a state; return False where the wait was given up because of `go_on`."""
+        deadline = time.monotonic() + step.within_s
+        while True:
+            now: dict[str, int] = {}
+            if await self._holds(until, now):
+                return True
+            if not go_on():
+                return False
+            if time.monotonic() > deadline:
+                raw = now[until.register]
+                says = f": {self._says(now)}" if until.register == "status" else ""
+                raise DriveError(
+                    "drive",
+                    f"{self._line.where}: {step.write} = 0x{word:04X} had no effect within "
+                    f"{step.within_s:g} s; {until.register} is 0x{raw:04X}, not "
+                    f"0x{until.value:04X} under the mask 0x{until.mask:04X}{says}"
+                    + await self._local(now),
+                )
+            await asyncio.sleep(_LOOK_S)
+
+    async def _local(self, seen: dict[str, int]) -> str:
+        remote = self.file.status.remote
+        if remote is None or await self._holds(remote, seen):
+            return ""
+        return "; it is in local control: hand it over to the bus at its panel"
+
+    def _says(self, seen: dict[str, int]) -> str:
+        raw = seen.get("status", 0)
+        return ", ".join(text for bit, text in self.file.status.bits.items() if raw >> bit & 1)
+
+    # --- values -----------------------------------------------------------------------------------
+
+    async def _holds(self, condition: Condition, seen: dict[str, int]) -> bool:
+        if condition.register not in seen:
+            seen[condition.register] = await self._number(condition.register)
+        return condition.holds(seen[condition.register])
+
+    async def _raw(self, name: str) -> int | float | str:
+        register = self.file.registers[name]
+        return decode(register, await self._line.read(register.address, register.width))
+
+    async def _number(self, name: str) -> int:
+        raw = await self._raw(name)
+        assert isinstance(raw, int)
+        return raw
+
+    async def _factor(self, register: Register) -> float:
+        """Return by what a raw value is multiplied."""
+        if not register.full_scale:
+            return register.scale
+        if register.full_scale not in self._full_scale:
+            value = await self._raw(register.full_scale)
+            if not isinstance(value, (int, float)) or not value > 0:
+                raise DriveError(
+                    "answer",
+                    f"{self._line.where}: {self.file.registers[register.full_scale].meaning} is "
+                    f"{value}, which cannot be",
+                )
+            self._full_scale[register.full_scale] = float(value)
+        return register.scale / self._full_scale[register.full_scale]
+
+    async def _scaled(self, name: str, raw: int | float | str) -> float | None:
+        register = self.file.registers[name]
+        assert isinstance(raw, (int, float))
+        if raw == register.missing:
+            return None
+        value = raw * await self._factor(register)
+        if not math.isfinite(value) or not register.low <= value <= register.high:
+            raise DriveError(
+                "answer",
+                f"{self._line.where}: {register.meaning} (register {register.manual}) is {raw}: "
+                f"{value:g} {register.unit}, believable are {register.low:g} to {register.high:g}",
+            )
+        return value
+
+    async def _encoded(self, name: str, value: float) -> int:
+        register = self.file.registers[name]
+        return round(value / await self._factor(register)) & 0xFFFF
+
+
+def decode(register: Register, words: list[int]) -> int | float | str:
+    """Return what a register's words mean, not yet scaled."""
+    kind = register.type
+    if kind == "text":
+        raw = b"".join(word.to_bytes(2, "big") for word in words)
+        return raw.decode("latin-1").replace("\0", " ").strip()
+    if register.word_order == "low first":
+        words = words[::-1]
+    raw = b"".join(word.to_bytes(2, "big") for word in words)
+    if kind == "float32":
+        value: float = struct.unpack(">f", raw)[0]
+        return value
+    return int.from_bytes(raw, "big", signed=kind.startswith("int"))

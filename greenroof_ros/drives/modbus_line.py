@@ -1,0 +1,191 @@
+"""Requests to one device on Modbus TCP or RTU, every answer checked, every failure with a name.
+
+Function codes 03 and 04 (read holding registers, input registers) and 06 (write single register) of
+the Modbus Application Protocol V1.1b3. No request is sent twice: who calls decides what a lost one
+means.
+"""
+
+from __future__ import annotations
+
+import logging
+import termios
+from typing import TYPE_CHECKING
+
+from greenroof_ros.common.errors import ConfigurationError
+from greenroof_ros.drives.address import Address, Serial
+
+if TYPE_CHECKING:
+    from pymodbus.client import AsyncModbusSerialClient, AsyncModbusTcpClient
+    from pymodbus.pdu import ModbusPDU
+
+# Its messages are ours in other words; without a handler they would go to the terminal.
+logging.getLogger("pymodbus").addHandler(logging.NullHandler())
+
+# Section 7 of the specification.
+_EXCEPTIONS = {
+    1: "illegal function",
+    2: "illegal data address: it has no such register",
+    3: "illegal data value",
+    4: "server device failure",
+    5: "acknowledged, not yet done",
+    6: "server device busy",
+    8: "memory parity error",
+    10: "gateway: path unavailable",
+    11: "gateway: the device behind it does not answer",
+}
+
+
+class DriveError(Exception):
+    """What went wrong with a drive, or another device on Modbus; the message says what and where.
+
+    Attributes:
+        kind: ``connection`` (there is none, or no answer came), ``answer`` (one came that cannot
+            be right, or says no) or ``drive`` (it works as it should, but the drive does not run).
+    """
+
+    def __init__(self, kind: str, message: str) -> None:
+        super().__init__(message)
+        self.kind = kind
+
+
+def check_installed() -> None:
+    """See that there is a Modbus library.
+
+    Raises:
+        ConfigurationError: there is none.
+    """
+    try:
+        import pymodbus.client  # noqa: F401 - only whether it is there
+    except ModuleNotFoundError as error:
+        raise ConfigurationError("needs pymodbus: pip install 'greenroof_ros[pump]'") from error
+
+
+class ModbusLine:
+    """One device on Modbus."""
+
+    def __init__(
+        self, address: Address, *, port: int, device_id: int, serial: Serial, timeout_s: float
+    ) -> None:
+        """Prepare it; nothing is opened yet.
+
+        Args:
+            address: where it is.
+            port: the TCP port, unless the address has one.
+            device_id: unit identifier or slave address.
+            serial: settings of a serial line.
+            timeout_s: longest wait for a connection, and for each answer (s).
+
+        Raises:
+            ConfigurationError: there is no Modbus library.
+        """
+        check_installed()
+        from pymodbus.client import AsyncModbusSerialClient, AsyncModbusTcpClient
+        from pymodbus.exceptions import ModbusException
+
+        self._errors = (ModbusException, OSError, termios.error)
+        self.where = f"{address}, device {device_id}"
+        self._device_id = device_id
+        self._timeout_s = timeout_s
+        self._client: AsyncModbusTcpClient | AsyncModbusSerialClient
+        if address.line:
+            self._client = AsyncModbusSerialClient(
+                address.line, baudrate=serial.baud_rate, timeout=timeout_s, retries=0,
+                parity=serial.parity_letter(address.line), stopbits=serial.stop_bits,
+                reconnect_delay=0,
+            )
+        else:
+            self._client = AsyncModbusTcpClient(
+                address.host, port=address.port or port, timeout=timeout_s, retries=0,
+                reconnect_delay=0,
+            )
+
+    @property
+    def connected(self) -> bool:
+        """Whether the connection stands, as far as this end knows."""
+        return self._client.connected
+
+    async def connect(self) -> None:
+        """Open the connection.
+
+        Raises:
+            DriveError: it cannot be opened.
+        """
+        try:
+            opened = await self._client.connect()
+        except self._errors as error:
+            raise DriveError("connection", f"{self.where}: cannot connect: {error}") from error
+        if not opened:
+            raise DriveError("connection", f"{self.where}: cannot connect")
+
+    def close(self) -> None:
+        """Close the connection."""
+        self._client.close()
+
+    async def read(self, address: int, count: int, *, inputs: bool = False) -> list[int]:
+        """Read holding registers, or input registers.
+
+        Raises:
+            DriveError: no answer, or a wrong one.
+        """
+        what = f"reading register {address}" + (f" and {count - 1} more" if count > 1 else "")
+        self._look(what)
+        ask = (
+            self._client.read_input_registers if inputs else self._client.read_holding_registers
+        )
+        try:
+            answer = await ask(address, count=count, device_id=self._device_id)
+        except self._errors as error:
+            raise self._silence(what, error) from error
+        self._check(what, answer, 4 if inputs else 3)
+        if len(answer.registers) != count:
+            raise DriveError(
+                "answer",
+                f"{self.where}: {what}: {len(answer.registers)} registers came, not {count}",
+            )
+        return list(answer.registers)
+
+    async def write(self, address: int, word: int) -> None:
+        """Write one holding register.
+
+        Raises:
+            DriveError: no answer, or one that does not say that it was written.
+        """
+        what = f"writing 0x{word:04X} to register {address}"
+        self._look(what)
+        try:
+            answer = await self._client.write_register(address, word, device_id=self._device_id)
+        except self._errors as error:
+            raise self._silence(what, error) from error
+        self._check(what, answer, 6)
+        if answer.address != address or list(answer.registers) != [word]:
+            raise DriveError(
+                "answer",
+                f"{self.where}: {what}: the answer speaks of {answer.registers} in register "
+                f"{answer.address}",
+            )
+
+    def _look(self, what: str) -> None:
+        if not self.connected:
+            raise DriveError("connection", f"{self.where}: {what}: the connection was closed")
+
+    def _silence(self, what: str, error: Exception) -> DriveError:
+        if not self.connected:
+            return DriveError("connection", f"{self.where}: {what}: the connection was closed")
+        return DriveError(
+            "connection", f"{self.where}: {what}: no valid answer within {self._timeout_s:g} s"
+        )
+
+    def _check(self, what: str, answer: ModbusPDU, function: int) -> None:
+        if answer.isError():
+            code = answer.exception_code
+            raise DriveError(
+                "answer",
+                f"{self.where}: {what}: refused with exception {code}, "
+                f"{_EXCEPTIONS.get(code, 'unknown')}",
+            )
+        if answer.function_code != function:
+            raise DriveError(
+                "answer",
+                f"{self.where}: {what}: the answer has function {answer.function_code}, not "
+                f"{function}",
+            )

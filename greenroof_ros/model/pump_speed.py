@@ -1,0 +1,75 @@
+"""From a flow to the speed of the pumps and back: the affinity laws on the site's pump curve.
+
+At a share s of its rated speed a pump has the flow s y and the head s^2 phi(y) where it has y and
+phi(y) at rated speed (affinity laws, e.g. White, Fluid Mechanics, Sec. 11.3). Of Eq. (3b) that
+makes phi_s(q) = s^2 c_hat + a_hat q^2. It meets the head loss L(q) of Eq. (3c) where
+s^2 c_hat = (pipe_resistance - a_hat) q^2 + d - x1/a1.
+
+The curve stands for all pumps of the site together, at one speed.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+from greenroof_ros.model.site import Site
+
+
+def flow_at(site: Site, speed: float, cistern_level: float) -> float:
+    """Return the flow (m3/s) of pumps at a speed; 0 where they lift no water to the roof.
+
+    Pumps at rest deliver nothing, even from a cistern above the roof: a check valve is taken for
+    granted. At speed 1 it has the bits of :func:`greenroof_ros.model.plant.maximum_pump_flow`.
+
+    Args:
+        site: with the curve.
+        speed: share of the rated speed, at least 0.
+        cistern_level: depth in the cistern (m).
+    """
+    head = cistern_level + speed**2 * site.c_hat - site.d
+    return site.b * math.sqrt(head) if speed > 0 and head > 0 else 0.0
+
+
+def speed_for(site: Site, share: float, cistern_level: float) -> float:
+    """Return the speed (share of the rated one) for a share of the maximum flow at a level.
+
+    It is 0 for the share 0, and where the pumps lift no water at rated speed. From a cistern above
+    the roof, where a slow pump is beyond a small share already, it is at least the least positive
+    number, so that a positive share never means rest.
+
+    Args:
+        site: with the curve.
+        share: of the maximum flow at this level, 0 to 1.
+        cistern_level: depth in the cistern (m).
+    """
+    most = cistern_level + site.c_hat - site.d
+    if share <= 0 or most <= 0:
+        return 0.0
+    squared = (share**2 * most + site.d - cistern_level) / site.c_hat
+    return max(math.sqrt(max(squared, 0.0)), math.ulp(0.0))
+
+
+class Duty(NamedTuple):
+    """What one pump of the set does."""
+
+    flow: float
+    """m3/s"""
+    head: float
+    """m"""
+
+
+def duty_of_one_pump(site: Site, speed: float, cistern_level: float) -> Duty:
+    """Return flow and head of one pump of the site's set, for comparison with its nameplate.
+
+    The set's flow is that of ``pumps_in_parallel`` pumps side by side, its head that of
+    ``pumps_in_series`` one behind another.
+
+    Args:
+        site: with the curve and the numbers of pumps.
+        speed: share of the rated speed, at least 0.
+        cistern_level: depth in the cistern (m).
+    """
+    flow = flow_at(site, speed, cistern_level)
+    head = speed**2 * site.c_hat + site.a_hat * flow**2
+    return Duty(flow / site.pumps_in_parallel, head / site.pumps_in_series)

@@ -1,0 +1,244 @@
+"""The files of the drives, and what is said of wrong ones."""
+
+from __future__ import annotations
+
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from greenroof_ros.common.errors import ConfigurationError
+from greenroof_ros.common.files import shared_directory
+from greenroof_ros.drives.address import Address, parse_address
+from greenroof_ros.drives.drive import decode
+from greenroof_ros.drives.drive_file import Register, find_drive_file, read_drive_file
+
+SHIPPED = sorted((shared_directory() / "config" / "drives").glob("*.yaml"))
+
+
+@pytest.mark.parametrize("path", SHIPPED, ids=lambda path: path.stem)
+def test_shipped_files_are_right(path: Path) -> None:
+    drive = read_drive_file(path)
+    assert drive.name == path.stem and find_drive_file(drive.name) == path
+    assert drive.sources
+    # What has no source is said to be unverified.
+    for name, register in drive.registers.items():
+        if register.source == "none":
+            assert f"registers.{name}" in drive.unverified
+    # A drive whose vital words nobody has seen in its manual says so.
+    assert drive.unverified_and_vital
+
+
+def test_there_are_four() -> None:
+    assert [path.stem for path in SHIPPED] == [
+        "abb_acs880", "danfoss_fc202", "grundfos_cim500", "schneider_atv630",
+    ]
+
+
+ABB = SHIPPED[0].read_text(encoding="utf-8")
+
+
+def refused(tmp_path: Path, old: str, new: str) -> str:
+    """Return what is said of ABB's file with one thing changed."""
+    assert ABB.count(old) == 1, f"{old!r} is not once in the file"
+    path = tmp_path / "drive.yaml"
+    path.write_text(ABB.replace(old, new), encoding="utf-8")
+    with pytest.raises(ConfigurationError) as got:
+        read_drive_file(path)
+    text = str(got.value).removeprefix(f"{path}")
+    found = re.match(r", line (\d+): ", text)
+    assert found, text
+    # The line that is named is the changed one, or the head of what lacks something.
+    return text.removeprefix(found[0])
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "says"),
+    [
+        (
+            "{address: 0, manual: 400001,", "{address: 1, manual: 400001,",
+            "registers.control.manual = 400001: must be 400002: address 1 + numbering.offset "
+            "400001; one of the two is wrong",
+        ),
+        ("make: ABB", "makes: ABB", "makes = 'ABB': is unknown here; known are make, model,"),
+        ("make: ABB", "make: 3", "make = 3: must be a text"),
+        ("  offset: 400001", "  offset: high", "numbering.offset = 'high': must be a whole number"),
+        ("  offset: 400001", "  offset: -1", "numbering.offset = -1: must be from 0 to 465536"),
+        ("{port: 502, device_id: 1}", "{port: 502}", "tcp.device_id: is missing: unit identifier"),
+        (
+            "parity: even", "parity: odds",
+            "serial.parity = 'odds': must be one of even, odd, none",
+        ),
+        (
+            "stop_bits: 1", "stop_bits: 1.5",
+            "serial.stop_bits = 1.5: must be a whole number",
+        ),
+        (
+            "value: 0x047F", "value: 0x47G",
+            "sequences.run.2.value = '0x47G': must be a whole number, such as 0x047E or 1150 or "
+            "speed",
+        ),
+        (
+            "value: 0x047F", "value: 0x1047F",
+            "sequences.run.2.value = 66687: must be from 0 to 65535",
+        ),
+        (
+            "  - write: control\n      value: 0x047F", "  - write: controls\n      value: 0x047F",
+            "sequences.run.2.write = 'controls': must be one of registers: control, reference,",
+        ),
+        (
+            "    - {write: control, value: 0x047E}\n    - {write: reference, value: 0}",
+            "    - {write: reference, value: 0}",
+            "sequences.stop: must write the register control",
+        ),
+        (
+            "    - {write: reference, value: speed}\n", "",
+            "sequences.run: must write the speed",
+        ),
+        (
+            "- {write: reference, value: 0}", "- {write: reference, value: speed}",
+            "sequences.stop.2.value = 'speed': can be written in sequences.run only",
+        ),
+        (
+            "running: {mask: 0x0004, value: 0x0004}", "running: {mask: 0x0004, value: 0x0005}",
+            "status.running.value = '0x0005': has bits outside of the mask 0x0004: it could never",
+        ),
+        (
+            "running: {mask: 0x0004, value: 0x0004}",
+            "running: {mask: 0x0004, value: 0x0004, register: speed}",
+            "status.running.register = 'speed': must be a register of the type uint16 or uint32",
+        ),
+        (
+            "    0: ready to switch on", "    99: ready to switch on",
+            "status.bits.99 = 99: must be from 0 to 31",
+        ),
+        (
+            "  kind: code\n  texts:\n    0x2310", "  kind: codes\n  texts:\n    0x2310",
+            "faults.kind = 'codes': must be one of code, bits",
+        ),
+        (
+            "    unit: s\n", "    unit: ms\n",
+            "registers.timeout_time.unit = 'ms': must be one of share, s, m3/s",
+        ),
+        ("    unit: s\n", "", "registers.timeout_time: must have the unit s"),
+        (
+            "    type: uint16\n    unit: s", "    type: uint32\n    unit: s",
+            "registers.timeout_time.word_order: must be 'high first' or 'low first'",
+        ),
+        (
+            "    type: uint16\n    unit: s",
+            "    type: uint16\n    word_order: low first\n    unit: s",
+            "registers.timeout_time.word_order = 'low first': does not belong to uint16",
+        ),
+        ("    scale: 0.1\n", "    scale: 0\n", "registers.timeout_time.scale = 0.0: must be fin"),
+        (
+            "    scale: 0.1\n", "    scale: 0.1\n    full_scale: nothing\n",
+            "registers.timeout_time.full_scale = 'nothing': must be one of registers:",
+        ),
+        ("    low: -1.6\n", "    low: 2\n", "registers.speed.low = 2.0: must be at most high, 1.6"),
+        ("stops: {1: Fault,", "stops: {2: Fault,", "timeout.action.stops = 2: stands in stops and"),
+        (
+            "  - registers.fault\n", "  - registers.faulty\n",
+            "unverified = 'registers.faulty': names no key of this file",
+        ),
+        ("least_speed: 0.3", "least_speed: 30", "least_speed = 30: must be from 0 to 1"),
+        ("nameplate:\n  - {register: rating}", "nameplate: rating", "nameplate = 'rating': must"),
+        ("  ready: {mask: 0x0039, value: 0x0031}", "  ready: 1", "status.ready = 1: must hold"),
+    ],
+)
+def test_wrong_files_are_refused_by_line_key_and_value(
+    tmp_path: Path, old: str, new: str, says: str
+) -> None:
+    assert refused(tmp_path, old, new).startswith(says)
+
+
+def test_the_line_is_that_of_the_key(tmp_path: Path) -> None:
+    path = tmp_path / "drive.yaml"
+    path.write_text(ABB.replace("least_speed: 0.3", "least_speed: 30"), encoding="utf-8")
+    line = 1 + path.read_text(encoding="utf-8").split("\n").index("least_speed: 30")
+    with pytest.raises(ConfigurationError, match=rf"drive.yaml, line {line}: least_speed = 30"):
+        read_drive_file(path)
+
+
+def test_a_missing_register_is_named(tmp_path: Path) -> None:
+    path = tmp_path / "drive.yaml"
+    path.write_text(ABB.replace("  speed:\n    address: 4", "  pace:\n    address: 4"))
+    with pytest.raises(ConfigurationError, match="registers: speed is missing: every drive needs"):
+        read_drive_file(path)
+
+
+def test_no_such_drive() -> None:
+    with pytest.raises(ConfigurationError) as got:
+        find_drive_file("siemens")
+    assert "drive = 'siemens': is neither a file nor one of abb_acs880, danfoss_fc202," in str(
+        got.value
+    )
+
+
+def test_a_file_of_ones_own(tmp_path: Path) -> None:
+    path = tmp_path / "mine.yaml"
+    path.write_text(ABB, encoding="utf-8")
+    assert find_drive_file(str(path)) == path
+    assert read_drive_file(path).name == "mine"
+
+
+@pytest.mark.parametrize(
+    ("text", "address"),
+    [
+        ("tcp://10.0.0.7", Address(host="10.0.0.7")),
+        ("tcp://pump.local:5020", Address(host="pump.local", port=5020)),
+        ("tcp://[::1]:502", Address(host="::1", port=502)),
+        ("/dev/ttyUSB0", Address(line="/dev/ttyUSB0")),
+    ],
+)
+def test_addresses(text: str, address: Address) -> None:
+    assert parse_address(text) == address
+
+
+@pytest.mark.parametrize(
+    "text", ["", "10.0.0.7", "tcp://", "tcp://host:0", "tcp://host:70000", "udp://host", "COM3"]
+)
+def test_no_addresses(text: str) -> None:
+    with pytest.raises(ConfigurationError, match="must be tcp://HOST, tcp://HOST:PORT, or a"):
+        parse_address(text)
+
+
+def register(kind: str, order: str = "", length: int = 0) -> Register:
+    return Register(0, 0, kind, "", "", word_order=order, length=length)
+
+
+@pytest.mark.parametrize(
+    ("made", "words", "value"),
+    [
+        (register("uint16"), [0xFFFE], 65534),
+        (register("int16"), [0xFFFE], -2),
+        (register("uint32", "high first"), [0x0001, 0x0002], 65538),
+        (register("uint32", "low first"), [0x0001, 0x0002], 131073),
+        (register("int32", "high first"), [0xFFFF, 0xFFFD], -3),
+        # IEEE 754, as worked in every text book: 0x3FC00000 is 1.5.
+        (register("float32", "high first"), [0x3FC0, 0x0000], 1.5),
+        (register("float32", "low first"), [0x0000, 0x3FC0], 1.5),
+        (register("text", length=2), [0x4142, 0x4300], "ABC"),
+    ],
+)
+def test_values_of_all_types(made: Register, words: list[int], value: object) -> None:
+    assert decode(made, words) == value
+
+
+def test_without_the_library_the_extra_is_named() -> None:
+    code = (
+        "import sys; sys.modules['pymodbus'] = None\n"
+        "from greenroof_ros.drives.address import parse_address\n"
+        "from greenroof_ros.drives.drive_file import find_drive_file, read_drive_file\n"
+        "from greenroof_ros.drives.exchange import DriveExchange\n"
+        "from greenroof_ros.common.errors import ConfigurationError\n"
+        "file = read_drive_file(find_drive_file('abb_acs880'))\n"
+        "try:\n"
+        "    DriveExchange(file, parse_address('tcp://127.0.0.1'))\n"
+        "except ConfigurationError as error:\n"
+        "    print(error)\n"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60)
+    assert done.stdout == "needs pymodbus: pip install 'greenroof_ros[pump]'\n", done.stderr

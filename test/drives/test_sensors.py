@@ -1,0 +1,181 @@
+"""The file of level sensors, and a client that refuses what cannot be a level."""
+
+from __future__ import annotations
+
+import asyncio
+import re
+import time
+from pathlib import Path
+
+import pytest
+from modbus_wire import Answer, Wire
+from places import CONFIG
+from simulators import free_ports, until
+
+from greenroof_ros.common.errors import ConfigurationError
+from greenroof_ros.drives.level_sensor import LevelSensor, SensorExchange
+from greenroof_ros.drives.modbus_line import DriveError
+from greenroof_ros.drives.sensor_file import Sensor, read_sensors
+
+SHIPPED = (CONFIG / "sensors.yaml").read_text()
+
+
+def sensor(at: str, **changed: object) -> Sensor:
+    """A sensor of 0.1 mm per count up to 6 m, without a filter."""
+    values: dict[str, object] = {
+        "address": at, "device_id": 1, "register": 16, "kind": "input", "type": "uint16",
+        "scale": 1e-4, "low": 0.0, "high": 6.0, "median": 1, "period": 0.05,
+    }
+    return Sensor(**{**values, **changed})  # type: ignore[arg-type]
+
+
+def levels(readings: list[str], **changed: object) -> list[float | str]:
+    """Return what comes of the data of answers to function 04: levels, or what is said instead."""
+    left = list(readings)
+
+    def answer(request: bytes) -> Answer:
+        assert request[7] == (4 if changed.get("kind", "input") == "input" else 3)
+        data = bytes.fromhex(left.pop(0))
+        rest = bytes([request[6], request[7], len(data)]) + data
+        return [(0.0, request[:4] + len(rest).to_bytes(2, "big") + rest)]
+
+    wire = Wire(answer)
+
+    async def go() -> list[float | str]:
+        client = LevelSensor(sensor(wire.at, **changed), timeout_s=0.3)
+        found: list[float | str] = []
+        for _ in readings:
+            try:
+                found.append(await client.read())
+            except DriveError as error:
+                found.append(str(error).removeprefix(f"{wire.at}, device 1: "))
+        client.close()
+        return found
+
+    try:
+        return asyncio.run(go())
+    finally:
+        wire.close()
+
+
+# --- readings -------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("data", "changed", "level"),
+    [
+        ("5A3C", {}, 2.31),  # 23100 x 0.1 mm
+        ("0BB8", {"scale": 0.001, "offset": -0.5, "kind": "holding"}, 2.5),
+        ("FF9C", {"type": "int16", "scale": 0.01, "offset": 3.0}, 2.0),  # -100
+        ("0001 0000", {"type": "uint32", "word_order": "high first", "scale": 2e-5}, 1.31072),
+        ("0001 0000", {"type": "uint32", "word_order": "low first", "scale": 2.0}, 2.0),
+        ("4020 0000", {"type": "float32", "word_order": "high first", "scale": 1.0}, 2.5),
+        ("0000 4020", {"type": "float32", "word_order": "low first", "scale": 1.0}, 2.5),
+    ],
+)
+def test_scale_offset_type_and_word_order(
+    data: str, changed: dict[str, object], level: float
+) -> None:
+    assert levels([data], **changed) == [pytest.approx(level)]
+
+
+@pytest.mark.parametrize(
+    ("data", "changed", "said"),
+    [
+        ("EA61", {}, "says 6.0001 m (raw 60001), which is not from 0 to 6 m"),
+        ("FFFF", {"missing": 0xFFFF}, "says 0xFFFF, which means that there is no reading"),
+        (
+            "7FC0 0000", {"type": "float32", "word_order": "high first", "scale": 1.0},
+            "says nan, which is no number",
+        ),
+        ("5A3C 5A3C", {}, "reading register 16: 2 registers came, not 1"),
+    ],
+)
+def test_what_cannot_be_a_level_is_refused_with_why(
+    data: str, changed: dict[str, object], said: str
+) -> None:
+    assert levels([data], **changed) == [said]
+
+
+def test_the_median_leaves_single_wrong_readings_out_and_starts_anew_after_a_refused_one() -> None:
+    """Of three: 1, 1 (of 1, 9: the lower), 1, 2 | 3 alone, then 3 (of 3, 4)."""
+    data = ["2710", "EA60", "2710", "4E20", "FFFF", "7530", "9C40"]  # 1, 6, 1, 2, -, 3, 4 m
+    said = "says 0xFFFF, which means that there is no reading"
+    assert levels(data, median=3, missing=0xFFFF) == [1.0, 1.0, 1.0, 2.0, said, 3.0, 3.0]
+
+
+def test_a_sensor_that_comes_and_goes_is_read_again_by_itself() -> None:
+    """Nobody there, then a sensor, then silence, then the sensor again; threads raise nothing."""
+    port = free_ports(1)[0]
+    exchange = SensorExchange(sensor(f"tcp://127.0.0.1:{port}"), timeout_s=0.2)
+    assert exchange.snapshot.problem == "not yet read"
+    exchange.start()
+    try:
+        until(lambda: "cannot connect" in exchange.snapshot.problem)
+        assert exchange.snapshot.level is None
+        silent = False
+
+        def answer(request: bytes) -> Answer:
+            whole = request[:4] + bytes.fromhex("0005 01 04 02 2710")
+            return [] if silent else [(0.0, whole)]
+
+        wire = Wire(answer, port=port)
+        try:
+            until(lambda: exchange.snapshot.level == 1.0)
+            assert exchange.snapshot.problem == ""
+            assert time.monotonic() - exchange.snapshot.read_at < 0.5
+            silent = True
+            until(lambda: "no valid answer within 0.2 s" in exchange.snapshot.problem)
+            assert exchange.snapshot.level is None
+            silent = False
+            until(lambda: exchange.snapshot.level == 1.0)
+        finally:
+            wire.close()
+        until(lambda: exchange.snapshot.level is None)
+    finally:
+        began = time.monotonic()
+        exchange.close()
+        assert time.monotonic() - began < 1
+
+
+# --- the file -------------------------------------------------------------------------------------
+
+
+def test_the_shipped_file_is_read_and_says_what_is_assumed() -> None:
+    sensors = read_sensors(CONFIG / "sensors.yaml")
+    assert sensors.cistern.address == "tcp://127.0.0.1:5030"
+    assert (sensors.roof.high, sensors.roof.median, sensors.roof.missing) == (0.6, 5, 0xFFFF)
+    for key in ("address", "device_id", "register", "kind", "type", "scale", "offset", "missing"):
+        lines = re.findall(rf"^  {key}: .*$", SHIPPED, re.MULTILINE)
+        assert len(lines) == 2
+        assert all("[assumed]" in line for line in lines)
+
+
+@pytest.mark.parametrize(
+    ("change", "line", "said"),
+    [
+        (("scale: 0.0001 ", "scal: 0.0001 "), 16, "cistern.scal = 0.0001: is unknown here; known"),
+        (("  kind: input ", "  kind: coil "), 14, "cistern.kind = 'coil': must be one of input"),
+        (("tcp://127.0.0.1:5030", "127.0.0.1"), 11, "cistern.address = '127.0.0.1': must be tcp"),
+        (("type: uint16", "type: uint32"), None, "word_order: must be 'high first' or 'low"),
+        (("  median: 5", "  median: 4"), 21, "cistern.median = 4: must be odd"),
+        (("  median: 5", "  median: 99"), 21, "cistern.median = 99: is late by 49 s"),
+        (("high: 6.0 ", "high: -6.0 "), 19, "cistern.high = -6.0: must be above low, 0 m"),
+        (("scale: 0.0001 ", "scale: 0.00001 "), 16, "cistern.scale = 1e-05: cannot give the"),
+        (("5031", "5030"), 27, "roof.register = 0: is the cistern's: both sensors would be"),
+        (("  period: 1.0", "  period: 0"), 22, "cistern.period = 0: must be from 0.05 to 3600"),
+        (("roof:", "roofs:"), 24, "roofs"),
+    ],
+)
+def test_a_wrong_file_is_refused_with_line_key_and_value(
+    tmp_path: Path, change: tuple[str, str], line: int | None, said: str
+) -> None:
+    file = tmp_path / "own.yaml"
+    file.write_text(SHIPPED.replace(*change, 1))
+    with pytest.raises(ConfigurationError) as caught:
+        read_sensors(file)
+    assert said in str(caught.value)
+    if line is not None:
+        assert f"own.yaml, line {line}: " in str(caught.value)
+
+

@@ -1,0 +1,152 @@
+"""The simulators as programs, and a bare client that speaks Modbus by the byte."""
+
+from __future__ import annotations
+
+import asyncio
+import re
+import signal
+import socket
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Coroutine
+from contextlib import suppress
+from typing import Any
+
+from places import CHECKOUT
+
+from greenroof_ros.common.processes import end_with_parent
+from greenroof_ros.drives.address import Address
+from greenroof_ros.drives.faults import DEFAULT, DRIVE_FAULTS, SITE_FAULTS
+from greenroof_ros.drives.workbench import Workbench
+
+_PLACE = re.compile(r"tcp://127\.0\.0\.1:(\d+), device")
+
+
+class Simulator:
+    """A simulator that is ready; ``with`` ends it by Ctrl-C and looks at how it ends."""
+
+    def __init__(self, module: str, *options: str) -> None:
+        self.process = subprocess.Popen(
+            [sys.executable, "-m", f"greenroof_ros.{module}", *options],
+            cwd=CHECKOUT, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
+            stdin=subprocess.DEVNULL, preexec_fn=end_with_parent,
+        )
+        assert self.process.stdout is not None
+        self.ready = self.process.stdout.readline()
+        if not self.ready.startswith("ready: "):
+            self.process.wait(10)
+            raise AssertionError(f"{self.ready}{self.process.communicate()[1]}")
+        self.ports = [int(port) for port in _PLACE.findall(self.ready)]
+        self.said, self.complained = "", ""
+
+    def inject(self, name: str, parameter: int = DEFAULT) -> None:
+        """Ask the workbench for a fault."""
+        self._on_workbench(lambda bench: bench.inject(name, parameter))
+
+    def power_cycle(self) -> None:
+        self._on_workbench(lambda bench: bench.power_cycle())
+
+    def take_over(self, local: bool) -> None:
+        self._on_workbench(lambda bench: bench.take_over(local))
+
+    def speed(self) -> float:
+        """Return the true speed (share of rated)."""
+        speeds: list[float] = []
+
+        async def ask(bench: Workbench) -> None:
+            speeds.append(await bench.speed())
+
+        self._on_workbench(ask)
+        return speeds[0]
+
+    def _on_workbench(self, task: Callable[[Workbench], Coroutine[Any, Any, None]]) -> None:
+        async def go() -> None:
+            known = SITE_FAULTS if len(self.ports) == 3 else DRIVE_FAULTS
+            bench = Workbench(Address("127.0.0.1", self.ports[-1]), known)
+            await task(bench)
+            bench.close()
+
+        asyncio.run(go())
+
+    def end(self) -> int:
+        """End it by Ctrl-C and return its exit code."""
+        self.process.send_signal(signal.SIGINT)
+        self.said, self.complained = self.process.communicate(timeout=5)
+        return self.process.returncode
+
+    def __enter__(self) -> Simulator:
+        return self
+
+    def __exit__(self, kind: object, *_: object) -> None:
+        code = self.end()
+        if kind is None:
+            assert (code, self.complained) == (0, "")
+
+
+class Bus:
+    """One connection to a Modbus TCP port, made of bytes."""
+
+    def __init__(self, port: int) -> None:
+        self.socket = socket.create_connection(("127.0.0.1", port), timeout=1)
+        self.socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+
+    def send(self, frame: str) -> None:
+        """Send bytes given in hexadecimal."""
+        self.socket.sendall(bytes.fromhex(frame))
+
+    def receive(self, seconds: float = 1.0) -> str:
+        """Return what comes next, in one piece, in hexadecimal; empty where nothing does.
+
+        Raises:
+            ConnectionError: the other end has closed.
+        """
+        self.socket.settimeout(seconds)
+        with suppress(TimeoutError):
+            data = self.socket.recv(512)
+            if not data:
+                raise ConnectionError("closed")
+            return data.hex()
+        return ""
+
+    def ask(self, frame: str, seconds: float = 1.0) -> str:
+        self.send(frame)
+        return self.receive(seconds)
+
+    def read(self, address: int, function: int = 3) -> int:
+        """Return a register."""
+        answer = self.ask(f"0001 0000 0006 01 {function:02x} {address:04x} 0001")
+        assert answer.startswith(f"00010000000501{function:02x}02"), answer
+        return int(answer[-4:], 16)
+
+    def write(self, address: int, word: int) -> None:
+        """Write a register; the answer repeats the request."""
+        frame = f"0001000000060106{address:04x}{word:04x}"
+        assert self.ask(frame) == frame
+
+    def close(self) -> None:
+        self.socket.close()
+
+    def __enter__(self) -> Bus:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+
+def until(condition: Callable[[], bool], seconds: float = 3.0) -> float:
+    """Wait until a condition holds and return how long that took (s)."""
+    began = time.monotonic()
+    while not condition():
+        assert time.monotonic() - began < seconds, "did not come to be so"
+        time.sleep(0.01)
+    return time.monotonic() - began
+
+
+def free_ports(number: int) -> list[int]:
+    """Return TCP ports that were free a moment ago."""
+    sockets = [socket.create_server(("127.0.0.1", 0)) for _ in range(number)]
+    ports = [each.getsockname()[1] for each in sockets]
+    for each in sockets:
+        each.close()
+    return ports
