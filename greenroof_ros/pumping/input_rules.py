@@ -1,0 +1,265 @@
+"""Whether a live input may be acted on: its age, its publishers, and what water cannot do.
+
+Everything here is told the time (s of a steady clock), and knows no other.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from greenroof_ros.model.plant import maximum_pump_flow, outlet_flow
+from greenroof_ros.model.site import Site
+from greenroof_ros.weather.records import EVAPOTRANSPIRATION, PRECIPITATION, QUANTITIES
+
+# For how long an input that has not come since the start is only awaited (s).
+_START_S = 10.0
+# Pumps, rain and pipes of a site differ from its file; its water may be faster by this factor.
+_MARGIN = 1.5
+# More than the world's record of an hour's rain, and of a day's evapotranspiration (m/s).
+_MOST_RAIN = QUANTITIES[PRECIPITATION][2] / 1000 / 3600
+_MOST_EVAPOTRANSPIRATION = QUANTITIES[EVAPOTRANSPIRATION][2] / 1000 / 86400
+
+WAITING, SILENT, REFUSED, PUBLISHERS, PAUSED, FROZEN, JUMP, RECOVERING = (
+    "waiting", "silent", "refused", "publishers", "paused", "frozen", "jump", "recovering",
+)
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """What is wrong with an input.
+
+    Attributes:
+        rule: that it breaks; empty where it is good.
+        why: what it does, for a sentence that begins with its name.
+    """
+
+    rule: str = ""
+    why: str = ""
+
+    @property
+    def good(self) -> bool:
+        """Whether it may be acted on."""
+        return not self.rule
+
+    @property
+    def alarming(self) -> bool:
+        """Whether it breaks a rule now, and is not only awaited."""
+        return self.rule not in ("", WAITING, RECOVERING)
+
+
+@dataclass(frozen=True)
+class Speeds:
+    """How fast the water in a tank can rise and fall at most, at a level (m): m/s, not negative."""
+
+    rise: Callable[[float], float]
+    fall: Callable[[float], float]
+
+
+def cistern_speeds(site: Site) -> Speeds:
+    """Return those of the cistern: rain into it, and pumps and outlet out of it."""
+
+    def fall(level: float) -> float:
+        volume = site.cistern_volume(level)
+        return _MARGIN * (maximum_pump_flow(site, volume) + outlet_flow(site, volume)) / site.a1
+
+    return Speeds(lambda level: _MARGIN * _MOST_RAIN * site.a_in / site.a1, fall)
+
+
+def roof_speeds(site: Site) -> Speeds:
+    """Return those of the roof: rain and full pumps, and evapotranspiration and drainage."""
+    pump = maximum_pump_flow(site, site.cistern_volume(site.z_o)) / site.a2
+
+    def fall(level: float) -> float:
+        drainage = site.K * (level + site.z_soil) / site.z_soil  # Eq. (4), at any level
+        return _MARGIN * (_MOST_EVAPOTRANSPIRATION + drainage)
+
+    return Speeds(lambda level: _MARGIN * (_MOST_RAIN + pump), fall)
+
+
+def expected_rise(
+    site: Site, flow: float, rain: float, cistern_level: float, roof_level: float
+) -> tuple[float, float]:
+    """Return how fast the levels must be rising (m/s), negative where they must fall.
+
+    A tank that spills is expected to do nothing, since what enters it leaves it: the cistern at its
+    outlet, the roof at the depth of its soil.
+
+    Args:
+        site: with the tanks.
+        flow: from the cistern to the roof (m3/s).
+        rain: m/s.
+        cistern_level: m.
+        roof_level: m.
+    """
+    cistern = (rain * site.a_in - flow) / site.a1 if cistern_level < site.z_o else 0.0
+    roof = rain + flow / site.a2 if roof_level < site.z_soil else 0.0
+    return cistern, roof
+
+
+class LevelRule:
+    """What a level cannot do: stand still while its tank is filled or emptied, or jump.
+
+    For the jump it keeps the interval in which the true level must be: it widens as fast as water
+    can rise and fall, and each value narrows it to within half the tolerance of that value. Where
+    nothing is left of it the value has jumped, and the interval begins again with it. So neither
+    one step nor many small ones, however quickly they come, go unseen; noise within half the
+    tolerance is never a jump.
+    """
+
+    def __init__(self, speeds: Speeds, frozen_movement: float, jump_tolerance: float) -> None:
+        """Know no value yet.
+
+        Args:
+            speeds: of the tank's water.
+            frozen_movement: how far the level must have moved to be called frozen (m), if it does
+                not; more than the sensor resolves.
+            jump_tolerance: how far two values may be apart beyond what water can do (m).
+        """
+        self._speeds = speeds
+        self._frozen_movement = frozen_movement
+        self._tolerance = jump_tolerance
+        self._value = math.nan
+        self._low = self._high = math.nan
+        self._at = 0.0
+        self._expected = 0.0
+        self._frozen = False
+
+    def expect(self, rise: float) -> None:
+        """Note that the level must have risen (m; negative: fallen) since this was last said."""
+        self._expected += rise
+        self._frozen = self._frozen or abs(self._expected) > self._frozen_movement
+
+    def came(self, now: float, value: float) -> Verdict:
+        """Take a value (m), and say whether water can have moved to it."""
+        if value != self._value:
+            self._expected = 0.0
+            self._frozen = False
+        before, self._value = self._value, value
+        half = self._tolerance / 2
+        passed, self._at = now - self._at, now
+        if math.isnan(before):
+            self._low, self._high = value - half, value + half
+            return Verdict()
+        low = self._low - self._speeds.fall(before) * passed
+        high = self._high + self._speeds.rise(before) * passed
+        self._low, self._high = max(low, value - half), min(high, value + half)
+        if self._low <= self._high:
+            return self.stands()
+        self._low, self._high = value - half, value + half
+        end = high if value > high else low
+        return Verdict(
+            JUMP, f"jumped: {before:.4g} m, and {passed:.3g} s later {value:.4g} m, where water "
+            f"can be at {max(end, 0.0):.4g} m, give or take {half:g} m (jump_tolerance)",
+        )
+
+    def stands(self) -> Verdict:
+        """Say whether the level stands still though it must have moved."""
+        if not self._frozen:
+            return Verdict()
+        return Verdict(
+            FROZEN, f"is frozen: not one change while pump and rain must have moved it by more "
+            f"than {self._frozen_movement:g} m (frozen_movement)",
+        )
+
+
+class InputRules:
+    """The rules of one input; it is good again once it has kept them for a time."""
+
+    def __init__(
+        self, now: float, limit: float, recovery: float, *, limit_name: str = "limit",
+        level: LevelRule | None = None,
+    ) -> None:
+        """Wait for its first value.
+
+        Args:
+            now: s.
+            limit: its greatest age (s).
+            recovery: for how long it must have kept all rules (s).
+            limit_name: of the parameter that is the limit, for messages.
+            level: what else holds for a level.
+        """
+        self._limit = limit
+        self._limit_name = limit_name
+        self._recovery = recovery
+        self.level = level
+        self._came: float | None = None
+        self._missing = Verdict(WAITING, "has not come yet")
+        self._since = now
+        self._newest = Verdict()  # of the newest value
+        self._broken = self._missing  # what it must recover from
+        self._bad = True
+        self._good_since: float | None = None
+
+    def came(self, now: float, value: object, refused: str = "") -> Verdict:
+        """Take a value.
+
+        Args:
+            now: s.
+            value: that came.
+            refused: why it is none; empty where it is one.
+        """
+        self.judge(now)  # it may have been silent
+        self._came = now
+        if refused:
+            self._newest = Verdict(REFUSED, refused)
+        elif self.level is not None and isinstance(value, float):
+            self._newest = self.level.came(now, value)
+        else:
+            self._newest = Verdict()
+        return self.judge(now)
+
+    def refuse(self, now: float, why: str) -> Verdict:
+        """Refuse the newest value: who acts on it cannot."""
+        self._newest = Verdict(REFUSED, why)
+        return self.judge(now)
+
+    def paused(self, now: float, seconds: float) -> None:
+        """Forget what came: the process itself stood still for so long (s)."""
+        if self._came is None:
+            return
+        self._came = None
+        self._missing = Verdict(
+            PAUSED, f"is unknown: this node itself stood still for {seconds:.0f} s"
+        )
+        self._since = now
+
+    def judge(self, now: float, publishers: str = "") -> Verdict:
+        """Say whether the input may be acted on.
+
+        Args:
+            now: s.
+            publishers: what is wrong with them; empty where there is but one.
+        """
+        verdict = self._present(now, publishers)
+        if not verdict.good:
+            self._bad = True
+            self._broken = verdict
+            self._good_since = None
+            return verdict
+        if not self._bad:
+            return verdict
+        if self._good_since is None:
+            self._good_since = now
+        if now - self._good_since < self._recovery:
+            return Verdict(
+                RECOVERING, f"{self._broken.why}; now it is good, and counts after "
+                f"{self._recovery:g} s of that (recovery_time)",
+            )
+        self._bad = False
+        return verdict
+
+    def _present(self, now: float, publishers: str) -> Verdict:
+        """Return the first rule that is broken now."""
+        if publishers:
+            return Verdict(PUBLISHERS, publishers)
+        if self._came is None:
+            if self._missing.rule == WAITING and now - self._since > _START_S:
+                return Verdict(SILENT, self._missing.why)
+            return self._missing
+        if now - self._came > self._limit:
+            return Verdict(SILENT, f"is older than {self._limit:g} s ({self._limit_name})")
+        if self._newest.good and self.level is not None:
+            return self.level.stands()
+        return self._newest

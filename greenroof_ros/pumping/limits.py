@@ -1,0 +1,155 @@
+"""When a pump may start, must stay on, and must not run: times, starts, a day's use, water, frost.
+
+All of it heals by itself.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+
+from greenroof_ros.model.site import Site
+from greenroof_ros.pumping.ledger import Ledger
+from greenroof_ros.pumping.settings import DAY_S, PumpSettings
+
+_HOUR_S = 3600.0
+
+
+class SwitchLimits:
+    """Least times on and off, and starts in any hour.
+
+    How long the pump had been off before the first step is unknown, so it waits for the least time
+    off first.
+    """
+
+    def __init__(self, settings: PumpSettings) -> None:
+        self._settings = settings
+        self._switched_at: float | None = None
+        self._starts: deque[float] = deque()
+
+    def begin(self, now: float) -> None:
+        """Take the first step's time (s) for that of the last stop."""
+        if self._switched_at is None:
+            self._switched_at = now
+
+    def started(self, now: float) -> None:
+        """Count a start."""
+        self._switched_at = now
+        self._starts.append(now)
+
+    def stopped(self, now: float) -> None:
+        """Count a stop."""
+        self._switched_at = now
+
+    def since_start(self, now: float) -> float:
+        """Return the time since the last start (s)."""
+        return now - self._starts[-1] if self._starts else math.inf
+
+    def must_stay_on(self, now: float) -> bool:
+        """Whether a pump that is on has not been for the least time."""
+        return self._elapsed(now) < self._settings.least_on
+
+    def wait(self, now: float) -> tuple[float, str]:
+        """Return how long a pump that is off must wait before it starts (s), and why."""
+        while self._starts and now - self._starts[0] >= _HOUR_S:
+            self._starts.popleft()
+        waits = [
+            (self._settings.least_off - self._elapsed(now),
+             f"it stays off for at least {self._settings.least_off:g} s"),
+        ]
+        allowed = int(self._settings.starts_per_hour)
+        if len(self._starts) >= allowed:
+            again = self._starts[0] + _HOUR_S - now
+            waits.append((again, f"it starts at most {allowed} times in an hour"))
+        longest, why = max(waits)
+        return (longest, why) if longest > 0 else (0.0, "")
+
+    def _elapsed(self, now: float) -> float:
+        return math.inf if self._switched_at is None else now - self._switched_at
+
+
+class SiteLimits:
+    """What must be so at the site: water above the suction level, no frost, not too much of all."""
+
+    def __init__(self, site: Site, settings: PumpSettings, ledger: Ledger) -> None:
+        self._site = site
+        self._settings = settings
+        self._ledger = ledger
+        self._dry = False
+        self._on_for = 0.0
+        self._rests_for = 0.0
+
+    def account(self, dt: float, on: bool) -> None:
+        """Count time (s) in which the pump was on, or was not."""
+        if on:
+            self._on_for += dt
+            if self._on_for >= self._settings.greatest_run:
+                self._rests_for = self._settings.greatest_run
+        else:
+            self._on_for = 0.0
+            self._rests_for = max(0.0, self._rests_for - dt)
+
+    def reasons(
+        self,
+        command: float | None,
+        cistern_level: float | None,
+        roof_level: float | None,
+        frost: bool | None,
+    ) -> list[str]:
+        """Return every reason for which the pump must not run now; to be asked at every step.
+
+        Args:
+            command: share of the maximum flow; 0 ends the rest after too long a run, None (no
+                good command) does not.
+            cistern_level: m; None is unknown.
+            roof_level: m; None is unknown.
+            frost: whether there is; None is unknown.
+        """
+        reasons = [*self._water(cistern_level)]
+        if roof_level is None:
+            reasons.append("the level of the roof is unknown")
+        if frost is None:
+            reasons.append("it is unknown whether there is frost")
+        elif frost:
+            reasons.append("there is frost")
+        if command == 0:
+            self._rests_for = 0.0
+        if self._rests_for > 0:
+            reasons.append(
+                f"it ran for {_minutes(self._settings.greatest_run)} without a break; it rests "
+                f"until the command is 0, or for {_minutes(self._rests_for)}"
+            )
+        return reasons + self._day()
+
+    def _water(self, level: float | None) -> list[str]:
+        if level is None:
+            return ["the level of the cistern is unknown"]
+        least = self._site.suction_level
+        if self._dry:
+            least += self._settings.suction_hysteresis
+        self._dry = level < least
+        if self._dry:
+            return [f"the cistern is at {level:.3f} m, below {least:g} m"]
+        return []
+
+    def _day(self) -> list[str]:
+        record, settings, reasons = self._ledger.record, self._settings, []
+        again = f"goes on in {_minutes(DAY_S - record.day_elapsed)}"
+        if record.day_volume >= settings.greatest_volume_per_day:
+            reasons.append(
+                f"{record.day_volume:.2f} m3 were pumped in this day, the most is "
+                f"{settings.greatest_volume_per_day:g} m3; {again}"
+            )
+        if record.day_run >= settings.greatest_run_per_day:
+            reasons.append(
+                f"it ran for {_minutes(record.day_run)} in this day, the most is "
+                f"{_minutes(settings.greatest_run_per_day)}; {again}"
+            )
+        return reasons
+
+
+def _minutes(seconds: float) -> str:
+    """Return a time as people say it."""
+    if seconds < 120:
+        return f"{math.ceil(seconds)} s"
+    return f"{math.ceil(seconds / 60)} min"

@@ -1,0 +1,297 @@
+"""What the pump does at each step: the one place where all that may stop it comes together."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+
+from greenroof_ros.model.pump_speed import flow_at
+from greenroof_ros.model.site import Site
+from greenroof_ros.pumping.delivery import DeliveryCheck
+from greenroof_ros.pumping.ledger import Ledger
+from greenroof_ros.pumping.limits import SiteLimits, SwitchLimits
+from greenroof_ros.pumping.pulses import Pulses
+from greenroof_ros.pumping.settings import PumpSettings
+
+# Below this share of its rated speed a pump stands: the noise of a drive's reading.
+_STANDS = 0.02
+# A measured flow above so many times the maximum flow is no flow of this pump.
+_GREATEST_FLOW = 1.5
+# No pump turns faster (share of its rated speed), and no level is beyond this (m, as of its topic).
+_GREATEST_SPEED = 2.0
+_GREATEST_LEVEL = 100.0
+
+
+@dataclass(frozen=True)
+class Observation:
+    """What is known at a step; None is unknown, or too old.
+
+    Attributes:
+        command: share of the maximum flow, as it came.
+        cistern_level: m.
+        roof_level: m.
+        frost: whether there is.
+        speed: what the drive turns at, share of the rated speed.
+        flow: of a flow meter (m3/s).
+        drive_flow: of the drive's own (m3/s).
+        drive_ready: whether it runs, or would if it were asked to.
+        drive_fault: its fault, as text; empty where there is none.
+        problem: a reason to be off that passes by itself, such as a lost connection; empty where
+            there is none.
+    """
+
+    command: float | None = None
+    cistern_level: float | None = None
+    roof_level: float | None = None
+    frost: bool | None = None
+    speed: float | None = None
+    flow: float | None = None
+    drive_flow: float | None = None
+    drive_ready: bool = False
+    drive_fault: str = ""
+    problem: str = ""
+
+
+@dataclass(frozen=True)
+class Decision:
+    """What the drive is asked for, and what is told.
+
+    Attributes:
+        speed: asked for, share of the rated speed; None is off.
+        state: off, starting, running, stopping, fault or held.
+        why: in words.
+        flow: the best present estimate (m3/s).
+        source: how the flow is known.
+        warning: what an operator should know although it stops nothing; empty where nothing.
+        owed: commanded less delivered (m3).
+    """
+
+    speed: float | None
+    state: str
+    why: str
+    flow: float
+    source: str
+    warning: str
+    owed: float
+
+
+class PumpControl:
+    """Turns commands into speeds, and refuses to wherever something speaks against it."""
+
+    def __init__(self, site: Site, settings: PumpSettings, ledger: Ledger) -> None:
+        self._site = site
+        self._settings = settings
+        self._ledger = ledger
+        self._switch = SwitchLimits(settings)
+        self._limits = SiteLimits(site, settings, ledger)
+        self._pulses = Pulses(site, settings)
+        self._delivery = DeliveryCheck(site, settings)
+        self._asked: float | None = None
+        self._astray_for = 0.0
+        self._unknown_for = 0.0
+
+    def hold(self, on: bool) -> None:
+        """Hold the pump off over anything, or release it; kept over restarts.
+
+        It takes effect with the next step.
+        """
+        reason = self._ledger.record.held or "an operator stopped it"
+        self._ledger.hold(reason if on else "")
+
+    def reset(self) -> str:
+        """Clear a latched fault, and return what it was; what still is latches again."""
+        cleared = self._ledger.record.fault
+        if cleared:
+            self._ledger.fault("")
+            self._delivery.restart()
+            self._astray_for = 0.0
+        return cleared
+
+    def step(
+        self, now: float, dt: float, seen: Observation, drive_dt: float | None = None
+    ) -> Decision:
+        """Decide.
+
+        Args:
+            now: time of a clock that is never set (s).
+            dt: time since the last step (s), 0 at the first.
+            seen: what is known.
+            drive_dt: the same of the drive's time (s), that of the steady clock, where the site is
+                simulated faster than that; None where both are one.
+        """
+        drive_dt = dt if drive_dt is None else drive_dt
+        seen = _believable(seen)
+        self._switch.begin(now)
+        warnings = [self._ledger.problem] if self._ledger.problem else []
+        flow, source = self._flow(seen, warnings)
+        self._account(dt, seen.speed, flow)
+        self._latch(dt, drive_dt, seen, flow)
+        command, refusal, warning = _command(seen.command)
+        if warning:
+            warnings.append(warning)
+        record = self._ledger.record
+        held = [record.held] if record.held else []
+        held += self._limits.reasons(command, seen.cistern_level, seen.roof_level, seen.frost)
+        trouble = seen.problem or refusal or _trouble(seen)
+
+        asked = None
+        if record.fault:
+            state, why = "fault", "; ".join([record.fault, *held])
+        elif held:
+            state, why = "held", "; ".join(held)
+        elif trouble:
+            state, why = "off", trouble
+        else:
+            assert command is not None
+            assert seen.cistern_level is not None
+            assert seen.roof_level is not None
+            full = seen.roof_level >= self._site.z_veg
+            asked, why = self._follow(now, dt, command, full, seen.cistern_level, warnings)
+            state = "off" if asked is None else "running"
+        if record.fault or held or trouble:
+            self._pulses.drop()
+        self._switch_to(now, asked)
+
+        turning = seen.speed is not None and seen.speed > _STANDS
+        if state == "running" and self._is_astray(seen.speed):
+            state = "starting"
+        elif state == "off" and turning:
+            state = "stopping"
+        elif state in ("fault", "held") and turning:
+            why += f"; the pump still turns, at {seen.speed:.2f} of its speed"
+        return Decision(asked, state, why, flow, source, "; ".join(warnings), self._pulses.owed)
+
+    def _flow(self, seen: Observation, warnings: list[str]) -> tuple[float, str]:
+        """Return the present flow (m3/s), and how it is known."""
+        site = self._site
+        if self._asked is None and seen.speed is not None and seen.speed <= _STANDS:
+            return 0.0, "the pump stands"
+        level = site.z_o if seen.cistern_level is None else seen.cistern_level
+        most = _GREATEST_FLOW * flow_at(site, 1.0, level)
+        for flow, source in ((seen.flow, "flow meter"), (seen.drive_flow, "the drive's own")):
+            if flow is not None and flow <= most:
+                return flow, source
+            if flow is not None:
+                warnings.append(
+                    f"{source}: a flow of {flow:g} m3/s is not believed, the pump delivers "
+                    f"{most / _GREATEST_FLOW:.3g} m3/s at most"
+                )
+        if seen.speed is None or seen.cistern_level is None:
+            return 0.0, "unknown, taken as 0"
+        return flow_at(site, seen.speed, seen.cistern_level), "computed from the speed"
+
+    def _account(self, dt: float, speed: float | None, flow: float) -> None:
+        """Count what the last step's decision made of the time since."""
+        on = self._asked is not None or (speed is not None and speed > _STANDS)
+        self._limits.account(dt, on)
+        self._ledger.count(dt, dt if on else 0.0, flow * dt)
+        self._pulses.account(flow * dt, dt)
+
+    def _is_astray(self, speed: float | None) -> bool:
+        """Whether the pump turns at another speed than it was asked for."""
+        asked = self._asked or 0.0
+        return speed is not None and abs(speed - asked) > self._settings.follow_tolerance
+
+    def _latch(self, dt: float, drive_dt: float, seen: Observation, flow: float) -> None:
+        """Look for faults; the first one stays until it is reset."""
+        self._astray_for = self._astray_for + drive_dt if self._is_astray(seen.speed) else 0.0
+        self._unknown_for = self._unknown_for + drive_dt if seen.speed is None else 0.0
+        found = self._undelivered(dt, seen, flow)
+        if self._astray_for > self._settings.follow_time:
+            asked = "it is told to stop"
+            if self._asked is not None:
+                asked = f"{self._asked:.2f} is asked for"
+            found = (
+                f"the speed does not follow: the pump turns at {seen.speed:.2f} of its speed, and "
+                f"{asked}, for {self._astray_for:.0f} s"
+            )
+        if seen.drive_fault:
+            found = f"the drive reports: {seen.drive_fault}"
+        if found and not self._ledger.record.fault:
+            self._ledger.fault(found)
+
+    def _undelivered(self, dt: float, seen: Observation, flow: float) -> str:
+        """Return what the delivery check finds."""
+        if seen.cistern_level is None or seen.roof_level is None:
+            self._delivery.restart()
+            return ""
+        # A drive that is not heard may run on, until its own timeout stops it.
+        most = flow
+        if seen.speed is None and self._unknown_for <= self._settings.follow_time:
+            most = flow_at(self._site, 1.0, seen.cistern_level)
+        return self._delivery.step(
+            dt, seen.cistern_level, seen.roof_level, flow * dt, most * dt
+        )
+
+    def _follow(
+        self, now: float, dt: float, command: float, full: bool, cistern_level: float,
+        warnings: list[str],
+    ) -> tuple[float | None, str]:
+        """Return the speed for a command against which nothing speaks (None is off), and why."""
+        pulses, on = self._pulses, self._asked is not None
+        wanted = 0.0 if full else command
+        share = pulses.ask(wanted, cistern_level, on, self._switch.since_start(now))
+        least, pulse = pulses.least_share(cistern_level), pulses.least_pulse(cistern_level)
+        why = "as commanded"
+        if wanted < least:
+            why = "a pulse, since the command is below the least flow"
+            if pulses.owed > pulse:
+                warnings.append(
+                    f"{pulses.owed:.3f} m3 are owed, more than a least pulse of {pulse:.3f} m3: "
+                    "least times and starts per hour allow no more"
+                )
+        if on and share == 0 and self._switch.must_stay_on(now):
+            share, why = least, f"it stays on for at least {self._settings.least_on:g} s"
+        wait, why_wait = self._switch.wait(now)
+        if not on and share > 0 and wait > 0:
+            return None, f"it may start in {math.ceil(wait)} s: {why_wait}"
+        if share == 0:
+            if full:
+                return None, "the roof is at its target"
+            return None, "the next pulse is not due yet" if command > 0 else "the command is 0"
+        speed = pulses.speed(share, cistern_level)
+        if self._asked is None:
+            return pulses.speed(least, cistern_level), why
+        change = self._settings.ramp * dt
+        return min(max(speed, self._asked - change), self._asked + change), why
+
+    def _switch_to(self, now: float, asked: float | None) -> None:
+        if asked is not None and self._asked is None:
+            self._switch.started(now)
+        elif asked is None and self._asked is not None:
+            self._switch.stopped(now)
+        self._asked = asked
+
+
+def _believable(seen: Observation) -> Observation:
+    """Return an observation in which what no sensor or drive can mean is unknown."""
+
+    def known(value: float | None, least: float, most: float) -> float | None:
+        return value if value is not None and least <= value <= most else None
+
+    return replace(
+        seen,
+        cistern_level=known(seen.cistern_level, -_GREATEST_LEVEL, _GREATEST_LEVEL),
+        roof_level=known(seen.roof_level, -_GREATEST_LEVEL, _GREATEST_LEVEL),
+        speed=known(seen.speed, 0.0, _GREATEST_SPEED),
+        flow=known(seen.flow, 0.0, math.inf),
+        drive_flow=known(seen.drive_flow, 0.0, math.inf),
+    )
+
+
+def _trouble(seen: Observation) -> str:
+    """Return why a drive cannot be used now; empty where it can."""
+    if seen.speed is None:
+        return "the speed of the drive is unknown"
+    return "" if seen.drive_ready else "the drive is not ready"
+
+
+def _command(command: float | None) -> tuple[float | None, str, str]:
+    """Return a command that may be followed or None, why it is refused, and a warning."""
+    if command is None:
+        return None, "there is no command", ""
+    if not 0 <= command < math.inf:
+        return None, f"the command {command:g} is refused: it must be a number from 0 to 1", ""
+    if command > 1:
+        return 1.0, "", f"the command {command:g} is above 1 and taken as 1"
+    return command, "", ""

@@ -1,0 +1,119 @@
+"""A pump's logic with a drive and the plant of the site around it, in simulated time."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+from paper import PAPER_SITE
+
+from greenroof_ros.model.plant import Plant
+from greenroof_ros.model.site import Site
+from greenroof_ros.pumping.ledger import Ledger
+from greenroof_ros.pumping.pump_control import Decision, Observation, PumpControl
+from greenroof_ros.pumping.settings import PumpSettings, settings_for
+
+
+class Rig:
+    """Steps pump, drive and plant; what breaks is set from outside.
+
+    Attributes:
+        plant: the site, exact.
+        speed: of the pump, share of the rated speed.
+        change: what is known at the next steps other than by the sensors, by Observation's names.
+        arriving: share of the flow that reaches the roof.
+        leaving: share of the flow that leaves the cistern.
+        leak: other water that leaves the cistern (m3/s).
+        stuck_speed: what the drive turns at whatever it is asked for; None while it follows.
+        contactor_stuck: whether the pump runs at rated speed while the drive reports a stop.
+        cistern_offset: what the cistern's sensor reads above the true level (m).
+        delivered: what the decisions said was pumped (m3).
+        decisions: every one.
+    """
+
+    def __init__(
+        self,
+        x1: float = 70.0,
+        x2: float = 1.0,
+        *,
+        site: Site = PAPER_SITE,
+        settings: PumpSettings | None = None,
+        file: Path | None = None,
+        noise: float = 0.0,
+        drive_ramp: float = 0.2,
+        tau: float = 1.0,
+    ) -> None:
+        self.site = replace(site, tau=tau)
+        self.settings = settings or settings_for(self.site)
+        self.plant = Plant(self.site, x1, x2)
+        self.ledger = Ledger(file, time.time)
+        self.control = PumpControl(self.site, self.settings, self.ledger)
+        self.tau = tau
+        self.now = 1000.0
+        self.speed = 0.0
+        self.change: dict[str, object] = {}
+        self.arriving = self.leaving = 1.0
+        self.leak = self.cistern_offset = 0.0
+        self.stuck_speed: float | None = None
+        self.contactor_stuck = False
+        self.delivered = 0.0
+        self.decisions: list[Decision] = []
+        self._drive_ramp = drive_ramp
+        self._noise = self._errors(noise)
+        self._dt = 0.0
+
+    def _errors(self, noise: float) -> Iterator[tuple[float, float]]:
+        generator = np.random.default_rng(7)
+        while True:
+            yield from (noise * generator.standard_normal((4096, 2))).tolist()
+
+    def step(
+        self, command: float | None, rain: float = 0.0, evapotranspiration: float = 0.0
+    ) -> Decision:
+        """Move on by a tick; rain in m/s, evapotranspiration off the bed in m3/s."""
+        cistern, roof = self.plant.levels()
+        errors = next(self._noise)
+        seen = Observation(
+            command=command, cistern_level=cistern + self.cistern_offset + errors[0],
+            roof_level=roof + errors[1], frost=False, speed=self.speed, drive_ready=True,
+        )
+        decision = self.control.step(
+            self.now, self._dt, replace(seen, **self.change)  # type: ignore[arg-type]
+        )
+        self.decisions.append(decision)
+        self.delivered += decision.flow * self.tau
+        asked = decision.speed or 0.0
+        true_flow = self.plant_flow(1.0 if self.contactor_stuck else self.speed)
+        flows = self.plant.flows(rain, evapotranspiration, true_flow)
+        lost = self.leak + (self.leaving - 1) * flows.pump
+        arrived = flows.pump * self.arriving
+        self.plant.step(rain, flows)
+        self.plant.x1 -= lost * self.tau
+        self.plant.x2 += (arrived - flows.pump) * self.tau
+        if self.stuck_speed is not None:
+            self.speed = self.stuck_speed
+        else:
+            most = self._drive_ramp * self.tau
+            self.speed += min(most, max(-most, asked - self.speed))
+        self.now += self.tau
+        self._dt = self.tau
+        return decision
+
+    def plant_flow(self, speed: float) -> float:
+        """Return the flow of the pump at a speed (m3/s), by the affinity laws once more."""
+        head = self.plant.x1 / self.site.a1 + speed**2 * self.site.c_hat - self.site.d
+        return self.site.b * head**0.5 if head > 0 else 0.0
+
+    def run(
+        self, seconds: float, command: float | None, until: Callable[[Decision], bool] | None = None
+    ) -> Decision:
+        """Step for so long, or until a decision is as it should be."""
+        decision = self.step(command)
+        for _ in range(round(seconds / self.tau) - 1):
+            if until is not None and until(decision):
+                break
+            decision = self.step(command)
+        return decision

@@ -1,0 +1,268 @@
+"""The delivery check: what it finds, how soon, and that weather and noise are no alarm."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from paper import PAPER_SITE, paper_run, site_with
+from pump_rig import Rig
+
+from greenroof_ros.pumping.delivery import DeliveryCheck
+from greenroof_ros.pumping.settings import settings_for
+
+NOISE = 0.005
+"""m, standard deviation of a reading"""
+
+
+def time_to_fault(rig: Rig, seconds: float, command: float) -> float:
+    """Run until there is a fault, and return how long that took (s); infinite if none came."""
+    begun = rig.now
+    decision = rig.run(seconds, command, until=lambda one: one.state == "fault")
+    return rig.now - begun if decision.state == "fault" else math.inf
+
+
+def test_thresholds_by_hand() -> None:
+    """Without averaging: 6 mm on 68.8 m2 are 0.4128 m3, on 25 m2 0.15 m3; 1 mm/h is allowed.
+
+    A pump with 0.01 m3/s and a roof that does not rise: 0.005 t > 0.4128 + 68.8 2.7778e-7 t after
+    82.88 s. A cistern that loses 0.01 m3/s: 0.01 t > 0.15 + 25 2.7778e-7 t after 15.01 s.
+    """
+    limits = settings_for(PAPER_SITE, averaging_time=1.0)
+    check = DeliveryCheck(PAPER_SITE, limits)
+    check.step(1.0, 2.0, 0.01, 0.0, 0.0)
+    found = [check.step(1.0, 2.0, 0.01, 0.01, 0.01) for _ in range(83)]
+    assert [bool(one) for one in found] == [False] * 82 + [True]
+    check.restart()
+    check.step(1.0, 2.0, 0.01, 0.0, 0.0)
+    found = [check.step(1.0, 2.0 - 0.0004 * k, 0.01, 0.0, 0.0) for k in range(1, 17)]
+    assert [bool(one) for one in found] == [False] * 15 + [True]
+
+
+@pytest.mark.parametrize("noise", [0.0, NOISE])
+@pytest.mark.parametrize(
+    ("command", "within"),
+    # Half of 0.0083 m3/s makes 0.413 m3 in 100 s. 1.9e-5 m3/s of that may be evapotranspiration:
+    # a fifth of the flow needs 509 s, a hundredth 18,400 s. Then the mean lags 60 s, and noise may
+    # hide twice its standard deviation of 0.03 m3.
+    [(1.0, 200), (0.2, 680), (0.01, 20_500)],
+)
+def test_burst_pipe(noise: float, command: float, within: float) -> None:
+    """The pump runs, the cistern falls, and the roof does not rise."""
+    rig = Rig(x2=0.5, noise=noise)
+    rig.run(600, 0.01)
+    rig.arriving = 0.0
+    assert time_to_fault(rig, 21_000, command) <= within
+    why = rig.decisions[-1].why
+    assert why.startswith("delivery: ")
+    assert "m3 were pumped in" in why
+    assert "perhaps a burst pipe or a leak behind the pump" in why
+    assert rig.decisions[-1].speed is None
+
+
+@pytest.mark.parametrize("noise", [0.0, NOISE])
+def test_closed_valve(noise: float) -> None:
+    """The pump runs, and no water moves at all."""
+    rig = Rig(x2=0.5, noise=noise)
+    rig.run(600, 0.01)
+    rig.arriving = rig.leaving = 0.0
+    assert time_to_fault(rig, 600, 1.0) <= 200
+    assert "perhaps a closed valve, a blocked pump or an empty pipe" in rig.decisions[-1].why
+
+
+def test_half_burst_pipe_that_once_was_well() -> None:
+    """An hour of good pumping hides nothing; a tenth of the flow still arrives."""
+    rig = Rig(x2=0.0, noise=NOISE)
+    rig.run(250, 0.9)
+    assert rig.decisions[-1].state == "running"
+    rig.arriving = 0.1
+    assert time_to_fault(rig, 600, 0.9) <= 260
+
+
+@pytest.mark.parametrize("noise", [0.0, NOISE])
+def test_stuck_contactor(noise: float) -> None:
+    """The drive says that it stands, the pump runs at rated speed: 0.15 m3 in 18 s, and the lag."""
+    rig = Rig(x2=0.5, noise=noise)
+    rig.run(600, 0.0)
+    rig.contactor_stuck = True
+    assert time_to_fault(rig, 600, 0.0) <= 70
+    assert "(a stuck contactor)" in rig.decisions[-1].why
+
+
+@pytest.mark.parametrize("noise", [0.0, NOISE])
+@pytest.mark.parametrize(("leak", "within"), [(0.01, 65), (1e-4, 1900)])
+def test_leak(noise: float, leak: float, within: float) -> None:
+    """6 mm of 25 m2 are 0.15 m3, less 7e-6 m3/s that are allowed; and the lag of a minute."""
+    rig = Rig(x2=3.2, noise=noise)
+    rig.run(600, 0.3)
+    rig.leak = leak
+    assert time_to_fault(rig, 4000, 0.3) <= within
+    assert "perhaps a leak, or somebody else takes water" in rig.decisions[-1].why
+
+
+def test_leak_between_pulses() -> None:
+    """The pump starts every few minutes; ten times what it takes is lost."""
+    rig = Rig(x2=0.5, noise=NOISE)
+    rig.run(600, 0.01)
+    rig.leak = 1e-3
+    assert time_to_fault(rig, 4000, 0.01) <= 400
+
+
+@pytest.mark.parametrize("offset", [-0.015, 0.015])
+def test_a_full_cistern_runs_over_without_an_alarm(offset: float) -> None:
+    """From 0.5 m above the outlet to its edge, with a sensor that reads too little, or too much."""
+    rig = Rig(x1=87.5, x2=3.2, noise=NOISE)
+    rig.cistern_offset = offset
+    assert rig.run(7200, 0.0).state == "off"
+    assert rig.plant.x1 == pytest.approx(75, abs=0.1)
+
+
+def test_a_lost_connection_is_no_leak() -> None:
+    """The drive ran on for 10 s, until its own timeout stopped it: 17 mm of a cistern of 5 m2."""
+    rig = Rig(x1=14.0, x2=0.5, site=site_with(a1=5.0))
+    rig.run(200, 0.0)
+    rig.run(3, 1.0)
+    for _ in range(10):
+        rig.change = {"speed": None, "problem": "connection lost"}
+        rig.stuck_speed = 1.0
+        rig.step(1.0)
+    rig.stuck_speed = None
+    rig.run(120, 1.0)
+    rig.change = {}
+    rig.run(120, 0.0)
+    assert rig.decisions[-1].state == "off"
+    rig.run(60, 1.0)
+    assert rig.decisions[-1].state == "running"
+
+
+def test_a_pump_that_runs_on_without_a_connection() -> None:
+    """Its own timeout does not stop it: after 15 s what it takes counts as lost."""
+    rig = Rig(x2=0.5)
+    rig.run(200, 0.0)
+    rig.change = {"speed": None, "problem": "connection lost"}
+    rig.stuck_speed = 1.0
+    assert time_to_fault(rig, 300, 0.0) <= 90
+    assert "(a stuck contactor)" in rig.decisions[-1].why
+
+
+def test_a_repaired_pipe() -> None:
+    """The reset begins a new check; the same fault is found again if it is still there."""
+    rig = Rig(x2=0.5)
+    rig.run(100, 0.01)
+    rig.arriving = 0.0
+    assert time_to_fault(rig, 600, 1.0) < math.inf
+    rig.control.reset()
+    assert time_to_fault(rig, 600, 1.0) > 60
+    assert rig.decisions[-1].state == "fault"
+    rig.arriving = 1.0
+    rig.control.reset()
+    assert time_to_fault(rig, 150, 1.0) == math.inf
+
+
+def test_a_gap_in_the_levels() -> None:
+    """Nobody knows what happened in it, such as the cleaning of a tank."""
+    rig = Rig(x2=0.5)
+    rig.run(200, 0.01)
+    rig.change = {"cistern_level": None}
+    rig.run(10, 0.01)
+    rig.plant.x1 -= 5.0
+    rig.change = {}
+    assert time_to_fault(rig, 300, 0.01) == math.inf
+
+
+def test_a_flow_that_is_a_third_off_is_no_alarm() -> None:
+    """The pipe is worse than the site file says, or the meter reads too much."""
+    rig = Rig(x2=0.0, noise=NOISE)
+    rig.arriving = rig.leaving = 2 / 3
+    assert time_to_fault(rig, 400, 1.0) == math.inf
+    rig = Rig(x2=0.0, noise=NOISE)
+    rig.change = {"flow": 0.0055}
+    assert time_to_fault(rig, 300, 1.0) == math.inf
+
+
+@pytest.mark.parametrize(
+    ("controller", "start", "hours", "x1", "x2"),
+    [
+        # July 2021's wettest hours in the packaged file, from a full cistern and an empty roof.
+        (("onoff", "--fraction", "0.05"), "2021-07-07T12:00", 12, 75.0, 0.0),
+        (("mpc",), "2021-07-08T00:00", 6, 80.0, 3.0),
+    ],
+)
+def test_weather_and_noise_are_no_alarm(
+    controller: tuple[str, ...], start: str, hours: float, x1: float, x2: float
+) -> None:
+    """The real weather, second by second, in the loop with a controller on the noisy site."""
+    run = paper_run("--controller", *controller, "--hours", str(hours), "--start", start)
+    rig, decide = Rig(x1, x2, noise=NOISE), run.make_controller()
+    for k in range(run.steps):
+        command = decide.command(
+            *rig.plant.levels(), run.forecast.precipitation(k), run.forecast.evapotranspiration(k)
+        )
+        rig.step(command, run.series.precipitation[k], run.series.evapotranspiration[k])
+    assert {one.state for one in rig.decisions} <= {"off", "starting", "running", "stopping"}
+    assert rig.delivered > 0.05
+
+
+def test_cloudbursts_are_no_alarm() -> None:
+    """100 mm/h for an hour on a roof that is being watered, and on a cistern that runs over."""
+    rig = Rig(x1=76.0, x2=1.0, noise=NOISE)
+    for second in range(10_800):
+        rig.step(0.15, rain=100 / 3.6e6 if 600 <= second < 4200 else 0.0)
+    assert rig.plant.x2 > PAPER_SITE.x2_star
+    assert not any(one.state in ("fault", "held") for one in rig.decisions)
+
+
+def test_a_heat_wave_is_no_burst_pipe() -> None:
+    """2 mm/h for eight hours, then the roof is watered again, and rises."""
+    rig = Rig(x2=2.0, noise=NOISE)
+    for _ in range(8 * 3600):
+        rig.step(0.0, evapotranspiration=2 / 3.6e6 * 68.8)
+    assert rig.run(150, 1.0).state == "running"
+
+
+def test_a_soil_that_drains_is_no_burst_pipe() -> None:
+    """8 cm leave it in six hours; it dries at 0.9 mm/h, and 2 m3 that are pumped all arrive."""
+    check = DeliveryCheck(PAPER_SITE, settings_for(PAPER_SITE))
+    roof, found = 0.15, []
+    for _ in range(360):
+        roof -= 0.08 / 360
+        found.append(check.step(60.0, 2.0, roof, 0.0, 0.0))
+    for _ in range(45 * 60):
+        roof -= 0.9e-3 / 60
+        found.append(check.step(60.0, 2.0, roof, 0.0, 0.0))
+    for k in range(20):
+        roof += 0.1 / PAPER_SITE.a2
+        found.append(check.step(60.0, 2.0 - 0.1 * k / 25, roof, 0.1, 0.1))
+    assert not any(found)
+    assert 0.03 < roof < PAPER_SITE.z_veg + 0.02
+
+
+def test_the_first_readings_are_no_alarm() -> None:
+    """They may be two standard deviations off; a hundred starts of the check."""
+    errors = NOISE * np.random.default_rng(3).standard_normal((100, 180, 2))
+    for one in errors:
+        check = DeliveryCheck(PAPER_SITE, settings_for(PAPER_SITE))
+        assert not any(
+            check.step(1.0, 2.0 + cistern, 0.03 + roof, 0.0, 0.0) for cistern, roof in one
+        )
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_months_are_no_alarm(seed: int) -> None:
+    """Showers of 60 mm/h, hot days, a pump that replaces what evaporates; means of a minute."""
+    delivery = DeliveryCheck(PAPER_SITE, settings_for(PAPER_SITE))
+    generator = np.random.default_rng(seed)
+    minutes = 30 * 1440
+    errors = NOISE / math.sqrt(60) * generator.standard_normal((minutes, 2))
+    # 7 mm in a day, as a half sine over twelve hours.
+    phase = 2 * np.pi * np.arange(minutes) / 1440
+    evapotranspiration = np.maximum(0, np.sin(phase)) * 0.007 * np.pi / 1440
+    rain = np.where(generator.random(minutes) < 0.01, 0.001, 0.0)
+    cistern, roof = 2.5, 0.03
+    for k in range(minutes):
+        pumped = 0.1 if roof < 0.03 else 0.0
+        cistern = min(3.0, cistern - pumped / 25 + 5 * rain[k])
+        roof += pumped / 68.8 + rain[k] - evapotranspiration[k]
+        found = delivery.step(60.0, cistern + errors[k, 0], roof + errors[k, 1], pumped, pumped)
+        assert found == ""

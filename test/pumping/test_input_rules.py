@@ -1,0 +1,248 @@
+"""Whether a live input may be acted on: worked by hand, and for any values."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from paper import PAPER_SITE
+
+from greenroof_ros.pumping.input_rules import (
+    InputRules,
+    LevelRule,
+    Speeds,
+    cistern_speeds,
+    expected_rise,
+    roof_speeds,
+)
+
+# A tank whose water rises by at most 1 mm/s and falls by at most 2 mm/s.
+TANK = Speeds(lambda level: 0.001, lambda level: 0.002)
+
+
+def level_rule(frozen: float = 0.01, tolerance: float = 0.02) -> LevelRule:
+    return LevelRule(TANK, frozen, tolerance)
+
+
+def rules_of(values: dict[float, float], rules: InputRules) -> list[str]:
+    """Return the rule that each value breaks, by the time at which it comes."""
+    return [rules.came(now, value).rule for now, value in values.items()]
+
+
+def test_an_input_is_waited_for_then_good_after_the_recovery_time() -> None:
+    """At the start as after a failure: good data for as long as the parameter says."""
+    rules = InputRules(100.0, limit=5.0, recovery=3.0)
+    assert (rules.judge(101.0).rule, rules.judge(101.0).alarming) == ("waiting", False)
+    assert (rules.judge(110.5).rule, rules.judge(110.5).alarming) == ("silent", True)
+    assert rules_of({111.0: 1.0, 112.0: 1.0, 113.9: 1.0, 114.1: 1.0}, rules) == [
+        "recovering", "recovering", "recovering", "",
+    ]
+
+
+def test_an_input_that_falls_silent() -> None:
+    """It is good up to its greatest age; the message names limit and parameter."""
+    rules = InputRules(0.0, limit=5.0, recovery=0.0, limit_name="level_limit")
+    assert rules.came(1.0, 2.0).good
+    assert rules.judge(6.0).good
+    verdict = rules.judge(6.1)
+    assert (verdict.rule, verdict.alarming) == ("silent", True)
+    assert "5 s" in verdict.why and "level_limit" in verdict.why
+
+
+def test_one_bad_value_between_good_ones_is_not_missed() -> None:
+    """Nobody looked while it was the newest; the time to recover runs all the same."""
+    rules = InputRules(0.0, limit=5.0, recovery=10.0)
+    assert rules_of({0.0: 1.0, 4.0: 1.0, 8.0: 1.0, 10.0: 1.0}, rules)[-1] == ""
+    assert rules.came(10.1, 0.0, "was refused: nan").rule == "refused"
+    assert rules_of({10.2: 1.0, 15.0: 1.0, 19.9: 1.0, 20.3: 1.0}, rules) == [
+        "recovering", "recovering", "recovering", "",
+    ]
+
+
+def test_a_silence_that_nobody_looked_at_is_not_missed() -> None:
+    """The value that ends it begins the time to recover."""
+    rules = InputRules(0.0, limit=5.0, recovery=3.0)
+    assert rules_of({0.0: 1.0, 4.0: 1.0, 9.1: 1.0, 12.0: 1.0, 12.2: 1.0}, rules) == [
+        "recovering", "", "recovering", "recovering", "",
+    ]
+
+
+def test_recovery_says_from_what() -> None:
+    """The present rule is none, but the sentence keeps what it was."""
+    rules = InputRules(0.0, limit=5.0, recovery=10.0)
+    rules.came(1.0, 0.0, "was refused: nan")
+    verdict = rules.came(2.0, 1.0)
+    assert verdict.rule == "recovering"
+    assert "was refused: nan" in verdict.why
+    assert not verdict.alarming
+
+
+def test_two_publishers_are_refused_while_there_are_two() -> None:
+    """Whatever they say."""
+    rules = InputRules(0.0, limit=5.0, recovery=1.0)
+    rules.came(0.0, 1.0)
+    rules.came(1.0, 1.0)
+    assert rules.judge(1.5).good
+    assert rules.judge(2.0, "has 2 publishers").rule == "publishers"
+    assert rules.judge(3.0, "has 2 publishers").rule == "publishers"
+    assert rules.judge(4.0).rule == "recovering"
+    assert rules.judge(5.0).good
+
+
+def test_what_came_before_a_pause_counts_no_more() -> None:
+    """The node was stopped for 7 s: its newest value is of before, however new it seemed."""
+    rules = InputRules(0.0, limit=60.0, recovery=0.0)
+    assert rules.came(1.0, 1.0).good
+    rules.paused(8.0, 7.0)
+    verdict = rules.judge(8.0)
+    assert verdict.rule == "paused" and "7 s" in verdict.why
+    assert rules.came(9.5, 1.0).good
+
+
+def test_a_pause_while_nothing_had_come_yet_is_none() -> None:
+    """A slow start of the node itself."""
+    rules = InputRules(0.0, limit=60.0, recovery=0.0)
+    rules.paused(2.0, 2.0)
+    assert rules.judge(2.0).rule == "waiting"
+
+
+def test_frozen() -> None:
+    """The pump must have lowered it by more than 1 cm, and it has not changed once."""
+    rule = level_rule(frozen=0.01)
+    rules = InputRules(0.0, limit=5.0, recovery=0.0, level=rule)
+    for second in range(5):
+        assert rules.came(float(second), 1.5).good
+        rule.expect(-0.002)
+    assert rules.came(5.0, 1.5).good  # 1 cm is not more than 1 cm
+    rule.expect(-0.0001)
+    verdict = rules.came(6.0, 1.5)
+    assert verdict.rule == "frozen" and "frozen_movement" in verdict.why
+    assert rules.came(7.0, 1.5).rule == "frozen"  # the pump stands now, and so does the level
+    assert rules.came(8.0, 1.4999).good
+
+
+def test_a_level_may_stand_still_where_in_and_out_are_equal() -> None:
+    """Net of rain and pump nothing moves."""
+    rule = level_rule(frozen=0.01)
+    rules = InputRules(0.0, limit=5.0, recovery=0.0, level=rule)
+    for second in range(100):
+        rule.expect(0.002)
+        rule.expect(-0.002)
+        assert rules.came(float(second), 1.5).good
+
+
+def test_jump() -> None:
+    """It rises by at most 1 mm/s: in 10 s from 1.5 m to 1.51 m, and 2 cm beyond are tolerated."""
+    assert rules_of(
+        {0.0: 1.5, 10.0: 1.529}, InputRules(0.0, 60.0, 0.0, level=level_rule())
+    ) == ["", ""]
+    verdicts = InputRules(0.0, 60.0, 0.0, level=level_rule())
+    assert rules_of({0.0: 1.5, 10.0: 1.531, 11.0: 1.531}, verdicts) == ["", "jump", ""]
+    # And falls by 2 mm/s at most: to 1.48 m, less 2 cm.
+    down = InputRules(0.0, 60.0, 0.0, level=level_rule())
+    assert rules_of({0.0: 1.5, 10.0: 1.461}, down) == ["", ""]
+    verdict = InputRules(0.0, 60.0, 0.0, level=level_rule())
+    verdict.came(0.0, 1.5)
+    message = verdict.came(10.0, 1.459)
+    assert message.rule == "jump"
+    assert "1.5 m" in message.why and "1.459 m" in message.why and "jump_tolerance" in message.why
+
+
+def test_many_small_steps_are_a_jump_too() -> None:
+    """1 mm every 10 ms is 10 cm/s; each step alone is within the tolerance."""
+    rules = InputRules(0.0, 60.0, 0.0, level=level_rule())
+    found = [rules.came(step * 0.01, 1.0 + step * 0.001).rule for step in range(40)]
+    assert "jump" in found
+    assert found.index("jump") <= 23  # 2 cm of tolerance, and what water does in 0.2 s
+
+
+@given(
+    start=st.floats(0.1, 3.0),
+    steps=st.lists(
+        st.tuples(st.floats(0.01, 30.0), st.floats(-1.0, 1.0), st.floats(-1.0, 1.0)), max_size=40
+    ),
+)
+def test_true_water_with_noise_never_jumps(
+    start: float, steps: list[tuple[float, float, float]]
+) -> None:
+    """Any water within its speeds, read with an error of less than half the tolerance."""
+    rules = InputRules(0.0, 1e9, 0.0, level=level_rule(frozen=1e9))
+    now, level = 0.0, start
+    assert rules.came(now, level).good
+    for passed, share, error in steps:
+        now += passed
+        level += passed * (0.001 if share > 0 else 0.002) * share
+        assert rules.came(now, level + 0.0099 * error).good
+
+
+@given(passed=st.floats(0.01, 30.0), beyond=st.floats(0.0001, 5.0), up=st.booleans())
+def test_any_step_beyond_is_a_jump(passed: float, beyond: float, up: bool) -> None:
+    """Further than water and the tolerance allow, either way."""
+    rules = InputRules(0.0, 1e9, 0.0, level=level_rule())
+    rules.came(0.0, 20.0)
+    step = passed * 0.001 + 0.02 + beyond if up else -(passed * 0.002 + 0.02 + beyond)
+    assert rules.came(passed, 20.0 + step).rule == "jump"
+
+
+@given(times=st.lists(st.floats(0.0, 4.9), min_size=1, max_size=30), bad=st.integers(0, 29))
+def test_it_is_good_only_after_the_recovery_time(times: list[float], bad: int) -> None:
+    """However values come: never good sooner than 10 s after the last that was refused."""
+    rules = InputRules(0.0, limit=5.0, recovery=10.0)
+    now, last = 0.0, 0.0
+    for index, passed in enumerate(times):
+        now += passed
+        if index == bad:
+            last = now
+        if index <= bad:
+            verdict = rules.came(now, 1.0, "was refused" if index == bad else "")
+        else:
+            verdict = rules.came(now, 1.0)
+        if verdict.good:
+            assert now - last >= 10.0
+
+
+def test_speeds_of_the_paper_s_site() -> None:
+    """Half as fast again as Eqs. (2)-(4) and the world's greatest rain allow, by hand.
+
+    At 3 m in the cistern, the outlet's edge, c_hat - d + 3 = 42.2 m of head; friction and minor
+    loss (3.56 * 18.4 / 0.2 + 0.6) / (2 * 9.81 * 0.0314159^2) = 16,945 s2/m5 beside the curve's
+    578,000: sqrt(42.2 / 594,945) = 0.008422 m3/s. Over 25 m2 0.3369 mm/s, over 68.8 m2 0.1224 mm/s.
+    500 mm/h are 0.13889 mm/s.
+    """
+    cistern, roof = cistern_speeds(PAPER_SITE), roof_speeds(PAPER_SITE)
+    assert cistern.fall(3.0) == pytest.approx(1.5 * 0.3369e-3, rel=1e-3)
+    assert cistern.rise(1.0) == pytest.approx(1.5 * 0.13889e-3 * 0.29225 / 25, rel=1e-3)
+    assert roof.rise(0.0) == pytest.approx(1.5 * (0.13889e-3 + 0.1224e-3), rel=1e-3)
+    # 50 mm/day are 0.5787 um/s; from 0.1 m 7.83e-8 * 0.6 / 0.5 m/s drain.
+    assert roof.fall(0.1) == pytest.approx(1.5 * (0.5787e-6 + 0.09396e-6), rel=1e-3)
+
+
+def test_expected_rise() -> None:
+    """0.005 m3/s is 0.2 mm/s of the cistern and 0.0727 mm/s of the roof; rain adds to both."""
+    cistern, roof = expected_rise(PAPER_SITE, 0.005, 0.0, 2.0, 0.03)
+    assert (cistern, roof) == (pytest.approx(-0.2e-3), pytest.approx(0.0726744e-3))
+    cistern, roof = expected_rise(PAPER_SITE, 0.0, 1e-5, 2.0, 0.03)
+    assert (cistern, roof) == (pytest.approx(1e-5 * 0.2922467 / 25), pytest.approx(1e-5))
+    # What spills need not move: the cistern at its outlet (3 m), the roof at 0.5 m of soil.
+    assert expected_rise(PAPER_SITE, 0.005, 1e-5, 3.0, 0.5) == (0.0, 0.0)
+
+
+@given(
+    cistern=st.floats(0.0, 2.99), roof=st.floats(0.0, 0.49), rain=st.floats(0.0, 1e-4),
+    share=st.floats(0.0, 1.0),
+)
+def test_what_is_expected_is_no_jump(
+    cistern: float, roof: float, rain: float, share: float
+) -> None:
+    """The rules agree: a level that does what is expected of it is not refused as too fast."""
+    site = replace(PAPER_SITE)
+    flow = share * 0.008422
+    rises = expected_rise(site, flow, rain, cistern, roof)
+    for level, rise, speeds in (
+        (cistern, rises[0], cistern_speeds(site)), (roof, rises[1], roof_speeds(site)),
+    ):
+        rules = InputRules(0.0, 1e9, 0.0, level=LevelRule(speeds, 1e9, 1e-9))
+        assert rules.came(0.0, level).good
+        assert rules.came(10.0, level + 10 * rise).good

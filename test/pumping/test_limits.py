@@ -1,0 +1,247 @@
+"""Times, starts, a day's use, water and frost: each limit by hand, through the pump's control."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from paper import PAPER_SITE, sites
+from pump_rig import Rig
+
+from greenroof_ros.model.site import Site
+from greenroof_ros.pumping.limits import SwitchLimits
+from greenroof_ros.pumping.settings import PumpSettings, pump_parameters, settings_for
+
+
+def switched(rig: Rig) -> tuple[list[int], list[int]]:
+    """Return the steps at which the pump was asked to start and to stop."""
+    on = [one.speed is not None for one in rig.decisions]
+    changes = [k for k in range(1, len(on)) if on[k] != on[k - 1]]
+    return [k for k in changes if on[k]], [k for k in changes if not on[k]]
+
+
+def test_defaults_by_hand() -> None:
+    """An empty roof takes 3.14416 m3, and 10 mm on 68.8 m2 are 0.688 m3: times 1.5, 5.748 m3.
+
+    At the suction level the maximum flow is b sqrt(0.75 + 55.2 - 16) = 0.00819436 m3/s; a fifth of
+    it delivers 5.748 m3 in 3507 s and 3.14416 m3 in 1918 s.
+    """
+    found = settings_for(PAPER_SITE)
+    assert found.greatest_volume_per_day == pytest.approx(5.748, abs=5e-4)
+    assert found.greatest_run_per_day == pytest.approx(3507, abs=1)
+    assert found.greatest_run == pytest.approx(1918, abs=1)
+    assert found.starts_per_hour == PAPER_SITE.starts_per_hour
+
+
+@given(site=sites())
+def test_defaults_of_any_site_are_in_range(site: Site) -> None:
+    """Which they follow from the site."""
+    for one in pump_parameters(site):
+        assert one.accepts(one.default), one
+        assert isinstance(one.default, float)
+
+
+def test_least_times() -> None:
+    """10 s off before the first start, 10 s on at least, 10 s off at least."""
+    rig = Rig()
+    rig.run(11, 1.0)
+    rig.run(3, 0.0)
+    assert rig.decisions[-1].why == "it stays on for at least 10 s"
+    rig.run(40, 0.0)
+    assert switched(rig) == ([10], [20])
+    assert rig.decisions[5].why == "it may start in 5 s: it stays off for at least 10 s"
+    rig.run(3, 1.0)
+    rig.run(30, 0.0)
+    assert switched(rig) == ([10, 54], [20, 64])
+    rig.run(15, 1.0)
+    assert switched(rig)[0] == [10, 54, 87]
+
+
+def test_starts_in_any_hour() -> None:
+    """Two starts are permitted: the third waits until the first is an hour ago."""
+    rig = Rig(settings=settings_for(PAPER_SITE, starts_per_hour=2))
+    for _ in range(3):
+        rig.run(20, 1.0)
+        rig.run(20, 0.0)
+    assert len(switched(rig)[0]) == 2
+    rig.run(3600, 1.0)
+    first, _, third = switched(rig)[0]
+    assert third - first == 3600
+    assert any("it starts at most 2 times in an hour" in one.why for one in rig.decisions)
+
+
+@given(
+    times=st.lists(st.floats(1, 2000), min_size=1, max_size=60), allowed=st.integers(1, 20)
+)
+def test_never_more_starts_than_allowed(times: list[float], allowed: int) -> None:
+    """Whoever wants to start when: in no hour are there more."""
+    switch = SwitchLimits(settings_for(PAPER_SITE, starts_per_hour=allowed))
+    switch.begin(0.0)
+    now, starts = 0.0, []
+    for passed in times:
+        now += passed
+        if switch.wait(now)[0] == 0:
+            starts.append(now)
+            switch.started(now)
+            switch.stopped(now)
+    for end in starts:
+        assert sum(end - 3600 < start <= end for start in starts) <= allowed
+
+
+def test_dry_run_with_hysteresis() -> None:
+    """Off below 0.75 m, in the very step; on again at 0.77 m."""
+    rig = Rig(x1=19.0)
+    rig.run(20, 1.0)
+    assert rig.decisions[-1].state == "running"
+    rig.plant.x1 = 18.74
+    decision = rig.step(1.0)
+    assert (decision.speed, decision.state) == (None, "held")
+    assert decision.why.startswith("the cistern is at 0.750 m, below 0.75 m")
+    rig.plant.x1 = 19.2
+    rig.run(60, 1.0)
+    assert rig.decisions[-1].why == "the cistern is at 0.768 m, below 0.77 m"
+    rig.plant.x1 = 19.3
+    assert rig.run(60, 1.0).state == "running"
+
+
+@pytest.mark.parametrize(
+    ("change", "why"),
+    [
+        ({"cistern_level": None}, "the level of the cistern is unknown"),
+        ({"cistern_level": math.nan}, "the level of the cistern is unknown"),
+        ({"roof_level": None}, "the level of the roof is unknown"),
+        ({"roof_level": math.inf}, "the level of the roof is unknown"),
+        ({"frost": None}, "it is unknown whether there is frost"),
+        ({"frost": True}, "there is frost"),
+    ],
+)
+def test_held_at_once_and_healed(change: dict[str, object], why: str) -> None:
+    """Least times on do not count here; least times off do."""
+    rig = Rig()
+    assert rig.run(15, 0.5).state == "running"
+    rig.change = change
+    decision = rig.step(0.5)
+    assert (decision.speed, decision.state) == (None, "held")
+    assert decision.why.startswith(why)
+    assert rig.run(60, 0.5).state == "held"
+    rig.change = {}
+    assert rig.step(0.5).speed is not None
+
+
+def test_every_reason_is_named() -> None:
+    """Not only the first."""
+    rig = Rig(x1=10.0)
+    rig.change = {"frost": None, "roof_level": None}
+    rig.control.hold(True)
+    assert rig.step(0.5).why == (
+        "an operator stopped it; the cistern is at 0.400 m, below 0.75 m; the level of the roof is "
+        "unknown; it is unknown whether there is frost"
+    )
+
+
+def test_volume_per_day() -> None:
+    """A frozen controller over a roof sensor that is frozen, too: 1 m3, and a day later again."""
+    limits = settings_for(PAPER_SITE, greatest_volume_per_day=1.0)
+    rig = Rig(x2=0.0, settings=limits)
+    rig.run(600, 1.0)
+    assert rig.decisions[-1].state == "held"
+    assert rig.decisions[-1].why.startswith("1.0")
+    assert "the most is 1 m3; goes on in 1431 min" in rig.decisions[-1].why
+    # A step of the maximum flow beyond it, and what flows while the pump comes to rest.
+    assert 1.0 <= rig.delivered <= 1.03
+    rig.run(86_400 - 600 + 20, 1.0, until=lambda one: one.speed is not None)
+    assert rig.now == pytest.approx(1000 + 86_400, abs=2)
+
+
+def test_run_time_per_day() -> None:
+    """Three minutes, in as many runs as it takes."""
+    rig = Rig(settings=settings_for(PAPER_SITE, greatest_run_per_day=180.0))
+    for _ in range(8):
+        rig.run(40, 0.3)
+        rig.run(20, 0.0)
+    assert rig.decisions[-1].state == "held"
+    assert "it ran for 4 min in this day, the most is 3 min" in rig.decisions[-1].why
+    asked = sum(one.speed is not None for one in rig.decisions)
+    # The seconds in which it came to rest count, too.
+    assert 140 <= asked <= 180
+
+
+def test_a_run_without_a_break() -> None:
+    """100 s at length, then 100 s of rest; or less, once the command was 0."""
+    rig = Rig(x2=0.0, settings=settings_for(PAPER_SITE, greatest_run=100.0))
+    rig.run(200, 0.3, until=lambda one: one.state == "held")
+    assert rig.decisions[-1].why.startswith(
+        "it ran for 100 s without a break; it rests until the command is 0, or for 100 s"
+    )
+    begun = rig.now
+    rig.run(200, 0.3, until=lambda one: one.speed is not None)
+    assert 95 <= rig.now - begun <= 110
+    rig.run(200, 0.3, until=lambda one: one.state == "held")
+    # A command that is missing or refused does not end it.
+    for command in (None, math.nan, 0.3):
+        assert rig.step(command).state == "held"
+    begun = rig.now
+    rig.step(0.0)
+    rig.run(200, 0.3, until=lambda one: one.speed is not None)
+    assert rig.now - begun <= 12
+
+
+def reasons_to_be_off(rig: Rig, command: float | None, change: dict[str, object]) -> bool:
+    """Whether anything that was given speaks against running."""
+    cistern, _ = rig.plant.levels()
+    return (
+        bool(change) or cistern < 0.75 or command is None or not command >= 0
+        or math.isinf(command)
+    )
+
+
+CHANGES: list[dict[str, object]] = [
+    {}, {"frost": True}, {"frost": None}, {"cistern_level": None}, {"roof_level": math.nan},
+    {"speed": None}, {"speed": math.nan}, {"drive_ready": False}, {"problem": "the cable is out"},
+    {"drive_fault": "overload"},
+]
+
+
+@settings(max_examples=60, deadline=None)
+@given(
+    scenes=st.lists(
+        st.tuples(
+            st.sampled_from([*CHANGES, {}, {}, {}]),
+            st.one_of(
+                st.none(), st.floats(0, 1), st.floats(0, 0.3),
+                st.floats(allow_nan=True, allow_infinity=True),
+            ),
+            st.integers(1, 60),
+        ),
+        min_size=1, max_size=12,
+    ),
+    x1=st.floats(18.5, 75),
+    limits=st.builds(
+        settings_for, st.just(PAPER_SITE), least_on=st.floats(0, 30), least_off=st.floats(0, 30),
+        starts_per_hour=st.floats(1, 100), least_speed=st.floats(0.1, 0.9),
+        ramp=st.floats(0.01, 1),
+    ),
+)
+def test_never_runs_while_anything_speaks_against_it(
+    scenes: list[tuple[dict[str, object], float | None, int]], x1: float, limits: PumpSettings
+) -> None:
+    """Whatever came before; nor beyond the rated speed, nor after a fault."""
+    rig = Rig(x1=x1, settings=limits)
+    fault = False
+    for change, command, seconds in scenes:
+        rig.change = change
+        for _ in range(seconds):
+            against = reasons_to_be_off(rig, command, change)
+            decision = rig.step(command)
+            fault = fault or "drive_fault" in change
+            if against or fault:
+                assert decision.speed is None
+                assert decision.state in ("off", "stopping", "held", "fault")
+            if fault:
+                assert decision.state == "fault"
+            if decision.speed is not None:
+                assert limits.least_speed <= decision.speed <= 1
+            assert 0 <= decision.flow < math.inf
+            assert decision.why

@@ -1,0 +1,319 @@
+"""The pump's control: states in words, commands, speeds, flows, faults, a stop by hand."""
+
+from __future__ import annotations
+
+import math
+import time
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from paper import PAPER_SITE, paper_run
+from pump_rig import Rig
+
+from greenroof_ros.experiment.closed_loop import closed_loop
+from greenroof_ros.model.metrics import Metrics
+from greenroof_ros.model.plant import maximum_pump_flow
+from greenroof_ros.pumping.ledger import Ledger
+from greenroof_ros.pumping.pump_control import Observation, PumpControl
+from greenroof_ros.pumping.settings import settings_for
+
+
+def test_states_of_a_run_by_hand() -> None:
+    """Half the flow from 2.8 m: s^2 = (0.25 42 + 13.2) / 55.2 = 0.655249^2; a fifth first.
+
+    The first speed is sqrt((0.04 42 + 13.2) / 55.2) = 0.519197, and from there it rises by 0.1 a
+    second. The drive needs three seconds for it.
+    """
+    rig = Rig(x1=70.0, settings=settings_for(PAPER_SITE, ramp=0.1))
+    rig.run(14, 0.5)
+    assert [one.state for one in rig.decisions] == ["off"] * 10 + ["starting"] * 3 + ["running"]
+    speeds = [one.speed for one in rig.decisions[10:12]]
+    assert speeds == pytest.approx([0.519197, 0.619197], abs=5e-7)
+    assert rig.decisions[13].why == "as commanded"
+    rig.run(240, 0.5)
+    # What the start left owing is made up for.
+    assert rig.decisions[-1].speed == pytest.approx(0.6552, abs=0.01)
+    rig.run(7, 0.0)
+    assert [one.state for one in rig.decisions[-7:]] == ["stopping"] * 4 + ["off"] * 3
+    assert rig.decisions[-1].why == "the command is 0"
+
+
+def test_a_pulse_in_words() -> None:
+    """Of a command of a hundredth."""
+    rig = Rig()
+    rig.run(400, 0.01)
+    assert {(one.state, one.why) for one in rig.decisions} == {
+        ("off", "the next pulse is not due yet"),
+        ("starting", "a pulse, since the command is below the least flow"),
+        ("running", "a pulse, since the command is below the least flow"),
+        ("stopping", "the next pulse is not due yet"),
+    }
+
+
+def test_a_full_roof() -> None:
+    """At its target nothing is wanted, Eq. (3a)."""
+    rig = Rig(x2=PAPER_SITE.x2_star)
+    assert rig.run(300, 1.0).why == "the roof is at its target"
+    assert rig.delivered == 0
+
+
+@pytest.mark.parametrize(
+    ("command", "why"),
+    [
+        (None, "there is no command"),
+        (math.nan, "the command nan is refused: it must be a number from 0 to 1"),
+        (math.inf, "the command inf is refused: it must be a number from 0 to 1"),
+        (-1e-9, "the command -1e-09 is refused: it must be a number from 0 to 1"),
+    ],
+)
+def test_refused_commands(command: float | None, why: str) -> None:
+    """Off in the very step, least time on or not; a good command starts again."""
+    rig = Rig()
+    rig.run(15, 1.0)
+    decision = rig.step(command)
+    assert (decision.speed, decision.state, decision.why) == (None, "stopping", why)
+    assert rig.run(10, command).state == "off"
+    assert rig.run(5, 1.0).state in ("starting", "running")
+
+
+def test_commands_above_one() -> None:
+    """Are taken as 1, and it is said; the speed is never above the rated one."""
+    rig = Rig(x2=0.0)
+    assert rig.run(60, 1e300).warning == "the command 1e+300 is above 1 and taken as 1"
+    assert rig.decisions[-1].speed == 1
+    assert rig.delivered <= 60 * maximum_pump_flow(PAPER_SITE, 70.0)
+
+
+@pytest.mark.parametrize(
+    ("change", "why"),
+    [
+        ({"problem": "no answer from 10.0.0.7:502"}, "no answer from 10.0.0.7:502"),
+        ({"drive_ready": False}, "the drive is not ready"),
+        ({"speed": None}, "the speed of the drive is unknown"),
+    ],
+)
+def test_trouble_heals(change: dict[str, object], why: str) -> None:
+    """Off while it lasts, and nothing that was missed is caught up."""
+    rig = Rig()
+    rig.run(15, 0.5)
+    rig.change = change
+    decision = rig.step(0.5)
+    assert (decision.speed, decision.why, decision.owed) == (None, why, 0)
+    rig.run(600, 0.01)
+    assert rig.decisions[-1].owed == 0
+    rig.change = {}
+    assert rig.run(5, 0.5).state in ("starting", "running")
+
+
+def test_a_fault_of_the_drive_latches() -> None:
+    """Until it is reset, and again while it is still there."""
+    rig = Rig()
+    rig.run(15, 0.5)
+    rig.change = {"drive_fault": "earth fault (0x2330)"}
+    decision = rig.step(0.5)
+    assert (decision.speed, decision.state) == (None, "fault")
+    assert decision.why.startswith("the drive reports: earth fault (0x2330); the pump still turns")
+    rig.change = {}
+    assert rig.run(600, 0.5).state == "fault"
+    assert rig.control.reset() == "the drive reports: earth fault (0x2330)"
+    assert rig.run(5, 0.5).speed is not None
+    rig.change = {"drive_fault": "overload"}
+    rig.step(0.5)
+    rig.control.reset()
+    assert rig.step(0.5).why.startswith("the drive reports: overload")
+
+
+def test_the_first_fault_stays() -> None:
+    """What follows from it does not hide it."""
+    rig = Rig()
+    rig.change = {"drive_fault": "overload"}
+    rig.step(0.5)
+    rig.change = {"drive_fault": "undervoltage"}
+    assert rig.step(0.5).why == "the drive reports: overload"
+
+
+def test_reset_without_a_fault() -> None:
+    """Does nothing."""
+    rig = Rig()
+    rig.run(15, 0.5)
+    assert rig.control.reset() == ""
+    assert rig.step(0.5).speed is not None
+
+
+@pytest.mark.parametrize(
+    ("stuck", "command", "why"),
+    [
+        (0.0, 0.5, "the pump turns at 0.00 of its speed, and 0.6"),
+        (1.0, 0.5, "the pump turns at 1.00 of its speed, and 0.6"),
+        (0.5, 0.0, "the pump turns at 0.50 of its speed, and it is told to stop, for 16 s"),
+    ],
+)
+def test_a_speed_that_does_not_follow(stuck: float, command: float, why: str) -> None:
+    """More than a tenth away for more than 15 s latches; the least on and off times add 10 s."""
+    rig = Rig()
+    rig.run(15, command)
+    rig.stuck_speed = stuck
+    begun = rig.now
+    decision = rig.run(60, command, until=lambda one: one.state == "fault")
+    assert decision.state == "fault"
+    assert decision.speed is None
+    assert decision.why.startswith(f"the speed does not follow: {why}")
+    assert 15 <= rig.now - begun <= 18
+    rig.stuck_speed = None
+    assert rig.run(100, command).state == "fault"
+
+
+def test_a_drive_has_its_own_time() -> None:
+    """At 60 times real time a drive at half of what is asked is a fault after 15 s of its own time.
+
+    By then 900 s have been simulated.
+    """
+    control = PumpControl(PAPER_SITE, settings_for(PAPER_SITE), Ledger(None, time.time))
+    seen = Observation(
+        command=1.0, cistern_level=2.8, roof_level=0.01, frost=False, speed=0.5, flow=0.0,
+        drive_flow=None, drive_ready=True, drive_fault="", problem="",
+    )
+    states = [control.step(float(k), 1.0, seen, 1 / 60).state for k in range(1000)]
+    first = states.index("fault")
+    asked = states.index("starting")
+    assert 900 <= first - asked <= 902
+
+
+def test_a_slow_ramp_is_no_fault() -> None:
+    """A drive that needs 10 s for half its speed."""
+    rig = Rig(drive_ramp=0.05)
+    rig.run(120, 0.5)
+    rig.run(60, 0.0)
+    assert "fault" not in {one.state for one in rig.decisions}
+
+
+def test_hold_and_release() -> None:
+    """At once, over anything; released it goes on."""
+    rig = Rig()
+    rig.run(15, 0.5)
+    rig.control.hold(True)
+    decision = rig.step(0.5)
+    assert (decision.speed, decision.state) == (None, "held")
+    assert decision.why.startswith("an operator stopped it; the pump still turns, at 0.6")
+    assert rig.run(600, 0.5).why == "an operator stopped it"
+    rig.control.hold(False)
+    assert rig.step(0.5).speed is not None
+
+
+def test_a_fault_is_shown_over_a_stop() -> None:
+    """Both are named, and both must go."""
+    rig = Rig()
+    rig.control.hold(True)
+    rig.change = {"drive_fault": "overload"}
+    decision = rig.step(0.5)
+    assert decision.state == "fault"
+    assert decision.why == "the drive reports: overload; an operator stopped it"
+
+
+@pytest.mark.parametrize(
+    ("change", "flow", "source"),
+    [
+        ({"flow": 0.003, "drive_flow": 0.004}, 0.003, "flow meter"),
+        ({"flow": None, "drive_flow": 0.004}, 0.004, "the drive's own"),
+        ({"flow": math.nan, "drive_flow": -1.0, "speed": 0.8}, 0.00609864,
+         "computed from the speed"),
+        ({"speed": None}, 0.0, "unknown, taken as 0"),
+        ({"speed": 0.0, "flow": 0.003}, 0.003, "flow meter"),
+    ],
+)
+def test_flow_and_how_it_is_known(change: dict[str, object], flow: float, source: str) -> None:
+    """At 80 % of the speed from 2.8 m: b sqrt(0.64 55.2 - 13.2) = 1.29646769e-3 sqrt(22.128)."""
+    rig = Rig(x1=70.0)
+    rig.run(15, 0.5)
+    rig.plant.x1 = 70.0
+    rig.change = change
+    decision = rig.step(0.5)
+    assert decision.flow == pytest.approx(flow, abs=5e-9)
+    assert decision.source == source
+
+
+def test_a_flow_beyond_the_pump_is_not_believed() -> None:
+    """A meter that gives litres: 5.7 instead of 0.0057 m3/s."""
+    rig = Rig(x1=70.0)
+    rig.change = {"flow": 5.7}
+    decision = rig.run(60, 0.5)
+    assert decision.source == "computed from the speed"
+    assert decision.warning == (
+        "flow meter: a flow of 5.7 m3/s is not believed, the pump delivers 0.0084 m3/s at most"
+    )
+    rig.change = {"flow": 5.7, "drive_flow": 0.004}
+    assert rig.step(0.5).source == "the drive's own"
+
+
+def test_no_flow_once_the_pump_stands() -> None:
+    """Even if the meter has an offset; while it comes to rest the meter counts."""
+    rig = Rig()
+    rig.run(15, 0.5)
+    rig.change = {"flow": 1e-4}
+    rig.run(8, None)
+    assert [one.flow for one in rig.decisions[-8:]] == [1e-4] * 4 + [0.0] * 4
+    assert rig.decisions[-1].source == "the pump stands"
+
+
+def test_nothing_runs_before_anything_is_known() -> None:
+    """The first steps of a pump that runs already, as after a crash of its node."""
+    rig = Rig()
+    rig.speed = 0.8
+    decision = rig.step(1.0)
+    assert (decision.speed, decision.state) == (None, "stopping")
+    assert decision.flow > 0
+
+
+@pytest.mark.parametrize("controller", ["mpc", "planning_mpc", "onoff"])
+@pytest.mark.parametrize("drive_ramp", [0.2, 1.0])
+def test_the_simulated_site_is_followed(controller: str, drive_ramp: float) -> None:
+    """Ten minutes in the loop: within 1 % of the pure simulation's volume or a least pulse."""
+    run = paper_run("--controller", controller, "--hours", str(1 / 6), "--initial", "low-low")
+    simulated = sum(
+        tick.flows.pump for tick in closed_loop(run, run.make_controller(), Metrics())
+    )
+    rig, decide = Rig(run.x1, run.x2, drive_ramp=drive_ramp), run.make_controller()
+    for k in range(run.steps + 1):
+        command = decide.command(
+            *rig.plant.levels(), run.forecast.precipitation(k), run.forecast.evapotranspiration(k)
+        )
+        rig.step(command, run.series.precipitation[k], run.series.evapotranspiration[k])
+    least_pulse = 10 * 0.2 * maximum_pump_flow(PAPER_SITE, run.x1)
+    assert simulated > 0.04
+    assert rig.delivered == pytest.approx(simulated, abs=max(0.01 * simulated, least_pulse))
+
+
+def test_least_speed_of_the_drive() -> None:
+    """It is the pulses' speed where it delivers more than the least flow."""
+    rig = Rig(settings=settings_for(PAPER_SITE, least_speed=0.8))
+    rig.run(600, 0.3)
+    speeds = {one.speed for one in rig.decisions} - {None}
+    assert sorted(speeds) == pytest.approx([0.8] * len(speeds))
+    assert speeds
+
+
+ANYTHING = st.none() | st.floats() | st.floats(0, 1)
+
+
+@settings(max_examples=200)
+@given(
+    seen=st.lists(
+        st.builds(
+            Observation, command=ANYTHING, cistern_level=ANYTHING | st.floats(0.7, 100),
+            roof_level=ANYTHING, frost=st.sampled_from([False, False, None, True]), speed=ANYTHING,
+            flow=ANYTHING, drive_flow=ANYTHING, drive_ready=st.booleans(),
+        ),
+        min_size=1, max_size=30,
+    ),
+    dt=st.sampled_from([0.0, 1e-3, 1.0, 60.0]),
+)
+def test_whatever_comes(seen: list[Observation], dt: float) -> None:
+    """Nothing raises; speeds are those of a drive and flows those of the pump."""
+    control = PumpControl(PAPER_SITE, settings_for(PAPER_SITE), Ledger(None, time.time))
+    for k, one in enumerate(seen):
+        decision = control.step(20.0 + dt * k, dt, one)
+        assert decision.speed is None or 0.3 <= decision.speed <= 1
+        # 100 m of water above the pump, at twice its speed.
+        assert 0 <= decision.flow <= 0.03
+        assert math.isfinite(decision.owed)
