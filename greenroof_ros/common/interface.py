@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import sys
 from collections.abc import Collection, Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -49,6 +49,9 @@ class Topic:
     optional: bool = False
     undecided: float = math.nan
     absolute: bool = False
+    live: bool = True
+    live_publishers: tuple[str, ...] = ()
+    live_subscribers: tuple[str, ...] = ()
 
     @property
     def graph_name(self) -> str:
@@ -78,8 +81,28 @@ def read_topics() -> dict[str, Topic]:
             optional=entry.get("optional", False),
             undecided=entry.get("undecided", math.nan),
             absolute=entry.get("absolute", False),
+            live=entry.get("live", True),
+            live_publishers=tuple(entry.get("live_publishers", ())),
+            live_subscribers=tuple(entry.get("live_subscribers", ())),
         )
     return topics
+
+
+def read_live_topics() -> dict[str, Topic]:
+    """Read the interface as it is in a live graph, which has no plant."""
+    return {
+        name: replace(
+            topic,
+            publishers=topic.live_publishers or _but_plant(topic.publishers),
+            subscribers=_but_plant(topic.subscribers) + topic.live_subscribers,
+        )
+        for name, topic in read_topics().items()
+        if topic.live
+    }
+
+
+def _but_plant(roles: tuple[str, ...]) -> tuple[str, ...]:
+    return tuple(role for role in roles if role != "plant")
 
 
 def optional_topics(outputs: Mapping[str, str]) -> list[tuple[Topic, str]]:
@@ -154,7 +177,15 @@ def markdown_table(topics: Iterable[Topic]) -> str:
     ]
     for topic in topics:
         rows.append(
-            f"| `{topic.name}` | {topic.unit} | {topic.meaning} | {', '.join(topic.publishers)} "
-            f"| {', '.join(topic.subscribers)} | {topic.type.replace('/msg/', '/')} |"
+            f"| `{topic.name}` | {topic.unit} | {topic.meaning} "
+            f"| {_roles(topic.publishers, topic.live_publishers)} "
+            f"| {_roles(topic.subscribers, topic.live_subscribers)} "
+            f"| {topic.type.replace('/msg/', '/')} |"
         )
     return "\n".join(rows)
+
+
+def _roles(simulated: Collection[str], live: Collection[str]) -> str:
+    """Return who publishes or subscribes, those of a live graph behind the others."""
+    words = [", ".join(simulated)] if simulated else []
+    return "; ".join([*words, f"live: {', '.join(live)}"] if live else words)

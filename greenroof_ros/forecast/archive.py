@@ -14,13 +14,21 @@ from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.files import read_text
 from greenroof_ros.common.times import to_minutes
 from greenroof_ros.model.look_ahead import MOST_MEMBERS
-from greenroof_ros.weather.records import EVAPOTRANSPIRATION, HOUR, PRECIPITATION, QUANTITIES
+from greenroof_ros.weather.records import (
+    EVAPOTRANSPIRATION,
+    HOUR,
+    PRECIPITATION,
+    QUANTITIES,
+    TEMPERATURE,
+)
 from greenroof_ros.weather.table import Row, Table, numbered_lines
 
 _COLUMNS = {
     quantity: f"{quantity} [{QUANTITIES[quantity][0]}]"
-    for quantity in (PRECIPITATION, EVAPOTRANSPIRATION)
+    for quantity in (PRECIPITATION, EVAPOTRANSPIRATION, TEMPERATURE)
 }
+# The columns that a file may do without.
+_OPTIONAL = {"member", _COLUMNS[EVAPOTRANSPIRATION], _COLUMNS[TEMPERATURE]}
 
 
 @dataclass(frozen=True)
@@ -32,12 +40,14 @@ class Issue:
         line: of the file, its first.
         rain: mm/h, shape (members, hours).
         evapotranspiration: mm/day, shape (hours,); None where the file has none.
+        temperature: of the air (degC), likewise.
     """
 
     issued: datetime
     line: int
     rain: NDArray[np.float64]
     evapotranspiration: NDArray[np.float64] | None
+    temperature: NDArray[np.float64] | None = None
 
     @property
     def hours(self) -> int:
@@ -59,11 +69,11 @@ def read_forecasts(path: Path) -> list[Issue]:
 
     Lines that start with ``#`` are comments. The first other line is the header: ``issued``,
     ``time``, then ``member`` if there is more than one forecast per issue, ``precipitation
-    [mm/h]``, and ``evapotranspiration [mm/day]`` if the file has it (member 0's counts). Each
-    further line is the hour that starts at its ``time``, as forecast at ``issued`` (ISO 8601 with
-    the offset from UTC): of each issue and member hour after hour, the first that which starts with
-    the issue. All issues have the members 0, 1, 2 and so on, and all members of an issue the same
-    hours.
+    [mm/h]``, and ``evapotranspiration [mm/day]`` and ``temperature [degC]`` if the file has them
+    (member 0's count). Each further line is the hour that starts at its ``time``, as forecast at
+    ``issued`` (ISO 8601 with the offset from UTC): of each issue and member hour after hour, the
+    first that which starts with the issue. All issues have the members 0, 1, 2 and so on, and all
+    members of an issue the same hours.
 
     Raises:
         ConfigurationError: the file breaks any of this; the message names the line and value.
@@ -79,18 +89,18 @@ def read_forecasts(path: Path) -> list[Issue]:
 
 def _check_header(table: Table) -> None:
     """Refuse other columns, or another order of them."""
-    expected = ["issued", "time", "member", *_COLUMNS.values()]
-    if "member" not in table.header:
-        expected.remove("member")
-    if len(table.header) < len(expected):
-        del expected[-1]
+    columns = ["issued", "time", "member", *_COLUMNS.values()]
+    expected = [one for one in columns if one not in _OPTIONAL or one in table.header]
     for cell, due in itertools.zip_longest(table.header, expected):
+        if cell == due:
+            continue
+        may = (
+            f"they are {', '.join(map(repr, columns))}, of which "
+            f"{', '.join(one for one in columns if one in _OPTIONAL)} may be left out"
+        )
         if due is None:
-            raise table.refuse(f"is one column too many; they are {', '.join(expected)}", cell)
-        if cell != due:
-            raise table.refuse(
-                f"the column must be '{due}'; they are {', '.join(expected)}", cell or ""
-            )
+            raise table.refuse(f"is one column too many; {may}", cell)
+        raise table.refuse(f"the column must be '{due}'; {may}", cell or "")
 
 
 def _add(row: Row, quantities: list[str], drafts: list[_Draft]) -> None:
@@ -141,7 +151,13 @@ def _finish(path: Path, draft: _Draft, members: int) -> Issue:
             file=path, line=draft.line,
         )
     rain = [[hour[PRECIPITATION] for hour in draft.members[member]] for member in found]
-    evaporated = None
-    if EVAPOTRANSPIRATION in draft.members[0][0]:
-        evaporated = np.array([hour[EVAPOTRANSPIRATION] for hour in draft.members[0]])
-    return Issue(draft.issued, draft.line, np.array(rain), evaporated)
+    return Issue(
+        draft.issued, draft.line, np.array(rain),
+        *(_of_member_0(draft, quantity) for quantity in (EVAPOTRANSPIRATION, TEMPERATURE)),
+    )
+
+
+def _of_member_0(draft: _Draft, quantity: str) -> NDArray[np.float64] | None:
+    """Return a quantity of each hour, shape (hours,); None where the file does not have it."""
+    hours = draft.members[0]
+    return np.array([hour[quantity] for hour in hours]) if quantity in hours[0] else None

@@ -120,12 +120,7 @@ class SteppedForecast:
                 self._hour = hour
                 self._take_hour(hour)
             ends = time - hour * _HOUR_S + self._edges
-            # The end of the run's last window may be that of the last hour.
-            last = self._rates.shape[1] - 1
-            index = np.minimum(ends // _HOUR_S, last).astype(np.intp)
-            into = ends - index * _HOUR_S
-            sums = self._sums[:, index] + self._rates[:, index] * into
-            means = np.diff(sums) / self._lengths
+            means = means_of_hours(self._rates, self._sums, ends, self._lengths)
             self._means = (
                 means[:-1] if self._all_members else array("d", means[0].tobytes()),
                 array("d", means[-1].tobytes()),
@@ -158,8 +153,39 @@ class SteppedForecast:
         rates[:-1] /= 1000 * _HOUR_S
         rates[-1] *= self._site.a2 / 1000 / 86400
         self._rates = rates
-        self._sums = np.zeros_like(rates)
-        np.cumsum(rates[:, :-1] * _HOUR_S, axis=1, out=self._sums[:, 1:])
+        self._sums = sums_of_hours(rates)
+
+
+def sums_of_hours(rates: Array) -> Array:
+    """Return what has come by the start of each hour, at these rates (1/s), shape (..., hours)."""
+    sums = np.zeros_like(rates)
+    np.cumsum(rates[:, :-1] * _HOUR_S, axis=1, out=sums[:, 1:])
+    return sums
+
+
+def means_of_hours(rates: Array, sums: Array, ends: Array, lengths: Array) -> Array:
+    """Return the mean rate of each step, shape (..., steps).
+
+    Args:
+        rates: of each hour (1/s), shape (..., hours).
+        sums: see :func:`sums_of_hours`.
+        ends: of the steps (s since the start of the first hour), shape (steps + 1,).
+        lengths: of the steps (s), shape (steps,).
+    """
+    # The end of the last step may be that of the last hour.
+    index = np.minimum(ends // _HOUR_S, rates.shape[1] - 1).astype(np.intp)
+    means: Array = np.diff(sums[:, index] + rates[:, index] * (ends - index * _HOUR_S)) / lengths
+    return means
+
+
+def look_ahead_ends(site: Site, horizon: float) -> Array:
+    """Return the ends of the steps of a look-ahead (s from now), the first 0, shape (steps + 1,).
+
+    Args:
+        site: gives tick and look-ahead.
+        horizon: 0 for the M ticks that come, one by one; otherwise hours, in steps that grow.
+    """
+    return growing_steps(horizon) if horizon else site.tau * np.arange(site.M + 1.0)
 
 
 def make_forecast(
@@ -188,6 +214,6 @@ def make_forecast(
     model = make_model(choice, weather, all_members)
     if not horizon and not all_members and isinstance(model, PerfectModel):
         return PerfectForecast(series, site.M)
-    edges = growing_steps(horizon) if horizon else site.tau * np.arange(site.M + 1.0)
+    edges = look_ahead_ends(site, horizon)
     steps = len(series.precipitation) - site.M
     return SteppedForecast(model, weather, site, start, edges, steps, all_members)

@@ -7,12 +7,12 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
-from mcap.reader import make_reader
 from numpy.typing import NDArray
 
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.times import from_epoch_ns
 from greenroof_ros.model.site import Site
+from greenroof_ros.recording.bag_files import content_of
 from greenroof_ros.recording.bag_limits import limits_of, plausible, refuse
 from greenroof_ros.recording.bag_topics import NEEDED, OPTIONAL, Stamps, Values, read_topics
 from greenroof_ros.recording.trajectory import Trajectory
@@ -30,12 +30,13 @@ def count_ticks(bag: Path) -> int | None:
     """
     if not (bag / "metadata.yaml").is_file():
         return None
-    (file,) = bag.glob("*.mcap")
-    with file.open("rb") as stream:
-        summary = make_reader(stream).get_summary()
-    if summary is None or summary.statistics is None:
-        return None
-    return min(summary.statistics.channel_message_counts.values(), default=0)
+    ticks = 0
+    for file in bag.glob("*.mcap"):
+        content = content_of(file)
+        if content is None:
+            return None
+        ticks += content.ticks
+    return ticks
 
 
 class Recorded(NamedTuple):

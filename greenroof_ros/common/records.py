@@ -1,0 +1,192 @@
+"""Frozen dataclasses read from YAML, each error with file, line, key and value.
+
+A dataclass says with `Entry`, in the annotation of each field, what the key means and which values
+it may have; what reads a file and what writes its documentation both go by that.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+import types
+from collections.abc import Mapping
+from dataclasses import MISSING, dataclass, fields, is_dataclass
+from pathlib import Path
+from typing import Annotated, Any, NewType, TypeVar, Union, get_args, get_origin, get_type_hints
+
+from greenroof_ros.common.errors import ConfigurationError
+from greenroof_ros.common.files import YamlMapping
+
+Record = TypeVar("Record")
+# A whole number that a file may write in hexadecimal, such as 0x047E.
+Word = NewType("Word", int)
+
+_HEXADECIMAL = re.compile(r"0x[0-9A-Fa-f]{1,8}")
+
+
+@dataclass(frozen=True)
+class Entry:
+    """What a key of a file means, and what it may hold.
+
+    Attributes:
+        meaning: for the documentation, and for who left the key away.
+        low: the least number.
+        high: the greatest number.
+        choices: the only texts.
+    """
+
+    meaning: str
+    low: float = -math.inf
+    high: float = math.inf
+    choices: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class Key:
+    """A key of a file: a field of a dataclass."""
+
+    name: str
+    kind: Any
+    entry: Entry
+    optional: bool
+    default: Any
+
+
+def keys(kind: Any) -> list[Key]:
+    """Return the keys that a dataclass reads; fields without `Entry` are none."""
+    hints = get_type_hints(kind, include_extras=True)
+    found = []
+    for one in fields(kind):
+        if get_origin(hints[one.name]) is Annotated:
+            inner, entry = get_args(hints[one.name])
+            made = one.default_factory is not MISSING
+            found.append(Key(
+                one.name, inner, entry, made or one.default is not MISSING,
+                None if made or one.default is MISSING else one.default,
+            ))
+    return found
+
+
+def read_record(kind: type[Record], file: Path, mapping: YamlMapping, key: str = "") -> Record:
+    """Return a dataclass with the values of a mapping.
+
+    Args:
+        kind: a frozen dataclass whose fields have an `Entry`.
+        file: where the mapping stands.
+        mapping: as `files.read_yaml` reads it.
+        key: the mapping's own key; empty for a whole file.
+
+    Raises:
+        ConfigurationError: a key is unknown or missing, or a value of the wrong kind or out of
+            range.
+    """
+    made: Record = _record(kind, mapping, _Place(file, None, key))
+    return made
+
+
+class _Place:
+    """Where a value stands, for messages."""
+
+    def __init__(self, file: Path, line: int | None, key: str) -> None:
+        self.file, self.line, self.key = file, line, key
+
+    def error(self, expected: str, value: object = None) -> ConfigurationError:
+        return ConfigurationError(
+            expected, file=self.file, line=self.line, key=self.key or None, value=value
+        )
+
+    def below(self, key: object, mapping: Mapping[Any, Any] | None = None) -> _Place:
+        line = mapping.lines.get(str(key)) if isinstance(mapping, YamlMapping) else None
+        return _Place(self.file, line or self.line, f"{self.key}.{key}" if self.key else str(key))
+
+
+def _record(kind: Any, value: Any, place: _Place) -> Any:
+    if not isinstance(value, YamlMapping):
+        raise place.error("must hold 'key: value' lines", value)
+    known = {key.name: key for key in keys(kind)}
+    for name in value:
+        if name not in known:
+            raise place.below(name, value).error(
+                f"is unknown here; known are {', '.join(known)}", value[name]
+            )
+    made = {}
+    for name, key in known.items():
+        if name in value:
+            made[name] = _value(key.kind, value[name], key.entry, place.below(name, value))
+        elif not key.optional:
+            line = place.line or min(value.lines.values(), default=None)
+            raise _Place(place.file, line, place.below(name).key).error(
+                f"is missing: {key.entry.meaning}"
+            )
+    return kind(**made)
+
+
+def _value(kind: Any, value: Any, entry: Entry, place: _Place) -> Any:
+    origin, inner = get_origin(kind), get_args(kind)
+    if origin in (types.UnionType, Union):
+        return _either(inner, value, entry, place)
+    if is_dataclass(kind):
+        return _record(kind, value, place)
+    if origin is tuple:
+        if not isinstance(value, list):
+            raise place.error("must be a list", value)
+        return tuple(
+            _value(inner[0], each, entry, place.below(number))
+            for number, each in enumerate(value, start=1)
+        )
+    if origin is dict:
+        if not isinstance(value, YamlMapping):
+            raise place.error("must hold 'key: value' lines", value)
+        return {
+            _key(inner[0], key, entry, place.below(key, value)):
+            _value(inner[1], each, entry, place.below(key, value))
+            for key, each in value.items()
+        }
+    return _scalar(kind, value, entry, place)
+
+
+def _key(kind: Any, key: str, entry: Entry, place: _Place) -> Any:
+    """Return a mapping's key as what it was; `files.read_yaml` hands keys over as text."""
+    if kind is str:
+        return key
+    return _scalar(kind, int(key) if key.isdecimal() else key, entry, place)
+
+
+def _either(inner: tuple[Any, ...], value: Any, entry: Entry, place: _Place) -> Any:
+    if value is None and types.NoneType in inner:
+        return None
+    if isinstance(value, str) and str in inner and value in entry.choices:
+        return value
+    kinds = [kind for kind in inner if kind not in (types.NoneType, str)]
+    return _value(kinds[0] if kinds else str, value, entry, place)
+
+
+def _scalar(kind: Any, value: Any, entry: Entry, place: _Place) -> Any:
+    if kind is bool:
+        if not isinstance(value, bool):
+            raise place.error("must be true or false", value)
+        return value
+    if kind is str:
+        if not isinstance(value, str) or not (value.strip() or value in entry.choices):
+            raise place.error("must be a text", value)
+        if entry.choices and value not in entry.choices:
+            raise place.error(f"must be one of {', '.join(filter(None, entry.choices))}", value)
+        return " ".join(value.split())
+    if kind is Word and isinstance(value, str) and _HEXADECIMAL.fullmatch(value):
+        value = int(value, 16)
+    whole = kind in (int, Word)
+    if isinstance(value, bool) or not isinstance(value, int if whole else (int, float)):
+        expected = "a whole number" if whole else "a number"
+        if kind is Word:
+            expected += ", such as 0x047E or 1150"
+        raise place.error(f"must be {' or '.join((expected, *entry.choices))}", value)
+    if not entry.low <= value <= entry.high:
+        raise place.error(f"must be {span(entry.low, entry.high)}", value)
+    return value if whole else float(value)
+
+
+def span(low: float, high: float) -> str:
+    """Return a range in words."""
+    if math.isinf(high):
+        return f"{low:.9g} or more"
+    return f"at most {high:.9g}" if math.isinf(low) else f"from {low:.9g} to {high:.9g}"

@@ -1,0 +1,194 @@
+"""The forecasts of a live site: a file that somebody replaces again and again."""
+
+from __future__ import annotations
+
+import bisect
+import math
+from array import array
+from dataclasses import dataclass
+from datetime import datetime, timedelta
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from greenroof_ros.common.errors import ConfigurationError
+from greenroof_ros.common.times import to_people
+from greenroof_ros.forecast.archive import Issue, read_forecasts
+from greenroof_ros.forecast.resampling import (
+    Rain,
+    look_ahead_ends,
+    means_of_hours,
+    sums_of_hours,
+)
+from greenroof_ros.model.site import Site
+from greenroof_ros.weather.records import EVAPOTRANSPIRATION, HOUR
+
+_HOUR_S = 3600.0
+
+
+class NoForecastError(Exception):
+    """There is no forecast for now; the message says why."""
+
+
+@dataclass(frozen=True)
+class Outlook:
+    """What is known at a time of the weather now and ahead.
+
+    Attributes:
+        issued: when the forecast was.
+        rain: means of the look-ahead's steps (m/s), shape (steps,); of all members
+            (members, steps).
+        evapotranspiration: likewise, off the whole bed (m3/s), shape (steps,).
+        rain_now: m/s.
+        evapotranspiration_now: m3/s.
+        temperature: of the air now (degC); NaN where the file does not have it.
+    """
+
+    issued: datetime
+    rain: Rain
+    evapotranspiration: array[float]
+    rain_now: float
+    evapotranspiration_now: float
+    temperature: float
+
+
+class ForecastFile:
+    """A file of forecasts, read again when it is replaced; one that is broken replaces nothing.
+
+    Attributes:
+        issues: of the newest file that could be read; empty before the first.
+        problem: what is wrong with the file as it is now; empty where nothing is.
+    """
+
+    def __init__(self, path: Path) -> None:
+        """Read nothing yet.
+
+        Args:
+            path: of the file; see :func:`greenroof_ros.forecast.archive.read_forecasts`. It must
+                have a column of evapotranspiration.
+        """
+        self.issues: list[Issue] = []
+        self.problem = ""
+        self._path = path
+        self._seen: tuple[int, ...] | None = None
+
+    def look(self) -> bool:
+        """Read the file if it is another one than before, and return whether it has been."""
+        try:
+            found = self._path.stat()
+        except OSError as error:
+            self.problem = f"{self._path}: cannot be read: {error.strerror}"
+            self._seen = None
+            return False
+        seen = (found.st_dev, found.st_ino, found.st_mtime_ns, found.st_size)
+        if seen == self._seen:
+            return False
+        self._seen = seen
+        try:
+            issues = read_forecasts(self._path)
+            if issues[0].evapotranspiration is None:
+                raise ConfigurationError(
+                    f"must have a column '{EVAPOTRANSPIRATION} [mm/day]': nothing else says it on "
+                    "a live site",
+                    file=self._path,
+                )
+        except ConfigurationError as error:
+            self.problem = str(error)
+            return False
+        self.issues = issues
+        self.problem = ""
+        return True
+
+
+class LiveForecast:
+    """Forecasts of the look-ahead at any time, from the newest issue of a file.
+
+    Attributes:
+        file: that they are from.
+    """
+
+    def __init__(
+        self, file: ForecastFile, site: Site, horizon: float, limit: float, all_members: bool
+    ) -> None:
+        """Prepare.
+
+        Args:
+            file: of forecasts.
+            site: tick, look-ahead and the bed's area, over which a depth is a volume.
+            horizon: 0 for the M ticks that come, one by one; otherwise hours, in steps that grow.
+            limit: how old the newest issue may be (s).
+            all_members: of an ensemble; otherwise the first.
+        """
+        self.file = file
+        self._area = site.a2
+        self._ends = look_ahead_ends(site, horizon)
+        self._lengths = np.diff(self._ends)
+        self._limit = timedelta(seconds=limit)
+        self._all_members = all_members
+
+    def at(self, now: datetime, observed_rain: float | None = None) -> Outlook:
+        """Return the outlook at a time.
+
+        Args:
+            now: the time.
+            observed_rain: m/s, which stands for the present hour's; None where there is no gauge.
+
+        Raises:
+            NoForecastError: there is none that is new enough and reaches as far as it must.
+        """
+        issue = self._newest(now)
+        rates = self._rates(issue, now, observed_rain)
+        into = (now - issue.issued).total_seconds() % _HOUR_S
+        means = means_of_hours(rates, sums_of_hours(rates), into + self._ends, self._lengths)
+        temperature = math.nan
+        if issue.temperature is not None:
+            temperature = float(issue.temperature[(now - issue.issued) // HOUR])
+        return Outlook(
+            issue.issued,
+            means[:-1] if self._all_members else array("d", means[0].tobytes()),
+            array("d", means[-1].tobytes()),
+            float(rates[0, 0]), float(rates[-1, 0]), temperature,
+        )
+
+    def _rates(
+        self, issue: Issue, now: datetime, observed_rain: float | None
+    ) -> NDArray[np.float64]:
+        """Return rain of each member (m/s) and evapotranspiration (m3/s), from this hour on."""
+        assert issue.evapotranspiration is not None  # such a file is not taken
+        present = (now - issue.issued) // HOUR
+        members = len(issue.rain) if self._all_members else 1
+        rates = np.vstack([issue.rain[:members, present:], issue.evapotranspiration[present:]])
+        rates[:-1] /= 1000 * _HOUR_S
+        rates[-1] *= self._area / 1000 / 86400
+        if observed_rain is not None:
+            rates[:-1, 0] = observed_rain
+        return rates
+
+    def _newest(self, now: datetime) -> Issue:
+        """Return the newest issue at a time.
+
+        Raises:
+            NoForecastError: it is too old, or too short, or there is none.
+        """
+        issues = self.file.issues
+        if not issues:
+            raise NoForecastError("there is no forecast")
+        number = bisect.bisect_right([issue.issued for issue in issues], now)
+        if not number:
+            raise NoForecastError(
+                f"the first forecast was issued at {to_people(issues[0].issued)}, which is ahead"
+            )
+        issue = issues[number - 1]
+        if now - issue.issued > self._limit:
+            raise NoForecastError(
+                f"the newest forecast, issued at {to_people(issue.issued)}, is older than "
+                f"{self._limit / HOUR:g} h"
+            )
+        end = issue.issued + issue.hours * HOUR
+        if now + timedelta(seconds=float(self._ends[-1])) > end:
+            raise NoForecastError(
+                f"the newest forecast, issued at {to_people(issue.issued)}, ends at "
+                f"{to_people(end)}, before the {self._ends[-1] / _HOUR_S:.3g} h of the look-ahead"
+            )
+        return issue

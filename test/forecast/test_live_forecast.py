@@ -1,0 +1,162 @@
+"""A live site's file of forecasts: replaced, broken, removed, too old; and what follows from it."""
+
+from __future__ import annotations
+
+import os
+from datetime import UTC, datetime, timedelta
+from pathlib import Path
+
+import numpy as np
+import pytest
+from paper import PAPER_SITE
+
+from greenroof_ros.forecast.archive import read_forecasts
+from greenroof_ros.forecast.live_forecast import ForecastFile, LiveForecast, NoForecastError
+
+HEADER = "issued,time,precipitation [mm/h],evapotranspiration [mm/day],temperature [degC]"
+SIX = datetime(2026, 7, 1, 6, tzinfo=UTC)
+
+
+def write(
+    path: Path, issued: datetime, rain: list[float], temperature: float = 15.0,
+    header: str = HEADER,
+) -> None:
+    """Write a file with one issue of some hours, and put it in place as one should."""
+    lines = [header]
+    for hour, depth in enumerate(rain):
+        time = issued + timedelta(hours=hour)
+        cells = f"{issued.isoformat()},{time.isoformat()},{depth},{2.0 + hour},{temperature - hour}"
+        lines.append(",".join(cells.split(",")[: header.count(",") + 1]))
+    draft = path.with_suffix(".new")
+    draft.write_text("\n".join(lines) + "\n")
+    draft.replace(path)
+
+
+def live(path: Path, horizon: float = 0.0, limit: float = 7200.0) -> LiveForecast:
+    """Return the forecasts of a file that has been read."""
+    found = LiveForecast(ForecastFile(path), PAPER_SITE, horizon, limit, all_members=False)
+    found.file.look()
+    return found
+
+
+def test_the_present_hour_and_the_look_ahead(tmp_path: Path) -> None:
+    """At 07:59:57 three of the ten seconds are of the second hour, the rest of the third.
+
+    3.6 mm/h are 1e-6 m/s; 3 and 4 mm/day off 68.8 m2 are 2.3889e-6 and 3.1852e-6 m3/s.
+    """
+    file = tmp_path / "forecast.csv"
+    write(file, SIX, [0.0, 3.6, 7.2, 0.0])
+    outlook = live(file).at(SIX + timedelta(hours=1, minutes=59, seconds=57))
+    assert outlook.issued == SIX
+    assert np.array(outlook.rain) == pytest.approx([1e-6] * 3 + [2e-6] * 7)
+    assert np.array(outlook.evapotranspiration) == pytest.approx(
+        [2.38889e-6] * 3 + [3.18519e-6] * 7, rel=1e-5
+    )
+    assert outlook.rain_now == pytest.approx(1e-6)
+    assert outlook.evapotranspiration_now == pytest.approx(2.38889e-6, rel=1e-5)
+    assert outlook.temperature == 14.0
+
+
+def test_the_gauge_stands_for_the_present_hour(tmp_path: Path) -> None:
+    """What is measured is not forecast."""
+    file = tmp_path / "forecast.csv"
+    write(file, SIX, [0.0, 3.6, 7.2])
+    outlook = live(file).at(SIX + timedelta(minutes=59, seconds=57), observed_rain=5e-6)
+    assert np.array(outlook.rain) == pytest.approx([5e-6] * 3 + [1e-6] * 7)
+    assert outlook.rain_now == 5e-6
+
+
+def test_growing_steps(tmp_path: Path) -> None:
+    """For a planner: steps of 1800 s from 4800 s on; three hours end 600 s after the third."""
+    file = tmp_path / "forecast.csv"
+    write(file, SIX, [0.0, 0.0, 0.0, 3.6])
+    outlook = live(file, horizon=3.0).at(SIX + timedelta(minutes=45))
+    # The ends are 08:35, 09:05, 09:35 and 09:45; it rains from 09:00 on.
+    assert outlook.rain[-1] == pytest.approx(1e-6)
+    assert outlook.rain[-2] == pytest.approx(1e-6)
+    assert outlook.rain[-3] == pytest.approx(1e-6 / 6)
+    assert sum(outlook.rain[:-3]) == 0.0
+
+
+@pytest.mark.parametrize(
+    ("later", "horizon", "words"),
+    [
+        (timedelta(hours=2, seconds=1), 0.0, "older than 2 h"),
+        (timedelta(hours=1, minutes=1), 3.0, "before the 3 h of the look-ahead"),
+        (-timedelta(seconds=1), 0.0, "is ahead"),
+    ],
+)
+def test_no_forecast(tmp_path: Path, later: timedelta, horizon: float, words: str) -> None:
+    """Too old, too short, of the future; a moment before, each is one."""
+    file = tmp_path / "forecast.csv"
+    write(file, SIX, [0.0] * 4)
+    forecast = live(file, horizon)
+    with pytest.raises(NoForecastError, match=words):
+        forecast.at(SIX + later)
+    forecast.at(SIX + (timedelta(0) if later < timedelta(0) else timedelta(hours=1)))
+
+
+def test_a_file_is_read_again_when_it_is_replaced(tmp_path: Path) -> None:
+    """By another one, in place, or within the resolution of its time: once each."""
+    file = tmp_path / "forecast.csv"
+    write(file, SIX, [0.0] * 4)
+    found = ForecastFile(file)
+    assert found.look() and not found.look()
+    stamp = file.stat().st_mtime_ns
+    write(file, SIX + timedelta(hours=1), [0.0] * 4)
+    os.utime(file, ns=(stamp, stamp))
+    assert found.look() and not found.look()
+    assert found.issues[0].issued == SIX + timedelta(hours=1)
+    file.write_text(file.read_text() + "# a comment\n")
+    assert found.look() and not found.look()
+
+
+def test_a_broken_or_removed_file_keeps_the_old_one(tmp_path: Path) -> None:
+    """The problem names file and line, and is over with the next good file."""
+    file = tmp_path / "forecast.csv"
+    write(file, SIX, [0.0] * 4)
+    found = ForecastFile(file)
+    found.look()
+    write(file, SIX + timedelta(hours=1), [0.0, -1.0])
+    assert not found.look()
+    assert f"{file}, line 3" in found.problem and "'-1.0'" in found.problem
+    assert found.issues[0].issued == SIX
+    file.unlink()
+    assert not found.look()
+    assert f"{file}: cannot be read: No such file" in found.problem
+    assert found.issues[0].issued == SIX
+    write(file, SIX + timedelta(hours=1), [0.0])
+    assert found.look()
+    assert found.problem == ""
+    assert found.issues[0].issued == SIX + timedelta(hours=1)
+
+
+def test_a_file_must_have_evapotranspiration(tmp_path: Path) -> None:
+    """There is no other record of it on a live site; and a file may be missing at the start."""
+    file = tmp_path / "forecast.csv"
+    found = ForecastFile(file)
+    assert not found.look()
+    assert "cannot be read" in found.problem and found.issues == []
+    with pytest.raises(NoForecastError, match="there is no forecast"):
+        LiveForecast(found, PAPER_SITE, 0.0, 7200.0, all_members=False).at(SIX)
+    write(file, SIX, [0.0] * 4, header="issued,time,precipitation [mm/h]")
+    assert not found.look()
+    assert "must have a column 'evapotranspiration [mm/day]'" in found.problem
+
+
+def test_temperature_is_a_column_of_its_own(tmp_path: Path) -> None:
+    """With evapotranspiration or without; and it may be left out."""
+    file = tmp_path / "forecast.csv"
+    write(file, SIX, [0.0, 1.0], temperature=-0.5)
+    issue = read_forecasts(file)[0]
+    assert issue.temperature is not None and issue.temperature.tolist() == [-0.5, -1.5]
+    file.write_text(
+        "issued,time,precipitation [mm/h],temperature [degC]\n"
+        "2026-07-01T06:00Z,2026-07-01T06:00Z,0.0,-3.0\n"
+    )
+    issue = read_forecasts(file)[0]
+    assert issue.evapotranspiration is None
+    assert issue.temperature is not None and issue.temperature.tolist() == [-3.0]
+    write(file, SIX, [0.0], header=HEADER.rpartition(",")[0])
+    assert read_forecasts(file)[0].temperature is None
+    assert np.isnan(live(file).at(SIX).temperature)
