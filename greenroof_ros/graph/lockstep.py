@@ -1,44 +1,35 @@
 """Lockstep over topics: a node acts once every input has arrived since it last acted.
 
-What each node publishes and subscribes to comes from ``msg_defs/topics.yaml``. There are no timers
-and no sleeps on the way of a tick; the only wall clocks here end a run which hangs.
+Before a node acts first it has to know of which tick what comes is: see
+:mod:`greenroof_ros.graph.handshake`. There are no timers and no sleeps on the way of a tick; the
+only wall clocks here end a run which hangs.
 """
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Callable, Collection
-from typing import Any, cast
+from typing import Any, Protocol, cast
 
-from rclpy.clock import ROSClock
-from rclpy.clock_type import ClockType
-from rclpy.duration import Duration
 from rclpy.node import Node
-from rclpy.parameter import Parameter
-from rclpy.publisher import Publisher
-from rclpy.time import Time
 
-from greenroof_ros.common.errors import ConfigurationError, OccupiedError
-from greenroof_ros.common.interface import read_topics
+from greenroof_ros.common.errors import OccupiedError
+from greenroof_ros.common.interface import Topic
+from greenroof_ros.graph.arrivals import Arrivals
 from greenroof_ros.graph.errors import LockstepError
-from greenroof_ros.graph.peers import Peers, by_publisher, root_causes
-from greenroof_ros.graph.publishers import PublisherWatch
-from greenroof_ros.graph.qos import message_class, qos_profile
+from greenroof_ros.graph.handshake import PLANT, Handshake
+from greenroof_ros.graph.inputs import Inputs
+from greenroof_ros.graph.live import LivePublishers
+from greenroof_ros.graph.peers import Peers, root_causes
+from greenroof_ros.graph.publishers import UNKNOWN_NAME, PublisherWatch, names_of_publishers
 from greenroof_ros.graph.reports import Report, Reports
-from greenroof_ros.graph.serialization import encoder
 from greenroof_ros.graph.states import ENDED, FINISHED, READY, STARTING
-from greenroof_ros.graph.unfit_publishers import UnfitPublishers
 from greenroof_ros.graph.validation import Input
 
-CLOCK = "/clock"
-# How long a node listens at most before it looks at its clocks and signals again (s).
-LISTEN_S = 0.05
-# A node that joins receives the last of what its peers said before; first it lets them finish.
+# Among nodes that say nothing of their ticks the newest message is the present tick's, once no
+# other came for so long (s).
 _SILENCE_S = 0.5
-# How long a node that ends waits for its readers (s): one that was killed stays matched.
-_FLUSH_S = 1.0
-# How often a node says how it is (s of wall time).
-_REPORT_S = 0.25
 # How long a node that nobody supervises still says at least that it has finished (s).
 _LAST_WORD_S = 1.0
 # For how long after that a node that has not joined may still be one of this run (s).
@@ -47,185 +38,303 @@ _JOINING_S = 5.0
 _NO_DOUBT = 1 << 32
 
 
-class LockstepNode(Node):
-    """A node of a simulated graph.
+class LockstepNode(Protocol):
+    """What lockstep needs of its node; see :class:`greenroof_ros.graph.link.LinkedNode`."""
 
-    It opens its topics by :meth:`publish_topic` and :meth:`subscribe`, by their names in the
-    interface, and overrides :meth:`on_inputs`, and of the other ``on_`` methods, ``progress`` and
-    ``summary`` those that it needs. It lives in simulated time (``use_sim_time`` is true).
+    role: str
+    acted: bool
+    over: bool
+    error: Exception | None
+    final_reports: dict[str, dict[str, Any]]
+    inputs: Inputs
+    interface: dict[str, Topic]
+    peers: Peers
+    reports: Reports
+    repeats: bool
+
+    def on_inputs(self) -> None:
+        """Act."""
+
+    def on_begin(self, tick: int) -> None:
+        """Take the tick from which the node answers."""
+
+    def on_restart(self, name: str) -> None:
+        """Wait anew for a node that was started again."""
+
+    def on_answered_again(self, name: str) -> None:
+        """Forget what came on a topic for the present tick."""
+
+    def on_plant_finished(self) -> None:
+        """End the run for this node."""
+
+    def begins_at(self) -> int | None:
+        """Return the tick from which the node answers, if it knows it by itself."""
+
+    def taken(self, name: str) -> int:
+        """Return how many messages of a topic the node has had."""
+
+    def take_again(self, name: str, first: int) -> None:
+        """Expect a topic from a tick on."""
+
+    def take_all(self, names: Collection[str]) -> None:
+        """Take all messages of some inputs that are here and were not yet taken."""
+
+    def report_soon(self) -> None:
+        """Say at once how the node is."""
+
+    def tick_is_open(self) -> bool:
+        """Whether the plant has published a tick on which this node has not acted."""
+
+
+class Lockstep:
+    """Makes a node act when every input is fresh, and end with its run.
 
     Attributes:
-        sent: how many messages went out, by topic.
-        error: why the node cannot go on.
-        acted: whether the run has begun for the node.
-        over: whether the node may end by itself: nobody supervises it, the run is over, and all
-            who were in it have its last word.
-        final_reports: the values of the reports of nodes that have finished, by node.
+        simulated_time: whether the node's clock is that of the run.
+        joining: whether the node does not yet take part, and messages have to come with their
+            numbers, which only rclpy's slower executor hands on.
     """
 
-    def __init__(self, name: str, role: str) -> None:
-        """Join the graph.
+    simulated_time = True
+
+    def __init__(self, node: LockstepNode) -> None:
+        """Begin to join.
 
         Args:
-            name: of the node.
-            role: what the interface calls it: its name, or ``controller``.
-
-        Raises:
-            ConfigurationError: ROS arguments or a parameter file are wrong.
+            node: that is to act.
         """
-        try:
-            super().__init__(
-                name, parameter_overrides=[Parameter("use_sim_time", Parameter.Type.BOOL, True)]
-            )
-        except RuntimeError as error:  # of rcl
-            raise ConfigurationError(" ".join(str(error).split())) from error
-        self.sent: dict[str, int] = {}
-        self.error: Exception | None = None
-        self._role = role
-        self._ros_clock = cast(ROSClock, self.get_clock())
-        self._interface = read_topics()
-        self._inputs: dict[str, Input] = {}
+        self._node = node
+        self._act_on_inputs = node.on_inputs
         self._watches: dict[str, PublisherWatch] = {}
-        self._unfit = UnfitPublishers(self)
+        self._entries: list[Input] = []
         self._bits: dict[str, int] = {}  # of the inputs that must be fresh
         self._fresh = 0
         self._all = 0
-        self._joining = True
-        self.acted = False
-        self.over = False
-        self.final_reports: dict[str, dict[str, Any]] = {}
+        self._tick = 0  # on which it acts next
+        self._again: dict[str, int] = {}  # how many messages that it has had come again
+        self.joining = node.role != PLANT  # the others wait for the plant
+        self._arrivals: dict[str, Arrivals] = {}
+        self._receivers: dict[str, Callable[[bytes], None]] = {}
         self._last_arrival = time.monotonic()
-        self._outputs: list[Publisher] = []
-        self._reports = Reports(self, role, self._on_report)
-        self.peers = Peers(self.get_logger())
-        self._run_of: str | None = None  # the process of its plant
         self._doubts: set[PublisherWatch] = set()
-        self._looked = self._reported = 0.0
+        self._run_of: str | None = None  # the process of its plant
         self._finished_since = 0.0
-        self._final_values: dict[str, Any] = {}
 
-    # --- to override ------------------------------------------------------------------------
+    def start(self, ros_node: Node) -> None:
+        """Be ready to hear other nodes; the node can say by now how it is.
 
-    def on_inputs(self) -> None:
-        """Act: every input is fresh."""
+        Args:
+            ros_node: the node as rclpy has it.
+        """
+        node = self._node
+        self._ros_node = ros_node
+        self._handshake = Handshake(
+            node.role, node.reports.process, node.interface, repeats=node.repeats
+        )
 
-    def on_idle(self) -> float:
-        """Look at what is due between messages; called every 50 ms at least.
+    def open(
+        self, node: Node, entry: Input, callback: Callable[[Any], None] | None, *, raw: bool,
+        heals: bool, **rules_of_live_graphs: object,
+    ) -> tuple[PublisherWatch | LivePublishers, Callable[[bytes], None]]:
+        """Prepare an input; see :meth:`greenroof_ros.graph.link.LinkedNode.subscribe`.
+
+        Args:
+            node: subscribes to it.
+            entry: the input.
+            callback: called with each value; without it the input must be fresh.
+            raw: the callback gets the message.
+            heals: a second publisher ends nothing; the node looks itself whether there is one.
+            rules_of_live_graphs: none of these counts here.
 
         Returns:
-            How long the node may wait for the next message (s).
+            What counts its publishers, and what receives its messages once the node takes part.
         """
-        return LISTEN_S
-
-    def on_plant_finished(self) -> None:
-        """End the run for this node: the plant has."""
-        self.finish()
-
-    def on_answered_again(self, name: str) -> None:
-        """Forget what came on a topic for the present tick: its publisher was started again.
-
-        It answers that tick as a whole, of which the one that was killed may have answered a part.
-        """
-
-    def on_stop(self) -> None:
-        """Put away what is open; called once at the end, whatever the reason."""
-
-    def progress(self) -> dict[str, Any]:
-        """Return what the node adds to each of its reports."""
-        return {}
-
-    def summary(self) -> dict[str, Any]:
-        """Return what the node adds to its report at the end of the run."""
-        return {}
-
-    # --- setting up -------------------------------------------------------------------------
-
-    def create_subscription(self, msg_type: Any, topic: str, *args: Any, **options: Any) -> Any:
-        """Open a subscription, but not rclpy's own to the clock.
-
-        That one is to ``/clock`` even in a namespace, and costs 35 us of processor time a tick in
-        each node; :meth:`set_time` sets the node's clock from messages that it has already.
-        """
-        if topic == CLOCK:
-            return None
-        return super().create_subscription(msg_type, topic, *args, **options)
-
-    def set_time(self, time_ns: int) -> None:
-        """Set the node's clock, which ``get_clock()`` returns, to a simulated time (ns)."""
-        now = Time(nanoseconds=time_ns, clock_type=ClockType.ROS_TIME)
-        self._ros_clock.set_ros_time_override(now)
-
-    def publish_topic(self, name: str) -> Callable[[Any], None]:
-        """Open an output and return what publishes a value on it.
-
-        Args:
-            name: of the topic in the interface.
-        """
-        topic = self._interface[name]
-        publisher = self.create_publisher(
-            message_class(topic.type), topic.graph_name, qos_profile(topic.qos)
-        )
-        self._outputs.append(publisher)
-        self.sent[name] = 0
-        encode, send, sent = encoder(topic.type), publisher.publish, self.sent
-
-        def publish(value: Any) -> None:
-            sent[name] += 1
-            send(encode(value))
-
-        return publish
-
-    def subscribe(
-        self, name: str, callback: Callable[[Any], None] | None = None, *, raw: bool = False
-    ) -> Input:
-        """Open an input and return it.
-
-        Args:
-            name: of the topic in the interface.
-            callback: called with each value; without it the input is one of those that must be
-                fresh before the node acts.
-            raw: the callback gets the serialised message, and the node does not watch whether the
-                publisher lives: it only keeps what is published.
-        """
-        topic = self._interface[name]
-        entry = Input(topic, self.resolve_topic_name(topic.graph_name), self.get_logger())
-        self._inputs[name] = entry
+        name = entry.topic.name
+        self._entries.append(entry)
         bit = 0
         if callback is None:
             self._bits[name] = bit = 1 << len(self._bits)
             self._all |= bit
+        receive: Callable[[bytes], None] = entry.receive
+        if callback is not None:
+            receive = callback if raw else _with_value(entry, callback)
+        self._receivers[name] = receive
+        self._arrivals[name] = Arrivals(entry.name)
+        if heals:
+            return (
+                LivePublishers(node, entry.topic, self._node.peers, recorded=False, past=True),
+                self._when_fresh(entry, bit, lambda: None),
+            )
 
         def on_second(*, answered: bool) -> None:
-            if self.acted and bit and not self._awaits_publisher_of(name):
+            if self._publisher_of(name) in self._handshake.nodes:
+                return  # it says which tick it answers
+            if self._node.acted and bit and not self._awaits_publisher_of(name):
                 self._refuse(
                     f"a second publisher of {entry.name} ({watch.said_names()}) came when the "
                     "first had answered the tick; which tick it answers cannot be told: end all "
                     "nodes and start the run again"
                 )
-            if not self._joining and not answered:
+            if not self.joining and not answered:
                 self._fresh &= ~bit
-            self.on_answered_again(name)
+            self._node.on_answered_again(name)
 
         self._watches[name] = watch = PublisherWatch(
-            self, topic, self._refuse, self._on_doubt, on_second, recorded=raw
+            node, entry.topic, self._refuse, self._on_doubt, on_second, recorded=raw
         )
-        if callback is None:
-            on_message = self._when_fresh(entry, bit, watch)
-        elif raw:
-            on_message = callback
-        else:
-            on_message = self._with_value(entry, callback)
-        events = watch.events()
-        events.incompatible_qos = self._unfit.on_event(topic)
-        self.create_subscription(
-            message_class(topic.type),
-            topic.graph_name,
-            self._guarded(on_message),
-            watch.profile(),
-            raw=True,
-            event_callbacks=events,
-        )
-        return entry
+        return watch, self._when_fresh(entry, bit, watch.came_twice) if bit else receive
+
+    def while_joining(self, name: str) -> Callable[[bytes, Any], None]:
+        """Return what receives the messages of an input, and what rclpy says of each, till then."""
+        arrivals = self._arrivals[name]
+        if not self._node.interface[name].per_tick:
+            return lambda message, information: self._receivers[name](message)
+
+        def on_message(message: bytes, information: Any) -> None:
+            arrivals.take(message, information)
+            self._last_arrival = time.monotonic()
+
+        return on_message
+
+    def said(self) -> dict[str, Any]:
+        """Return what the node says of its ticks."""
+        return self._handshake.said()
+
+    def _publisher_of(self, name: str) -> str:
+        """Return the role of who publishes a topic: of two that may, the one that is here."""
+        roles = [role for role in self._node.interface[name].publishers if role != self._node.role]
+        here = [role for role in roles if self._handshake.is_here(role)]
+        return [*roles[:1], *here][-1]
+
+    def _names_of(self, role: str) -> list[str]:
+        """Return the inputs of each tick that a role publishes."""
+        return [
+            name for name in self._arrivals
+            if self._node.interface[name].per_tick and self._publisher_of(name) == role
+        ]
+
+    # --- which tick -------------------------------------------------------------------------
+
+    def taken(self, name: str) -> int:
+        """Return how many messages of a topic, one a tick, the node has had."""
+        if self.joining:
+            return self._arrivals[name].next or 0
+        return self._tick + bool(self._fresh & self._bits.get(name, 0))
+
+    def take_again(self, name: str, first: int) -> None:
+        """Expect a topic from a tick on; what the node has had of it counts once.
+
+        Raises:
+            LockstepError: a message was lost.
+        """
+        taken = self.taken(name)
+        if first > taken:
+            raise LockstepError(
+                f"{self._node.inputs.entries[name].name} of tick {taken} was lost with the node "
+                "that published it; end all nodes and start the run again"
+            )
+        if first < taken:
+            self._again[name] = taken - first
+
+    def _settle(self) -> None:
+        """Tell the others what they must know, and take what they told."""
+        node, handshake = self._node, self._handshake
+        changed = False
+        if handshake.answers_from is None:
+            begins_at = node.begins_at()
+            if begins_at is not None:
+                handshake.answers_from, handshake.agreed = begins_at, True
+                self._begin(begins_at)
+                changed = True
+            elif handshake.decide(supervised=node.reports.supervised):
+                self._begin(cast(int, handshake.answers_from))
+                changed = True
+        elif handshake.decide(supervised=node.reports.supervised):
+            changed = True
+        if handshake.answers_from is not None:
+            for role in handshake.nodes:
+                if handshake.must_be_told(role):
+                    handshake.tell(role, {n: node.taken(n) for n in self._names_of(role)})
+                    changed = True
+                if handshake.may_agree(role):
+                    self._agree(role)
+                    changed = True
+        if changed:
+            node.report_soon()
+
+    def _begin(self, tick: int) -> None:
+        self._tick = tick
+        for arrivals in self._arrivals.values():
+            arrivals.next = tick
+        self._node.on_begin(tick)
+
+    def _agree(self, role: str) -> None:
+        """Take a role's present process for who publishes its topics."""
+        handshake = self._handshake
+        first = cast(int, handshake.first_of(role))
+        handshake.agree(role)
+        for name, taken in handshake.taken[handshake.nodes[role]].items():
+            if not self.joining or first > taken:
+                self._node.take_again(name, first)
+                self._arrivals[name].next = max(first, self._arrivals[name].next or 0)
+            self._arrivals[name].first = first
+
+    def _join(self) -> None:
+        """Act on what came while the node was joining, and take part from then on."""
+        node, handshake = self._node, self._handshake
+        if not handshake.agreed:
+            if handshake.answers_from is None and self._nobody_says_ticks():
+                handshake.answers_from, handshake.agreed = 0, True
+                self._begin(0)
+                for arrivals in self._arrivals.values():
+                    arrivals.begin_with_newest()
+            return
+        self._act_on_arrivals()
+        if node.acted and all(arrivals.first is not None for arrivals in self._arrivals.values()):
+            # The fast executor keeps the order in which messages come, but does not know that of
+            # those which are here already.
+            node.take_all(self._arrivals)
+            self._act_on_arrivals()
+            dues = {name: self._arrivals[name].due for name in self._bits}
+            if any(len(due) > 1 for due in dues.values()):
+                return
+            self.joining = False
+            for name, due in dues.items():
+                if due:
+                    self._receivers[name](due.popleft())
+                    self._fresh |= self._bits[name]
+
+    def _act_on_arrivals(self) -> None:
+        """Hand on what came of the ticks that are wanted, and act on each tick that is whole."""
+        for name, arrivals in self._arrivals.items():
+            if arrivals.first is None and self._handshake.is_foreign(self._publisher_of(name)):
+                arrivals.first = 0
+            arrivals.sort()
+            if name not in self._bits:
+                while arrivals.due:
+                    self._receivers[name](arrivals.due.popleft())
+        if self._bits and not self._all & _NO_DOUBT:
+            dues = {name: self._arrivals[name].due for name in self._bits}
+            while all(dues.values()):
+                for name, due in dues.items():
+                    self._receivers[name](due.popleft())
+                self._act()
+
+    def _nobody_says_ticks(self) -> bool:
+        """Whether all inputs are here, and the plant is none that says of which tick they are."""
+        arrivals = [self._arrivals[name] for name in self._bits]
+        if (
+            PLANT in self._handshake.nodes
+            or not all(one.came for one in arrivals)
+            or time.monotonic() - self._last_arrival < _SILENCE_S
+        ):
+            return False
+        reporting = names_of_publishers(self._ros_node, "/diagnostics")
+        publishing = {
+            node for name in self._bits if self._publisher_of(name) == PLANT
+            for node in names_of_publishers(self._ros_node, name.removeprefix("/"))
+        }
+        return UNKNOWN_NAME not in publishing and not publishing & reporting
 
     def _awaits_publisher_of(self, name: str) -> bool:
         """Whether a tick waits for the node that publishes a topic.
@@ -233,70 +342,46 @@ class LockstepNode(Node):
         One that is started again answers the newest tick that it sees. Only where that tick still
         waits for it does it answer once; otherwise the answer would count for the next tick.
         """
+        publisher_of = self._node.inputs.publisher_of
         bits = sum(
-            bit for other, bit in self._bits.items()
-            if self._publisher_of(other) == self._publisher_of(name)
+            bit for other, bit in self._bits.items() if publisher_of(other) == publisher_of(name)
         )
-        return self.tick_is_open() and self._fresh & bits != bits
-
-    def _publisher_of(self, name: str) -> str:
-        return next(who for who in self._interface[name].publishers if who != self._role)
+        return self._node.tick_is_open() and self._fresh & bits != bits
 
     def tick_is_open(self) -> bool:
-        """Whether the plant has published a tick on which this node has not acted."""
+        """Whether the plant has published a tick on which the node has not acted."""
         return all(
             self._fresh & bit
-            for name, bit in self._bits.items() if self._publisher_of(name) == "plant"
+            for name, bit in self._bits.items()
+            if self._node.inputs.publisher_of(name) == "plant"
         )
 
-    def start_fresh(self) -> None:
-        """Act on the first fresh inputs: for the plant, whom the others wait for."""
-        self._joining = False
-
     def _when_fresh(
-        self, entry: Input, bit: int, watch: PublisherWatch
+        self, entry: Input, bit: int, came_twice: Callable[[], None]
     ) -> Callable[[bytes], None]:
         """Return what receives an input, and acts when it was the last one missing."""
         receive = entry.receive
+        name, again = entry.topic.name, self._again
 
         def on_message(message: bytes) -> None:
-            receive(message)
-            if self._joining:
-                self._fresh |= bit
-                self._last_arrival = time.monotonic()
+            if again and name in again:
+                again[name] -= 1
+                if not again[name]:
+                    del again[name]
                 return
+            receive(message)
             if self._fresh & bit:
-                watch.came_twice()
+                came_twice()
             self._fresh |= bit
             if self._fresh == self._all:
                 self._act()
 
         return on_message
 
-    def _with_value(
-        self, entry: Input, callback: Callable[[Any], None]
-    ) -> Callable[[bytes], None]:
-        def on_message(message: bytes) -> None:
-            entry.receive(message)
-            callback(entry.value)
-
-        return on_message
-
-    def _guarded(self, callback: Callable[[bytes], None]) -> Callable[[bytes], None]:
-        """Keep an error for the node's loop: the executor would print it, and more, by itself."""
-
-        def guarded(message: bytes) -> None:
-            try:
-                callback(message)
-            except (LockstepError, ConfigurationError, OSError) as error:
-                self.error = self.error or error
-
-        return guarded
-
     def _refuse(self, message: str) -> None:
         """Refuse a second publisher: a wrong set-up before the run, in it a failure of the run."""
-        kind = LockstepError if self.acted else OccupiedError
-        self.error = self.error or kind(message)
+        kind = LockstepError if self._node.acted else OccupiedError
+        self._node.error = self._node.error or kind(message)
 
     def _on_doubt(self, watch: PublisherWatch) -> None:
         """Do not act as long as a publisher may be one too many.
@@ -310,169 +395,152 @@ class LockstepNode(Node):
         else:
             self._all &= ~_NO_DOUBT
 
-    # --- running ----------------------------------------------------------------------------
-
-    @property
-    def ready(self) -> bool:
-        """Whether every input has its publisher."""
-        return not self._doubts and all(watch.count for watch in self._watches.values())
-
-    @property
     def good(self) -> bool:
         """Whether no input's present value was refused."""
-        return all(entry.good for entry in self._inputs.values())
+        return all(entry.good for entry in self._entries)
 
     @property
     def doubtful(self) -> bool:
         """Whether a topic has two publishers, of which one may be dead: see its watch."""
         return bool(self._doubts)
 
-    def absent(self) -> str:
-        """Name the topics without a publisher, and who should publish them."""
-        return self._name(self._without_publisher())
-
     def missing(self) -> str:
         """Name the topics that the node waits for, and who should publish them.
 
         Those of a node that waits itself for another one of them are left out.
         """
-        silent = self._by_publisher([n for n, bit in self._bits.items() if not self._fresh & bit])
-        causes = root_causes(silent, self._interface.values())
-        return self._name({role: silent[role] for role in silent if role in causes})
-
-    def _name(self, silent: dict[str, list[str]]) -> str:
-        return "; ".join(
-            f"{', '.join(self._inputs[name].name for name in names)} from "
-            f"{self.peers.call(role, self._watches[names[0]].names())}"
-            for role, names in silent.items()
-        )
-
-    def _without_publisher(self) -> dict[str, list[str]]:
-        return self._by_publisher([n for n, watch in self._watches.items() if not watch.count])
-
-    def _by_publisher(self, names: Collection[str]) -> dict[str, list[str]]:
-        """Return those of the node's topics, by the role of who should publish them."""
-        topics = {name: self._interface[name] for name in self._watches}
-        return by_publisher(names, topics, self._role)
+        inputs = self._node.inputs
+        silent = inputs.by_role([n for n, bit in self._bits.items() if not self._fresh & bit])
+        causes = root_causes(silent, self._node.interface.values())
+        return inputs.say({role: silent[role] for role in silent if role in causes})
 
     def _act(self) -> None:
         self._fresh = 0
-        self.acted = True
-        self.on_inputs()
+        self._tick += 1
+        self._node.acted = True
+        self._act_on_inputs()
 
-    def check(self) -> None:
-        """Look at the wall clock: say how the node is, and act first once a joining node may.
+    def due_in(self) -> float:
+        """How long until the node must act whatever comes (s): it need not."""
+        return math.inf
 
-        Raises:
-            LockstepError: the graph cannot go on.
-            ConfigurationError: nor can it as it was set up.
-            OSError: nor can the node, for instance on a full disk.
-        """
-        now = time.monotonic()
-        if now - self._looked > LISTEN_S:
-            self._looked = now
-            for watch in list(self._doubts):
-                watch.settle(now)
-            self._look_at_peers(now)
-        if self.error is not None:
-            raise self.error
-        self._unfit.look()
-        if self._reports.state == STARTING and self.ready:
-            self._reports.state = READY
-            self._report(now)
-        elif now - self._reported > _REPORT_S:
-            # Again and again, for a reader that joins late may miss what was said once.
-            self._report(now)
-        if self._all and self._fresh == self._all:  # joining, or a doubt is over
-            if not self._joining:
-                self._act()
-            elif now - self._last_arrival > _SILENCE_S:
-                self._joining = False
-                self._act()
+    def act_if_due(self) -> None:
+        """Act where nothing more has to come: first, or when a doubt is over."""
+        if self.joining:
+            self._join()
+        elif self._all and self._fresh == self._all:
+            self._act()
 
-    def _look_at_peers(self, now: float) -> None:
-        """Say who is missing before the run, and who goes in it; end with the run.
+    def look(self, now: float) -> None:
+        """Look whether doubts are over, say who is missing or goes, and end with the run.
 
         A node that somebody supervises ends when it is asked to: the supervisor needs the last word
         of each, and names the node that failed first.
 
+        Args:
+            now: of the steady clock (s).
+
         Raises:
             LockstepError: the plant went in the run.
         """
-        self.peers.look(now)
-        if self._reports.state == FINISHED:
+        for watch in list(self._doubts):
+            watch.settle(now)
+        node, peers, reports = self._node, self._node.peers, self._node.reports
+        peers.look(now)
+        self._settle()
+        if (
+            self.joining and "plant" in node.final_reports and self._handshake.agreed
+            and reports.state != FINISHED
+        ):
+            node.on_plant_finished()  # nothing is left to answer
+        if reports.state == FINISHED:
             passed = now - self._finished_since
-            self.over = (
-                not self._reports.supervised
+            node.over = (
+                not reports.supervised
                 and passed > _LAST_WORD_S
-                and not self.peers.running(now, just_finished=passed < _JOINING_S)
+                and not peers.running(now, just_finished=passed < _JOINING_S)
             )
-        elif not self.acted:
-            missing = {*self._without_publisher(), *self.peers.waited_for(self._role)}
-            self.peers.say_missing(missing, now)
-        elif not self._reports.supervised and "plant" not in self.final_reports:
-            end = self.peers.end_of("plant", now)
+        elif not node.acted:
+            missing = {*node.inputs.absent(), *peers.waited_for(node.role)}
+            peers.say_missing(missing, now)
+        elif not reports.supervised and "plant" not in node.final_reports:
+            end = peers.end_of("plant", now)
             if end is not None:
                 raise LockstepError(f"{end}, and the run with it")
 
-    def finish(self) -> None:
-        """Say from now on that the run is over for this node, with what its summary needs."""
-        self._final_values = {"sent": dict(self.sent), **self.summary()}
-        self._reports.state = FINISHED
-        self._finished_since = time.monotonic()
-        self._report(self._finished_since)
+    def finish(self, now: float) -> None:
+        """Note when the run was over for the node (s of the steady clock)."""
+        self._finished_since = now
 
-    def _report(self, now: float) -> None:
-        self._reported = now
-        starting = self._reports.state == STARTING
-        waiting = {"waiting": list(self._without_publisher())} if starting else {}
-        refused = {name: entry.refused for name, entry in self._inputs.items() if entry.refused}
-        self._reports.say({
-            **self.progress(), **waiting, "refused": refused, "warnings": self._unfit.warnings,
-            **self._final_values,
-        })
-
-    def _on_report(self, report: Report) -> None:
+    def hear(self, report: Report) -> None:
         """Take a peer's report; one of an earlier run is none of this node's."""
-        self.peers.hear(report)
+        node = self._node
         is_plant = report.role == "plant"
         if report.state == ENDED and "failure" in report.values:
             self._end_with(report)
-        if not self.acted:
-            if self._joining and (report.state == FINISHED or (is_plant and report.state == ENDED)):
-                self._fresh = 0
+        known = self._handshake.nodes.get(report.role) == report.process
+        again = self._handshake.hear(report)
+        if not known and self._handshake.nodes[report.role] == report.process:
+            self._on_process(report, again=again)
+        self._settle()
+        if not node.acted and not (self.joining and node.reports.supervised):
+            if self.joining and (report.state == FINISHED or (is_plant and report.state == ENDED)):
+                for arrivals in self._arrivals.values():
+                    arrivals.forget()
+                self._handshake.begin()
             return
         if is_plant and report.state in (STARTING, READY):
             self._run_of = self._run_of or report.process
-            if report.process != self._run_of and self._reports.state != FINISHED:
-                self.error = self.error or LockstepError(
+            if (
+                report.process != self._run_of and node.acted
+                and node.reports.state != FINISHED
+            ):
+                node.error = node.error or LockstepError(
                     f"{report.name} was started again, or there are two; a run ends with its plant"
                 )
         if report.state == FINISHED:
-            self.final_reports[report.name] = report.values
-            if is_plant and self._reports.state != FINISHED:
-                self.on_plant_finished()
+            node.final_reports[report.name] = report.values
+            if is_plant and node.reports.state != FINISHED and not self.joining:
+                node.on_plant_finished()
+
+    def _on_process(self, report: Report, *, again: bool) -> None:
+        """Go on with a node that has come, or begin anew with another plant.
+
+        Args:
+            report: its first.
+            again: whether it is in the place of another.
+        """
+        if report.role == PLANT:
+            if again and not self._node.acted:
+                self._handshake.begin()
+                for arrivals in self._arrivals.values():
+                    arrivals.next = None
+            return
+        if self.joining and "silent_at" in report.values:
+            # It had not published yet: what was published before that is of the one before it.
+            names = self._names_of(report.role)
+            self._node.take_all(names)
+            for name in names:
+                self._arrivals[name].of_another(report.values["silent_at"])
+        if again:
+            self._node.on_restart(report.name)
 
     def _end_with(self, report: Report) -> None:
         """End with a node that failed and on which this one depends, and say why it did."""
-        needed = {self._publisher_of(name) for name in self._watches}
-        alone = not self._reports.supervised
-        if alone and report.role in needed and self._reports.state != FINISHED:
-            self.error = self.error or LockstepError(
+        node = self._node
+        needed = {node.inputs.publisher_of(name) for name in self._watches}
+        alone = not node.reports.supervised
+        if alone and report.role in needed and node.reports.state != FINISHED:
+            node.error = node.error or LockstepError(
                 f"{report.name} has ended: {report.values['failure']}"
             )
 
-    def flush(self, failure: str | None) -> None:
-        """Say that the node ends, and wait a second at most until its readers have all it said.
 
-        Args:
-            failure: what ended it; None where it was asked to end.
-        """
-        self._reports.state = ENDED
-        if failure is not None:
-            self._final_values["failure"] = failure
-        self._report(time.monotonic())
-        until = time.monotonic() + _FLUSH_S
-        for publisher in [*self._outputs, self._reports.publisher]:
-            left = max(0.0, until - time.monotonic())
-            publisher.wait_for_all_acked(Duration(seconds=left))
+def _with_value(entry: Input, callback: Callable[[Any], None]) -> Callable[[bytes], None]:
+    """Return what receives an input and hands its value on."""
+
+    def on_message(message: bytes) -> None:
+        entry.receive(message)
+        callback(entry.value)
+
+    return on_message

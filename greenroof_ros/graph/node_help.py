@@ -42,6 +42,8 @@ def node_help(
     parameters: Iterable[NodeParameter],
     example: str,
     outputs: Collection[str] = (),
+    *,
+    always_live: bool = False,
 ) -> str:
     """Return the text of a node's ``--help``.
 
@@ -52,14 +54,17 @@ def node_help(
         parameters: all that it declares.
         example: arguments of a start.
         outputs: the optional topics that it publishes.
+        always_live: whether it is for live graphs alone.
     """
     module = f"python -m greenroof_ros.nodes.{command}"
-    topics = read_topics().values()
+    topics = [topic for topic in read_topics().values() if topic.live or not always_live]
     published = [
         topic for topic in topics
-        if role in topic.publishers and (not topic.optional or topic.name in outputs)
+        if role in {*topic.publishers, *topic.live_publishers}
+        and (not topic.optional or topic.name in outputs)
     ]
     subscribed = [topic for topic in topics if role in topic.subscribers]
+    live = [topic for topic in topics if role in topic.live_subscribers]
     return "\n".join([
         f"usage: {module} [--help] [--ros-args ...]", "",
         purpose.strip().replace("``", "`"), "",
@@ -67,6 +72,10 @@ def node_help(
         *(line for one in parameters for line in _parameter(one)), "",
         "publishes:", *(line for one in published for line in _topic(one)), "",
         "subscribes to:", *(line for one in subscribed for line in _topic(one)), "",
+        *(
+            ["in a live graph also to:", *(line for one in live for line in _topic(one)), ""]
+            if live else []
+        ),
         "example:", f"  {module} {example}",
     ])
 

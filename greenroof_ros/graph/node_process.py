@@ -14,17 +14,16 @@ from rclpy.signals import SignalHandlerOptions
 
 from greenroof_ros.common.command_line import EXIT_DONE, EXIT_FAILED, EXIT_USAGE, exit_code
 from greenroof_ros.common.errors import ConfigurationError
-from greenroof_ros.common.files import shared_directory
 from greenroof_ros.graph.errors import LockstepError
-from greenroof_ros.graph.lockstep import LockstepNode
-from greenroof_ros.graph.shared_memory import remove_unfinished
+from greenroof_ros.graph.link import LinkedNode
+from greenroof_ros.graph.transport import choose_transport
 
 # How long the middleware may take to go (s); it is a fraction of a second.
 _TAKING_DOWN_S = 3
 
 
 def make_executor() -> Any:
-    """Return the fastest executor that this rclpy has."""
+    """Return the fastest executor that this rclpy has; it does not say the number of a message."""
     try:
         from rclpy.experimental import EventsExecutor
     except ImportError:
@@ -32,7 +31,7 @@ def make_executor() -> Any:
     return EventsExecutor()
 
 
-def run_node(make: Callable[[], LockstepNode]) -> int:
+def run_node(make: Callable[[], LinkedNode]) -> int:
     """Run one node until it is asked to stop, fails, or the run is over for all who were in it.
 
     The process has to end with it, soon.
@@ -44,9 +43,7 @@ def run_node(make: Callable[[], LockstepNode]) -> int:
         An exit code: 0 over or asked to stop, 1 failed, 2 wrong arguments or parameters, 3 another
         graph is there.
     """
-    os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
-    profiles = str(shared_directory() / "config" / "fastdds.xml")
-    os.environ.setdefault("FASTRTPS_DEFAULT_PROFILES_FILE", profiles)
+    choose_transport()
     if hasattr(os, "SCHED_BATCH"):
         # Linux: whoever wakes a peer goes on until it has said all it has to say. Being preempted
         # by each of those that it wakes costs a third more of processor time per tick.
@@ -62,7 +59,6 @@ def run_node(make: Callable[[], LockstepNode]) -> int:
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
         if signal.getsignal(number) != signal.SIG_IGN:
             signal.signal(number, on_signal)
-    remove_unfinished()
     try:
         rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
     except RuntimeError as error:  # of rcl: arguments that it cannot read
@@ -70,14 +66,20 @@ def run_node(make: Callable[[], LockstepNode]) -> int:
         return EXIT_USAGE
     code = EXIT_DONE
     failure: str | None = None
-    node: LockstepNode | None = None
+    node: LinkedNode | None = None
     try:
         node = make()
-        executor = make_executor()
+        executor: Any = SingleThreadedExecutor() if node.joining else make_executor()
         executor.add_node(node)
+        joining = node.joining
         while not (stopping or node.over):
-            executor.spin_once(timeout_sec=node.on_idle())
+            executor.spin_once(timeout_sec=node.listen_s())
             node.check()
+            if joining and not node.joining:
+                joining = False
+                executor.remove_node(node)
+                executor = make_executor()
+                executor.add_node(node)
     except ConfigurationError as error:
         print(f"error: {error}", file=sys.stderr)
         code, failure = exit_code(error), str(error)
@@ -105,7 +107,7 @@ def run_node(make: Callable[[], LockstepNode]) -> int:
     return code
 
 
-def _fail(node: LockstepNode | None, error: Exception) -> None:
+def _fail(node: LinkedNode | None, error: Exception) -> None:
     """Log what ends the node; before there is one, print it."""
     if node is None:
         print(f"error: {error}", file=sys.stderr)

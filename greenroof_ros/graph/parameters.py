@@ -90,6 +90,12 @@ class NodeParameter:
         return descriptor
 
 
+LIVE = NodeParameter(
+    "live", False, "act on steady time, as on a site with sensors; otherwise in lockstep, as in a "
+    "simulation",
+)
+
+
 def site_file() -> NodeParameter:
     """Return the parameter that every node has but the recorder, the same in a run."""
     default = str(shared_directory() / "config" / "site.yaml")

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Collection, Iterable, Mapping, Sequence
+from typing import Any
 
 from rclpy.impl.rcutils_logger import RcutilsLogger
 
@@ -23,7 +25,7 @@ _AGAIN_S = 5.0
 
 
 def root_causes(roles: Collection[str], topics: Iterable[Topic]) -> set[str]:
-    """Return which of some silent roles do not themselves wait for another of them.
+    """Return which of some silent roles do not themselves wait for another of them, or else all.
 
     Args:
         roles: from which nothing comes.
@@ -36,7 +38,7 @@ def root_causes(roles: Collection[str], topics: Iterable[Topic]) -> set[str]:
         if topic.per_tick and role in topic.subscribers
         and any(other in roles and other != role for other in topic.publishers)
     }
-    return set(roles) - waiting
+    return set(roles) - waiting or set(roles)
 
 
 def by_publisher(
@@ -66,7 +68,6 @@ class Peers:
 
     Attributes:
         names: what to call a node that has not reported, by its role.
-        restarted: names of nodes that were started again before they had finished.
     """
 
     def __init__(self, logger: RcutilsLogger) -> None:
@@ -76,11 +77,10 @@ class Peers:
             logger: of the node.
         """
         self.names = dict(ROLES)
-        self.restarted: set[str] = set()
         self._logger = logger
         self._reports: dict[str, Report] = {}
         self._processes: dict[str, set[str]] = {}  # that have had a name
-        self._doubled: set[str] = set()
+        self._doubled: dict[str, float] = {}
         self._heard: dict[str, float] = {}
         self._silent: set[str] = set()
         self._looked = time.monotonic()
@@ -94,19 +94,21 @@ class Peers:
         name = report.name
         before = self._reports.get(name)
         known = self._processes.setdefault(name, set())
-        if before is not None and report.process in known - {before.process}:
+        now = time.monotonic()
+        alive = (
+            before is not None and before.state != ENDED and now - self._heard[name] < _SILENT_S
+        )
+        if before is not None and alive and report.process in known - {before.process}:
             if name not in self._doubled:
-                self._doubled.add(name)
                 self._logger.warning(f"there are two nodes named {name}")
+            self._doubled[name] = now
             return
         known.add(report.process)
         self._reports[name] = report
-        self._heard[name] = time.monotonic()
+        self._heard[name] = now
         if before is None:
             return
         again = before.process != report.process
-        if again and before.state != FINISHED:
-            self.restarted.add(name)
         if report.state == ENDED:
             # The end of the plant is that of the run, which says so itself.
             if before.state in (STARTING, READY) and report.role != "plant":
@@ -115,6 +117,15 @@ class Peers:
         elif name in self._silent or (again and before.state != FINISHED):
             self._logger.info(f"{name} {'was started' if again else 'answers'} again")
         self._silent.discard(name)
+
+    def doubled(self, name: str, now: float) -> bool:
+        """Whether there were two nodes of a name a moment ago, or it never reported.
+
+        Args:
+            name: of the node.
+            now: of the steady clock (s).
+        """
+        return name not in self._reports or now - self._doubled.get(name, -math.inf) < _SILENT_S
 
     def look(self, now: float) -> None:
         """Say who has fallen silent; called all the time.
@@ -169,6 +180,11 @@ class Peers:
         if names:
             return max(names, key=self._heard.__getitem__)
         return publishers[0] if publishers else self.names.get(role, role)
+
+    def said_by(self, role: str) -> dict[str, Any]:
+        """Return the values of the newest report of a role's node."""
+        names = [name for name, report in self._reports.items() if report.role == role]
+        return self._reports[max(names, key=self._heard.__getitem__)].values if names else {}
 
     def running(self, now: float, *, just_finished: bool) -> bool:
         """Whether a node is here for which the run is not over.

@@ -7,7 +7,6 @@ import time
 from collections.abc import Callable
 from typing import Any
 
-from rclpy.duration import Infinite
 from rclpy.event_handler import SubscriptionEventCallbacks
 from rclpy.node import Node
 from rclpy.qos import QoSProfile
@@ -16,7 +15,7 @@ from greenroof_ros.common.interface import Topic
 from greenroof_ros.graph.qos import qos_profile
 
 # What ROS calls a publisher whose node has not yet said its name.
-_UNKNOWN = "_NODE_NAME_UNKNOWN_"
+UNKNOWN_NAME = "_NODE_NAME_UNKNOWN_"
 # How long a second publisher is in doubt (s). A killed one lives until its lease of 1 s is over;
 # ROS repeats the names of nodes every 3 s, and a publisher that is not of ROS never has one.
 _LEASE_S = 2.0
@@ -83,10 +82,7 @@ class PublisherWatch:
 
     def profile(self) -> QoSProfile:
         """Return the profile of the subscription."""
-        profile = qos_profile(self.topic.qos)
-        if not self._lease:
-            profile.liveliness_lease_duration = Infinite
-        return profile
+        return qos_profile(self.topic.qos, lease=self._lease)
 
     def events(self) -> SubscriptionEventCallbacks:
         """Return the callbacks of the subscription, which count."""
@@ -98,7 +94,7 @@ class PublisherWatch:
 
     def names(self) -> list[str]:
         """Return the names of the publishers' nodes, as far as they are known."""
-        return sorted(self._names() - {_UNKNOWN})
+        return sorted(self._names() - {UNKNOWN_NAME})
 
     def settle(self, now: float) -> None:
         """Look whether a doubt is over, and refuse a second publisher that stays.
@@ -112,7 +108,7 @@ class PublisherWatch:
                 self._refuse(self._said_twice())
             return
         names = self._names()
-        if _UNKNOWN in names and passed < _NAMING_S:
+        if UNKNOWN_NAME in names and passed < _NAMING_S:
             return
         if self._lease:
             if self.count > 1 and passed > _LEASE_S:
@@ -170,7 +166,7 @@ class PublisherWatch:
 
     def said_names(self, *others: str) -> str:
         """Return the names of the publishers' nodes, and of some others, for a message."""
-        unnamed = ["a node that does not say its name"] if _UNKNOWN in self._names() else []
+        unnamed = ["a node that does not say its name"] if UNKNOWN_NAME in self._names() else []
         return ", ".join([*self.names(), *unnamed, *others])
 
     def _refuse_second(self, count: int, *others: str) -> None:
@@ -180,5 +176,14 @@ class PublisherWatch:
         )
 
     def _names(self) -> set[str]:
-        found = self._node.get_publishers_info_by_topic(self.topic.graph_name)
-        return {info.node_name for info in found}
+        return names_of_publishers(self._node, self.topic.graph_name)
+
+
+def names_of_publishers(node: Node, graph_name: str) -> set[str]:
+    """Return the names of the nodes that publish a topic, as far as ROS knows them.
+
+    Args:
+        node: asks.
+        graph_name: the topic in the node's code.
+    """
+    return {info.node_name for info in node.get_publishers_info_by_topic(graph_name)}

@@ -18,14 +18,14 @@ def message_class(type_name: str) -> Any:
     return getattr(importlib.import_module(f"{package}.msg"), name)
 
 
-def qos_profile(qos: Qos) -> QoSProfile:
-    """Return the rclpy profile of a profile of the interface."""
+def qos_profile(qos: Qos, *, lease: bool = True) -> QoSProfile:
+    """Return the rclpy profile of a profile of the interface, with its lease or without."""
     profile = QoSProfile(
         depth=qos.depth,
         reliability=ReliabilityPolicy[qos.reliability.upper()],
         durability=DurabilityPolicy[qos.durability.upper()],
         liveliness=LivelinessPolicy.AUTOMATIC,
     )
-    if math.isfinite(qos.lease_s):
+    if lease and math.isfinite(qos.lease_s):
         profile.liveliness_lease_duration = Duration(seconds=qos.lease_s)
     return profile

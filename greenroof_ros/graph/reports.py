@@ -17,6 +17,24 @@ from greenroof_ros.common.interface import read_topics
 from greenroof_ros.graph.qos import qos_profile
 from greenroof_ros.graph.states import REPORT_PIPE, STARTING, STATES
 
+# How a part of a node is, as tools know it.
+OK, WARN = DiagnosticStatus.OK, DiagnosticStatus.WARN
+ERROR, STALE = DiagnosticStatus.ERROR, DiagnosticStatus.STALE
+LEVELS = {OK: "OK", WARN: "WARN", ERROR: "ERROR", STALE: "STALE"}
+
+
+@dataclass(frozen=True)
+class Diagnosis:
+    """How a part of a node is.
+
+    Attributes:
+        level: ``OK``, ``WARN``, ``ERROR`` or ``STALE``.
+        message: a sentence.
+    """
+
+    level: bytes
+    message: str
+
 
 @dataclass(frozen=True)
 class Report:
@@ -41,10 +59,14 @@ class Reports:
     """Says a node's state, and hears those of the other nodes of its namespace.
 
     /diagnostics is one topic for all nodes of a domain, as everywhere in ROS; a status has the
-    node's fully qualified name, and its values are written as JSON.
+    node's fully qualified name, and its values are written as JSON. The status of a part has the
+    part's name behind it: ``/mpc: inputs``.
 
     Attributes:
         state: of the node.
+        process: that runs it; another one after a restart.
+        diagnoses: of its parts, by name.
+        hardware: what its parts are about, where that is a device; otherwise they are the node's.
         publisher: of the reports.
         supervised: whether the process that started the node wants its reports, and ends it.
     """
@@ -58,10 +80,12 @@ class Reports:
             on_report: called with each report of another node.
         """
         self.state = STARTING
+        self.diagnoses: dict[str, Diagnosis] = {}
+        self.hardware = ""
         self._node = node
         self._role = role
         self._on_report = on_report
-        self._process = f"{socket.gethostname()} {os.getpid()}"
+        self.process = f"{socket.gethostname()} {os.getpid()}"
         self._pipe: int | None = None
         self.supervised = REPORT_PIPE in os.environ
         if self.supervised:
@@ -75,19 +99,28 @@ class Reports:
     def say(self, values: dict[str, Any]) -> None:
         """Publish the node's state with these values."""
         values = {"role": self._role, **values}
+        name = self._node.get_fully_qualified_name()
         status = DiagnosticStatus(
-            level=DiagnosticStatus.OK,
-            name=self._node.get_fully_qualified_name(),
-            message=self.state,
-            hardware_id=self._process,
+            level=OK, name=name, message=self.state, hardware_id=self.process,
             values=[KeyValue(key=key, value=json.dumps(value)) for key, value in values.items()],
         )
-        array = DiagnosticArray(status=[status])
+        parts = [
+            DiagnosticStatus(
+                level=one.level, name=f"{name}: {part}", message=one.message,
+                hardware_id=self.hardware or self.process,
+            )
+            for part, one in self.diagnoses.items()
+        ]
+        array = DiagnosticArray(status=[status, *parts])
         array.header.stamp = self._node.get_clock().now().to_msg()
         self.publisher.publish(array)
         if self._pipe is not None:
             # A reader that is stopped must not stop the node: what does not fit is dropped, and
             # said again a moment later.
+            if self.diagnoses:
+                values["diagnoses"] = {
+                    part: [LEVELS[one.level], one.message] for part, one in self.diagnoses.items()
+                }
             with contextlib.suppress(BlockingIOError, BrokenPipeError):
                 line = json.dumps({"state": self.state, **values})
                 os.write(self._pipe, f"{line}\n".encode())
@@ -98,12 +131,14 @@ class Reports:
             if (
                 status.message not in STATES
                 or (namespace or "/") != self._node.get_namespace()
-                or status.hardware_id == self._process
+                or status.hardware_id == self.process
             ):
                 continue
             try:
                 values = {entry.key: json.loads(entry.value) for entry in status.values}
                 role = values["role"]
-            except (json.JSONDecodeError, KeyError):
+            except (ValueError, RecursionError, KeyError):
                 continue  # another's status of that name
+            if not isinstance(role, str):
+                continue
             self._on_report(Report(name, role, status.hardware_id, status.message, values))

@@ -19,7 +19,13 @@ import numpy as np
 from numpy.typing import NDArray
 from rclpy.serialization import deserialize_message, serialize_message
 from rosgraph_msgs.msg import Clock
-from std_msgs.msg import Float64, Float64MultiArray, MultiArrayDimension, MultiArrayLayout
+from std_msgs.msg import (
+    Float64,
+    Float64MultiArray,
+    MultiArrayDimension,
+    MultiArrayLayout,
+    String,
+)
 
 from greenroof_ros.graph.errors import LockstepError
 
@@ -39,12 +45,14 @@ def encoder(type_name: str) -> Callable[[Any], bytes]:
     Args:
         type_name: ``std_msgs/msg/Float64`` of a number; ``std_msgs/msg/Float64MultiArray`` of an
             ``array("d")`` or of a 2-D numpy array, (member, step), whose shape goes into the
-            layout; ``rosgraph_msgs/msg/Clock`` of nanoseconds since 1970.
+            layout; ``rosgraph_msgs/msg/Clock`` of nanoseconds since 1970;
+            ``std_msgs/msg/String`` of a text.
     """
     encoders: dict[str, Callable[[Any], bytes]] = {
         "std_msgs/msg/Float64": _encode_number,
         "std_msgs/msg/Float64MultiArray": _encode_numbers,
         "rosgraph_msgs/msg/Clock": _encode_clock,
+        "std_msgs/msg/String": _encode_text,
     }
     return encoders[type_name]
 
@@ -72,6 +80,10 @@ def _decode_number(message: bytes) -> float:
 
 def _encode_clock(time_ns: int) -> bytes:
     return _CLOCK.pack(_HEADER, *divmod(time_ns, _NS))
+
+
+def _encode_text(text: str) -> bytes:
+    return serialize_message(String(data=text))
 
 
 def decode_clock(message: bytes) -> int:

@@ -22,8 +22,10 @@ class Input:
         topic: what the interface says of it.
         name: of the topic on the wire, with its namespace.
         value: the newest; nanoseconds of a clock, otherwise a number or a row of numbers.
-        good: whether the newest was not refused.
+        good: whether the newest was not refused; in a live graph, whether it keeps all rules.
+        why: why it is not, for a sentence that begins with its name.
         refused: how many were.
+        heard: live: whether anything ever came.
     """
 
     def __init__(self, topic: Topic, name: str, logger: RcutilsLogger) -> None:
@@ -38,7 +40,9 @@ class Input:
         self.name = name
         self.value: Any = 0.0
         self.good = True
+        self.why = ""
         self.refused = 0
+        self.heard = False
         self._logger = logger
         self._decode: Callable[[bytes], Any] = decoder(topic.type)
         self._low, self._high = topic.low, topic.high
@@ -71,12 +75,14 @@ class Input:
             self.good = True
 
     def _refuse(self, value: float, instead: Any) -> None:
+        unit = "" if self.topic.unit == "1" else f" {self.topic.unit}"
+        limits = f"must be from {self.topic.low:g} to {self.topic.high:g}{unit}"
         if not self.refused:
-            topic = self.topic
             self._logger.error(
-                f"refused {value!r} on {self.name}: it must be from {topic.low:g} to "
-                f"{topic.high:g} {topic.unit}; it acts as 0, and further ones are only counted"
+                f"refused {value!r} on {self.name}: it {limits}; it acts as 0, and further ones "
+                "are only counted"
             )
         self.refused += 1
         self.good = False
+        self.why = f"was refused: {value!r}, and {limits}"
         self.value = instead

@@ -19,21 +19,73 @@ from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.interface import optional_topics
 from greenroof_ros.controllers.decide import decide
 from greenroof_ros.controllers.registry import ControllerChoice, controller_names, find_controller
-from greenroof_ros.graph.lockstep import CLOCK, LockstepNode
+from greenroof_ros.graph.link import CLOCK, LinkedNode
+from greenroof_ros.graph.live import (
+    FROZEN_MOVEMENT,
+    JUMP_TOLERANCE,
+    LEVEL_PARAMETERS,
+    live_parameters,
+)
 from greenroof_ros.graph.node_help import NodeParser, node_help
 from greenroof_ros.graph.node_process import run_node
-from greenroof_ros.graph.parameters import declare, declare_site, of_controller, site_file
+from greenroof_ros.graph.parameters import LIVE, declare, declare_site, of_controller, site_file
 from greenroof_ros.graph.serialization import decode_clock
+from greenroof_ros.graph.validation import Input
+from greenroof_ros.model.plant import pump_flow
+from greenroof_ros.model.site import Site
+from greenroof_ros.pumping.input_rules import (
+    LevelRule,
+    cistern_speeds,
+    expected_rise,
+    roof_speeds,
+)
+
+# The inputs that it needs; live it looks at two more, if they are there.
+_NEEDED = (
+    "/cistern/level", "/roof/level", "/forecast/precipitation", "/forecast/evapotranspiration",
+    "/weather/frost",
+)
+_FLOW, _GAUGE = "/pump/flow", "/gauge/precipitation"
+LIVE_PARAMETERS = [*live_parameters([*_NEEDED, _FLOW, _GAUGE]), *LEVEL_PARAMETERS]
 
 
-class ControllerNode(LockstepNode):
-    """Runs one controller in the graph; it commands 0 where an input was refused, and in frost."""
+class _Expectation:
+    """What the levels must do, by what is pumped and what the site's gauge measures.
+
+    A forecast of rain says nothing here: what it says need not fall.
+    """
+
+    def __init__(
+        self, site: Site, cistern: LevelRule, roof: LevelRule, flow: Input, gauge: Input
+    ) -> None:
+        self._site = site
+        self._cistern, self._roof = cistern, roof
+        self._flow, self._gauge = flow, gauge
+
+    def note(self, command: float, cistern_level: float, roof_level: float) -> None:
+        """Expect of the levels what a command does in a tick; a flow that is heard knows better."""
+        site = self._site
+        if self._flow.good:
+            flow = self._flow.value
+        else:
+            volumes = site.cistern_volume(cistern_level), site.roof_volume(roof_level)
+            flow = pump_flow(site, *volumes, min(command, 1.0))
+        rain = self._gauge.value if self._gauge.good else 0.0
+        cistern, roof = expected_rise(site, flow, rain, cistern_level, roof_level)
+        self._cistern.expect(cistern * site.tau)
+        self._roof.expect(roof * site.tau)
+
+
+class ControllerNode(LinkedNode):
+    """Runs one controller in the graph; it commands 0 where an input is not good, and in frost."""
 
     def __init__(self, choice: ControllerChoice) -> None:
         """Declare the controller's parameters and open the topics."""
         super().__init__(choice.name, "controller")
         site = declare_site(self)
+        self.act_every(site.tau)
         values = declare(self, of_controller(choice.kind.parameters))
+        live = declare(self, LIVE_PARAMETERS)
         self._controller = choice.make(site, values)
         self._ensemble = choice.ensemble
         self._may_change = {
@@ -41,12 +93,23 @@ class ControllerNode(LockstepNode):
         }
         self._tick = 0
         self._parameter_changes: list[dict[str, Any]] = []
-        self._cistern = self.subscribe("/cistern/level")
-        self._roof = self.subscribe("/roof/level")
+        self._shown: dict[str, float | None] = {}
+        cistern_rule, roof_rule = (
+            LevelRule(speeds, live[FROZEN_MOVEMENT.name], live[JUMP_TOLERANCE.name])
+            for speeds in (cistern_speeds(site), roof_speeds(site))
+        )
+        self._cistern = self.subscribe("/cistern/level", level=cistern_rule)
+        self._roof = self.subscribe("/roof/level", level=roof_rule)
         self._rain = self.subscribe("/forecast/precipitation")
         self._evapotranspiration = self.subscribe("/forecast/evapotranspiration")
         self._frost = self.subscribe("/weather/frost")
-        self.subscribe(CLOCK, self._on_clock, raw=True)
+        if self.live:
+            self._expectation = _Expectation(
+                site, cistern_rule, roof_rule,
+                self.subscribe(_FLOW, optional=True), self.subscribe(_GAUGE, optional=True),
+            )
+        else:
+            self.subscribe(CLOCK, self._on_clock, raw=True)
         self._publish_command = self.publish_topic("/pump/command")
         self._publish_outputs = [
             (self.publish_topic(topic.name), attribute, topic.undecided)
@@ -54,18 +117,51 @@ class ControllerNode(LockstepNode):
         ]
         self.add_on_set_parameters_callback(self._on_parameters)
 
+    def on_begin(self, tick: int) -> None:
+        """Begin as in a run that begins with this tick."""
+        self._tick = tick
+
     def on_inputs(self) -> None:
         """Command, and publish what the controller says beside it."""
         allowed = self.good and not self._frost.value
-        self._publish_command(
-            decide(
-                self._controller, allowed, self._cistern.value, self._roof.value,
-                self._rain_forecast(), self._evapotranspiration.value,
-            )
-        )
+        if self.live:
+            allowed = self._command_live(allowed)
+        else:
+            self._publish_command(self._decide(allowed))
         self._tick += 1
         for publish, attribute, undecided in self._publish_outputs:
             publish(getattr(self._controller, attribute) if allowed else undecided)
+
+    def _decide(self, allowed: bool) -> float:
+        return decide(
+            self._controller, allowed, self._cistern.value, self._roof.value,
+            self._rain_forecast() if allowed else self._rain.value, self._evapotranspiration.value,
+        )
+
+    def _command_live(self, allowed: bool) -> bool:
+        """Command, or 0 where the controller cannot, or its inputs were too old when it had.
+
+        Args:
+            allowed: whether it may pump.
+
+        Returns:
+            Whether it did decide.
+        """
+        try:
+            command = self._decide(allowed)
+        except ConfigurationError as error:
+            self.refuse(self._rain.topic.name, str(error))
+            command, allowed = self._decide(False), False
+        if command and not self.good:
+            command = 0.0
+        self._publish_command(command)
+        self._expectation.note(command, self._cistern.value, self._roof.value)
+        self._shown = {
+            "command": command,
+            "cistern_level": self._cistern.value if self._cistern.good else None,
+            "roof_level": self._roof.value if self._roof.good else None,
+        }
+        return allowed
 
     def _rain_forecast(self) -> Any:
         """Return the forecast of rain in the shape that the controller takes.
@@ -84,8 +180,8 @@ class ControllerNode(LockstepNode):
         return rain
 
     def progress(self) -> dict[str, Any]:
-        """Return the parameters that changed."""
-        return {"parameter_changes": self._parameter_changes}
+        """Return the parameters that changed and, live, what bringup shows."""
+        return {"parameter_changes": self._parameter_changes, **self._shown}
 
     def summary(self) -> dict[str, Any]:
         """Return the solver's figures."""
@@ -123,7 +219,7 @@ def _help(choice: ControllerChoice | None) -> str:
         f"controller --controller {'NAME' if choice is None else choice.reference}",
         "controller",
         f"{__doc__}\nRegistered are {', '.join(controller_names())}.",
-        [site_file(), *own],
+        [LIVE, site_file(), *own, *LIVE_PARAMETERS],
         "--ros-args "
         + (f"-p {own[0].name}:={own[0].default}" if own else "--params-file FILE"),
         () if choice is None else choice.outputs,

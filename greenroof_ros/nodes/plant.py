@@ -7,12 +7,13 @@ external pump, the flow), publishes what moved, and steps the exact model to k +
 from __future__ import annotations
 
 import time
+from collections import deque
 from typing import Any
 
 from greenroof_ros.common.command_line import EXIT_DONE, command
 from greenroof_ros.common.times import DEFAULT_START, epoch_ns, read_start
 from greenroof_ros.graph.errors import LockstepError
-from greenroof_ros.graph.lockstep import CLOCK, LISTEN_S, LockstepNode
+from greenroof_ros.graph.link import CLOCK, LISTEN_S, LinkedNode
 from greenroof_ros.graph.node_help import NodeParser, node_help
 from greenroof_ros.graph.node_process import run_node
 from greenroof_ros.graph.parameters import (
@@ -30,6 +31,8 @@ from greenroof_ros.model.site import Site
 
 # How far the plant may run ahead of what the recorder has safely written (ticks).
 _AHEAD = 32
+# How many messages of a topic are kept for a recorder that lost them: more than these.
+_RECEIVED = 64
 
 
 _SENSOR_PUMP_ERRORS = {
@@ -70,12 +73,12 @@ def parameters(site: Site) -> list[NodeParameter]:
     ]
 
 
-class PlantNode(LockstepNode):
+class PlantNode(LinkedNode):
     """Holds the plant and drives the ticks."""
 
     def __init__(self) -> None:
         """Declare the parameters and open the topics."""
-        super().__init__("plant", "plant")
+        super().__init__("plant", "plant", may_be_live=False)
         site = declare_site(self)
         self._site = site
         values = declare(self, parameters(site))
@@ -115,13 +118,22 @@ class PlantNode(LockstepNode):
         # Frost ends a minimum time on; without one there is nothing but the command to obey.
         self._frost = self.subscribe("/weather/frost") if errors.minimum_on else None
         self._command_input = self.subscribe("/pump/command")
+        # The newest of what other nodes answered, by topic, and whether somebody asks for them.
+        self._received = {"/pump/command": deque[float](maxlen=_RECEIVED)}
+        self._tells_received = False
+        self._acted_ticks = 0
         if self._external:
             self._flow = self.subscribe("/pump/flow")
+            self._received["/pump/flow"] = deque(maxlen=_RECEIVED)
         else:
             self._publish_flow = self.publish_topic("/pump/flow")
         if self._record:
             self.subscribe("/recorder/written", self._on_written)
-        self.start_fresh()
+
+    def on_restart(self, name: str) -> None:
+        """Wait for a node that was started again as if it had just been asked."""
+        self._waiting_since = time.monotonic()
+        self._tells_received = True
 
     def _on_written(self, ticks: float) -> None:
         self._written = int(ticks)
@@ -163,8 +175,11 @@ class PlantNode(LockstepNode):
             self._began = time.monotonic()  # before that the others were still joining
         rain = self._rain.value
         self._command = command = self._command_input.value
+        self._received["/pump/command"].append(command)
+        self._acted_ticks += 1
         if self._external:
             pump = self._flow.value
+            self._received["/pump/flow"].append(pump)
         else:
             frost = self._frost is not None and not (self._frost.good and self._frost.value == 0)
             pump = self._pump.flow(self._plant, command, frost)
@@ -237,7 +252,21 @@ class PlantNode(LockstepNode):
             "cistern_level": cistern,
             "roof_level": roof,
             "command": self._command,
+            "received": self._newest_received() if self._tells_received else {},
         }
+
+    def _newest_received(self) -> dict[str, tuple[int, list[float]]]:
+        """Return how many commands, and flows of a driver, came, and the newest of them.
+
+        For the recorder: the node that said them may have been killed before the recorder had them.
+        """
+        found = {}
+        for name, received in self._received.items():
+            taken, values = self.taken(name), list(received)
+            if taken > self._acted_ticks:
+                values.append(self.inputs.entries[name].value)  # of a tick that waits for others
+            found[name] = (taken, values)
+        return found
 
     def summary(self) -> dict[str, Any]:
         """Return the run's metrics, and how long it took (s of wall time)."""

@@ -1,4 +1,4 @@
-"""The recorder node: every message of every tick into a bag, once."""
+"""The recorder node of a simulation: every message of every tick into a bag, once."""
 
 from __future__ import annotations
 
@@ -14,15 +14,20 @@ from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.interface import recorded_topics
 from greenroof_ros.controllers.registry import DEFAULT, find_controller
 from greenroof_ros.graph.errors import LockstepError
-from greenroof_ros.graph.lockstep import CLOCK, LISTEN_S, LockstepNode
+from greenroof_ros.graph.link import CLOCK, LISTEN_S, LinkedNode
 from greenroof_ros.graph.node_help import NodeParser, node_help
 from greenroof_ros.graph.node_process import run_node
 from greenroof_ros.graph.parameters import NodeParameter, declare
-from greenroof_ros.graph.serialization import decode_clock
+from greenroof_ros.graph.serialization import decode_clock, encoder
 from greenroof_ros.recording.bag_writer import BagWriter
+from greenroof_ros.recording.continued_bag import continue_bag
 
 PARAMETERS = (
     NodeParameter("directory", "bag", "the bag; must not exist"),
+    NodeParameter(
+        "go_on", False, "the bag may exist: another recorder of this run was killed; the run goes "
+        "on in another file of it",
+    ),
     NodeParameter(
         "controller", DEFAULT, "the active controller: a name, or package.module:Class"
     ),
@@ -30,7 +35,7 @@ PARAMETERS = (
 )
 
 
-class RecorderNode(LockstepNode):
+class RecorderNode(LinkedNode):
     """Writes ticks whole, in the order of the interface, stamped with their simulated time.
 
     The k-th message of a topic belongs to tick k. The bag has the names on the wire, with the
@@ -39,7 +44,7 @@ class RecorderNode(LockstepNode):
 
     def __init__(self) -> None:
         """Declare the parameters, make the bag and open the topics."""
-        super().__init__("recorder", "recorder")
+        super().__init__("recorder", "recorder", may_be_live=False)
         values = declare(self, PARAMETERS)
         directory = values["directory"]
         self._limit = values["peer_limit"]
@@ -55,12 +60,15 @@ class RecorderNode(LockstepNode):
         self._reporting = ("plant", "weather", controller.name)
         self.peers.names["controller"] = controller.name
         try:
-            self._bag = BagWriter(Path(directory), self._in_bag)
+            open_bag = continue_bag if values["go_on"] else BagWriter
+            self._bag = open_bag(Path(directory), self._in_bag)
         except FileExistsError:
             raise ConfigurationError(
                 "exists; the recorder never writes over a bag", key="directory", value=directory
             ) from None
         self._closed = False
+        self._lost: list[tuple[str, int]] = []
+        self._flush_at = 0  # ticks
         self._finished_at: float | None = None
         self._publish_written = self.publish_topic("/recorder/written")
         self._queues: list[deque[bytes]] = [deque() for _ in self._topics]
@@ -71,6 +79,8 @@ class RecorderNode(LockstepNode):
         for topic, queue in zip(self._topics, self._queues, strict=True):
             self.subscribe(topic.name, self._collect(queue), raw=True)
         self._clock_index = [topic.name for topic in self._topics].index(CLOCK)
+        if self._bag.ticks:
+            self._report_written()
 
     def _collect(self, queue: deque[bytes]) -> Callable[[bytes], None]:
         def callback(message: bytes) -> None:
@@ -89,6 +99,61 @@ class RecorderNode(LockstepNode):
             queue.pop()
             self._waiting += not queue
 
+    def begins_at(self) -> int:
+        """Return how many ticks are in the bag; of those that come it is the first."""
+        return self._bag.ticks
+
+    def taken(self, name: str) -> int:
+        """Return how many messages of a topic came, those in the bag included."""
+        return self._bag.ticks + len(self._queue_of[name])
+
+    def take_again(self, name: str, first: int) -> None:
+        """Expect a topic from a tick on; what came of that tick is said again.
+
+        What a node that was killed said last may have come to the plant and not here. The plant
+        knows the commands, and a driver's flows; the rest is lost, and stands in the bag as what
+        was not decided.
+
+        Raises:
+            LockstepError: more is lost than the plant knows.
+        """
+        queue = self._queue_of[name]
+        taken = self.taken(name)
+        # Nobody can say again what is of the ticks before, should this node be killed, too.
+        self._flush_at = max(first, self._bag.ticks)
+        for _ in range(taken - first):
+            queue.pop()
+        encode = encoder(self.interface[name].type)
+        for tick in range(taken, first):
+            queue.append(encode(self._lost_value(name, tick)))
+        self._waiting = sum(not one for one in self._queues)
+        if not self._waiting:
+            self._write_ticks()
+
+    def _lost_value(self, name: str, tick: int) -> float:
+        """Return what stands in the bag for a message that a killed node gave the plant alone."""
+        entry = self.inputs.entries[name]
+        received: dict[str, tuple[int, list[float]]] = self.peers.said_by("plant")["received"]
+        if name in received:
+            count, values = received[name]
+            if tick >= count - len(values):
+                return values[tick - count]
+        if not entry.topic.optional:
+            raise LockstepError(
+                f"{entry.name} of tick {tick} was lost with the node that published it; end all "
+                "nodes and start the run again"
+            )
+        self.get_logger().warning(
+            f"{entry.name} of tick {tick} was lost with the node that published it; it is "
+            f"{entry.topic.undecided:g} in the bag"
+        )
+        self._lost.append((name, tick))
+        return entry.topic.undecided
+
+    def progress(self) -> dict[str, Any]:
+        """Return what was lost with killed nodes."""
+        return {"lost": self._lost}
+
     def _write_ticks(self) -> None:
         """Write every tick that is whole."""
         self.acted = True
@@ -98,6 +163,9 @@ class RecorderNode(LockstepNode):
             now = decode_clock(messages[self._clock_index])
             try:
                 self._bag.write_tick(now, messages)
+                if self._flush_at and self._bag.ticks >= self._flush_at:
+                    self._bag.flush()
+                    self._flush_at = 0
             except OSError as error:
                 self._closed = True  # closing would only fail again
                 raise self._damaged(error) from error
@@ -135,9 +203,9 @@ class RecorderNode(LockstepNode):
             raise LockstepError(f"{', '.join(missing)} did not report the messages sent")
         sent: dict[str, int] = {}
         for name in self._reporting:
-            # What was sent before a node was started again nobody knows.
-            if name not in self.peers.restarted:
-                sent.update(reports[name]["sent"])
+            # A node that was started again did not send the ticks before the one that it began at.
+            began = reports[name]["answers_from"] or 0
+            sent.update({topic: began + count for topic, count in reports[name]["sent"].items()})
         wrong = [
             f"{topic.name}: {self._bag.ticks + len(queue)} came, "
             f"{sent.get(topic.name, ticks)} sent, {ticks} expected"

@@ -1,31 +1,54 @@
-"""The weather node: on each ``/clock`` the weather now, and the forecast of the look-ahead."""
+"""The weather node: the weather now, and the forecast of the look-ahead.
+
+In a simulation it answers each ``/clock`` from records; live it ticks on the system clock, from a
+file of forecasts and the site's gauges.
+"""
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 from typing import Any
 
 from greenroof_ros.common.command_line import EXIT_DONE, command
 from greenroof_ros.common.errors import ConfigurationError
-from greenroof_ros.common.times import DEFAULT_START, epoch_ns, read_start
+from greenroof_ros.common.times import (
+    DEFAULT_START,
+    epoch_ns,
+    from_epoch_ns,
+    read_start,
+    to_people,
+)
 from greenroof_ros.controllers.protocol import HORIZON
 from greenroof_ros.forecast.choice import MODELS, OPTIONS, ForecastChoice, choose
+from greenroof_ros.forecast.live_forecast import (
+    ForecastFile,
+    LiveForecast,
+    NoForecastError,
+    Outlook,
+)
 from greenroof_ros.forecast.resampling import make_forecast
 from greenroof_ros.graph.errors import LockstepError
-from greenroof_ros.graph.lockstep import CLOCK, LockstepNode
+from greenroof_ros.graph.link import CLOCK, LinkedNode
+from greenroof_ros.graph.live import live_parameters
 from greenroof_ros.graph.node_help import NodeParser, node_help
 from greenroof_ros.graph.node_process import run_node
 from greenroof_ros.graph.parameters import (
+    LIVE,
     NodeParameter,
     declare,
     declare_site,
     default_site,
     site_file,
 )
+from greenroof_ros.graph.reports import ERROR, OK, WARN
+from greenroof_ros.graph.validation import Input
 from greenroof_ros.model.site import Site
 from greenroof_ros.weather.joining import find_files
 from greenroof_ros.weather.reading import default_weather, read_weather
 from greenroof_ros.weather.series import WeatherSeries
+
+_GAUGES = ("/gauge/precipitation", "/gauge/temperature")
 
 
 def parameters(site: Site) -> list[NodeParameter]:
@@ -47,7 +70,10 @@ def parameters(site: Site) -> list[NodeParameter]:
         NodeParameter(
             "all_members", False, "of an ensemble: for scenario_mpc; otherwise the first"
         ),
-        NodeParameter("forecast", str(forecast), f"{', '.join(MODELS)}, or a FILE.csv"),
+        NodeParameter(
+            "forecast", str(forecast), f"{', '.join(MODELS)}, or a FILE.csv; live: a FILE.csv, "
+            "read again whenever it is replaced",
+        ),
         NodeParameter(
             "forecast_size", forecast.size, "errors, ensemble: 0.25 small, 0.5 medium, 1 large",
             *OPTIONS["size"],
@@ -59,6 +85,15 @@ def parameters(site: Site) -> list[NodeParameter]:
             "forecast_members", forecast.members, "ensemble: number of its members",
             *OPTIONS["members"],
         ),
+        NodeParameter(
+            "issue_limit", 7200.0, "live: how long ago the newest forecast of the file may have "
+            "been issued (s)", 1.0, 1e6,
+        ),
+        NodeParameter(
+            "unknown_frost_may_pump", False, "live: without a temperature there is no frost; "
+            "otherwise the pumps stand",
+        ),
+        *live_parameters(_GAUGES),
     ]
 
 
@@ -74,30 +109,74 @@ def _forecast(values: dict[str, Any]) -> ForecastChoice:
     return replace(choice, **{name: values[f"forecast_{name}"] for name in OPTIONS})
 
 
-class WeatherNode(LockstepNode):
-    """Holds the weather of a run."""
+class _Records:
+    """The weather of a simulated run, from records."""
 
-    def __init__(self) -> None:
-        """Declare the parameters and open the topics."""
-        super().__init__("weather", "weather")
-        site = declare_site(self)
-        values = declare(self, parameters(site))
-        self._run_length = values["run_length"]
+    def __init__(self, site: Site, values: dict[str, Any]) -> None:
+        """Read the records and prepare the forecasts.
+
+        Raises:
+            ConfigurationError: a parameter or a file is wrong.
+        """
+        self.run_length = values["run_length"]
         weather = read_weather(
             # rclpy makes None of an empty list.
             find_files(values["weather_files"] or [], "parameter weather_files of weather"),
             site, values["evapotranspiration"] or None,
         )
         start = read_start(values["start"], weather.first.tzinfo)
-        self._series = WeatherSeries(weather, site, start, self._run_length)
-        self._forecast = make_forecast(
-            weather, self._series, site, start, values["horizon"], _forecast(values),
+        self.series = WeatherSeries(weather, site, start, self.run_length)
+        self.forecast = make_forecast(
+            weather, self.series, site, start, values["horizon"], _forecast(values),
             values["all_members"],
         )
         self._start_ns = epoch_ns(start)
         self._tick_ns = round(site.tau * 1e9)
 
-        self._time = self.subscribe(CLOCK)
+    def tick(self, time_ns: int) -> int:
+        """Return the tick that begins at a time.
+
+        Raises:
+            LockstepError: none does.
+        """
+        tick, rest = divmod(time_ns - self._start_ns, self._tick_ns)
+        if rest or not 0 <= tick <= self.run_length:
+            raise LockstepError(
+                f"/clock is at tick {tick} of a run of {self.run_length}; plant and weather were "
+                "started for different runs"
+            )
+        return tick
+
+
+class WeatherNode(LinkedNode):
+    """Holds the weather: of a run, or live a file of forecasts and what the site's gauges say."""
+
+    repeats = True
+
+    def __init__(self) -> None:
+        """Declare the parameters and open the topics."""
+        super().__init__("weather", "weather")
+        site = declare_site(self)
+        self.act_every(site.tau)
+        values = declare(self, parameters(site))
+        if self.live:
+            self._unknown_frost = 0.0 if values["unknown_frost_may_pump"] else math.nan
+            file = _forecast(values).file
+            if file is None:
+                raise ConfigurationError(
+                    "must be a FILE.csv in a live graph", key="parameter forecast of weather",
+                    value=values["forecast"],
+                )
+            self._live_forecast = LiveForecast(
+                ForecastFile(file), site, values["horizon"], values["issue_limit"],
+                values["all_members"],
+            )
+            self._rain_gauge, self._thermometer = (
+                self.subscribe(name, optional=True) for name in _GAUGES
+            )
+        else:
+            self._records = _Records(site, values)
+            self._time = self.subscribe(CLOCK)
         self._publish_rain_forecast = self.publish_topic("/forecast/precipitation")
         self._publish_evapotranspiration_forecast = self.publish_topic(
             "/forecast/evapotranspiration"
@@ -108,24 +187,88 @@ class WeatherNode(LockstepNode):
 
     def on_inputs(self) -> None:
         """Publish the weather of the tick, and the forecasts that are known at it."""
-        tick, rest = divmod(self._time.value - self._start_ns, self._tick_ns)
-        if rest or not 0 <= tick <= self._run_length:
-            raise LockstepError(
-                f"/clock is at tick {tick} of a run of {self._run_length}; plant and weather were "
-                "started for different runs"
-            )
+        if self.live:
+            self._publish_live()
+            return
+        records = self._records
+        tick = records.tick(self._time.value)
         # What the controller waits for comes first: it needs longest.
-        self._publish_frost(self._series.frost[tick])
-        self._publish_rain_forecast(self._forecast.precipitation(tick))
-        self._publish_evapotranspiration_forecast(self._forecast.evapotranspiration(tick))
-        self._publish_rain(self._series.precipitation[tick])
-        self._publish_evapotranspiration(self._series.evapotranspiration[tick])
+        self._publish_frost(records.series.frost[tick])
+        self._publish_rain_forecast(records.forecast.precipitation(tick))
+        self._publish_evapotranspiration_forecast(records.forecast.evapotranspiration(tick))
+        self._publish_rain(records.series.precipitation[tick])
+        self._publish_evapotranspiration(records.series.evapotranspiration[tick])
         self.set_time(self._time.value)
+
+    def _publish_live(self) -> None:
+        """Publish what is known now; what is not is not published, and so its readers find out."""
+        forecast = self._live_forecast
+        if forecast.file.look():
+            self.get_logger().info("the file of forecasts was read")
+        rain = self._rain_gauge.value if self._rain_gauge.good else None
+        outlook = self._outlook(rain)
+        temperature = math.nan if outlook is None else outlook.temperature
+        if self._thermometer.good:
+            temperature = self._thermometer.value
+        self._publish_frost(self._frost(temperature))
+        if outlook is not None:
+            self._publish_rain_forecast(outlook.rain)
+            self._publish_evapotranspiration_forecast(outlook.evapotranspiration)
+            self._publish_rain(outlook.rain_now)
+            self._publish_evapotranspiration(outlook.evapotranspiration_now)
+        elif rain is not None:
+            self._publish_rain(rain)
+        self._say_gauge("rain gauge", self._rain_gauge, "the present rain is forecast")
+        self._say_gauge("thermometer", self._thermometer, "the present temperature is forecast")
+
+    def _outlook(self, rain: float | None) -> Outlook | None:
+        """Return what is forecast now, if anything, and say of when, or why nothing is.
+
+        Args:
+            rain: that the gauge measures (m/s).
+        """
+        problem = self._live_forecast.file.problem
+        now = from_epoch_ns(self.get_clock().now().nanoseconds)
+        try:
+            outlook = self._live_forecast.at(now, rain)
+        except NoForecastError as error:
+            self.diagnose("forecast", ERROR, "; ".join(filter(None, [str(error), problem])))
+            return None
+        issued = f"the newest forecast was issued at {to_people(outlook.issued)}"
+        if problem:
+            self.diagnose("forecast", WARN, f"{issued}; what was read before holds on: {problem}")
+        else:
+            self.diagnose("forecast", OK, issued)
+        return outlook
+
+    def _frost(self, temperature: float) -> float:
+        """Return 1 in frost, 0 where there is none, and say where it is unknown."""
+        if not math.isnan(temperature):
+            self.diagnose("frost", OK, "the temperature is known")
+            return float(temperature <= 0)
+        if math.isnan(self._unknown_frost):
+            self.diagnose(
+                "frost", ERROR, "the temperature is unknown, and so whether there is frost: the "
+                "pumps stand (unknown_frost_may_pump)",
+            )
+        else:
+            self.diagnose(
+                "frost", WARN, "the temperature is unknown, and so whether there is frost: the "
+                "pumps may run all the same (unknown_frost_may_pump)",
+            )
+        return self._unknown_frost
+
+    def _say_gauge(self, part: str, gauge: Input, instead: str) -> None:
+        """Say how a gauge is that has a publisher; a site may do without."""
+        if gauge.good:
+            self.diagnose(part, OK, f"{gauge.name} is good")
+        elif gauge.heard:
+            self.diagnose(part, WARN, f"{gauge.name} {gauge.why}; {instead}")
 
 
 def _help() -> str:
     return node_help(
-        "weather", "weather", __doc__, [site_file(), *parameters(default_site())],
+        "weather", "weather", __doc__, [LIVE, site_file(), *parameters(default_site())],
         "--ros-args -p forecast:=persistence",
     )
 

@@ -16,9 +16,9 @@ from graphs import (
     bag_file,
     bring_up,
     environment,
-    left_behind,
-    shared_memory_of,
+    files_of,
     summary_of,
+    udp_addresses_of,
     wait_for,
 )
 from mcap.reader import make_reader
@@ -40,12 +40,9 @@ def started(domain: int, cwd: Path, *arguments: str) -> tuple[Process, dict[str,
     return process, nodes
 
 
-def assert_gone(nodes: dict[str, int], shared_memory: set[Path]) -> None:
-    """No process and no shared memory of the run stays behind."""
+def assert_gone(nodes: dict[str, int]) -> None:
+    """No process of the run stays behind."""
     assert not [name for name, pid in nodes.items() if alive(pid)]
-    assert shared_memory
-    # A port may be between two owners just now, in a graph that runs beside this one.
-    wait_for(lambda: not left_behind(shared_memory), 5, "the end of its shared memory")
 
 
 def readable_ticks(run: Path) -> int:
@@ -83,11 +80,10 @@ def test_interrupted(domain: int, tmp_path: Path, number: signal.Signals) -> Non
     """It ends within seconds with exit code 130, no traceback, and a bag that is closed."""
     process, nodes = started(domain, tmp_path)
     assert summary_of(tmp_path / "run")["status"] == "running"
-    shared_memory = shared_memory_of(nodes.values())
     process.process.send_signal(number)
     assert process.wait(8) == 130
     assert "Traceback" not in process.stderr()
-    assert_gone(nodes, shared_memory)
+    assert_gone(nodes)
     assert (tmp_path / "run" / "bag" / "metadata.yaml").exists()
     assert_ended_early(process, "interrupted", f"interrupted by {number.name}")
 
@@ -111,11 +107,10 @@ def test_ignored_signals(domain: int, tmp_path: Path) -> None:
 def test_killed_node(domain: int, tmp_path: Path, victim: str) -> None:
     """kill -9 of any node ends the run at once, with its name, and leaves nothing behind."""
     process, nodes = started(domain, tmp_path)
-    shared_memory = shared_memory_of(nodes.values())
     os.kill(nodes[victim], signal.SIGKILL)
     assert process.wait(8) == 1
     assert "Traceback" not in process.stderr()
-    assert_gone(nodes, shared_memory)
+    assert_gone(nodes)
     assert_ended_early(process, "failed", f"node {NODES[victim]} ended (SIGKILL)")
 
 
@@ -125,7 +120,6 @@ def test_killed_node(domain: int, tmp_path: Path, victim: str) -> None:
 def test_hanging_nodes(domain: int, tmp_path: Path, victims: list[str]) -> None:
     """Nodes stopped for longer than the limit end the run soon after it, with their names."""
     process, nodes = started(domain, tmp_path, "--peer-limit", "2")
-    shared_memory = shared_memory_of(nodes.values())
     for victim in victims:
         os.kill(nodes[victim], signal.SIGSTOP)
     stopped = time.monotonic()
@@ -137,7 +131,7 @@ def test_hanging_nodes(domain: int, tmp_path: Path, victims: list[str]) -> None:
         reported = [f"node {name} (stopped) has not answered for 2 s", f" from {name}"]
         assert any(text in process.stderr() for text in reported), process.stderr()
     assert "Traceback" not in process.stderr()
-    assert_gone(nodes, shared_memory)
+    assert_gone(nodes)
 
 
 def test_output_that_is_closed(domain: int, tmp_path: Path) -> None:
@@ -214,13 +208,12 @@ def test_interrupted_while_starting(domain: int, tmp_path: Path, delay: float) -
 def test_interrupted_while_ending(domain: int, tmp_path: Path) -> None:
     """Ctrl-C after a node's death does not keep the rest from being ended, and reported."""
     process, nodes = started(domain, tmp_path)
-    shared_memory = shared_memory_of(nodes.values())
     os.kill(nodes["weather"], signal.SIGKILL)
     for _ in range(5):
         time.sleep(0.1)
         process.process.send_signal(signal.SIGINT)
     assert process.wait(12) in (1, 130)
-    assert_gone(nodes, shared_memory)
+    assert_gone(nodes)
     assert (tmp_path / "run" / "bag" / "metadata.yaml").exists()
 
 
@@ -234,20 +227,29 @@ def test_bringup_itself_killed(domain: int, tmp_path: Path) -> None:
     assert summary_of(tmp_path / "run")["status"] == "running"
 
 
-def test_shared_memory_whose_maker_was_killed(domain: int, tmp_path: Path) -> None:
-    """What a node leaves that is killed while it makes a port does not hang the next run.
+def test_nodes_are_on_loopback_alone(domain: int, tmp_path: Path) -> None:
+    """They listen on 127.0.0.1 alone, and use none of the shared memory that others could lock.
 
-    Such a port has its size, but nothing in it yet; those of the domain's first participants are
-    at 7411 + 250 domain + 2 number (RTPS 2.5, 9.6.2.4).
+    What another process left there, killed while it made a port (it has its size, but nothing in
+    it yet), is nothing to them either; those of the domain's first participants are at
+    7411 + 250 domain + 2 number (RTPS 2.5, 9.6.2.4).
     """
     ports = [
         Path(f"/dev/shm/fastrtps_port{7411 + 250 * domain + 2 * number}") for number in range(8)
     ]
     for port in ports:
         port.write_bytes(bytes(52400))
-        os.utime(port, (time.time() - 10,) * 2)
-    bring_up(domain, tmp_path, "--hours", "0.1")
-    assert not [port for port in ports if port.exists()]
+    try:
+        process, nodes = started(domain, tmp_path)
+        for pid in nodes.values():
+            assert set(udp_addresses_of(pid)) == {"127.0.0.1"}
+            assert not [file for file in files_of(pid) if file.startswith("/dev/shm/fastrtps")]
+            assert "/dev/shm/fastrtps" not in Path(f"/proc/{pid}/maps").read_text()
+        process.process.send_signal(signal.SIGTERM)
+        assert process.wait(8) == 130
+    finally:
+        for port in ports:
+            port.unlink(missing_ok=True)
 
 
 def test_graph_that_is_there_already(domain: int, tmp_path: Path) -> None:
@@ -269,7 +271,7 @@ def test_nodes_that_are_there_already(domain: int, tmp_path: Path) -> None:
         cwd=tmp_path, env=environment(domain),
     )
     try:
-        wait_for(lambda: shared_memory_of([weather.pid]), 20, "the start of the node")
+        wait_for(lambda: udp_addresses_of(weather.pid), 20, "the start of the node")
         time.sleep(0.5)  # until it has said its name
         process = Process(domain, "bringup", "--output", "run", cwd=tmp_path)
         assert process.wait(20) == 3

@@ -63,7 +63,6 @@ def test_echo_as_printed_shows_the_present(
         before = newest[0]
         assert before <= first_seen(observer, as_printed)
     # The history is there, for nodes that join late.
-    before = newest[0]
-    assert first_seen(observer, qos("/clock")) <= before - 50
+    assert first_seen(observer, qos("/clock")) <= newest[0] - 50
     process.process.terminate()
     assert process.wait(15) == 130

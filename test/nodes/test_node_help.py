@@ -22,7 +22,10 @@ from test_nodes import Observer, observer  # noqa: E402, F401
 
 from greenroof_ros.common.interface import read_topics  # noqa: E402
 
-COMMANDS = ("plant", "weather", "recorder", "controller", "controller --controller mpc")
+COMMANDS = (
+    "plant", "weather", "recorder", "live_recorder", "controller", "controller --controller mpc",
+    "pump", "level_sensor", "level_sensor --tank roof",
+)
 
 
 def run_module(cwd: Path, command: str) -> subprocess.CompletedProcess[str]:
@@ -69,6 +72,9 @@ def test_help_without_a_reader(tmp_path: Path) -> None:
         ("weather mine.csv", "mine.csv"),
         ("recorder --directory bag", "--directory"),
         ("controller", "--controller"),
+        ("level_sensor", "--tank"),
+        ("level_sensor --tank basement", "basement"),
+        ("pump --drive abb_acs880", "--drive"),
         ("controller --controller mpc --weight 1", "--weight"),
         ("controller --controller pid --help", "pid"),
         ("plant --ros-args -p speed", "-p speed"),

@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from graphs import Process, environment, shared_memory_of, summary_of, wait_for
+from graphs import Process, environment, summary_of, udp_addresses_of, wait_for
 
 rclpy = pytest.importorskip("rclpy", reason="nodes need ROS 2")
 
@@ -176,7 +176,7 @@ def test_middleware_that_locks_up_at_the_end(domain: int, tmp_path: Path, when: 
     process = subprocess.Popen(
         [sys.executable, "-c", hangs], cwd=tmp_path, env=environment(domain)
     )
-    wait_for(lambda: shared_memory_of([process.pid]), 20, "the start of the node")
+    wait_for(lambda: udp_addresses_of(process.pid), 20, "the start of the node")
     process.send_signal(signal.SIGINT)
     assert process.wait(8) == -signal.SIGALRM
 
@@ -288,7 +288,7 @@ def test_parameter_file_is_honoured(domain: int, tmp_path: Path, observer: Obser
     """--params-file decides what the node does."""
     (tmp_path / "plant.yaml").write_text(
         "plant:\n  ros__parameters:\n    initial_cistern_volume: 50.0\n"
-        "    initial_roof_volume: 3.0\n    run_length: 5\n"
+        "    initial_roof_volume: 3.0\n    run_length: 5\n    speed: 1.0\n"
     )
     with nodes(
         domain, tmp_path, "plant --ros-args --params-file plant.yaml", "weather",

@@ -60,10 +60,10 @@ def test_example_driver(domain: int, tmp_path: Path) -> None:
     source = DRIVER.read_text()
     assert "greenroof" not in source
     code = source.split('"""', 2)[2]
-    assert len([line for line in code.splitlines() if line.strip()]) <= 24
+    assert len([line for line in code.splitlines() if line.strip()]) <= 40
     driver = subprocess.Popen(
         [sys.executable, str(DRIVER)], cwd=tmp_path, env=environment(domain),
-        stderr=subprocess.PIPE, text=True,
+        stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
     )
     try:
         bring_up(
@@ -72,7 +72,8 @@ def test_example_driver(domain: int, tmp_path: Path) -> None:
         )
         # The controller is gone: the driver has stopped its pump and says so.
         assert wait_for(lambda: driver.poll() is not None, 10, "the driver's end")
-        assert "stopped" in driver.communicate()[1]
+        assert driver.communicate() == ("stopped: no controller\n", "")
+        assert driver.returncode == 0
     finally:
         if driver.poll() is None:
             driver.send_signal(signal.SIGINT)

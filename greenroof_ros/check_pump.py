@@ -1,0 +1,82 @@
+"""Whether a pump driver keeps to the interface: ``python -m greenroof_ros.check_pump``."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+from greenroof_ros.common.command_line import command, within
+from greenroof_ros.common.files import shared_directory
+from greenroof_ros.common.findings import print_findings
+from greenroof_ros.graph.errors import no_ros
+from greenroof_ros.model.site import read_site
+
+
+@command
+def main() -> int:
+    """Check the driver that the command line names."""
+    parser = argparse.ArgumentParser(
+        prog="python -m greenroof_ros.check_pump",
+        description="Hold a pump driver that runs, be it this package's or your own in any "
+        "language, to the interface over topics alone: off at start, one flow for each command, "
+        "refused values, watchdog, a second publisher, and that it runs again after each. It plays "
+        "plant, weather and controller itself, so start no bringup; THE PUMP WILL RUN.",
+        epilog="example:\n  python examples/pump_driver.py &\n"
+        "  python -m greenroof_ros.check_pump --node pump\n\n"
+        "exit codes: 0 all is right, 1 a check failed, 2 there is no such driver, 3 a graph is at "
+        "work",
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    number = within(0.001, 3600.0)
+    parser.add_argument(
+        "--node", required=True, metavar="NAME",
+        help="name of the driver's node, with its namespace where it has one: /site1/pump",
+    )
+    parser.add_argument(
+        "--command", type=within(0.001, 1.0), default=0.5, metavar="SHARE",
+        help="at which the pump is to run, a share of its maximum flow (default: 0.5)",
+    )
+    parser.add_argument(
+        "--period", type=number, default=0.1, metavar="S",
+        help="least time between two commands; each is a tick of the site (default: 0.1)",
+    )
+    parser.add_argument(
+        "--answer-within", type=number, default=5.0, metavar="S",
+        help="how long a flow may take to answer a command (default: 5)",
+    )
+    parser.add_argument(
+        "--start-within", type=number, default=60.0, metavar="S",
+        help="how long the flow may take to become steady (default: 60)",
+    )
+    parser.add_argument(
+        "--stop-within", type=number, default=30.0, metavar="S",
+        help="how long the flow may take to become 0 (default: 30)",
+    )
+    parser.add_argument(
+        "--silence", type=number, default=5.0, metavar="S",
+        help="how long no command comes; the pump must have stopped then (default: 5)",
+    )
+    parser.add_argument(
+        "--wait", type=within(0.0, 3600.0), default=10.0, metavar="S",
+        help="how long the driver may take to be in the graph (default: 10)",
+    )
+    parser.add_argument(
+        "--site", type=Path, metavar="FILE",
+        help="site whose levels and ticks it is told (default: the paper's, config/site.yaml)",
+    )
+    arguments = parser.parse_args()
+    try:
+        from greenroof_ros.graph.pump_check import Limits, check_pump
+    except ImportError as error:
+        raise no_ros(error) from error
+    site = read_site(arguments.site or shared_directory() / "config" / "site.yaml")
+    limits = Limits(
+        command=arguments.command, period=arguments.period, answer=arguments.answer_within,
+        start=arguments.start_within, stop=arguments.stop_within, silence=arguments.silence,
+        arrival=arguments.wait,
+    )
+    return print_findings(f"pump driver {arguments.node}", check_pump(arguments.node, site, limits))
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,476 @@
+"""A node's link to its graph: its topics, what it says of itself, and when it acts.
+
+What each node publishes and subscribes to comes from ``msg_defs/topics.yaml``. When it acts is one
+of two triggers: fresh inputs, in a simulation (:mod:`greenroof_ros.graph.lockstep`), or steady
+time, on a live site (:mod:`greenroof_ros.graph.live`).
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Collection
+from inspect import signature
+from typing import Any, cast
+
+from rclpy.clock import ROSClock
+from rclpy.clock_type import ClockType
+from rclpy.duration import Duration
+from rclpy.node import Node
+from rclpy.parameter import Parameter
+from rclpy.publisher import Publisher
+from rclpy.subscription import Subscription
+from rclpy.time import Time
+
+from greenroof_ros.common.errors import ConfigurationError
+from greenroof_ros.common.interface import read_live_topics, read_topics
+from greenroof_ros.graph.errors import LockstepError
+from greenroof_ros.graph.inputs import Inputs
+from greenroof_ros.graph.live import Live, LivePublishers
+from greenroof_ros.graph.lockstep import Lockstep
+from greenroof_ros.graph.parameters import LIVE, declare
+from greenroof_ros.graph.peers import Peers
+from greenroof_ros.graph.qos import message_class, qos_profile
+from greenroof_ros.graph.reports import OK, WARN, Diagnosis, Report, Reports
+from greenroof_ros.graph.serialization import encoder
+from greenroof_ros.graph.states import ENDED, FINISHED, READY, STARTING
+from greenroof_ros.graph.unfit_publishers import UnfitPublishers
+from greenroof_ros.graph.validation import Input
+from greenroof_ros.pumping.input_rules import LevelRule
+
+CLOCK = "/clock"
+# How long a node listens at most before it looks at its clocks and signals again (s).
+LISTEN_S = 0.05
+# How long a node that ends waits for its readers (s): one that was killed stays matched.
+_FLUSH_S = 1.0
+# How often a node says how it is (s of wall time).
+_REPORT_S = 0.25
+
+
+class LinkedNode(Node):
+    """A node of a graph, simulated or live.
+
+    It opens its topics by :meth:`publish_topic` and :meth:`subscribe`, by their names in the
+    interface, and overrides :meth:`on_inputs`, and of the other ``on_`` methods, ``progress`` and
+    ``summary`` those that it needs. Its parameter ``live`` says which graph it is; in a simulated
+    one it lives in simulated time (``use_sim_time`` is true).
+
+    Attributes:
+        repeats: whether the node gives the same answer to a tick whenever it is asked.
+        role: what the interface calls it: its name, or ``controller``.
+        live: whether its graph is live.
+        sent: how many messages went out, by topic.
+        error: why the node cannot go on.
+        acted: whether the run has begun for the node.
+        over: whether the node may end by itself: nobody supervises it, the run is over, and all
+            who were in it have its last word.
+        final_reports: the values of the reports of nodes that have finished, by node.
+        inputs: what it subscribes to.
+        interface: every topic of the graph, by name.
+        peers: the other nodes.
+        reports: what it says of itself.
+    """
+
+    repeats = False
+
+    def __init__(
+        self, name: str, role: str, *, may_be_live: bool = True, always_live: bool = False
+    ) -> None:
+        """Join the graph.
+
+        Args:
+            name: of the node.
+            role: what the interface calls it: its name, or ``controller``.
+            may_be_live: whether it has the parameter ``live``.
+            always_live: whether it is for live graphs alone, and needs no such parameter.
+
+        Raises:
+            ConfigurationError: ROS arguments or a parameter file are wrong.
+        """
+        try:
+            super().__init__(
+                name, parameter_overrides=[Parameter("use_sim_time", Parameter.Type.BOOL, False)]
+            )
+        except RuntimeError as error:  # of rcl
+            raise ConfigurationError(" ".join(str(error).split())) from error
+        self.role = role
+        self.live = always_live or (may_be_live and declare(self, [LIVE])["live"])
+        self.sent: dict[str, int] = {}
+        self.error: Exception | None = None
+        self.acted = False
+        self.over = False
+        self.final_reports: dict[str, dict[str, Any]] = {}
+        self.interface = read_live_topics() if self.live else read_topics()
+        self.peers = Peers(self.get_logger())
+        self.inputs = Inputs(role, self.interface, self.peers)
+        self._unfit = UnfitPublishers(self)
+        self._outputs: list[Publisher] = []
+        self._looked = self._reported = 0.0
+        self._final_values: dict[str, Any] = {}
+        self._trigger = Live(self) if self.live else Lockstep(self)
+        self._is_good = self._trigger.good
+        simulated = Parameter("use_sim_time", Parameter.Type.BOOL, self._trigger.simulated_time)
+        self.set_parameters([simulated])
+        self._ros_clock = cast(ROSClock, self.get_clock())
+        self.reports = Reports(self, role, self._on_report)
+        self._subscriptions_while_joining: dict[str, tuple[Subscription, Callable[..., None]]] = {}
+        if isinstance(self._trigger, Lockstep):
+            self._trigger.start(self)
+
+    # --- to override ------------------------------------------------------------------------
+
+    def on_inputs(self) -> None:
+        """Act: every input is fresh, or, live, it is time; see :attr:`good`."""
+
+    def on_idle(self) -> float:
+        """Look at what is due between messages; called every 50 ms at least.
+
+        Returns:
+            How long the node may wait for the next message (s).
+        """
+        return LISTEN_S
+
+    def on_begin(self, tick: int) -> None:
+        """Begin with a tick: 0, or a later one where the node was started again in the run."""
+
+    def on_restart(self, name: str) -> None:
+        """Wait anew for another node, which was started again."""
+
+    def begins_at(self) -> int | None:
+        """Return the tick from which the node answers, if it knows it by itself."""
+        return None
+
+    def on_plant_finished(self) -> None:
+        """End the run for this node: the plant has."""
+        self.finish()
+
+    def on_answered_again(self, name: str) -> None:
+        """Forget what came on a topic for the present tick: its publisher was started again.
+
+        That is a node of somebody else's, which does not say from which tick it answers.
+        """
+
+    def on_stop(self) -> None:
+        """Put away what is open; called once at the end, whatever the reason."""
+
+    def progress(self) -> dict[str, Any]:
+        """Return what the node adds to each of its reports."""
+        return {}
+
+    def summary(self) -> dict[str, Any]:
+        """Return what the node adds to its report at the end of the run."""
+        return {}
+
+    # --- setting up -------------------------------------------------------------------------
+
+    def create_subscription(self, msg_type: Any, topic: str, *args: Any, **options: Any) -> Any:
+        """Open a subscription, but not rclpy's own to the clock.
+
+        That one is to ``/clock`` even in a namespace, and costs 35 us of processor time a tick in
+        each node; :meth:`set_time` sets the node's clock from messages that it has already.
+        """
+        if topic == CLOCK:
+            return None
+        return super().create_subscription(msg_type, topic, *args, **options)
+
+    def set_time(self, time_ns: int) -> None:
+        """Set the node's clock, which ``get_clock()`` returns, to a simulated time (ns)."""
+        now = Time(nanoseconds=time_ns, clock_type=ClockType.ROS_TIME)
+        self._ros_clock.set_ros_time_override(now)
+
+    def publish_topic(self, name: str) -> Callable[[Any], None]:
+        """Open an output and return what publishes a value on it.
+
+        Args:
+            name: of the topic in the interface.
+        """
+        topic = self.interface[name]
+        publisher = self.create_publisher(
+            message_class(topic.type), topic.graph_name, qos_profile(topic.qos)
+        )
+        self._outputs.append(publisher)
+        self.sent[name] = 0
+        encode, send, sent = encoder(topic.type), publisher.publish, self.sent
+
+        def publish(value: Any) -> None:
+            sent[name] += 1
+            send(encode(value))
+
+        return publish
+
+    def subscribe(
+        self, name: str, callback: Callable[[Any], None] | None = None, *, raw: bool = False,
+        optional: bool = False, level: LevelRule | None = None, heals: bool = False,
+    ) -> Input:
+        """Open an input and return it.
+
+        Args:
+            name: of the topic in the interface.
+            callback: called with each value; without it the input is one of those that must be
+                fresh before the node acts.
+            raw: the callback gets the serialised message, and the node does not watch whether the
+                publisher lives: it only keeps what is published.
+            optional: the node acts without it, too; only in a live graph.
+            level: what else holds for a level in a live graph.
+            heals: a second publisher ends nothing in lockstep, either; the node looks itself
+                whether there is one, at ``inputs.publishers``.
+        """
+        topic = self.interface[name]
+        entry = Input(topic, self.resolve_topic_name(topic.graph_name), self.get_logger())
+        self.inputs.entries[name] = entry
+        publishers, on_message = self._trigger.open(
+            self, entry, callback, raw=raw, optional=optional, level=level, heals=heals,
+        )
+        if not optional:
+            self.inputs.publishers[name] = publishers
+        events = publishers.events()
+        events.incompatible_qos = self._unfit.on_event(topic)
+        guarded = self._guarded(on_message)
+        first = guarded
+        if isinstance(self._trigger, Lockstep) and self._trigger.joining:
+            first = self._guarded(self._trigger.while_joining(name))
+        subscription = self.create_subscription(
+            message_class(topic.type), topic.graph_name, first, publishers.profile(), raw=True,
+            event_callbacks=events,
+        )
+        if first is not guarded:
+            self._subscriptions_while_joining[name] = (subscription, guarded)
+        return entry
+
+    def record(self, name: str, callback: Callable[[bytes], None]) -> None:
+        """Keep what comes on a topic of a live graph, whatever its type; nothing waits for it.
+
+        Args:
+            name: of the topic in the interface.
+            callback: called with each message, serialised.
+        """
+        topic = self.interface[name]
+        publishers = LivePublishers(self, topic, self.peers, recorded=True)
+        events = publishers.events()
+        events.incompatible_qos = self._unfit.on_event(topic)
+        self.create_subscription(
+            message_class(topic.type), topic.graph_name, self._guarded(callback),
+            publishers.profile(), raw=True, event_callbacks=events,
+        )
+
+    def rivals(self, name: str) -> Callable[[float], str]:
+        """Watch whether another node of a live graph publishes what this one does.
+
+        Args:
+            name: of the topic in the interface, which has a liveliness lease.
+
+        Returns:
+            What says that there is one, at a time of the steady clock (s); empty where there is
+            none.
+        """
+        topic = self.interface[name]
+        publishers = LivePublishers(self, topic, self.peers, recorded=False)
+        self.create_subscription(
+            message_class(topic.type), topic.graph_name, lambda _: None, publishers.profile(),
+            raw=True, event_callbacks=publishers.events(),
+        )
+        full_name = self.resolve_topic_name(topic.graph_name)
+
+        def problem(now: float) -> str:
+            found = publishers.problem(now)
+            return f"{full_name} {found}" if found else ""
+
+        return problem
+
+    def act_every(self, period: float) -> None:
+        """Say how long a tick is (s): in a live graph it is the node's own period."""
+        if isinstance(self._trigger, Live):
+            self._trigger.act_every(period)
+
+    @property
+    def joining(self) -> bool:
+        """Whether the node needs rclpy's slower executor, which says more of each message."""
+        return bool(self._subscriptions_while_joining)
+
+    def _take_part(self) -> None:
+        """Receive messages as fast as it goes from now on."""
+        for subscription, receive in self._subscriptions_while_joining.values():
+            subscription.callback = receive
+        self._subscriptions_while_joining.clear()
+
+    def take_all(self, names: Collection[str]) -> None:
+        """Take all messages of some inputs that are here and were not yet taken, while joining.
+
+        The slow executor takes one of each topic in turn, so that a report may come before what
+        was published before it.
+        """
+        for name in names:
+            subscription, _ = self._subscriptions_while_joining[name]
+            with subscription.handle:
+                while True:
+                    taken = subscription.handle.take_message(subscription.msg_type, True)
+                    if taken is None:
+                        break
+                    subscription.callback(*taken)
+
+    def taken(self, name: str) -> int:
+        """Return how many messages of a topic, one a tick, the node has had."""
+        return cast(Lockstep, self._trigger).taken(name)
+
+    def take_again(self, name: str, first: int) -> None:
+        """Expect a topic from a tick on: its publisher was started again, and begins there."""
+        cast(Lockstep, self._trigger).take_again(name, first)
+
+    def report_soon(self) -> None:
+        """Say how the node is as soon as it looks at its clocks."""
+        self._reported = 0.0
+
+    def tick_is_open(self) -> bool:
+        """Whether the plant has published a tick on which this node has not acted."""
+        return isinstance(self._trigger, Lockstep) and self._trigger.tick_is_open()
+
+    def _guarded(self, callback: Callable[..., None]) -> Callable[..., None]:
+        """Keep an error for the node's loop: the executor would print it, and more, by itself."""
+        errors = (LockstepError, ConfigurationError, OSError)
+
+        def guarded(message: bytes) -> None:
+            try:
+                callback(message)
+            except errors as error:
+                self.error = self.error or error
+
+        def guarded_with_information(message: bytes, information: Any) -> None:
+            try:
+                callback(message, information)
+            except errors as error:
+                self.error = self.error or error
+
+        # rclpy counts the arguments.
+        with_information = len(signature(callback).parameters) == 2
+        return guarded_with_information if with_information else guarded
+
+    # --- running ----------------------------------------------------------------------------
+
+    @property
+    def ready(self) -> bool:
+        """Whether every input has its publisher."""
+        return not self._trigger.doubtful and all(
+            publishers.count for publishers in self.inputs.publishers.values()
+        )
+
+    @property
+    def good(self) -> bool:
+        """Whether no input's present value was refused, or, live, breaks another rule."""
+        return self._is_good()
+
+    @property
+    def doubtful(self) -> bool:
+        """Whether a topic has two publishers, of which one may be dead."""
+        return self._trigger.doubtful
+
+    def absent(self) -> str:
+        """Name the topics without a publisher, and who should publish them."""
+        return self.inputs.say(self.inputs.absent())
+
+    def missing(self) -> str:
+        """Name the topics that the node waits for, and who should publish them."""
+        return self._trigger.missing()
+
+    def refuse(self, name: str, why: str) -> None:
+        """Refuse the newest value of an input in a live graph: it cannot be acted on.
+
+        Args:
+            name: of the topic in the interface.
+            why: a clause.
+        """
+        if isinstance(self._trigger, Live):
+            self._trigger.refuse(name, why)
+
+    def diagnose(self, part: str, level: bytes, message: str) -> None:
+        """Say how a part of the node is; a change is logged.
+
+        Args:
+            part: its name.
+            level: of :mod:`greenroof_ros.graph.reports`: ``OK``, ``WARN``, ``ERROR`` or ``STALE``.
+            message: a sentence.
+        """
+        before = self.reports.diagnoses.get(part)
+        now = Diagnosis(level, message)
+        if now == before:
+            return
+        self.reports.diagnoses[part] = now
+        self.report_soon()
+        if level == OK:
+            if before is not None:
+                self.get_logger().info(message)
+        elif level == WARN:
+            self.get_logger().warning(message)
+        else:
+            self.get_logger().error(message)
+
+    def listen_s(self) -> float:
+        """How long the node may wait for the next message (s)."""
+        return min(self.on_idle(), self._trigger.due_in())
+
+    def check(self) -> None:
+        """Look at the wall clock: say how the node is, and act where it is time to.
+
+        Raises:
+            LockstepError: the graph cannot go on.
+            ConfigurationError: nor can it as it was set up.
+            OSError: nor can the node, for instance on a full disk.
+        """
+        now = time.monotonic()
+        if now - self._looked > LISTEN_S:
+            self._looked = now
+            self._trigger.look(now)
+        if self.error is not None:
+            raise self.error
+        self._unfit.look()
+        if self.reports.state == STARTING and self.ready:
+            self.reports.state = READY
+            self._report(now)
+        elif now - self._reported > _REPORT_S:
+            # Again and again, for a reader that joins late may miss what was said once.
+            self._report(now)
+        self._trigger.act_if_due()
+        if self._subscriptions_while_joining and not cast(Lockstep, self._trigger).joining:
+            self._take_part()
+
+    def finish(self) -> None:
+        """Say from now on that the run is over for this node, with what its summary needs."""
+        self._final_values = {"sent": dict(self.sent), **self.summary()}
+        self.reports.state = FINISHED
+        now = time.monotonic()
+        self._trigger.finish(now)
+        self._report(now)
+
+    def _report(self, now: float) -> None:
+        self._reported = now
+        starting = self.reports.state == STARTING
+        waiting = {"waiting": list(self.inputs.absent())} if starting else {}
+        refused = {
+            name: entry.refused for name, entry in self.inputs.entries.items() if entry.refused
+        }
+        ticks = self._trigger.said() if isinstance(self._trigger, Lockstep) else {}
+        self.reports.say({
+            **ticks, **self.progress(), **waiting, "refused": refused,
+            "warnings": self._unfit.warnings, **self._final_values,
+        })
+
+    def _on_report(self, report: Report) -> None:
+        """Take a peer's report."""
+        self.peers.hear(report)
+        try:
+            self._trigger.hear(report)
+        except LockstepError as error:
+            self.error = self.error or error
+
+    def flush(self, failure: str | None) -> None:
+        """Say that the node ends, and wait a second at most until its readers have all it said.
+
+        Args:
+            failure: what ended it; None where it was asked to end.
+        """
+        self.reports.state = ENDED
+        if failure is not None:
+            self._final_values["failure"] = failure
+        self._report(time.monotonic())
+        until = time.monotonic() + _FLUSH_S
+        for publisher in [*self._outputs, self.reports.publisher]:
+            left = max(0.0, until - time.monotonic())
+            publisher.wait_for_all_acked(Duration(seconds=left))

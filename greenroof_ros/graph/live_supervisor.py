@@ -1,0 +1,235 @@
+"""The nodes of a live site: restarted when they fail, and the pump held while one is missing."""
+
+from __future__ import annotations
+
+import signal
+import time
+from collections import deque
+from collections.abc import Callable, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
+from dataclasses import dataclass, field
+from datetime import datetime, timezone
+from pathlib import Path
+from types import TracebackType
+
+from greenroof_ros.common.command_line import (
+    EXIT_DONE,
+    EXIT_FAILED,
+    EXIT_OCCUPIED,
+    EXIT_USAGE,
+)
+from greenroof_ros.graph.node_processes import NodeFailed, NodeProcesses
+from greenroof_ros.graph.permit import Permit
+from greenroof_ros.graph.states import PUMP, READY, RECORDER
+
+# A node that says nothing for so long (s) holds the pump; reports come four times a second.
+_SILENT_S = 2.0
+# How long a node that was just started may say nothing (s): imports take seconds.
+_START_LIMIT_S = 30.0
+# The time before a restart (s): 1, 2, 4, ... to this, by the restarts of the last ten minutes.
+_LONGEST_WAIT_S = 10.0
+_WINDOW_S = 600.0
+
+
+@dataclass(frozen=True)
+class Incident:
+    """Something that went wrong and was met.
+
+    Attributes:
+        time: of the system clock, UTC.
+        node: with which.
+        what: happened to it.
+        done: about it.
+    """
+
+    time: str
+    node: str
+    what: str
+    done: str
+
+    def __str__(self) -> str:
+        """Return it as a line."""
+        return f"{self.node} {self.what}; {self.done}"
+
+
+@dataclass
+class _Node:
+    """How a node is started, and how it has fared."""
+
+    module: str
+    arguments: tuple[str, ...]
+    starts_again: float | None = None  # at what time (steady clock, s), where it does not run
+    restarts: deque[float] = field(default_factory=deque)  # when, within the window
+    was_ready: bool = False
+
+
+class LiveSupervisor(NodeProcesses):
+    """The node processes of a live site. Leaving its ``with`` block ends them all.
+
+    A node that ends, or says nothing for too long, is started again, after a while that grows; one
+    that needs that too often is given up, and the site with it, the pump stopped. The pump node is
+    told four times a second whether it may run. Where it dies, it cannot stop the drive any more:
+    that is then done from here.
+
+    Attributes:
+        hold: why the pump may not run; empty where it may.
+    """
+
+    def __init__(
+        self,
+        logs: Path,
+        parameters: Sequence[Path],
+        namespace: str,
+        *,
+        silence_s: float,
+        restarts: int,
+        stop_drive: Callable[[], str] | None,
+        on_incident: Callable[[Incident], None],
+    ) -> None:
+        """Start nothing yet.
+
+        Args:
+            logs: the directory for what the nodes print, one file each; must exist.
+            parameters: ROS 2 parameter files of all nodes; what a later one says counts.
+            namespace: of all nodes, such as ``/site1``; empty for none.
+            silence_s: how long a node may say nothing before it is killed (s).
+            restarts: of one node within ten minutes; one more, and the site is stopped.
+            stop_drive: stops the drive without the pump node, and returns what came of it, within
+                seconds; None where the pump is somebody else's.
+            on_incident: called with each.
+        """
+        super().__init__(logs, parameters, namespace)
+        # Files of rcl's own, besides what a node prints, would grow for months.
+        self._ros_arguments.append("--disable-external-lib-logs")
+        self.hold = "starting"
+        self._known: dict[str, _Node] = {}
+        self._silence_s = silence_s
+        self._restarts = restarts
+        self._stop_drive = stop_drive
+        self._stopper = ThreadPoolExecutor(1)
+        self._stopping: Future[str] | None = None
+        self._on_incident = on_incident
+        self._permit = Permit()
+
+    def __enter__(self) -> LiveSupervisor:
+        """Nothing runs yet."""
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        traceback: TracebackType | None,
+    ) -> None:
+        """End all: the pump node first, the recorder last; and see that the drive is off."""
+        for node in self.nodes.values():
+            if node.process.poll() is None:
+                node.process.send_signal(signal.SIGCONT)
+        names = self.nodes.keys()
+        self.end(names & {PUMP})
+        if self._stop_drive is not None and PUMP in names:
+            how = self.nodes[PUMP].how_it_ended()
+            if self.nodes[PUMP].process.returncode != EXIT_DONE:
+                self._note(PUMP, f"did not end by itself ({how})", self._stop_drive())
+        self.end(names - {PUMP, RECORDER})
+        self.end(names & {RECORDER})
+        self._permit.close()
+
+    def add(self, node: str, module: str, *arguments: str) -> None:
+        """Start a node, now and whenever it has failed; see :meth:`NodeProcesses.start`."""
+        self._known[node] = _Node(module, arguments)
+        self._start(node)
+
+    def _start(self, name: str) -> None:
+        known = self._known[name]
+        known.starts_again = None
+        pipes = self._permit.open() if name == PUMP else {}
+        self.start(name, known.module, *known.arguments, pipes=pipes)
+
+    def look(self) -> None:
+        """Restart what failed, and tell the pump node whether it may run; called all the time.
+
+        Raises:
+            NodeFailed: a node was restarted too often, or was never ready and says that its
+                parameters are wrong.
+        """
+        now = time.monotonic()
+        for name, known in self._known.items():
+            if known.starts_again is not None:
+                drive_is_being_stopped = name == PUMP and self._stopping is not None
+                if now >= known.starts_again and not drive_is_being_stopped:
+                    self._start(name)
+                continue
+            node = self.nodes[name]
+            known.was_ready |= self._is_ready(name)
+            how = node.how_it_ended()
+            limit = self._silence_s if node.spoke else max(self._silence_s, _START_LIMIT_S)
+            if how is not None:
+                self.read_all(name)
+                self._failed(name, self._why_ended(name, how), now)
+            elif now - node.heard > limit:
+                stopped = " (stopped)" if node.is_stopped else ""
+                node.kill()
+                self._failed(name, f"had not answered for {limit:g} s{stopped}: killed", now)
+        if self._stopping is not None and self._stopping.done():
+            self._note(PUMP, "could not stop the drive", self._stopping.result())
+            self._stopping = None
+        self.hold = self._reason_to_hold(now)
+        self._permit.tell(self.hold)
+
+    @property
+    def all_ready(self) -> bool:
+        """Whether every node runs and has all that it needs."""
+        return all(self._is_ready(name) for name in self._known)
+
+    def _is_ready(self, name: str) -> bool:
+        return self.last.get(name, {}).get("state") == READY
+
+    def _why_ended(self, name: str, how: str) -> str:
+        why = self.last.get(name, {}).get("failure")
+        return f"ended ({how})" + (f": {why}" if why else "")
+
+    def _failed(self, name: str, what: str, now: float) -> None:
+        """Note that a node failed, and when it starts again.
+
+        Raises:
+            NodeFailed: not at all.
+        """
+        known, code = self._known[name], self.nodes[name].process.returncode
+        while known.restarts and now - known.restarts[0] > _WINDOW_S:
+            known.restarts.popleft()
+        if not known.was_ready and code in (EXIT_USAGE, EXIT_OCCUPIED):
+            raise NodeFailed(f"node {name} {what}", self.quoted(name), code, [name], what)
+        if len(known.restarts) >= self._restarts:
+            raise NodeFailed(
+                f"node {name} {what}; it was restarted {len(known.restarts)} times in the last "
+                f"{_WINDOW_S / 60:g} minutes, and is given up",
+                self.quoted(name), EXIT_FAILED, [name], what,
+            )
+        wait = min(2.0 ** len(known.restarts), _LONGEST_WAIT_S)
+        known.restarts.append(now)
+        known.starts_again = now + wait
+        self._note(name, what, f"starts again in {wait:g} s")
+        if name == PUMP and self._stop_drive is not None:
+            self._stopping = self._stopper.submit(self._stop_drive)
+
+    def _note(self, node: str, what: str, done: str) -> None:
+        time_utc = datetime.now(timezone.utc).isoformat(timespec="milliseconds")
+        self._on_incident(Incident(time_utc, node, what, done))
+
+    def _reason_to_hold(self, now: float) -> str:
+        """Return why the pump may not run; empty where it may."""
+        reasons = []
+        for name, known in self._known.items():
+            if name in (PUMP, RECORDER):
+                continue
+            if known.starts_again is not None or self.nodes[name].how_it_ended() is not None:
+                reasons.append(f"{name} is missing")
+            elif not self._is_ready(name):
+                waiting = self.last.get(name, {}).get("waiting")
+                reasons.append(
+                    f"{name} waits for {', '.join(waiting)}" if waiting else f"{name} is starting"
+                )
+            elif now - self.nodes[name].heard > _SILENT_S:
+                reasons.append(f"{name} is silent")
+        return ", ".join(reasons)

@@ -1,0 +1,247 @@
+"""Nodes as processes of this one: started, heard, logged, and ended without leaving any behind."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import os
+import selectors
+import signal
+import subprocess
+import sys
+import time
+from collections import deque
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from greenroof_ros.common.processes import end_with_parent
+from greenroof_ros.graph.states import REPORT_PIPE
+
+# How long to wait for a process that was asked to end, before the next, harder signal (s). Not
+# SIGINT: what a shell starts in its background ignores it, and so would a node that just begins.
+_ENDING_S = {signal.SIGTERM: 5.0, signal.SIGKILL: 5.0}
+_LAST_LINES = 15
+# Size at which a node's log becomes its .log.1 in place of the one before it: a live site runs for
+# months.
+_LOG_BYTES = 10_000_000
+# A pause of this process itself (s): what it did not hear is not the nodes' silence.
+_PAUSE_S = 1.0
+
+
+class NodeFailed(Exception):
+    """A node ended or hangs, and the graph with it; the message quotes the node's last lines.
+
+    Attributes:
+        reason: the message without these lines.
+        code: what the exit code should be.
+        nodes: which; of those that hang the ones that were stopped, where any was.
+        how: they ended, in a few words.
+    """
+
+    def __init__(
+        self, reason: str, last_lines: str, code: int, nodes: Sequence[str], how: str
+    ) -> None:
+        super().__init__(f"{reason}\n{last_lines}")
+        self.reason = reason
+        self.code = code
+        self.nodes = nodes
+        self.how = how
+
+
+@dataclass
+class NodeProcess:
+    """One node that was started.
+
+    Attributes:
+        process: that runs it.
+        heard: when it last said something, or was started (steady clock, s).
+        spoke: whether it has said anything.
+        last_lines: that it printed.
+    """
+
+    process: subprocess.Popen[bytes]
+    heard: float
+    spoke: bool = False
+    last_lines: deque[str] = field(default_factory=lambda: deque(maxlen=_LAST_LINES))
+    _cut: bytes = b""
+
+    def take_reports(self, data: bytes) -> list[dict[str, Any]]:
+        """Return the reports that end in what came through its pipe."""
+        self.spoke = True
+        self.heard = time.monotonic()
+        *lines, self._cut = (self._cut + data).split(b"\n")
+        reports = []
+        for line in lines:
+            # A line that did not fit into a full pipe is cut short; the next one says it again.
+            with contextlib.suppress(json.JSONDecodeError):
+                reports.append(json.loads(line))
+        return reports
+
+    @property
+    def is_stopped(self) -> bool:
+        """Whether it was stopped, by Ctrl-Z or a debugger."""
+        with contextlib.suppress(OSError):  # it ends just now
+            stat = Path(f"/proc/{self.process.pid}/stat").read_text()
+            return stat.rpartition(")")[2].split()[0] in "Tt"
+        return False
+
+    def how_it_ended(self) -> str | None:
+        """Return its exit code or signal, for people; None while it runs."""
+        code = self.process.poll()
+        if code is None:
+            return None
+        return f"exit code {code}" if code >= 0 else signal.Signals(-code).name
+
+    def kill(self) -> None:
+        """Have the kernel end it."""
+        self.process.kill()
+        with contextlib.suppress(subprocess.TimeoutExpired):  # the kernel is busy with it
+            self.process.wait(1.0)
+
+
+class NodeProcesses:
+    """Node processes, each with a pipe on which it says every quarter of a second how it is.
+
+    Discovery in the graph can take seconds, and who watches over nodes must not miss a word.
+
+    Attributes:
+        nodes: those that were started, by name.
+        last: the last report of each node that has said something.
+    """
+
+    def __init__(self, logs: Path, parameters: Sequence[Path], namespace: str) -> None:
+        """Start nothing yet.
+
+        Args:
+            logs: the directory for what the nodes print, one file each; must exist.
+            parameters: ROS 2 parameter files of all nodes; what a later one says counts.
+            namespace: of all nodes, such as ``/site1``; empty for none.
+        """
+        self.nodes: dict[str, NodeProcess] = {}
+        self.last: dict[str, dict[str, Any]] = {}
+        self._logs = logs
+        self._ros_arguments = ["--ros-args"]
+        for file in parameters:
+            self._ros_arguments += ["--params-file", str(file)]
+        if namespace:
+            self._ros_arguments += ["-r", f"__ns:={namespace}"]
+        self._pipes = selectors.DefaultSelector()
+        self._reports: list[tuple[str, dict[str, Any]]] = []
+        self._looked = time.monotonic()
+
+    def start(
+        self, node: str, module: str, *arguments: str, ros_arguments: Sequence[str] = (),
+        pipes: Mapping[str, int] | None = None,
+    ) -> None:
+        """Start one node; it does not see the terminal's Ctrl-C, which is this process's.
+
+        Args:
+            node: its name.
+            module: that it is, such as greenroof_ros.nodes.weather.
+            arguments: of the module's command line, beside those for ROS.
+            ros_arguments: those for ROS, beside those of all nodes.
+            pipes: further file descriptors that it gets, by the environment variable that holds
+                the number; here they are closed.
+        """
+        self._forget(node)
+        reading, writing = os.pipe()
+        out_reading, out_writing = os.pipe()
+        given = {REPORT_PIPE: writing, **(pipes or {})}
+        process = subprocess.Popen(
+            [sys.executable, "-m", module, *arguments, *self._ros_arguments, *ros_arguments],
+            stdin=subprocess.DEVNULL,
+            stdout=out_writing,
+            stderr=subprocess.STDOUT,
+            env={**os.environ, **{name: str(number) for name, number in given.items()}},
+            pass_fds=given.values(),
+            start_new_session=True,
+            preexec_fn=end_with_parent,
+        )
+        for number in (*given.values(), out_writing):
+            os.close(number)
+        self.nodes[node] = NodeProcess(process, time.monotonic())
+        for pipe, use in ((reading, self._take_reports), (out_reading, self._log)):
+            os.set_blocking(pipe, False)
+            self._pipes.register(pipe, selectors.EVENT_READ, (node, use))
+
+    def _forget(self, node: str) -> None:
+        """Log what an earlier process of a node has printed, and forget what it has said."""
+        self.read_all(node)
+        self._reports = [said for said in self._reports if said[0] != node]
+        self.last.pop(node, None)
+        for key in self._pipes_of(node):
+            self._pipes.unregister(key.fd)
+            os.close(key.fd)
+
+    def reports(self) -> list[tuple[str, dict[str, Any]]]:
+        """Return what the nodes said since the last call, after at most a tenth of a second."""
+        self._read_pipes(0.1)  # which, where this process was stopped in it, may find nothing
+        now = time.monotonic()
+        if now - self._looked > _PAUSE_S:
+            for node in self.nodes.values():
+                node.heard = now
+        self._looked = now
+        found, self._reports = self._reports, []
+        return found
+
+    def _read_pipes(self, timeout: float) -> None:
+        """Read what the nodes say, after at most so long (s)."""
+        for key, _ in self._pipes.select(timeout):
+            self._read(key)
+
+    def _read(self, key: selectors.SelectorKey) -> None:
+        """Read what a pipe holds; at its end let it go."""
+        data = b""
+        with contextlib.suppress(BlockingIOError):
+            data = os.read(key.fd, 1 << 20)
+            if not data:
+                self._pipes.unregister(key.fd)
+                os.close(key.fd)
+        node, use = key.data
+        if data:
+            use(node, data)
+
+    def _take_reports(self, node: str, data: bytes) -> None:
+        for report in self.nodes[node].take_reports(data):
+            self.last[node] = report
+            self._reports.append((node, report))
+
+    def _log(self, node: str, data: bytes) -> None:
+        """Keep what a node prints: in its log, and in memory should the disk be full."""
+        self.nodes[node].last_lines.extend(data.decode(errors="replace").splitlines())
+        path = self._logs / f"{node}.log"
+        with contextlib.suppress(OSError):
+            with path.open("ab") as log:
+                log.write(data)
+                size = log.tell()
+            if size > _LOG_BYTES:
+                path.replace(path.with_suffix(".log.1"))
+
+    def read_all(self, node: str) -> None:
+        """Read all that a node has said."""
+        for key in self._pipes_of(node):
+            self._read(key)
+
+    def _pipes_of(self, node: str) -> list[selectors.SelectorKey]:
+        return [key for key in self._pipes.get_map().values() if key.data[0] == node]
+
+    def quoted(self, node: str) -> str:
+        """Read all that a node has said, and return its last lines."""
+        self.read_all(node)
+        quoted = [f"  {line}" for line in self.nodes[node].last_lines] or ["  (none)"]
+        return "\n".join([f"last lines of {node}:", *quoted])
+
+    def end(self, nodes: Collection[str]) -> None:
+        """Ask these nodes to end, and after a while have the kernel end them."""
+        processes = [self.nodes[node].process for node in nodes]
+        for number, limit in _ENDING_S.items():
+            running = [process for process in processes if process.poll() is None]
+            for process in running:
+                process.send_signal(number)
+            until = time.monotonic() + limit
+            for process in running:
+                while process.poll() is None and time.monotonic() < until:
+                    self._read_pipes(0.02)
+        self._read_pipes(0.0)

@@ -1,0 +1,139 @@
+"""The drive behind the pump node, on a live site and with hardware in the loop."""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from greenroof_ros.common.errors import ConfigurationError
+from greenroof_ros.drives.drive_file import find_drive_file, read_drive_file
+
+
+@dataclass(frozen=True)
+class DriveChoice:
+    """A drive, and where it is.
+
+    Attributes:
+        file: says what it is like.
+        at: its address.
+    """
+
+    file: Path
+    at: str
+
+    def parameters(self, state: Path) -> dict[str, Any]:
+        """Return the parameters of the pump node that follow from it.
+
+        Args:
+            state: directory of what must survive a restart of the node.
+
+        Raises:
+            ConfigurationError: it cannot be made.
+        """
+        try:
+            state.mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            raise ConfigurationError(
+                f"cannot be written: {error.strerror}", key="--state", value=str(state)
+            ) from error
+        return {
+            "drive": str(self.file),
+            "address": self.at,
+            "state_file": str(state.resolve() / "pump.json"),
+            "autostart": True,
+        }
+
+    def stopper(self) -> Callable[[], str]:
+        """Return what stops the drive without the pump node, and says what came of it.
+
+        Raises:
+            ConfigurationError: the file or the address is wrong, or pymodbus is not installed.
+        """
+        try:
+            from greenroof_ros.drives.address import parse_address
+            from greenroof_ros.drives.exchange import stop_drive
+            from greenroof_ros.drives.modbus_line import DriveError
+        except ModuleNotFoundError as error:
+            raise ConfigurationError(
+                f"a drive needs pymodbus: pip install 'greenroof_ros[pump]' ({error})"
+            ) from error
+        file, address = read_drive_file(self.file), parse_address(self.at)
+
+        def stop() -> str:
+            try:
+                said = stop_drive(file, address)
+                return f"bringup told the drive to stop, which said then: {said}"
+            except DriveError as error:
+                return f"bringup could not stop the drive, whose own timeout has to: {error}"
+
+        return stop
+
+
+def add_drive_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the options of a drive."""
+    group = parser.add_argument_group(
+        "hardware in the loop, and live",
+        "With --drive the pump node takes the commands and runs a drive by Modbus, real or\n"
+        "simulated. The site is simulated, at real time unless --speed is given, or live.",
+    )
+    group.add_argument(
+        "--drive", metavar="{NAME,FILE}",
+        help="what the drive is like: a name of config/drives/, or a drive file",
+    )
+    group.add_argument(
+        "--drive-at", metavar="ADDRESS",
+        help="where it is: tcp://HOST:PORT, or a serial line such as /dev/ttyUSB0",
+    )
+    group.add_argument(
+        "--state", type=Path, metavar="DIR",
+        help="directory of what must survive a restart: faults, the pump's hours; live, of all "
+        "that is kept: bag, logs, summary, too (default: the run's own; live: live)",
+    )
+    group.add_argument(
+        "--node-parameters", type=Path, metavar="FILE",
+        help="ROS 2 parameter file for what bringup does not decide, such as the pump node's "
+        "limits; each node's --help says what it has",
+    )
+
+
+def chosen_drive(arguments: argparse.Namespace) -> DriveChoice | None:
+    """Return the drive that a command line names, if it does.
+
+    Raises:
+        ConfigurationError: there is no such drive file, or something is missing.
+    """
+    if arguments.drive is None:
+        if arguments.drive_at is not None:
+            raise ConfigurationError(
+                "needs --drive, which says what the drive is like",
+                key="--drive-at", value=arguments.drive_at,
+            )
+        return None
+    if arguments.drive_at is None:
+        raise ConfigurationError(
+            "needs --drive-at, such as tcp://192.168.0.20:502 or /dev/ttyUSB0",
+            key="--drive", value=arguments.drive,
+        )
+    if arguments.pump == "external":
+        raise ConfigurationError(
+            "leaves the pump to somebody else's node, and --drive to the pump node; give one",
+            key="--pump", value="external",
+        )
+    return DriveChoice(find_drive_file(arguments.drive).resolve(), arguments.drive_at)
+
+
+def own_parameters(arguments: argparse.Namespace) -> Path | None:
+    """Return the parameter file of a user's own, if there is one.
+
+    Raises:
+        ConfigurationError: it is not there.
+    """
+    file: Path | None = arguments.node_parameters
+    if file is not None and not file.is_file():
+        raise ConfigurationError(
+            "must be a file that is there", key="--node-parameters", value=str(file)
+        )
+    return file

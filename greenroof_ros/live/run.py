@@ -1,0 +1,276 @@
+"""A live site kept up: its directory, its nodes, and what is said of it until it is stopped."""
+
+from __future__ import annotations
+
+import fcntl
+import os
+import shutil
+import time
+from collections import deque
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import asdict, replace
+from datetime import datetime, timezone
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from greenroof_ros.common.command_line import EXIT_DONE
+from greenroof_ros.common.errors import ConfigurationError, OccupiedError
+from greenroof_ros.common.signals import InterruptedRun, Signals
+from greenroof_ros.common.systemd import notify
+from greenroof_ros.common.versions import versions
+from greenroof_ros.controllers.registry import controller_names
+from greenroof_ros.experiment import summary
+from greenroof_ros.graph.domain import only_bringup, refuse_other_nodes
+from greenroof_ros.graph.live_supervisor import Incident, LiveSupervisor
+from greenroof_ros.graph.node_processes import NodeFailed
+from greenroof_ros.graph.states import PUMP, RECORDER
+from greenroof_ros.live.site import EXTERNAL, LiveSite
+from greenroof_ros.live.status import Status, values_of
+
+_NODES = "greenroof_ros.nodes"
+_TANKS = ("cistern", "roof")
+# How often systemd is told (s), and how long the start may then still take (microseconds).
+_NOTIFY_S = 1.0
+_STILL_STARTING = "EXTEND_TIMEOUT_USEC=30000000"
+# How many incidents are kept; all are counted.
+_INCIDENTS = 200
+# Size of one file of the bag (MB), where the whole may be ten times that.
+_BAG_FILE_MB = 100.0
+
+
+def run_live(site: LiveSite, signals: Signals) -> int:
+    """Start the nodes of a live site and keep them up until a signal comes.
+
+    Returns:
+        The exit code: 0 where it was asked to stop.
+
+    Raises:
+        ConfigurationError: there is a graph already, no ROS 2, or the directory cannot be made.
+        OSError: the summary cannot be written.
+    """
+    with only_bringup(site.namespace), _state_directory(site.state) as state:
+        names = {name for name, *_ in _nodes(site)} | {"plant", *controller_names()}
+        refuse_other_nodes(site.namespace, names, signals.check)
+        with Status() as status:
+            record = _Record(site, state, status)
+            supervisor = LiveSupervisor(
+                state / "log", _write_configuration(site, state), site.namespace,
+                silence_s=site.silence_s,
+                restarts=site.restarts,
+                stop_drive=site.drive.stopper() if site.drive is not None else None,
+                on_incident=record.add,
+            )
+            try:
+                record.write(summary.RUNNING)
+                with supervisor:
+                    for node in _nodes(site):
+                        supervisor.add(*node)
+                    _keep_up(supervisor, status, signals)
+            except InterruptedRun as error:
+                signals.ignore()
+                record.write(summary.DONE, str(error))
+                status.say(f"{error}: the pump and the nodes are stopped")
+                return EXIT_DONE
+            except NodeFailed as error:
+                signals.ignore()
+                record.write(summary.FAILED, error.reason)
+                notify(f"STATUS={error.reason}")
+                status.say(f"error: {error}")
+                return error.code
+    raise AssertionError("a live site ends by a signal or a failure")
+
+
+class _Record:
+    """What is kept of a site since its start, ``summary.json``; a full disk stops nobody."""
+
+    def __init__(self, site: LiveSite, state: Path, status: Status) -> None:
+        self._state = state
+        self._status = status
+        self._began = _now()
+        self._incidents: deque[Incident] = deque(maxlen=_INCIDENTS)
+        self._count = 0
+        self._what = summary.RUNNING
+        self._reason: str | None = None
+        self._setting = {
+            "controller": site.controller.name,
+            "parameters": summary.finite(site.parameters),
+            "site": str(site.site_file),
+            "sensors": str(site.sensors or EXTERNAL),
+            "forecast": str(site.forecast or EXTERNAL),
+            "drive": str(site.drive.file if site.drive else EXTERNAL),
+            "drive_at": site.drive.at if site.drive else None,
+            "versions": versions(),
+        }
+
+    def add(self, incident: Incident) -> None:
+        """Say and keep that something went wrong."""
+        self._status.say(f"{incident.time} {incident}")
+        self._incidents.append(incident)
+        self._count += 1
+        self._write()
+
+    def write(self, what: str, reason: str | None = None) -> None:
+        """Keep how the site is: one of those of :mod:`greenroof_ros.experiment.summary`."""
+        self._what, self._reason = what, reason
+        self._write()
+
+    def _write(self) -> None:
+        content = {
+            "status": self._what,
+            "reason": self._reason,
+            "began": self._began,
+            "ended": None if self._what == summary.RUNNING else _now(),
+            "incident_count": self._count,
+            "incidents": [asdict(incident) for incident in self._incidents],
+            **self._setting,
+        }
+        try:
+            summary.write(content, self._state)
+        except OSError as error:
+            self._status.say(f"warning: {error.filename or self._state}: {error.strerror}")
+
+
+def _now() -> str:
+    return datetime.now(timezone.utc).isoformat(timespec="milliseconds")
+
+
+def _keep_up(supervisor: LiveSupervisor, status: Status, signals: Signals) -> None:
+    """Watch the nodes for ever.
+
+    Raises:
+        InterruptedRun: a signal came.
+        NodeFailed: a node cannot be kept up.
+    """
+    ready = False
+    notified = -_NOTIFY_S
+    try:
+        while True:
+            supervisor.reports()
+            signals.check()  # a service manager signals the nodes, too: their end is no failure
+            supervisor.look()
+            status.update(supervisor.last, supervisor.hold)
+            if not ready and supervisor.all_ready:
+                ready = True
+                status.say("all nodes are here")
+                notify("READY=1")
+            now = time.monotonic()
+            if now - notified >= _NOTIFY_S:
+                notified = now
+                how = f"held: {supervisor.hold}" if supervisor.hold else values_of(supervisor.last)
+                notify("WATCHDOG=1", f"STATUS={how}", *([] if ready else [_STILL_STARTING]))
+    finally:
+        notify("STOPPING=1")
+
+
+def _nodes(site: LiveSite) -> Iterator[tuple[str, ...]]:
+    """Return the nodes of a site: name, module and arguments of each."""
+    if site.sensors is not None:
+        for tank in _TANKS:
+            yield f"{tank}_sensor", f"{_NODES}.level_sensor", "--tank", tank
+    if site.forecast is not None:
+        yield "weather", f"{_NODES}.weather"
+    controller = site.controller
+    yield controller.name, f"{_NODES}.controller", "--controller", controller.reference
+    if site.drive is not None:
+        yield PUMP, f"{_NODES}.pump"
+    if site.record:
+        yield RECORDER, f"{_NODES}.live_recorder"
+
+
+@contextmanager
+def _state_directory(path: Path) -> Iterator[Path]:
+    """Make and hold the directory of a site.
+
+    Raises:
+        ConfigurationError: it cannot be made or written.
+        OccupiedError: another bringup has it.
+    """
+    try:
+        (path / "log").mkdir(parents=True, exist_ok=True)
+        (path / "configuration").mkdir(exist_ok=True)
+        number = os.open(path, os.O_RDONLY)
+    except OSError as error:
+        raise ConfigurationError(
+            f"cannot be written: {error.strerror}", key="--state", value=str(path)
+        ) from error
+    try:
+        fcntl.flock(number, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        yield path.resolve()
+    except BlockingIOError:
+        raise OccupiedError(
+            "is of a bringup that runs; end it, or take another directory",
+            key="--state", value=str(path),
+        ) from None
+    finally:
+        os.close(number)
+
+
+def _write_configuration(site: LiveSite, state: Path) -> list[Path]:
+    """Keep what the site was started with, and write the parameters of its nodes.
+
+    A node that is started again reads the same files as before, whatever was edited meanwhile; but
+    the forecast is read where it lies, since it is replaced there.
+
+    Returns:
+        The ROS 2 parameter files that all nodes read, bringup's and the user's.
+
+    Raises:
+        ConfigurationError: it cannot be written.
+    """
+    configuration = state / "configuration"
+    kept: dict[str, str] = {}
+    try:
+        for name, file in (
+            ("site", site.site_file),
+            ("sensors", site.sensors),
+            ("drive", site.drive.file if site.drive is not None else None),
+            ("nodes", site.node_parameters),
+        ):
+            if file is not None:
+                place = configuration / name
+                shutil.rmtree(place, ignore_errors=True)
+                place.mkdir()
+                kept[name] = str(shutil.copyfile(file, place / file.name))
+        path = configuration / "parameters.yaml"
+        parameters = {
+            f"/**/{name}": {"ros__parameters": values}
+            for name, values in _parameters(site, state, kept).items()
+        }
+        path.write_text(yaml.safe_dump(parameters, sort_keys=False), encoding="utf-8")
+    except OSError as error:
+        raise ConfigurationError(
+            f"cannot be written: {error.strerror}", key="--state", value=str(state)
+        ) from error
+    return [path, *(Path(kept[name]) for name in kept if name == "nodes")]
+
+
+def _parameters(
+    site: LiveSite, state: Path, kept: dict[str, str]
+) -> dict[str, dict[str, Any]]:
+    """Return the parameters of each node that bringup decides."""
+    common = {"live": True, "site_file": kept["site"]}
+    parameters: dict[str, dict[str, Any]] = {
+        site.controller.name: {**common, **site.parameters},
+        RECORDER: {
+            "directory": str(state / "bag"),
+            "file_limit": min(_BAG_FILE_MB, site.bag_limit / 10),
+            "total_limit": site.bag_limit,
+        },
+    }
+    if site.forecast is not None:
+        parameters["weather"] = {
+            **common,
+            "forecast": str(site.forecast),
+            "horizon": site.parameters.get("horizon", 0.0),
+            "all_members": site.controller.ensemble,
+        }
+    if site.sensors is not None:
+        for tank in _TANKS:
+            parameters[f"{tank}_sensor"] = {"sensors_file": kept["sensors"]}
+    if site.drive is not None:
+        kept_drive = replace(site.drive, file=Path(kept["drive"]))
+        parameters[PUMP] = {**common, **kept_drive.parameters(state)}
+    return parameters

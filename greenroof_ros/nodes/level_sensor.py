@@ -1,0 +1,99 @@
+"""The level sensor node of a tank: a sensor on Modbus read, its level published.
+
+``python -m greenroof_ros.nodes.level_sensor --tank cistern`` publishes /cistern/level, ``--tank
+roof`` /roof/level, once in the period of ``config/sensors.yaml``. Where a reading is bad nothing is
+published, and /diagnostics says why: who acts on the level finds it too old.
+"""
+
+from __future__ import annotations
+
+import time
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+from greenroof_ros.common.command_line import EXIT_DONE, command
+from greenroof_ros.drives.level_sensor import SensorExchange
+from greenroof_ros.drives.sensor_file import default_sensors, read_sensors
+from greenroof_ros.graph.link import LISTEN_S, LinkedNode
+from greenroof_ros.graph.node_help import NodeParser, node_help
+from greenroof_ros.graph.node_process import run_node
+from greenroof_ros.graph.parameters import NodeParameter, declare
+from greenroof_ros.graph.reports import ERROR, OK, STALE
+
+TANKS = ("cistern", "roof")
+PARAMETERS = [
+    NodeParameter("sensors_file", str(default_sensors()), "what the sensors are like, and where"),
+]
+# After so many periods without any reading, good or bad, the reader hangs.
+_PERIODS = 5
+
+
+class LevelSensorNode(LinkedNode):
+    """Publishes what a sensor reads."""
+
+    def __init__(self, tank: str) -> None:
+        """Read the sensor's file, and begin to read the sensor.
+
+        Args:
+            tank: ``cistern`` or ``roof``.
+        """
+        super().__init__(f"{tank}_sensor", f"{tank}_sensor", always_live=True)
+        sensors = read_sensors(Path(declare(self, PARAMETERS)["sensors_file"]))
+        self._sensor = sensors.cistern if tank == "cistern" else sensors.roof
+        self._publish = self.publish_topic(f"/{tank}/level")
+        self._level: float | None = None
+        self._started = self._published = time.monotonic()
+        self.reports.hardware = f"{self._sensor.address}, device {self._sensor.device_id}"
+        self._exchange = SensorExchange(self._sensor)
+        self._exchange.start()
+
+    def on_idle(self) -> float:
+        """Publish a new reading that is good; say why another one is not."""
+        reading, now = self._exchange.snapshot, time.monotonic()
+        if now - max(reading.read_at, self._started) > _PERIODS * self._sensor.period:
+            self._level = None
+            self.diagnose("sensor", STALE, "the sensor is not read any more: the reader hangs")
+        elif reading.read_at > self._published:
+            self._published = reading.read_at
+            self._level = reading.level
+            if reading.level is None:
+                self.diagnose("sensor", ERROR, reading.problem)
+            else:
+                self._publish(reading.level)
+                self.diagnose("sensor", OK, "the sensor is read")
+        return LISTEN_S
+
+    def progress(self) -> dict[str, Any]:
+        """Return what bringup shows."""
+        return {"level": self._level}
+
+    def on_stop(self) -> None:
+        """Let go of the sensor."""
+        self._exchange.close()
+
+
+def _help(tank: str | None) -> str:
+    return node_help(
+        f"level_sensor --tank {tank or 'TANK'}", f"{tank or TANKS[0]}_sensor",
+        f"{__doc__}\nTANK is {' or '.join(TANKS)}.", PARAMETERS,
+        "--ros-args -p sensors_file:=my_sensors.yaml",
+    )
+
+
+@command
+def main() -> int:
+    """Run the node."""
+    parser = NodeParser()
+    parser.add_argument("--tank", choices=TANKS)
+    arguments = parser.own_arguments()
+    if arguments.help:
+        print(_help(arguments.tank))
+        return EXIT_DONE
+    if arguments.tank is None:
+        parser.error(f"--tank is missing: {' or '.join(TANKS)}")
+    return run_node(partial(LevelSensorNode, arguments.tank))
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,110 @@
+"""The recorder node of a live site: every message that comes, as it comes, for months.
+
+Into a bag's files by size and by day (UTC), with the time at which it came. The oldest files go
+when the bag reaches its limit. What came is on the disk after 10 s. A full disk ends the recording
+and is an alarm, and nothing else: the node lives on, and tries again every minute.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+from greenroof_ros.common.command_line import EXIT_DONE, command
+from greenroof_ros.common.errors import ConfigurationError
+from greenroof_ros.graph.link import LISTEN_S, LinkedNode
+from greenroof_ros.graph.node_help import NodeParser, node_help
+from greenroof_ros.graph.node_process import run_node
+from greenroof_ros.graph.parameters import NodeParameter, declare
+from greenroof_ros.graph.reports import ERROR, OK
+from greenroof_ros.recording.live_bag import LiveBag
+
+PARAMETERS = (
+    NodeParameter("directory", "bag", "the bag; goes on with one that is there"),
+    NodeParameter(
+        "file_limit", 100.0, "size at which a file of the bag ends and the next begins (MB)",
+        0.1, 1e6,
+    ),
+    NodeParameter(
+        "total_limit", 10_000.0,
+        "size beyond which the bag's oldest files are removed, at least twice file_limit (MB)",
+        0.2, 1e9,
+    ),
+)
+
+_MB = 1e6
+
+
+class LiveRecorderNode(LinkedNode):
+    """Writes the topics of a live graph, and /diagnostics, under their names on the wire."""
+
+    def __init__(self) -> None:
+        """Declare the parameters, look at the bag and open the topics."""
+        super().__init__("recorder", "recorder", always_live=True)
+        values = declare(self, PARAMETERS)
+        file, total = values["file_limit"], values["total_limit"]
+        if total < 2 * file:
+            raise ConfigurationError(
+                f"must be at least twice file_limit, {file:g} MB",
+                key="parameter total_limit of recorder", value=total,
+            )
+        topics = [topic for topic in self.interface.values() if topic.live]
+        names = [self.resolve_topic_name(topic.graph_name) for topic in topics]
+        self._bag = LiveBag(
+            Path(values["directory"]).resolve(),
+            [replace(topic, name=name) for topic, name in zip(topics, names, strict=True)],
+            file_bytes=int(file * _MB),
+            total_bytes=int(total * _MB),
+        )
+        for topic, name in zip(topics, names, strict=True):
+            self.record(topic.name, self._writer(name))
+
+    def _writer(self, name: str) -> Callable[[bytes], None]:
+        def callback(message: bytes) -> None:
+            self._bag.write(name, time.time_ns(), message, time.monotonic())
+
+        return callback
+
+    def on_idle(self) -> float:
+        """Flush when it is time to, and say how recording goes."""
+        self._bag.look(time.monotonic())
+        problem = self._bag.problem
+        if problem:
+            self.diagnose("recording", ERROR, f"nothing is recorded: {problem}")
+        else:
+            self.diagnose("recording", OK, f"recording to {self._bag.directory}")
+        return LISTEN_S
+
+    def progress(self) -> dict[str, Any]:
+        """Return how many messages are in the bag since this start, and how many are lost."""
+        return {"recorded": self._bag.recorded, "lost": self._bag.lost}
+
+    def on_stop(self) -> None:
+        """Close the bag."""
+        self._bag.close()
+        if self._bag.problem:
+            self.get_logger().error(self._bag.problem)
+
+
+def _help() -> str:
+    return node_help(
+        "live_recorder", "recorder", __doc__, PARAMETERS,
+        "--ros-args -p directory:=/var/lib/greenroof/bag -p total_limit:=2000.0",
+        always_live=True,
+    )
+
+
+@command
+def main() -> int:
+    """Run the node."""
+    if NodeParser().own_arguments().help:
+        print(_help())
+        return EXIT_DONE
+    return run_node(LiveRecorderNode)
+
+
+if __name__ == "__main__":
+    main()

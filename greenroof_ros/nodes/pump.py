@@ -1,0 +1,561 @@
+"""The pump node: /pump/command in, a drive on Modbus turned, /pump/flow out.
+
+It is a lifecycle node. *configure* connects to the drive and reads its nameplate and its own
+communication timeout; *activate* lets the pump run, unless that timeout is off, too long or
+unreadable; *deactivate* ramps down, *cleanup* lets go. ``~/stop`` (std_srvs/SetBool) holds the pump
+off over anything, after a restart too; ``~/reset`` (std_srvs/Trigger) clears a latched fault. In
+any state each command is answered by the flow, and /pump/state says why the pump stands.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+import time
+from pathlib import Path
+from typing import Any, cast
+
+from std_srvs.srv import SetBool, Trigger
+
+from greenroof_ros.common.command_line import EXIT_DONE, command
+from greenroof_ros.common.errors import ConfigurationError
+from greenroof_ros.drives.address import parse_address
+from greenroof_ros.drives.drive import DriveStatus
+from greenroof_ros.drives.drive_file import find_drive_file, read_drive_file
+from greenroof_ros.drives.exchange import DriveExchange, Snapshot
+from greenroof_ros.graph.lifecycle import (
+    ACTIVATE,
+    ACTIVE,
+    CONFIGURE,
+    INACTIVE,
+    UNCONFIGURED,
+    Lifecycle,
+    RefusedError,
+)
+from greenroof_ros.graph.link import CLOCK, LISTEN_S, LinkedNode
+from greenroof_ros.graph.live import (
+    FROZEN_MOVEMENT,
+    JUMP_TOLERANCE,
+    LEVEL_PARAMETERS,
+    LIMITS,
+    LivePublishers,
+    live_parameters,
+)
+from greenroof_ros.graph.node_help import NodeParser, node_help
+from greenroof_ros.graph.node_process import run_node
+from greenroof_ros.graph.parameters import (
+    LIVE,
+    NodeParameter,
+    declare,
+    declare_site,
+    default_site,
+    of_controller,
+    site_file,
+)
+from greenroof_ros.graph.permit import PermitReader
+from greenroof_ros.graph.reports import ERROR, OK, STALE, WARN, Diagnosis
+from greenroof_ros.graph.serialization import decode_clock
+from greenroof_ros.graph.validation import Input
+from greenroof_ros.model.site import Site
+from greenroof_ros.pumping.input_rules import (
+    LevelRule,
+    cistern_speeds,
+    expected_rise,
+    roof_speeds,
+)
+from greenroof_ros.pumping.ledger import Ledger
+from greenroof_ros.pumping.pump_control import Decision, Observation, PumpControl
+from greenroof_ros.pumping.settings import PumpSettings, pump_parameters
+
+_NEEDED = ("/pump/command", "/cistern/level", "/roof/level", "/weather/frost")
+_METER = "/pump/meter"
+# Without a call for so long the drive's thread stops the drive: this node hangs (s).
+_DEAD_MAN_S = 1.0
+# How long *configure* waits for the drive, and how old what it said may be (s). Between two of its
+# answers may be a whole start, some seconds.
+_CONNECT_S, _DRIVE_AGE_S = 3.0, 10.0
+# A pause of this process itself (s), after which what waited for it is no command of now.
+_PAUSE_S = 1.0
+# How long the drive has to acknowledge its fault before that counts again (s).
+_RESET_S = 5.0
+# How often a node that is to start by itself tries to, and how often the drive is looked at (s).
+_AGAIN_S, _LOOK_S = 0.5, 0.2
+
+_OWN = (
+    NodeParameter("drive", "", "make of drive, a file of config/drives, or a file's path"),
+    NodeParameter("address", "", "of the drive: tcp://HOST:PORT, or /dev/tty... of a serial line"),
+    NodeParameter(
+        "device_id", 0, "unit identifier or slave address of the drive; 0 for its file's", 0, 247
+    ),
+    NodeParameter(
+        "exchange_period", 0.1, "time between two rounds of requests to the drive (s)", 0.02, 1.0
+    ),
+    NodeParameter("autostart", False, "configure and activate by itself, until that works"),
+    NodeParameter(
+        "drive_timeout_limit", 10.0, "greatest communication timeout that the drive itself may "
+        "have (s)", 0.1, 60.0,
+    ),
+    NodeParameter(
+        "activate_without_drive_timeout", False, "activate although the drive itself would run on "
+        "when this machine fails: DANGEROUS",
+    ),
+    NodeParameter(
+        "state_file", "", "keeps a stop, a fault and the day's use over restarts; without it "
+        "~/.local/state/greenroof_ros/NAME.json",
+    ),
+)
+
+
+def parameters(site: Site) -> list[NodeParameter]:
+    """Return the node's parameters, but for the site."""
+    return [
+        LIVE, *_OWN, *of_controller(pump_parameters(site)), *live_parameters([*_NEEDED, _METER]),
+        *LEVEL_PARAMETERS,
+    ]
+
+
+class _Drive:
+    """The drive of the parameters, and what speaks against using it."""
+
+    def __init__(self, values: dict[str, Any], node_name: str) -> None:
+        """Read its file.
+
+        Raises:
+            ConfigurationError: a parameter or the file is wrong.
+        """
+        key = f"parameter {{}} of {node_name}"
+        if not values["drive"]:
+            raise ConfigurationError(
+                "must be given: the make of the drive, as a file of config/drives without .yaml, "
+                "or the path of a file of one's own", key=key.format("drive"),
+            )
+        self.file = read_drive_file(find_drive_file(values["drive"]))
+        self._address = parse_address(values["address"], key.format("address"))
+        self._device_id = values["device_id"] or None
+        self._period = values["exchange_period"]
+        self._limit = values["drive_timeout_limit"]
+        self.without_timeout = values["activate_without_drive_timeout"]
+        self._exchange: DriveExchange | None = None
+
+    @property
+    def snapshot(self) -> Snapshot:
+        """What is known of it."""
+        return Snapshot() if self._exchange is None else self._exchange.snapshot
+
+    def connect(self) -> None:
+        """Begin to keep it stopped."""
+        if self._exchange is None:
+            self._exchange = DriveExchange(
+                self.file, self._address, self._period, _DEAD_MAN_S, device_id=self._device_id
+            )
+            self._exchange.start()
+
+    def let_go(self) -> DriveStatus | None:
+        """Stop it, and return what it says then; takes a few seconds at most."""
+        if self._exchange is None:
+            return None
+        self._exchange.close()
+        status = self._exchange.snapshot.status
+        self._exchange = None
+        return status
+
+    def demand(self, speed: float | None) -> None:
+        """Ask for a speed, share of the rated one; None for off."""
+        if self._exchange is not None:
+            self._exchange.demand(speed)
+
+    def reset(self) -> None:
+        """Have its fault acknowledged."""
+        if self._exchange is not None:
+            self._exchange.reset()
+
+    def status(self, now: float) -> DriveStatus | None:
+        """Return what it said last, unless that is too old."""
+        snapshot = self.snapshot
+        return snapshot.status if now - snapshot.read_at < _DRIVE_AGE_S else None
+
+    def absence(self, now: float) -> str:
+        """Return why it cannot be heard; empty where it can."""
+        if self.status(now) is not None:
+            return ""
+        return f"no connection to the drive: {self.snapshot.problem}"
+
+    def timeout_problem(self) -> str:
+        """Return what is wrong with its own communication timeout; empty where nothing is."""
+        known, seconds = self.snapshot.timeout_known, self.snapshot.timeout_s
+        repair = f"; to set it: {self.file.timeout.how_to_set}"
+        if not known:
+            return (
+                "the drive's own communication timeout could not be read "
+                f"({self.snapshot.timeout_note}){repair}"
+            )
+        if seconds is None:
+            return (
+                "the drive's own communication timeout is off "
+                f"({self.snapshot.timeout_note}){repair}"
+            )
+        if seconds > self._limit:
+            return (
+                f"the drive's own communication timeout is {seconds:g} s, and must be at most "
+                f"{self._limit:g} s (drive_timeout_limit){repair}"
+            )
+        return ""
+
+
+class PumpNode(Lifecycle, LinkedNode):
+    """Turns the pump as commanded, while nothing speaks against it."""
+
+    def __init__(self) -> None:
+        """Declare the parameters, and open topics and services."""
+        LinkedNode.__init__(self, "pump", "pump")
+        self._site = site = declare_site(self)
+        values = declare(self, parameters(site)[1:])  # the link declares the first
+        self._drive = _Drive(values, self.get_name())
+        self.act_every(site.tau)
+        given = {one.name: values[one.name] for one in pump_parameters(site)}
+        given["least_speed"] = max(given["least_speed"], self._drive.file.least_speed)
+        settings = PumpSettings(**given)
+        self._ledger = Ledger(self._state_file(values), time.time)
+        self._control = PumpControl(site, settings, self._ledger)
+        self._permit = PermitReader()
+        self._command_limit: float = values[LIMITS["/pump/command"].name]
+        self._autostart: bool = values["autostart"]
+        self._without_timeout = self._drive.without_timeout
+        self._resetting_until = 0.0
+        self._decision = Decision(None, "off", "not started", 0.0, "", "", 0.0)
+        self._state = self._logged = ""
+        self._reasons: tuple[object, ...] = ()
+        now = time.monotonic()
+        self._commanded = -math.inf
+        self._idle_at = now
+        self._simulated = 0.0
+        self._stepped: float | None = None
+        self._decided = now
+        self._tried = self._looked_at = -_AGAIN_S
+        self._rules = [
+            LevelRule(speeds, values[FROZEN_MOVEMENT.name], values[JUMP_TOLERANCE.name])
+            for speeds in (cistern_speeds(site), roof_speeds(site))
+        ]
+        on_command = self._on_command if self.live else None
+        self._command = self.subscribe("/pump/command", on_command, heals=True)
+        self._cistern = self.subscribe("/cistern/level", level=self._rules[0])
+        self._roof = self.subscribe("/roof/level", level=self._rules[1])
+        self._frost = self.subscribe("/weather/frost")
+        self._meter: Input | None = None
+        if self.live:
+            self._meter = self.subscribe(_METER, optional=True)
+            self._rival = self.rivals("/pump/flow")
+        else:
+            self.subscribe(CLOCK, self._on_clock, raw=True)
+        self._publish_flow = self.publish_topic("/pump/flow")
+        self._publish_state = self.publish_topic("/pump/state")
+        Lifecycle.__init__(self)
+        self.create_service(SetBool, "~/stop", self._on_stop_request)
+        self.create_service(Trigger, "~/reset", self._on_reset_request)
+        self._step(now, 0.0)
+
+    def _state_file(self, values: dict[str, Any]) -> Path:
+        if values["state_file"]:
+            return Path(values["state_file"])
+        name = self.get_fully_qualified_name().strip("/").replace("/", "-")
+        return Path.home() / ".local" / "state" / "greenroof_ros" / f"{name}.json"
+
+    # --- lifecycle ------------------------------------------------------------------------------
+
+    def configure(self) -> None:
+        """Connect to the drive, and read what it is."""
+        self._drive.connect()
+        until = time.monotonic() + _CONNECT_S
+        while self._drive.absence(time.monotonic()):
+            if time.monotonic() > until:
+                why = self._drive.absence(until)
+                self._drive.let_go()
+                raise RefusedError(f"not configured: {why}")
+            time.sleep(0.02)
+        self.reports.hardware = self._drive.snapshot.identity
+
+    def activate(self) -> None:
+        """Let the pump run, unless the drive would run on without this machine."""
+        absence = self._drive.absence(time.monotonic())
+        if absence:
+            raise RefusedError(f"not activated: {absence}")
+        problem = self._drive.timeout_problem()
+        if problem and not self._without_timeout:
+            raise RefusedError(f"not activated: {problem}")
+        unverified = self._drive.file.unverified_and_vital
+        if unverified:
+            self.diagnose(
+                "drive file", WARN, f"{self._drive.file.path} was not verified against a manual "
+                f"in: {', '.join(unverified)}; watch the pump start and stop before you rely on it",
+            )
+
+    def deactivate(self) -> None:
+        """Ramp down."""
+        self._step(time.monotonic(), 0.0)
+
+    def clean_up(self) -> None:
+        """Stop the drive, and let go of it."""
+        self._drive.demand(None)
+        status = self._drive.let_go()
+        if status is not None:
+            say = self.get_logger().info if status.stands else self.get_logger().error
+            say(f"let go of the drive: {status}")
+
+    def on_asked(self) -> None:
+        """Leave the lifecycle to who asked."""
+        self._autostart = False
+
+    def on_stop(self) -> None:
+        """Stop the drive and read that back, whatever ends the node."""
+        self.clean_up()
+        self._ledger.close()
+
+    def _start_by_itself(self, now: float) -> None:
+        """Go towards *active* where that is possible, again and again."""
+        if now - self._tried < _AGAIN_S or self.lifecycle_state == ACTIVE:
+            return
+        self._tried = now
+        self._drive.connect()
+        if self._drive.absence(now):
+            return
+        if self.lifecycle_state == UNCONFIGURED:
+            self.change(CONFIGURE)
+        if self.lifecycle_state == INACTIVE:
+            self.change(ACTIVATE)
+
+    # --- services -------------------------------------------------------------------------------
+
+    def _on_stop_request(
+        self, request: SetBool.Request, response: SetBool.Response
+    ) -> SetBool.Response:
+        self._control.hold(request.data)
+        self._step(time.monotonic(), 0.0)
+        response.success = True
+        response.message = self._state
+        return response
+
+    def _on_reset_request(
+        self, request: Trigger.Request, response: Trigger.Response
+    ) -> Trigger.Response:
+        cleared = self._control.reset()
+        self._drive.reset()
+        self._resetting_until = time.monotonic() + _RESET_S
+        response.success = True
+        response.message = f"cleared: {cleared}" if cleared else "there was no fault"
+        self.get_logger().info(f"reset: {response.message}")
+        return response
+
+    # --- inputs ---------------------------------------------------------------------------------
+
+    def _on_command(self, value: float) -> None:
+        """Note that a command came, in a live graph; in lockstep the node acts on each."""
+        self._commanded = time.monotonic()
+
+    def _on_clock(self, message: bytes) -> None:
+        self.set_time(decode_clock(message))
+
+    def on_begin(self, tick: int) -> None:
+        """Go on from a tick on, where the node was started again in the run."""
+        self._simulated = tick * self._site.tau
+
+    def on_inputs(self) -> None:
+        """Act on a command, in lockstep; in a live graph, act because it is time to."""
+        now = time.monotonic()
+        if not self.live:
+            self._commanded = now
+            self._simulated += self._site.tau
+        self._step(now, self._passed(now))
+        if self.live:
+            self._expect()
+        self._publish_flow(self._decision.flow)
+
+    def _passed(self, now: float) -> float:
+        """Return the time since the last step (s): simulated, or that of the steady clock."""
+        before, self._stepped = self._stepped, now if self.live else self._simulated
+        return 0.0 if before is None else self._stepped - before
+
+    def on_idle(self) -> float:
+        """Stop where something speaks against running, whether or not commands come."""
+        now = time.monotonic()
+        status = self._drive.status(now)
+        reasons = (
+            self._problem(now), _fault(status),
+            status is not None and status.stands,
+        )
+        if reasons != self._reasons:
+            self._reasons = reasons
+            self._step(now, 0.0)
+        self._idle_at = now
+        self._drive.demand(self._decision.speed)
+        if self._autostart:
+            self._start_by_itself(now)
+        if now - self._looked_at > _LOOK_S:
+            self._looked_at = now
+            self._diagnose(now)
+        return LISTEN_S
+
+    def progress(self) -> dict[str, Any]:
+        """Return what bringup shows, and waits for."""
+        return {
+            "pump": self._state, "flow": self._decision.flow,
+            "active": self.lifecycle_state == ACTIVE,
+        }
+
+    # --- the pump -------------------------------------------------------------------------------
+
+    def _problem(self, now: float) -> str:
+        """Return the first reason of this node to have the pump off; empty where there is none."""
+        if self.lifecycle_state != ACTIVE:
+            return self.refusal or "the node is not active"
+        status = self._drive.status(now)
+        if status is None:
+            return self._drive.absence(now)
+        if not status.remote:
+            return "the drive is in local control: hand it over to the bus at its panel"
+        return (
+            (not self._without_timeout and self._drive.timeout_problem())
+            or self._permit.hold(now)
+            or self._two_publishers(now)
+            # Another pump node may have the same drive: neither runs it then.
+            or (self.live and self._rival(now))
+            or self._silence(now)
+        )
+
+    def _two_publishers(self, now: float) -> str:
+        publishers = cast(LivePublishers, self.inputs.publishers["/pump/command"])
+        problem = publishers.problem(now)
+        return f"{self._command.name} {problem}" if problem else ""
+
+    def _silence(self, now: float) -> str:
+        """Return that commands are missing, by the steady clock alone."""
+        if self._commanded < 0:
+            return "no command has come yet"
+        if now - self._commanded > self._command_limit:
+            return f"no command has come for {self._command_limit:g} s (command_limit)"
+        if now - self._idle_at > _PAUSE_S:
+            return f"this node itself stood still for {now - self._idle_at:.0f} s"
+        return ""
+
+    def _value(self, entry: Input | None) -> float | None:
+        """Return the value of an input; None where it is not good, or none has come."""
+        return float(entry.value) if self.acted and entry is not None and entry.good else None
+
+    def _step(self, now: float, dt: float) -> None:
+        """Decide on what is known, and say it."""
+        status, frost = self._drive.status(now), self._value(self._frost)
+        seen = Observation(
+            command=self._value(self._command),
+            cistern_level=self._value(self._cistern),
+            roof_level=self._value(self._roof),
+            frost=None if frost is None else frost > 0,
+            speed=None if status is None else status.speed,
+            flow=self._value(self._meter),
+            drive_flow=None if status is None else status.flow,
+            drive_ready=status is not None and (status.ready or status.running),
+            drive_fault="" if now < self._resetting_until else _fault(status),
+            problem=self._problem(now),
+        )
+        time_now = now if self.live else self._simulated
+        drive_dt, self._decided = now - self._decided, now
+        self._decision = decision = self._control.step(time_now, dt, seen, drive_dt)
+        self._drive.demand(decision.speed)
+        state = f"{decision.state}: {decision.why}"
+        if state != self._state:
+            self._state = state
+            self._publish_state(state)
+        without_numbers = re.sub(r"[\d.]+", "", state)
+        if without_numbers != self._logged:
+            self._logged = without_numbers
+            self.get_logger().info(state)
+
+    def _expect(self) -> None:
+        """Expect of the levels what the pump does to them in a tick."""
+        if self._cistern.good and self._roof.good:
+            rises = expected_rise(
+                self._site, self._decision.flow, 0.0, self._cistern.value, self._roof.value
+            )
+            for rule, rise in zip(self._rules, rises, strict=True):
+                rule.expect(rise * self._site.tau)
+
+    def _diagnose(self, now: float) -> None:
+        """Say how each part is; what has numbers in it changes too often for the log."""
+        decision = self._decision
+        healthy = decision.state in ("running", "starting", "stopping")
+        commanded = decision.state == "off" and not self._problem(now)
+        level = ERROR if decision.state == "fault" else OK if healthy or commanded else WARN
+        self.reports.diagnoses["pump"] = Diagnosis(level, self._state)
+        limits = decision.warning or "nothing limits the pump"
+        self.reports.diagnoses["limits"] = Diagnosis(WARN if decision.warning else OK, limits)
+        self.reports.diagnoses["flow"] = Diagnosis(OK, f"known so: {decision.source}")
+        trouble = self._two_publishers(now) or (
+            "" if self._command.good else f"{self._command.name} {self._command.why}"
+        )
+        silence = self._silence(now)
+        self.diagnose(
+            "command", ERROR if trouble else STALE if silence and self.acted else OK,
+            trouble or silence or "commands come",
+        )
+        bad = [one for one in (self._cistern, self._roof) if not one.good]
+        self.diagnose(
+            "levels", ERROR if bad else OK,
+            "; ".join(f"{one.name} {one.why}" for one in bad) or "both levels are good",
+        )
+        frost = f"{self._frost.name} {self._frost.why}" if not self._frost.good else ""
+        if self._frost.good and self._frost.value > 0:
+            frost = "there is frost"
+        self.diagnose("frost", WARN if frost else OK, frost or "there is no frost")
+        if self._permit.given:
+            hold = self._permit.hold(now)
+            self.diagnose("supervisor", WARN if hold else OK, hold or "bringup lets the pump run")
+        self._diagnose_drive(now)
+
+    def _diagnose_drive(self, now: float) -> None:
+        if self.lifecycle_state == UNCONFIGURED and not self._autostart:
+            self.diagnose("drive", WARN, self.refusal or "the node is not configured")
+            return
+        snapshot, status = self._drive.snapshot, self._drive.status(now)
+        if status is None:
+            level = ERROR if snapshot.errors else WARN
+            self.diagnose("drive", level, self._drive.absence(now))
+            return
+        self.reports.hardware = snapshot.identity
+        if status.fault:
+            self.diagnose("drive", ERROR, f"the drive reports a fault: {status.fault}")
+        elif snapshot.problem or status.warning or not status.remote:
+            local = "" if status.remote else "it is in local control"
+            said = "; ".join(filter(None, (snapshot.problem, status.warning, local)))
+            self.diagnose("drive", WARN, f"the drive: {said}")
+        else:
+            self.diagnose("drive", OK, f"connected to {snapshot.identity}")
+        timeout = self._drive.timeout_problem()
+        self.diagnose(
+            "drive timeout", OK if not timeout else WARN if self._without_timeout else ERROR,
+            timeout or f"without this machine the drive stops after {snapshot.timeout_s:g} s",
+        )
+
+
+def _fault(status: DriveStatus | None) -> str:
+    """Return a drive's fault, but not that its own timeout has stopped it: that heals."""
+    return "" if status is None or status.timed_out else status.fault
+
+
+def _help() -> str:
+    """Return the node's help."""
+    return node_help(
+        "pump", "pump", f"{__doc__}", [LIVE, site_file(), *parameters(default_site())[1:]],
+        "--ros-args -p drive:=abb_acs880 -p address:=tcp://127.0.0.1:5020 -p autostart:=true",
+    )
+
+
+@command
+def main() -> int:
+    """Run the node."""
+    arguments = NodeParser().own_arguments()
+    if arguments.help:
+        print(_help())
+        return EXIT_DONE
+    return run_node(PumpNode)
+
+
+if __name__ == "__main__":
+    main()

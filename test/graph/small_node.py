@@ -1,0 +1,49 @@
+"""A node of the tests: no ROS, but the pipes, signals and ends of one.
+
+Its first argument says what it does; ``marks`` in its second, a directory, are files by which a
+test sees and steers it.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import sys
+import time
+from pathlib import Path
+
+
+def report(state: str, **values: str) -> None:
+    os.write(
+        int(os.environ["GREENROOF_ROS_REPORT_PIPE"]),
+        (json.dumps({"state": state, **values}) + "\n").encode(),
+    )
+
+
+def main() -> None:
+    kind, marks = sys.argv[1], Path(sys.argv[2])
+    signal.signal(signal.SIGTERM, lambda *_: sys.exit(0))
+    with (marks / "starts").open("a") as stream:
+        stream.write(f"{kind} {os.getpid()} {time.monotonic()}\n")
+    print(f"{kind} was started", flush=True)
+    if kind == "wrong":
+        report("ended", failure="parameter x must be a number")
+        sys.exit(2)
+    if kind == "fails":
+        sys.exit(1)
+    permits = os.environ.get("GREENROOF_ROS_PERMIT_PIPE")
+    while True:
+        report("starting" if (marks / f"{kind}-waits").exists() else "ready")
+        if permits is not None:
+            os.set_blocking(int(permits), False)
+            try:
+                lines = os.read(int(permits), 65536)
+            except BlockingIOError:
+                lines = b""
+            with (marks / "permits").open("ab") as stream:
+                stream.write(lines)
+        time.sleep(0.05)
+
+
+main()

@@ -1,0 +1,121 @@
+"""The check of pump drivers: it passes the example, and fails broken ones for what is broken."""
+
+from __future__ import annotations
+
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from graphs import Process, environment
+from places import CHECKOUT
+
+pytest.importorskip("rclpy", reason="the check needs ROS 2")
+
+EXAMPLE = (CHECKOUT / "examples" / "pump_driver.py").read_text()
+# Each breaks one line of the example; only this check must fail, and say so.
+BROKEN = {
+    "keeps_last": (
+        "else 0.0  # not a NaN", "else last[0]\n    last[0] = command",
+        "refuses what is not finite", r"the flow is 0\.00\d+ m3/s 3 s after command nan",
+    ),
+    "no_watchdog": (
+        "    flow.data = 0.0\n", "    pass\n",
+        "has stopped after", r"first command after 1\.5 s of silence.*had not stopped",
+    ),
+    "follows_two": (
+        "node.commanders > 1:", "node.commanders > 9:",
+        "second publisher", r"m3/s 3 s after a second publisher came",
+    ),
+    "no_clamp": (
+        "min(message.data, 1.0)", "message.data",
+        "above 1 as 1", r"the flow is 0\.024 m3/s at command 3, and 0\.00\d+ at command 1",
+    ),
+    "answers_twice": (
+        "    publisher.publish(flow)\n", "    publisher.publish(flow)\n" * 2,
+        "exactly one flow", r"2 flows where 1 must come",
+    ),
+    "volatile": (
+        "QoSProfile(depth=64, durability=DurabilityPolicy.TRANSIENT_LOCAL)", "QoSProfile(depth=64)",
+        "its topics fit the interface", r"publisher of /pump/flow is volatile; it must be reliable",
+    ),
+}
+
+
+def changed(text: str, old: str, new: str) -> str:
+    assert text.count(old) == 1
+    return text.replace(old, new)
+
+
+def start(domain: int, directory: Path, name: str, source: str) -> subprocess.Popen[bytes]:
+    """Start a driver in a namespace of its own; its pump is faster than the example's."""
+    source = changed(source, "0.008, 30.0, 1.0", "0.008, 4.0, 1.0")
+    source = changed(source, "SILENCE = 3.0", "SILENCE = 1.0; last = [0.0]")
+    file = directory / f"{name}.py"
+    file.write_text(source)
+    return subprocess.Popen(
+        [sys.executable, str(file), "--ros-args", "-r", f"__ns:=/{name}"], cwd=directory,
+        env=environment(domain),
+    )
+
+
+def check(domain: int, directory: Path, name: str) -> Process:
+    return Process(
+        domain, "check_pump", "--node", f"/{name}/pump", "--period", "0.01", "--silence", "1.5",
+        "--stop-within", "3", cwd=directory,
+    )
+
+
+def failures(output: str) -> dict[str, str]:
+    """Return the checks of a table that failed, each with what was wrong."""
+    rows: list[list[str]] = []
+    for line in output.splitlines():
+        if line.startswith("│"):
+            rows.append([cell.strip() for cell in line.strip("│").split("│")])
+        elif line.startswith("├"):
+            rows.append([])
+    return {check: result for check, result in filter(None, rows) if result != "right"}
+
+
+def test_example_passes_and_broken_drivers_fail_for_what_is_broken(
+    domain: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("COLUMNS", "400")  # one line for a row
+    drivers = {"example": start(domain, tmp_path, "example", EXAMPLE)}
+    for name, (old, new, _, _) in BROKEN.items():
+        drivers[name] = start(domain, tmp_path, name, changed(EXAMPLE, old, new))
+    try:
+        checks = {name: check(domain, tmp_path, name) for name in drivers}
+        codes = {name: process.wait(90) for name, process in checks.items()}
+        assert failures(checks["example"].stdout()) == {}, checks["example"].stderr()
+        assert "12 of 12 checks passed" in checks["example"].stdout()
+        for name, (_, _, title, problem) in BROKEN.items():
+            found = failures(checks[name].stdout())
+            assert len(found) == 1, (name, found, checks[name].stderr())
+            assert title in next(iter(found))
+            assert re.search(problem, found[next(iter(found))]), found
+        assert codes == {"example": 0, **dict.fromkeys(BROKEN, 1)}
+        # The check is gone, and so is the controller: a driver ends its run in good order.
+        assert drivers["example"].wait(10) == 0
+    finally:
+        for driver in drivers.values():
+            driver.terminate()
+            driver.wait(10)
+
+
+def test_without_a_driver_or_beside_a_graph_it_says_what_to_do(
+    domain: int, tmp_path: Path
+) -> None:
+    absent = Process(domain, "check_pump", "--node", "pumpe", "--wait", "1", cwd=tmp_path)
+    other = 'node.create_publisher(Float64, "pump/command", qos)\nwatchdog = '
+    driver = start(domain, tmp_path, "taken", changed(EXAMPLE, "\nwatchdog = ", "\n" + other))
+    try:
+        taken = check(domain, tmp_path, "taken")
+        assert absent.wait(20) == 2
+        assert "no node pumpe publishes /pump/flow" in absent.stderr()
+        assert taken.wait(20) == 3
+        assert "/taken/pump/command has a publisher already, node pump" in taken.stderr()
+    finally:
+        driver.terminate()
+        assert driver.wait(10) == 0  # no traceback, and no failure, at SIGTERM

@@ -1,0 +1,268 @@
+"""The supervision of a live site, with real processes: restarts, back-off, limit, hold, drive."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from itertools import pairwise
+from pathlib import Path
+
+import pytest
+from graphs import alive, wait_for
+from places import CHECKOUT
+
+from greenroof_ros.graph.live_supervisor import Incident, LiveSupervisor
+from greenroof_ros.graph.node_processes import NodeFailed
+
+TOO_LONG_S = 20
+
+
+class Site:
+    """A supervisor with what its nodes and drive have done."""
+
+    def __init__(self, supervisor: LiveSupervisor, marks: Path) -> None:
+        self.supervisor = supervisor
+        self.marks = marks
+
+    def add(self, *nodes: str) -> None:
+        for node in nodes:
+            self.supervisor.add(node, "small_node", node, str(self.marks))
+
+    def until(self, condition: object, seconds: float = TOO_LONG_S) -> None:
+        """Supervise until something holds."""
+
+        def step() -> bool:
+            self.supervisor.reports()
+            self.supervisor.look()
+            assert callable(condition)
+            return bool(condition())
+
+        wait_for(step, seconds, "what the test waits for")
+
+    def starts(self, node: str) -> list[tuple[int, float]]:
+        """Return process and time of each start of a node."""
+        try:
+            lines = (self.marks / "starts").read_text().splitlines()
+        except FileNotFoundError:
+            return []
+        words = [line.split() for line in lines]
+        return [(int(pid), float(at)) for kind, pid, at in words if kind == node]
+
+    def permits(self) -> list[dict[str, object]]:
+        lines = (self.marks / "permits").read_text().splitlines()
+        return [json.loads(line) for line in lines]
+
+    def pid(self, node: str) -> int:
+        return self.supervisor.nodes[node].process.pid
+
+
+@contextmanager
+def site(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, *, silence_s: float = 5.0, restarts: int = 9
+) -> Iterator[tuple[Site, list[Incident], list[float]]]:
+    monkeypatch.setenv("PYTHONPATH", f"{CHECKOUT}{os.pathsep}{Path(__file__).parent}")
+    marks = tmp_path / "marks"
+    marks.mkdir()
+    incidents: list[Incident] = []
+    stops: list[float] = []
+
+    def stop_drive() -> str:
+        stops.append(time.monotonic())
+        return "the drive stands"
+
+    supervisor = LiveSupervisor(
+        tmp_path, [], "", silence_s=silence_s, restarts=restarts,
+        stop_drive=stop_drive, on_incident=incidents.append,
+    )
+    with supervisor:
+        yield Site(supervisor, marks), incidents, stops
+
+
+def test_a_node_that_died_is_started_again(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """After 1 s, then 2 s; the pump is held until it is there, and told why."""
+    with site(tmp_path, monkeypatch) as (here, incidents, stops):
+        here.add("weather", "controller", "pump")
+        here.until(lambda: here.supervisor.all_ready and not here.supervisor.hold)
+        for wait in (1.0, 2.0):
+            killed = here.pid("controller")
+            died = time.monotonic()
+            os.kill(killed, signal.SIGKILL)
+            here.until(lambda: here.supervisor.hold == "controller is missing")
+            assert time.monotonic() - died < 1.0
+            here.until(lambda: not here.supervisor.hold)
+            _, started = here.starts("controller")[-1]
+            assert wait <= started - died < wait + 3.0
+            assert here.pid("controller") != killed
+        assert [(i.node, i.what, i.done) for i in incidents] == [
+            ("controller", "ended (SIGKILL)", "starts again in 1 s"),
+            ("controller", "ended (SIGKILL)", "starts again in 2 s"),
+        ]
+        here.until(lambda: here.permits()[-1]["hold"] == "")
+        holds = [permit["hold"] for permit in here.permits()]
+        assert "controller is missing" in holds and "controller is starting" in holds
+        assert set(holds) <= {"", "controller is missing", "controller is starting", holds[0]}
+        times = [float(str(permit["at"])) for permit in here.permits()]
+        assert max(after - before for before, after in pairwise(times)) < 1.0
+        assert 0 <= time.monotonic() - times[-1] < 1.0  # of the same clock
+        assert not stops
+    assert not any(alive(pid) for node in ("weather", "controller", "pump")
+                   for pid, _ in here.starts(node))
+    assert "controller was started" in (tmp_path / "controller.log").read_text()
+
+
+def test_a_node_that_hangs_is_killed_and_started_again(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Held when it is silent for 2 s, killed at the limit."""
+    with site(tmp_path, monkeypatch, silence_s=3.0) as (here, incidents, _):
+        here.add("weather", "pump")
+        here.until(lambda: here.supervisor.all_ready and not here.supervisor.hold)
+        hung = here.pid("weather")
+        os.kill(hung, signal.SIGSTOP)
+        here.until(lambda: here.supervisor.hold == "weather is silent")
+        assert alive(hung)
+        here.until(lambda: here.supervisor.hold == "weather is missing")
+        assert not alive(hung)
+        here.until(lambda: not here.supervisor.hold)
+        assert [(i.node, i.what) for i in incidents] == [
+            ("weather", "had not answered for 3 s (stopped): killed")
+        ]
+
+
+@pytest.mark.parametrize("how", [signal.SIGKILL, signal.SIGSTOP])
+def test_the_drive_is_stopped_for_a_pump_node_that_cannot(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, how: signal.Signals
+) -> None:
+    """Once, and before the node is started again."""
+    with site(tmp_path, monkeypatch, silence_s=3.0) as (here, incidents, stops):
+        here.add("weather", "pump")
+        here.until(lambda: here.supervisor.all_ready and not here.supervisor.hold)
+        failed = time.monotonic()
+        os.kill(here.pid("pump"), how)
+        here.until(lambda: len(here.starts("pump")) == 2)
+        (stopped,) = stops
+        assert stopped - failed < (1.0 if how == signal.SIGKILL else 4.0)
+        assert stopped < here.starts("pump")[1][1]
+        assert [i.done for i in incidents] == ["starts again in 1 s", "the drive stands"]
+        here.until(lambda: here.supervisor.all_ready)
+    assert len(stops) == 1  # at the end the pump node stopped it
+
+
+def test_a_pump_node_that_does_not_end_by_itself(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Nothing is left that runs, be the node dead when the site is stopped."""
+    with site(tmp_path, monkeypatch) as (here, incidents, stops):
+        here.add("pump")
+        here.until(lambda: here.supervisor.all_ready)
+        os.kill(here.pid("pump"), signal.SIGKILL)
+        time.sleep(0.2)
+    assert len(stops) == 1
+    assert str(incidents[-1]) == "pump did not end by itself (SIGKILL); the drive stands"
+
+
+def test_a_node_that_fails_again_and_again_is_given_up(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """After 1 and 2 s; the third end is the last, and says so."""
+    with site(tmp_path, monkeypatch, restarts=2) as (here, incidents, _):
+        here.add("weather", "fails")
+        with pytest.raises(NodeFailed) as failed:
+            here.until(lambda: False)
+    assert failed.value.reason == (
+        "node fails ended (exit code 1); it was restarted 2 times in the last 10 minutes, and is "
+        "given up"
+    )
+    assert failed.value.code == 1
+    assert "fails was started" in str(failed.value)
+    assert [i.done for i in incidents] == ["starts again in 1 s", "starts again in 2 s"]
+    assert not alive(here.starts("weather")[0][0])
+
+
+def test_a_wrong_parameter_is_not_tried_again(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """It would be as wrong then."""
+    with site(tmp_path, monkeypatch) as (here, incidents, _):
+        here.add("wrong")
+        with pytest.raises(NodeFailed) as failed:
+            here.until(lambda: False)
+    assert failed.value.reason == (
+        "node wrong ended (exit code 2): parameter x must be a number"
+    )
+    assert failed.value.code == 2
+    assert not incidents
+
+
+def test_what_a_node_waits_for_holds_the_pump(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    with site(tmp_path, monkeypatch) as (here, incidents, _):
+        (here.marks / "weather-waits").touch()
+        here.add("weather", "recorder", "pump")
+        here.until(lambda: here.supervisor.last.keys() == {"weather", "recorder", "pump"})
+        here.until(lambda: here.supervisor.hold == "weather is starting")
+        (here.marks / "weather-waits").unlink()
+        here.until(lambda: not here.supervisor.hold)
+        # The recorder is none of the pump's.
+        os.kill(here.pid("recorder"), signal.SIGKILL)
+        here.until(lambda: len(here.starts("recorder")) == 2)
+        assert len(incidents) == 1 and not here.supervisor.hold
+        assert "recorder" not in str([permit["hold"] for permit in here.permits()])
+
+
+_STOPPED = """
+import sys
+from pathlib import Path
+from greenroof_ros.graph.live_supervisor import LiveSupervisor
+marks = Path(sys.argv[1])
+supervisor = LiveSupervisor(
+    marks, [], "", silence_s=3.0, restarts=9, stop_drive=None, on_incident=print
+)
+with supervisor:
+    for node in ("weather", "pump"):
+        supervisor.add(node, "small_node", node, str(marks))
+    while not (marks / "end").exists():
+        supervisor.reports()
+        supervisor.look()
+        if supervisor.all_ready:
+            (marks / "ready").touch()
+"""
+
+
+def test_a_supervisor_that_was_stopped_blames_nobody(tmp_path: Path) -> None:
+    """What it did not hear meanwhile is not the nodes' silence."""
+    path = f"{CHECKOUT}{os.pathsep}{Path(__file__).parent}"
+    process = subprocess.Popen(
+        [sys.executable, "-c", _STOPPED, str(tmp_path)], stdout=subprocess.PIPE, text=True,
+        env={**os.environ, "PYTHONPATH": path},
+    )
+    wait_for((tmp_path / "ready").exists, TOO_LONG_S, "nodes")
+    process.send_signal(signal.SIGSTOP)
+    time.sleep(4.0)  # longer than the limit
+    process.send_signal(signal.SIGCONT)
+    time.sleep(1.0)
+    (tmp_path / "end").touch()
+    said, _ = process.communicate(timeout=TOO_LONG_S)
+    assert (process.returncode, said) == (0, "")
+
+
+def test_nothing_is_left_open(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """However often a node was started again: months are long."""
+    with site(tmp_path, monkeypatch) as (here, _, _):
+        here.add("weather", "pump")
+        here.until(lambda: here.supervisor.all_ready)
+        before = len(list(Path("/proc/self/fd").iterdir()))
+        for node in ("pump", "weather"):
+            os.kill(here.pid(node), signal.SIGKILL)
+            here.until(lambda node=node: len(here.starts(node)) == 2)
+        here.until(lambda: here.supervisor.all_ready)
+        assert len(list(Path("/proc/self/fd").iterdir())) == before

@@ -1,0 +1,154 @@
+"""What bringup refuses of a live site and of a drive, and with what words."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+from pathlib import Path
+
+import pytest
+from commands import run_command
+from graphs import environment
+
+LIVE = ("--plant", "external")
+NOBODY = ("--sensors", "external", "--pump", "external", "--weather", "external")
+
+
+def bringup(tmp_path: Path, *arguments: str) -> subprocess.CompletedProcess[str]:
+    return run_command("bringup", *arguments, cwd=tmp_path, env=environment(0))
+
+
+@pytest.mark.parametrize(
+    "option",
+    [
+        ("--hours", "1"), ("--start", "2021-07-07T02:00"), ("--initial", "low-low"),
+        ("--cistern", "1"), ("--roof", "1"), ("--speed", "2"), ("--speed", "max"),
+        ("--output", "here"), ("--json",), ("--evapotranspiration", "fao56"),
+        ("--forecast-size", "1"), ("--forecast-seed", "1"), ("--forecast-members", "2"),
+        ("--roof-noise", "0.1"), ("--roof-offset", "0.1"), ("--noise-seed", "5"),
+        ("--minimum-on", "60"), ("--minimum-off", "60"),
+    ],
+    ids=" ".join,
+)
+def test_a_live_site_has_no_simulation(tmp_path: Path, option: tuple[str, ...]) -> None:
+    done = bringup(tmp_path, *LIVE, *NOBODY, *option)
+    assert done.returncode == 2
+    assert done.stderr == (
+        f"error: {option[0]}: is for a simulated site; with --plant external time, weather and "
+        "levels are the site's own\n"
+    )
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize(
+    "option",
+    [("--sensors", "x.yaml"), ("--restarts", "3"), ("--bag-limit", "50")],
+    ids=" ".join,
+)
+def test_a_simulation_has_no_site(tmp_path: Path, option: tuple[str, ...]) -> None:
+    done = bringup(tmp_path, *option)
+    assert done.returncode == 2
+    assert done.stderr == f"error: {option[0]}: is for a live site, and needs --plant external\n"
+
+
+WRONG = {
+    "sensors": (
+        (*LIVE, "--weather", "external", "--pump", "external"), "--sensors FILE: is missing: live"
+    ),
+    "drive": (
+        (*LIVE, "--weather", "external", "--sensors", "external"), "--drive NAME: is missing: live"
+    ),
+    "forecast": (
+        (*LIVE, "--sensors", "external", "--pump", "external"),
+        "--forecast FILE.csv: is missing: live",
+    ),
+    "a model of forecasts": (
+        (*LIVE, "--sensors", "external", "--pump", "external", "--forecast", "persistence"),
+        "--forecast = 'persistence': must be a FILE.csv",
+    ),
+    "no such forecast": (
+        (*LIVE, "--sensors", "external", "--pump", "external", "--forecast", "no.csv"),
+        "--forecast = 'no.csv': must be a file that is there",
+    ),
+    "no such sensors": (
+        (*LIVE, "--weather", "external", "--pump", "external", "--sensors", "no.yaml"),
+        "--sensors = 'no.yaml': must be a file that is there",
+    ),
+    "weather of a simulation": (
+        (*LIVE, "--sensors", "external", "--pump", "external", "--weather", "july.csv"),
+        "--weather = 'july.csv': must be external, or not given",
+    ),
+    "two weathers": (
+        (*LIVE, *NOBODY, "--forecast", "forecast.csv"),
+        "--forecast = 'forecast.csv': is of the weather node",
+    ),
+    "live weather in a simulation": (
+        ("--weather", "external"), "--weather = 'external': is for a live site"
+    ),
+    "two pumps": (
+        ("--pump", "external", "--drive", "abb_acs880", "--drive-at", "tcp://127.0.0.1:1"),
+        "--pump = 'external': leaves the pump to somebody else's node",
+    ),
+    "two pumps, live": (
+        (*LIVE, *NOBODY, "--drive", "abb_acs880", "--drive-at", "tcp://127.0.0.1:1"),
+        "--pump = 'external': leaves the pump to somebody else's node",
+    ),
+    "a drive that is nowhere": (
+        ("--drive", "abb_acs880"), "--drive = 'abb_acs880': needs --drive-at, such as tcp://"
+    ),
+    "an address of nothing": (
+        ("--drive-at", "tcp://127.0.0.1:1"), "--drive-at = 'tcp://127.0.0.1:1': needs --drive"
+    ),
+    "no such drive": (
+        ("--drive", "acme", "--drive-at", "tcp://127.0.0.1:1"), "abb_acs880"
+    ),
+    "no such address": (
+        ("--drive", "abb_acs880", "--drive-at", "127.0.0.1"), "127.0.0.1"
+    ),
+    "minimum times of a drive": (
+        ("--drive", "abb_acs880", "--drive-at", "tcp://127.0.0.1:1", "--minimum-on", "60"),
+        "minimum on and off times: are the pump driver's business",
+    ),
+    "state of nothing": (("--state", "here"), "--state: is of a drive, or a live site"),
+    "no such parameters": (
+        (*LIVE, *NOBODY, "--node-parameters", "no.yaml"),
+        "--node-parameters = 'no.yaml': must be a file that is there",
+    ),
+    "a small bag": ((*LIVE, *NOBODY, "--bag-limit", "1"), "--bag-limit"),
+    "a site that is none": ((*LIVE, *NOBODY, "--site", "no.yaml"), "no.yaml"),
+}
+
+
+@pytest.mark.parametrize("case", WRONG)
+def test_what_is_wrong_is_said(tmp_path: Path, case: str) -> None:
+    arguments, message = WRONG[case]
+    done = bringup(tmp_path, *arguments)
+    assert done.returncode == 2
+    assert message in done.stderr
+    assert "Traceback" not in done.stderr
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_directory_in_use(tmp_path: Path) -> None:
+    """Two bringups must not write into one: another domain would not tell them apart."""
+    import fcntl
+
+    (tmp_path / "live").mkdir()
+    number = os.open(tmp_path / "live", os.O_RDONLY)
+    try:
+        fcntl.flock(number, fcntl.LOCK_EX)
+        done = bringup(tmp_path, *LIVE, *NOBODY)
+    finally:
+        os.close(number)
+    assert done.returncode == 3
+    assert done.stderr == (
+        "error: --state = 'live': is of a bringup that runs; end it, or take another directory\n"
+    )
+
+
+def test_help_tells_the_three_ways(tmp_path: Path) -> None:
+    done = bringup(tmp_path, "--help")
+    assert done.returncode == 0
+    for words in ("simulated  ", "hardware in the loop  ", "live  ", "--plant", "--drive-at"):
+        assert words in done.stdout
+    assert max(map(len, done.stdout.splitlines())) <= 100

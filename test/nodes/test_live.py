@@ -1,0 +1,445 @@
+"""Nodes of a live graph, with sensors that the test plays: every rule of an input, and the weather.
+
+A tick is 0.2 s here, and the limits are of seconds, so that a failure and its end take few.
+"""
+
+from __future__ import annotations
+
+import math
+import os
+import signal
+import subprocess
+import sys
+import time
+from array import array
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from datetime import UTC, datetime, timedelta
+from pathlib import Path
+from typing import Any
+
+import pytest
+from graphs import environment
+from places import CONFIG
+
+rclpy = pytest.importorskip("rclpy", reason="nodes need ROS 2")
+
+from diagnostic_msgs.msg import DiagnosticArray  # noqa: E402
+from rclpy.node import Node  # noqa: E402
+from std_msgs.msg import Float64, Float64MultiArray  # noqa: E402
+from test_nodes import Observer, observer, qos  # noqa: E402, F401
+
+TAU = 0.2
+# What a tick may be late on a busy machine (s).
+SLACK = 1.0
+OK, WARN, ERROR = b"\x00", b"\x01", b"\x02"
+
+
+class Site:
+    """The sensors and the weather of a site, and what is heard from the node under test."""
+
+    def __init__(self, watcher: Observer) -> None:
+        """Publish nothing yet."""
+        self.watcher = watcher
+        self.node = watcher.node
+        self.heard: dict[str, list[tuple[float, Any]]] = {}
+        self.diagnoses: dict[str, tuple[bytes, str]] = {}
+        self.values: dict[str, Any] = {}
+        self._publishers: dict[str, Any] = {}
+        self._next = time.monotonic()
+        self.node.create_subscription(
+            DiagnosticArray, "/diagnostics", self._on_diagnostics, qos("/diagnostics")
+        )
+
+    def _on_diagnostics(self, message: DiagnosticArray) -> None:
+        for status in message.status:
+            self.diagnoses[status.name] = (status.level, status.message)
+
+    def listen(self, topic: str, kind: Any = Float64) -> list[tuple[float, Any]]:
+        """Note when each value of a topic comes."""
+        values = self.heard.setdefault(topic, [])
+        self.node.create_subscription(
+            kind, topic, lambda message: values.append((time.monotonic(), message.data)), qos(topic)
+        )
+        return values
+
+    def publisher(self, topic: str, node: Node | None = None) -> Any:
+        kind = Float64MultiArray if topic.startswith("/forecast") else Float64
+        return (node or self.node).create_publisher(kind, topic, qos(topic))
+
+    def play(self) -> None:
+        """Publish the present values, ten times a second; a value may be a function of time."""
+        if time.monotonic() < self._next:
+            return
+        self._next = time.monotonic() + 0.1
+        for topic, value in self.values.items():
+            if topic not in self._publishers:
+                self._publishers[topic] = self.publisher(topic)
+            data = value(time.monotonic()) if callable(value) else value
+            kind = Float64MultiArray if topic.startswith("/forecast") else Float64
+            self._publishers[topic].publish(kind(data=data))
+
+    def until(self, condition: Callable[[], Any], seconds: float, what: str) -> None:
+        """Play until a condition holds."""
+
+        def played() -> Any:
+            self.play()
+            return condition()
+
+        self.watcher.until(played, seconds, f"{what} ({self.diagnoses})")
+
+    def during(self, seconds: float) -> None:
+        """Play for so long."""
+        end = time.monotonic() + seconds
+        self.until(lambda: time.monotonic() > end, seconds + 5, "time")
+
+    def says(self, part: str, level: bytes, *words: str) -> Callable[[], bool]:
+        """Return whether a part is at a level, with some words."""
+
+        def said() -> bool:
+            found = self.diagnoses.get(part)
+            return found is not None and found[0] == level and all(w in found[1] for w in words)
+
+        return said
+
+
+@pytest.fixture
+def site(observer: Observer) -> Site:  # noqa: F811
+    return Site(observer)
+
+
+def start_live(
+    domain: int, cwd: Path, command: str, **parameters: object
+) -> subprocess.Popen[bytes]:
+    """Start a node with a tick of 0.2 s in a live graph."""
+    file = cwd / "site.yaml"
+    file.write_text((CONFIG / "site.yaml").read_text().replace("tau: 1.0 ", f"tau: {TAU} "))
+    given = {"live": "true", "site_file": file, **parameters}
+    return subprocess.Popen(
+        [
+            sys.executable, "-m", *f"greenroof_ros.nodes.{command}".split(), "--ros-args",
+            *(word for name, value in given.items() for word in ("-p", f"{name}:={value}")),
+        ],
+        cwd=cwd, env=environment(domain),
+    )
+
+
+@contextmanager
+def live_node(
+    domain: int, cwd: Path, command: str, **parameters: object
+) -> Iterator[subprocess.Popen[bytes]]:
+    """Start such a node, and end it; it must end well."""
+    process = start_live(domain, cwd, command, **parameters)
+    try:
+        yield process
+    finally:
+        process.send_signal(signal.SIGCONT)
+        process.send_signal(signal.SIGINT)
+        assert process.wait(8) == 0
+
+
+def dry_site(site: Site) -> list[tuple[float, Any]]:
+    """Let the site have a dry roof and enough water, both moving, and return the commands."""
+    site.values = {
+        "/cistern/level": lambda now: 2.5 - 1.6e-4 * (now % 1000),
+        "/roof/level": lambda now: 0.02 + 1e-5 * (now % 1000),
+        "/weather/frost": 0.0,
+        "/forecast/precipitation": [0.0] * 10,
+        "/forecast/evapotranspiration": [1e-6] * 10,
+    }
+    return site.listen("/pump/command")
+
+
+def newest(values: list[tuple[float, Any]]) -> Any:
+    return values[-1][1] if values else None
+
+
+def other_node(site: Site) -> Node:
+    return Node("intruder", context=site.watcher.context, start_parameter_services=False)
+
+
+def test_each_rule_of_an_input_stops_the_pump(domain: int, tmp_path: Path, site: Site) -> None:
+    """Command 0 within the bound, the input and the rule on /diagnostics, and good again."""
+    commands = dry_site(site)
+    good = dict(site.values)
+    recovery, limit = 1.0, 1.5
+    base = good["/roof/level"]
+
+    def expect_stop(within: float, *words: str) -> None:
+        began = time.monotonic()
+        site.until(lambda: newest(commands) == 0.0, within + TAU + SLACK, f"stop: {words}")
+        site.until(site.says("/onoff: inputs", ERROR, *words), 2, f"{words}")
+        assert time.monotonic() - began < within + TAU + SLACK + 2
+
+    def expect_recovery() -> None:
+        began = time.monotonic()
+        site.until(lambda: newest(commands) == 0.5, 6, "recovery")
+        assert time.monotonic() - began > recovery - 0.1  # from the first good value on
+        site.until(site.says("/onoff: inputs", OK), 2, "all well")
+
+    with live_node(
+        domain, tmp_path, "controller --controller onoff", fraction=0.5, level_limit=limit,
+        recovery_time=recovery, frozen_movement=3e-4, jump_tolerance=0.02,
+    ):
+        site.until(lambda: commands, 20, "a command")
+        expect_recovery()
+        for bad in (math.nan, 1e9):
+            site.values["/roof/level"] = bad
+            expect_stop(0.2, "/roof/level was refused", "0 to 100 m")
+            site.values["/roof/level"] = base
+            expect_recovery()
+
+        del site.values["/cistern/level"]
+        expect_stop(limit, "/cistern/level is older than 1.5 s (level_limit)")
+        site.values = dict(good)
+        expect_recovery()
+
+        site.values["/roof/level"] = lambda now: base(now) + 0.012
+        site.during(3)
+        assert newest(commands) == 0.5  # less than the tolerance: that is no jump
+        site.values["/roof/level"] = lambda now: base(now) - 0.015
+        site.until(lambda: newest(commands) == 0.0, 0.2 + TAU + SLACK, "stop by a jump")
+        site.until(site.says("/onoff: inputs", WARN, "/roof/level jumped"), 2, "the jump")
+        expect_recovery()
+        site.values["/roof/level"] = lambda now: base(now) - 0.005
+        site.during(0.5)
+
+        # 0.5 of the pumps' flow is 0.16 mm/s of the cistern: 0.3 mm in 1.8 s.
+        frozen = good["/cistern/level"](time.monotonic())
+        site.values["/cistern/level"] = frozen
+        expect_stop(2.5, "/cistern/level is frozen")
+        site.during(2)
+        assert newest(commands) == 0.0
+        site.values["/cistern/level"] = good["/cistern/level"]
+        expect_recovery()
+
+        intruder = other_node(site)
+        second = site.publisher("/roof/level", intruder)
+        expect_stop(1.0, "/roof/level has 2 publishers (intruder, observer)")
+        second.publish(Float64(data=0.03))
+        site.during(1)
+        assert newest(commands) == 0.0
+        intruder.destroy_node()
+        expect_recovery()
+
+        # The flow that is heard counts, not the command: a held pump freezes no level.
+        site.values["/pump/flow"] = 0.0
+        site.during(2)
+        site.values["/cistern/level"] = frozen
+        site.until(site.says("/onoff: inputs", OK), 5, "all well")
+        site.during(4)
+        assert newest(commands) == 0.5
+        # A tick is a tick: none twice, and none left out by more than the machine is busy.
+        times = [now for now, _ in commands]
+        assert len(times) == pytest.approx((times[-1] - times[0]) / TAU, rel=0.1)
+
+
+@pytest.mark.parametrize("bad", [[], [0.0] * 9, [0.0] * 2000, [math.nan] * 10, [1.0] * 10])
+def test_a_forecast_that_cannot_be_used(
+    domain: int, tmp_path: Path, site: Site, bad: list[float]
+) -> None:
+    """Of another length, or with values that cannot be: refused, and the node lives on."""
+    commands = dry_site(site)
+    with live_node(domain, tmp_path, "controller --controller mpc", recovery_time=0.2):
+        site.until(lambda: (newest(commands) or 0) > 0, 20, "a command")
+        site.values["/forecast/precipitation"] = bad
+        site.until(lambda: newest(commands) == 0.0, TAU + SLACK, "command 0")
+        site.until(
+            site.says("/mpc: inputs", ERROR, "/forecast/precipitation was refused"), 2, "why"
+        )
+        site.values["/forecast/precipitation"] = [0.0] * 10
+        site.until(lambda: newest(commands) > 0, 3, "recovery")
+
+
+def test_a_message_whose_layout_is_wrong(domain: int, tmp_path: Path, site: Site) -> None:
+    """It ends a simulated run; a live node refuses it and lives on."""
+    from std_msgs.msg import MultiArrayDimension, MultiArrayLayout
+
+    commands = dry_site(site)
+    with live_node(domain, tmp_path, "controller --controller onoff", recovery_time=0.2):
+        site.until(lambda: newest(commands), 20, "a command")
+        publisher = site._publishers["/forecast/precipitation"]
+        del site.values["/forecast/precipitation"]
+        sizes = [MultiArrayDimension(size=3), MultiArrayDimension(size=5)]
+        publisher.publish(
+            Float64MultiArray(layout=MultiArrayLayout(dim=sizes), data=array("d", [0.0] * 4))
+        )
+        site.until(site.says("/onoff: inputs", ERROR, "layout is [3, 5]"), 3, "why")
+        site.until(lambda: newest(commands) == 0.0, TAU + SLACK, "command 0")
+
+
+def test_no_command_of_what_was_before_a_stop(domain: int, tmp_path: Path, site: Site) -> None:
+    """The node is stopped for 7 s while the roof gets wet; a dry roof's command never follows.
+
+    The limits are far longer, and there is no time to recover: its own pause is what it must see.
+    """
+    commands = dry_site(site)
+    with live_node(
+        domain, tmp_path, "controller --controller onoff", level_limit=60.0, recovery_time=0.0,
+        jump_tolerance=1.0,
+    ) as process:
+        site.until(lambda: newest(commands), 20, "a command")
+        # What it says is heard, too, before it is stopped: discovery may take seconds.
+        site.until(site.says("/onoff: inputs", OK), 20, "all well")
+        os.kill(process.pid, signal.SIGSTOP)
+        site.during(0.5)
+        before = len(commands)
+        site.during(6.0)
+        assert len(commands) == before
+        site.values["/roof/level"] = lambda now: 0.06 + 1e-5 * (now % 1000)
+        site.during(0.5)
+        os.kill(process.pid, signal.SIGCONT)
+        site.until(site.says("/onoff: inputs", ERROR, "this node itself stood still"), 3, "why")
+        site.until(site.says("/onoff: inputs", OK), 5, "all well")
+        site.during(0.5)
+        after = [value for _, value in commands[before:]]
+        assert after and set(after) == {0.0}
+        site.values["/roof/level"] = lambda now: 0.02 + 1e-5 * (now % 1000)
+        site.until(lambda: newest(commands) > 0, 3, "a command")
+
+
+def test_a_node_that_is_killed_may_come_again_but_not_twice(
+    domain: int, tmp_path: Path, site: Site
+) -> None:
+    """The dead one stays matched for 20 s, without a lease: that is no second publisher."""
+    file = tmp_path / "forecast.csv"
+    write_forecast(file, timedelta(0), 0.0, 15.0)
+    commands = dry_site(site)
+    site.values = {name: site.values[name] for name in ("/cistern/level", "/roof/level")}
+    given = {"forecast": file, "recovery_time": 0.5}
+    good = site.says("/onoff: inputs", OK)
+    started = [start_live(domain, tmp_path, "weather", **given)]
+    try:
+        with live_node(domain, tmp_path, "controller --controller onoff", recovery_time=0.5):
+            site.until(lambda: newest(commands), 20, "a command")
+            started[0].kill()
+            started.append(start_live(domain, tmp_path, "weather", **given))
+            site.until(
+                lambda: len(site.node.get_publishers_info_by_topic("/weather/frost")) == 2, 10,
+                "the second beside the dead one",
+            )
+            site.during(1)
+            site.until(lambda: good() and newest(commands) > 0, 8, "recovery")
+
+            started.append(start_live(domain, tmp_path, "weather", **given))
+            site.until(
+                site.says("/onoff: inputs", ERROR, "/weather/frost has ", "publishers (weather)"),
+                15, "two of one name",
+            )
+            site.until(lambda: newest(commands) == 0.0, TAU + SLACK, "command 0")
+            site.during(2)
+            assert newest(commands) == 0.0
+            started[-1].terminate()
+            site.until(lambda: good() and newest(commands) > 0, 8, "one alone")
+    finally:
+        for process in started:
+            process.terminate()
+        for process in started:
+            process.wait(8)
+
+
+HEADER = "issued,time,precipitation [mm/h],evapotranspiration [mm/day],temperature [degC]"
+
+
+def write_forecast(path: Path, ago: timedelta, rain: float, temperature: float) -> None:
+    """Put a file with one issue of 12 hours in place."""
+    issued = datetime.now(UTC).replace(microsecond=0) - ago
+    lines = [
+        f"{issued.isoformat()},{(issued + timedelta(hours=hour)).isoformat()},{rain},2.0,"
+        f"{temperature}"
+        for hour in range(12)
+    ]
+    draft = path.with_suffix(".new")
+    draft.write_text("\n".join([HEADER, *lines, ""]))
+    draft.replace(path)
+
+
+def test_live_weather(domain: int, tmp_path: Path, site: Site) -> None:
+    """A file that is replaced, broken and removed, gauges that come and go, an issue too old."""
+    file = tmp_path / "forecast.csv"
+    write_forecast(file, timedelta(minutes=1), 3.6, 15.0)
+    rain = site.listen("/weather/precipitation")
+    evapotranspiration = site.listen("/weather/evapotranspiration")
+    frost = site.listen("/weather/frost")
+    forecast = site.listen("/forecast/precipitation", Float64MultiArray)
+
+    def expect(rain_now: float, frost_now: float, what: str) -> None:
+        site.until(
+            lambda: newest(rain) == pytest.approx(rain_now) and newest(frost) == frost_now, 5, what
+        )
+
+    with live_node(
+        domain, tmp_path, "weather", forecast=file, gauge_limit=1.0, recovery_time=0.3,
+    ):
+        site.until(lambda: rain and forecast, 20, "the weather")
+        expect(1e-6, 0.0, "3.6 mm/h")
+        assert list(newest(forecast)) == pytest.approx([1e-6] * 10)
+        # 2 mm/day off 68.8 m2.
+        site.until(lambda: evapotranspiration, 2, "evapotranspiration")
+        assert newest(evapotranspiration) == pytest.approx(0.002 * 68.8 / 86400)
+        site.until(site.says("/weather: forecast", OK, "issued"), 2, "all well")
+
+        write_forecast(file, timedelta(0), 7.2, -1.0)
+        expect(2e-6, 1.0, "the new file")
+
+        file.write_text(HEADER + "\nnow,now,1.0,2.0,3.0\n")
+        site.until(
+            site.says("/weather: forecast", WARN, f"{file}, line 2", "'now'"), 3, "the broken file"
+        )
+        file.unlink()
+        site.until(site.says("/weather: forecast", WARN, f"{file}: cannot be read"), 3, "no file")
+        expect(2e-6, 1.0, "the old forecast")
+
+        site.values = {"/gauge/precipitation": 5e-6, "/gauge/temperature": 4.0}
+        expect(5e-6, 0.0, "the gauges")
+        site.until(
+            lambda: list(newest(forecast)) == pytest.approx([5e-6] * 10), 2, "their rain forecast"
+        )
+        site.values = {"/gauge/precipitation": math.nan, "/gauge/temperature": 500.0}
+        expect(2e-6, 1.0, "the forecast again")
+        for part in ("rain gauge", "thermometer"):
+            site.until(site.says(f"/weather: {part}", WARN, "was refused"), 2, part)
+        site.values = {}
+        site.until(
+            site.says("/weather: thermometer", WARN, "older than 1 s", "gauge_limit"), 5, "silence"
+        )
+
+        write_forecast(file, timedelta(hours=2, minutes=1), 3.6, 15.0)
+        site.until(site.says("/weather: forecast", ERROR, "is older than 2 h"), 3, "an old issue")
+        site.until(lambda: math.isnan(newest(frost)), 2, "unknown frost")
+        assert site.says("/weather: frost", ERROR, "unknown_frost_may_pump")()
+        known = len(forecast), len(rain), len(evapotranspiration)
+        unknown = len(frost)
+        site.during(1)
+        assert (len(forecast), len(rain), len(evapotranspiration)) == known
+        assert len(frost) > unknown
+
+        write_forecast(file, timedelta(0), 3.6, 15.0)
+        expect(1e-6, 0.0, "a good file")
+        site.until(site.says("/weather: forecast", OK), 2, "all well")
+
+
+def test_unknown_frost_may_pump(domain: int, tmp_path: Path, site: Site) -> None:
+    """Without a file at the start the node waits for one; the parameter makes frost 0."""
+    frost = site.listen("/weather/frost")
+    with live_node(
+        domain, tmp_path, "weather", forecast="missing.csv", unknown_frost_may_pump="true"
+    ):
+        site.until(lambda: newest(frost) == 0.0, 20, "no frost")
+        site.until(site.says("/weather: frost", WARN, "may run all the same"), 2, "a warning")
+        assert site.says("/weather: forecast", ERROR, "missing.csv: cannot be read")()
+
+
+def test_live_weather_needs_a_file(domain: int, tmp_path: Path) -> None:
+    """A model of forecasts is made of records, which a live site does not have."""
+    done = subprocess.run(
+        [
+            sys.executable, "-m", "greenroof_ros.nodes.weather", "--ros-args", "-p", "live:=true",
+            "-p", "forecast:=persistence",
+        ],
+        cwd=tmp_path, env=environment(domain), capture_output=True, text=True, timeout=20,
+        check=False,
+    )
+    assert done.returncode == 2
+    assert "parameter forecast of weather = 'persistence': must be a FILE.csv" in done.stderr
+    assert len(done.stderr.splitlines()) == 1

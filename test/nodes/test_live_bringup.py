@@ -1,0 +1,278 @@
+"""A live site by bringup: levels and weather from the test's own nodes, real processes, systemd."""
+
+from __future__ import annotations
+
+import asyncio
+import os
+import re
+import signal
+import socket
+import threading
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from datetime import timedelta
+from itertools import pairwise
+from pathlib import Path
+
+import pytest
+from graphs import Process, alive, bring_up, summary_of, wait_for
+from places import CONFIG
+from rosbags.highlevel import AnyReader
+
+rclpy = pytest.importorskip("rclpy", reason="nodes need ROS 2")
+
+from std_msgs.msg import String  # noqa: E402
+from test_live import Site, observer, site, write_forecast  # noqa: E402, F401
+
+from greenroof_ros.drives.address import parse_address  # noqa: E402
+from greenroof_ros.drives.workbench import Workbench  # noqa: E402
+from greenroof_ros.recording.bag_reader import count_ticks  # noqa: E402
+
+NOBODY = ("--sensors", "external", "--pump", "external", "--weather", "external")
+# A low roof, a full cistern, no rain, no frost: mpc pumps.
+DRY = {
+    "/cistern/level": 2.4,
+    "/roof/level": 0.03,
+    "/forecast/precipitation": [0.0] * 10,
+    "/forecast/evapotranspiration": [1e-6] * 10,
+    "/weather/frost": 0.0,
+}
+
+
+class Systemd:
+    """What a service manager hears, with the time of each datagram."""
+
+    def __init__(self, path: Path) -> None:
+        self.heard: list[tuple[float, list[str]]] = []
+        self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
+        self._socket.bind(str(path))
+        threading.Thread(target=self._listen, daemon=True).start()
+
+    def _listen(self) -> None:
+        while True:
+            data = self._socket.recv(4096)
+            self.heard.append((time.monotonic(), data.decode().splitlines()))
+
+    def lines(self) -> list[str]:
+        return [line for _, lines in list(self.heard) for line in lines]
+
+    def times(self, line: str) -> list[float]:
+        return [at for at, lines in list(self.heard) if line in lines]
+
+
+@contextmanager
+def live(domain: int, cwd: Path, *arguments: str) -> Iterator[Process]:
+    """Bring a site up; it must end well when it is asked to, with all of its nodes."""
+    process = Process(
+        domain, "bringup", "--plant", "external", "--state", "run", *arguments, cwd=cwd
+    )
+    yield process
+    nodes = process.nodes().values()
+    process.process.send_signal(signal.SIGTERM)
+    assert process.wait(20) == 0, process.stderr()
+    assert not any(map(alive, nodes))
+    assert "Traceback" not in process.stderr()
+
+
+def test_a_site_is_kept_up_and_systemd_told(
+    domain: int, tmp_path: Path, site: Site, monkeypatch: pytest.MonkeyPatch,  # noqa: F811
+) -> None:
+    """Ready when the sensors are there, alive all the time, and a killed controller comes back."""
+    systemd = Systemd(tmp_path / "notify")
+    monkeypatch.setenv("NOTIFY_SOCKET", str(tmp_path / "notify"))
+    commands = site.listen("/pump/command")
+    with live(domain, tmp_path, *NOBODY, "--bag-limit", "50") as process:
+        site.until(lambda: systemd.times("EXTEND_TIMEOUT_USEC=30000000"), 20, "the start")
+        site.until(lambda: "held: mpc waits for" in process.stderr(), 20, "what it waits for")
+        assert "READY=1" not in systemd.lines()
+        assert not any(value for _, value in commands)
+        site.values = dict(DRY)
+        site.until(lambda: "READY=1" in systemd.lines(), 20, "READY=1")
+        site.until(lambda: commands and commands[-1][1] > 0, 30, "a command")
+        os.kill(process.nodes()["controller"], signal.SIGKILL)
+        killed = time.monotonic()
+        site.until(
+            lambda: commands[-1][0] > killed + 1 and commands[-1][1] > 0, 40, "a command again"
+        )
+        site.during(2)
+        beats = systemd.times("WATCHDOG=1")
+        assert max(b - a for a, b in pairwise(beats)) < 3
+    wait_for(lambda: "STOPPING=1" in systemd.lines(), 5, "STOPPING=1")
+    assert systemd.lines().count("READY=1") == 1
+    assert any(line.startswith("STATUS=cistern") for line in systemd.lines())
+    summary = summary_of(tmp_path / "run")
+    assert (summary["status"], summary["reason"]) == ("done", "interrupted by SIGTERM")
+    (incident,) = summary["incidents"]
+    assert (incident["node"], incident["what"], incident["done"]) == (
+        "mpc", "ended (SIGKILL)", "starts again in 1 s"
+    )
+    assert "all nodes are here" in process.stderr()
+    with AnyReader([tmp_path / "run" / "bag"]) as reader:
+        counts = {c.topic: c.msgcount for c in reader.connections if c.msgcount}
+        stamps = [stamp / 1e9 for _, stamp, _ in reader.messages()]
+    assert counts.keys() == {*DRY, "/pump/command", "/diagnostics", "/controller/cost",
+                             "/controller/solver_status"}
+    assert counts["/pump/command"] == pytest.approx(len(commands), abs=5)
+    assert stamps == sorted(stamps)
+    assert abs(stamps[-1] - time.time()) < 30
+
+
+class Hardware:
+    """A drive, and where they are wanted tanks and level sensors, simulated by programs."""
+
+    def __init__(self, domain: int, cwd: Path, speed: str = "1") -> None:
+        self._domain, self._cwd = domain, cwd
+        drive = Process(
+            domain, "drive_simulator", "--drive", "abb_acs880", "--port", "0", "--workbench", "0",
+            "--ramp", "1", "--speed", speed, cwd=cwd,
+        )
+        self.drive, self._bench = _addresses(drive)
+
+    def add_tanks(self) -> None:
+        """Fill the tanks and start the sensors of ``sensors.yaml``."""
+        cwd, (cistern, roof) = self._cwd, _free_ports(2)
+        text = (CONFIG / "sensors.yaml").read_text()
+        (cwd / "sensors.yaml").write_text(
+            text.replace(":5030", f":{cistern}").replace(":5031", f":{roof}")
+            .replace("period: 1.0", "period: 0.5")
+        )
+        tanks = Process(
+            self._domain, "site_simulator", "--sensors", "sensors.yaml", "--drive-at", self._bench,
+            "--workbench", "0", "--rain", "0", "--initial", "high-low", cwd=cwd,
+        )
+        _addresses(tanks)
+
+    def speed(self) -> float:
+        """Return the pump's true speed, share of the rated one."""
+
+        async def asked() -> float:
+            bench = Workbench(parse_address(self._bench))
+            try:
+                return await bench.speed()
+            finally:
+                bench.close()
+
+        return asyncio.run(asked())
+
+
+def _addresses(simulator: Process) -> list[str]:
+    """Return what a simulator says when it is ready."""
+    line = wait_for(lambda: simulator.stdout().partition("\n")[0], 20, "a simulator that is ready")
+    return re.findall(r"tcp://[\d.:]+", line)
+
+
+def _free_ports(count: int) -> list[int]:
+    sockets = [socket.create_server(("127.0.0.1", 0)) for _ in range(count)]
+    ports = [each.getsockname()[1] for each in sockets]
+    for each in sockets:
+        each.close()
+    return ports
+
+
+def test_a_live_site_with_drive_and_sensors(
+    domain: int, tmp_path: Path, site: Site,  # noqa: F811
+) -> None:
+    """The controller pumps and the roof rises; whatever is killed, the pump stops, and goes on."""
+    hardware = Hardware(domain, tmp_path)
+    hardware.add_tanks()
+    write_forecast(tmp_path / "forecast.csv", timedelta(minutes=5), 0.0, 12.0)
+    (tmp_path / "nodes.yaml").write_text(
+        "/**:\n  ros__parameters:\n    recovery_time: 1.0\n    least_off: 1.0\n"
+    )
+    levels, states = site.listen("/roof/level"), site.listen("/pump/state", String)
+    with live(
+        domain, tmp_path, "--controller", "onoff", "--sensors", "sensors.yaml",
+        "--forecast", "forecast.csv", "--drive", "abb_acs880", "--drive-at", hardware.drive,
+        "--node-parameters", "nodes.yaml",
+    ) as process:
+        site.until(lambda: hardware.speed() > 0.9, 40, "the pump")
+        site.until(lambda: levels[-1][1] > levels[0][1] + 0.0005, 20, "a roof that rises")
+        for victim, limit in (("controller", 2.5), ("pump", 6.0)):
+            killed = time.monotonic()
+            os.kill(process.nodes()[victim], signal.SIGKILL)
+            site.until(lambda: hardware.speed() == 0, limit, f"the pump's stop without {victim}")
+            site.until(lambda: hardware.speed() > 0.9, 40, f"the pump after {victim}")
+            said = [text for at, text in states if at > killed]
+            if victim == "controller":
+                assert any("onoff is missing" in text for text in said), said
+    assert hardware.speed() == 0
+    incidents = summary_of(tmp_path / "run")["incidents"]
+    assert [(incident["node"], incident["what"]) for incident in incidents] == [
+        ("onoff", "ended (SIGKILL)"), ("pump", "ended (SIGKILL)"),
+        ("pump", "could not stop the drive"),
+    ]
+    assert "bringup told the drive to stop" in incidents[-1]["done"]
+    assert (tmp_path / "run" / "pump.json").is_file()
+
+
+def test_a_drive_in_the_loop(domain: int, tmp_path: Path) -> None:
+    """In lockstep, at real time unless told otherwise; the drive stands at the end, be it early."""
+    hardware = Hardware(domain, tmp_path, "20")
+    run = ("--initial", "high-low", "--controller", "onoff", "--hours", "0.03", "--drive",
+           "abb_acs880", "--drive-at", hardware.drive)
+    done = bring_up(domain, tmp_path, *run, "--speed", "20")
+    assert done["pumped_m3"] > 0.3
+    assert hardware.speed() == 0
+    assert (tmp_path / "run" / "pump.json").is_file()
+    early = Process(domain, "bringup", "--output", "early", *run, cwd=tmp_path)
+    wait_for(lambda: hardware.speed() > 0.9, 40, "the pump")
+    os.kill(early.nodes()["pump"], signal.SIGKILL)
+    assert early.wait(30) == 1
+    assert "node pump ended (SIGKILL)" in early.stderr()
+    assert "bringup told the drive to stop" in early.stderr()
+    wait_for(lambda: hardware.speed() == 0, 3, "the pump's stop")
+    assert 1 < summary_of(tmp_path / "early")["last_tick"] < 60
+
+
+def test_a_pump_node_that_is_started_again_in_the_loop(domain: int, tmp_path: Path) -> None:
+    """bringup stops the drive; the new node goes on in lockstep, and no tick is lost."""
+    hardware = Hardware(domain, tmp_path, "10")
+    (tmp_path / "nodes.yaml").write_text("/**:\n  ros__parameters:\n    least_off: 1.0\n")
+    run = Process(
+        domain, "bringup", "--output", "run", "--initial", "high-low", "--controller", "onoff",
+        "--hours", "0.06", "--drive", "abb_acs880", "--drive-at", hardware.drive, "--speed", "10",
+        "--node-parameters", "nodes.yaml", "--on-node-failure", "restart", cwd=tmp_path,
+    )
+    wait_for(lambda: hardware.speed() > 0.9, 40, "the pump")
+    os.kill(run.nodes()["pump"], signal.SIGKILL)
+    wait_for(lambda: hardware.speed() == 0, 6, "the pump's stop")
+    wait_for(lambda: hardware.speed() > 0.9, 40, "the pump again")
+    assert run.wait(60) == 0, run.stderr()
+    assert "bringup told the drive to stop" in run.stderr()
+    assert hardware.speed() == 0
+    (incident,) = summary_of(tmp_path / "run")["incidents"]
+    assert (incident["node"], incident["how"], incident["lost"]) == ("pump", "SIGKILL", [])
+    assert 1 < incident["tick"] < 216
+    assert count_ticks(tmp_path / "run" / "bag") == 217  # 0.06 h of 1 s, and the first
+
+
+def test_a_killed_bringup_leaves_no_node(domain: int, tmp_path: Path) -> None:
+    """And the next one goes on in the same directory, with a file of its own in the bag."""
+    with live(domain, tmp_path, *NOBODY) as process:
+        wait_for(lambda: len(process.nodes()) == 2, 20, "nodes")
+        wait_for((tmp_path / "run" / "bag" / "bag_0.mcap").exists, 20, "a bag")
+        nodes = list(process.nodes().values())
+        process.process.kill()
+        wait_for(lambda: not any(map(alive, nodes)), 10, "the end of the nodes")
+        assert summary_of(tmp_path / "run")["status"] == "running"
+        again = Process(
+            domain, "bringup", "--plant", "external", "--state", "run", *NOBODY, cwd=tmp_path
+        )
+        wait_for((tmp_path / "run" / "bag" / "bag_1.mcap").exists, 20, "its next file")
+        process.process = again.process
+    with AnyReader([tmp_path / "run" / "bag"]) as reader:
+        assert reader.message_count > 0
+
+
+def test_a_controller_that_cannot_start(domain: int, tmp_path: Path) -> None:
+    """Its parameters are as wrong at the next start."""
+    (tmp_path / "wrong.yaml").write_text("/**/mpc:\n  ros__parameters:\n    level_limit: -1.0\n")
+    process = Process(
+        domain, "bringup", "--plant", "external", "--state", "run", *NOBODY,
+        "--node-parameters", "wrong.yaml", cwd=tmp_path,
+    )
+    assert process.wait(30) == 2, process.stderr()
+    assert "error: node mpc ended (exit code 2)" in process.stderr()
+    assert "level_limit" in process.stderr()
+    assert summary_of(tmp_path / "run")["status"] == "failed"

@@ -1,0 +1,85 @@
+"""The recorder of a live site as a node: what it keeps, and what a full disk does to it."""
+
+from __future__ import annotations
+
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import pytest
+from graphs import environment
+from rosbags.highlevel import AnyReader
+
+rclpy = pytest.importorskip("rclpy", reason="nodes need ROS 2")
+
+from test_live import ERROR, OK, Site, observer, site  # noqa: E402, F401
+
+
+@contextmanager
+def recorder(domain: int, directory: Path) -> Iterator[subprocess.Popen[str]]:
+    """Record, and end well."""
+    process = subprocess.Popen(
+        [sys.executable, "-m", "greenroof_ros.nodes.live_recorder", "--ros-args",
+         "-p", f"directory:={directory}"],
+        env=environment(domain), stderr=subprocess.PIPE, text=True,
+    )
+    try:
+        yield process
+        assert process.poll() is None
+    finally:
+        process.send_signal(signal.SIGTERM)
+        code = process.wait(20)
+    assert code == 0
+
+
+def test_all_that_comes_is_kept(domain: int, tmp_path: Path, site: Site) -> None:  # noqa: F811
+    """Of topics that come and go, each message once, in order, at the time when it came."""
+    with recorder(domain, tmp_path / "bag"):
+        site.until(site.says("/recorder: recording", OK, str(tmp_path / "bag")), 20, "a start")
+        outflow = site.publisher("/pump/flow")
+        site.until(lambda: outflow.get_subscription_count() == 1, 10, "the recorder's subscription")
+        sent = []
+        site.values = {"/pump/flow": lambda now: sent.append((time.time(), now)) or now}
+        began = time.time()
+        site.during(3)
+        ended = time.time()
+    with AnyReader([tmp_path / "bag"]) as reader:
+        kept = [
+            (stamp / 1e9, reader.deserialize(raw, connection.msgtype).data)
+            for connection, stamp, raw in reader.messages()
+            if connection.topic == "/pump/flow"
+        ]
+    values = [value for _, value in sent]
+    # A publisher that is new is not at once connected, and what it says then is past.
+    assert len(kept) > 20 and [value for _, value in kept] == values[-len(kept):]
+    assert began <= kept[0][0] and kept[-1][0] <= ended + 1
+    late = {value: time_sent for time_sent, value in sent}
+    assert max(stamp - late[value] for stamp, value in kept) < 1
+
+
+def test_a_full_disk_is_an_alarm_and_no_end(
+    domain: int, tmp_path: Path, site: Site,  # noqa: F811
+) -> None:
+    disk = tmp_path / "disk"
+    disk.mkdir()
+    mounted = subprocess.run(
+        ["mount", "-t", "tmpfs", "-o", "size=16k", "tmpfs", str(disk)],
+        capture_output=True, check=False,
+    )
+    if mounted.returncode:
+        pytest.skip("only root can mount a small disk")
+    try:
+        (disk / "other").write_bytes(bytes(16384))
+        with recorder(domain, disk / "bag") as process:
+            full = site.says(
+                "/recorder: recording", ERROR, "nothing is recorded", "No space left on device"
+            )
+            site.until(full, 30, "the alarm")
+            site.during(2)
+            assert full() and process.poll() is None
+    finally:
+        subprocess.run(["umount", str(disk)], check=True)

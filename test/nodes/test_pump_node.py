@@ -1,0 +1,391 @@
+"""The pump node against a simulated drive: whatever goes wrong, the motor stands soon after.
+
+What the motor does is read at the simulator's workbench, not from the node.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+import signal
+import socket
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+rclpy = pytest.importorskip("rclpy", reason="nodes need ROS 2")
+pytest.importorskip("pymodbus", reason="drives are on Modbus")
+
+from graphs import Process, environment, wait_for  # noqa: E402
+from places import CONFIG  # noqa: E402
+from pump_node_rig import (  # noqa: E402
+    ERROR,
+    OK,
+    STALE,
+    WARN,
+    PumpRig,
+    SimulatedDrive,
+    stands_within,
+)
+from rclpy.node import Node  # noqa: E402
+from std_msgs.msg import Float64  # noqa: E402
+from std_srvs.srv import SetBool, Trigger  # noqa: E402
+from test_node_help import check_topics, parameters_of, run_module, section  # noqa: E402
+from test_nodes import Observer, observer, qos  # noqa: E402, F401
+
+
+@pytest.fixture
+def rig(domain: int, tmp_path: Path, observer: Observer) -> Iterator[PumpRig]:  # noqa: F811
+    it = PumpRig(domain, tmp_path, observer)
+    yield it
+    it.end()
+
+
+@pytest.fixture
+def drive(domain: int, tmp_path: Path) -> Iterator[SimulatedDrive]:
+    it = SimulatedDrive(domain, tmp_path)
+    yield it
+    it.end()
+
+
+def free_port() -> int:
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        return int(probe.getsockname()[1])
+
+
+def test_lifecycle(domain: int, tmp_path: Path, rig: PumpRig) -> None:
+    """Every transition, possible or not; a command is answered in every state."""
+    port = free_port()
+    node = rig.start(f"tcp://127.0.0.1:{port}", autostart="false")
+    rig.join()
+    assert not rig.change("activate")
+    began = time.monotonic()
+    assert not rig.change("configure")  # no drive
+    assert time.monotonic() - began < 6
+    assert rig.lifecycle_state() == "unconfigured"
+    assert rig.tick(0.5) == 0.0
+    rig.tick_until(
+        0.5, lambda: rig.says("drive", WARN, "not configured", f"127.0.0.1:{port}"), 5, "the reason"
+    )
+    drive = SimulatedDrive(domain, tmp_path)
+    drive.end()
+    drive.start("--port", str(port), "--workbench", "0")
+    try:
+        assert rig.change("configure")
+        assert not rig.change("configure")
+        assert rig.lifecycle_state() == "inactive"
+        assert [rig.tick(0.5) for _ in range(5)] == [0.0] * 5
+        assert drive.speed() == 0.0
+        assert rig.change("activate")
+        assert not rig.change("activate")
+        assert not rig.change("no such transition")
+        assert rig.lifecycle_state() == "active"
+        rig.run(drive)
+        assert rig.diagnoses["/pump: drive"][2].startswith("ABB ACS880")
+        assert rig.change("deactivate")
+        rig.tick_until(0.5, lambda: rig.flows[-1] == 0.0 and drive.speed() == 0.0, 5, "a stop")
+        assert rig.change("activate")
+        rig.run(drive)
+        assert rig.change("deactivate")
+        assert rig.change("cleanup")
+        assert drive.speed() == 0.0  # it lets go of a drive that stands
+        assert rig.lifecycle_state() == "unconfigured"
+        assert rig.tick(0.5) == 0.0
+        assert rig.change("configure")
+        assert rig.change("shutdown")
+        assert rig.lifecycle_state() == "finalized"
+        assert not rig.change("configure")
+        assert rig.tick(0.5) == 0.0
+        assert node.poll() is None
+    finally:
+        drive.end()
+
+
+def test_without_the_drives_own_timeout_it_does_not_activate(
+    domain: int, tmp_path: Path, rig: PumpRig
+) -> None:
+    """Off, or too long: refused with the reason; the parameter of the long name overrules that."""
+    long = SimulatedDrive(domain, tmp_path, "--timeout", "30")
+    off = SimulatedDrive(domain, tmp_path, "--fault", "timeout_off")
+    try:
+        for drive, words in ((long, ("30 s", "10 s")), (off, ("is off", "58."))):
+            node = rig.start(drive.address)
+            rig.join()
+            rig.tick_until(0.5, lambda: rig.says("drive timeout", ERROR, *words), 10, "the reason")  # noqa: B023
+            rig.tick_until(0.5, lambda: rig.lifecycle_state() == "inactive", 5, "configuring")
+            for _ in range(10):
+                assert rig.tick(0.5) == 0.0
+            assert "not activated" in rig.state
+            assert drive.speed() == 0.0
+            node.terminate()
+            assert node.wait(10) == 0
+            rig.diagnoses.clear()
+        rig.start(off.address, activate_without_drive_timeout="true")
+        rig.run(off)
+        assert rig.says("drive timeout", WARN, "is off")
+    finally:
+        long.end()
+        off.end()
+
+
+def test_the_least_speed_of_the_drive_file(
+    rig: PumpRig, drive: SimulatedDrive, tmp_path: Path
+) -> None:
+    """0.4 of the flow from 3 m is a speed of 0.60, s^2 = (0.16 42.2 + 13) / 55.2: below 0.9."""
+    file = tmp_path / "mine.yaml"
+    text = (CONFIG / "drives" / "abb_acs880.yaml").read_text()
+    file.write_text(text.replace("least_speed: 0.3", "least_speed: 0.9"))
+    rig.start(drive.address, drive=str(file))
+    rig.join()
+    rig.tick_until(0.4, lambda: drive.speed() > 0.89, 40, "a pulse at the least speed")
+    assert "a pulse" in rig.state
+
+
+def test_the_motor_stands_when_the_node_goes(rig: PumpRig, drive: SimulatedDrive) -> None:
+    """SIGTERM: off and read back; kill -9 and SIGSTOP: the drive's own timeout of 1.5 s."""
+    node = rig.start(drive.address)
+    rig.run(drive)
+    began = time.monotonic()
+    node.terminate()
+    assert node.wait(10) == 0
+    assert drive.speed() == 0.0  # when it ends, not some time after
+    assert time.monotonic() - began < 4
+    for number in (signal.SIGKILL, signal.SIGSTOP):
+        node = rig.start(drive.address)
+        rig.run(drive)
+        node.send_signal(number)
+        assert stands_within(drive, 4) > 0.5
+    node.send_signal(signal.SIGCONT)
+    rig.run(drive)  # nobody has to do anything
+    rig.send_nonsense()  # an error that nobody foresaw
+    assert node.wait(10) == 1
+    assert drive.speed() == 0.0
+
+
+def test_commands_that_must_not_pump(rig: PumpRig, drive: SimulatedDrive) -> None:
+    """None, not a number, negative, above 1, of two publishers: off, by name, and it heals."""
+    rig.start(drive.address)
+    rig.run(drive)
+    # The watchdog counts steady time; the clock topic stands with the commands.
+    began = time.monotonic()
+    rig.observer.until(lambda: drive.speed() == 0.0, 6, "the watchdog")
+    assert 2.5 < time.monotonic() - began < 4.5
+    rig.observer.until(lambda: rig.says("command", STALE, "command_limit"), 5, "the reason")
+    assert rig.tick(0.5) == 0.0  # a first command after a silence finds a pump at rest
+    rig.run(drive)
+    for bad in (math.nan, math.inf, -1.0):
+        rig.tick_until(bad, lambda: drive.speed() == 0.0 and rig.flows[-1] == 0.0, 4, f"{bad}")
+        rig.tick_until(bad, lambda: rig.says("command", ERROR, "refused"), 4, "the reason")
+    rig.run(drive)
+    rig.tick_until(5.0, lambda: drive.speed() > 0.99, 10, "full speed, and no more")
+    rig.tick_until(5.0, lambda: rig.says("limits", WARN, "taken as 1"), 4, "the warning")
+    intruder = Node("intruder", context=rig.observer.context)
+    intruder.create_publisher(Float64, "/pump/command", qos("/pump/command"))
+    rig.tick_until(0.5, lambda: drive.speed() == 0.0 and rig.flows[-1] == 0.0, 4, "its stop")
+    rig.tick_until(0.5, lambda: rig.says("command", ERROR, "intruder"), 6, "the intruder's name")
+    intruder.destroy_node()
+    rig.run(drive)
+    assert rig.says("command", OK)
+
+
+def test_a_drive_that_is_lost_stops_and_comes_back(rig: PumpRig, drive: SimulatedDrive) -> None:
+    """Connection refused, half-open, power cycle: off, said, and running again by itself."""
+    rig.start(drive.address)
+    for fault in ("refused", "half_open", "power_cycle"):
+        rig.run(drive)
+        drive.inject(fault)
+        rig.tick_until(
+            0.5, lambda: rig.state.startswith("off: no connection to the drive"), 6, fault
+        )
+        assert rig.tick(0.5) == 0.0
+        if fault != "power_cycle":
+            stands_within(drive, 3)
+            drive.inject("none")
+    rig.run(drive)
+    drive.ask(lambda bench: bench.take_over(True))
+    rig.tick_until(0.5, lambda: "local control" in rig.state, 6, "local control")
+    drive.ask(lambda bench: bench.take_over(False))
+    rig.run(drive)
+    # Whoever worked at it meanwhile may have turned its own timeout off.
+    drive.inject("timeout_off")
+    drive.inject("refused")
+    rig.tick_until(0.5, lambda: rig.state.startswith("off: no connection"), 6, "refused")
+    drive.inject("none")
+    rig.tick_until(0.5, lambda: "timeout is off" in rig.state, 8, "the reason")
+    rig.tick_until(0.5, lambda: rig.says("drive timeout", ERROR, "is off"), 3, "the alarm")
+    stands_within(drive, 3)
+
+
+def test_a_fault_stays_until_it_is_reset_and_a_stop_until_it_is_lifted(
+    rig: PumpRig, drive: SimulatedDrive
+) -> None:
+    """Over restarts of the node, too."""
+    node = rig.start(drive.address)
+    rig.run(drive)
+    drive.inject("drive_fault", 0x2310)
+    rig.tick_until(0.5, lambda: rig.state.startswith("fault: the drive reports"), 6, "the fault")
+    rig.tick_until(0.5, lambda: rig.says("pump", ERROR, "the drive reports"), 3, "the alarm")
+    stands_within(drive, 3)
+    drive.inject("none")
+    node.kill()
+    node.wait()
+    node = rig.start(drive.address)
+    rig.join()
+    for _ in range(20):
+        assert rig.tick(0.5) == 0.0
+    assert rig.state.startswith("fault: the drive reports")
+    answer = rig.call(Trigger, "reset")
+    assert answer.success
+    assert "the drive reports" in answer.message
+    rig.run(drive)
+
+    answer = rig.call(SetBool, "stop", data=True)
+    assert answer.success
+    rig.tick_until(0.5, lambda: drive.speed() == 0.0, 4, "the stop")
+    assert rig.state.startswith("held: an operator stopped it")
+    node.terminate()
+    assert node.wait(10) == 0
+    rig.start(drive.address)
+    rig.join()
+    for _ in range(20):
+        assert rig.tick(0.5) == 0.0
+    assert rig.state.startswith("held: an operator stopped it")
+    assert rig.call(SetBool, "stop", data=False).success
+    rig.run(drive)
+
+
+def test_it_runs_only_with_a_fresh_permit_of_bringup(
+    domain: int, rig: PumpRig, drive: SimulatedDrive
+) -> None:
+    """Held with a reason, without news for 2 s, and after bringup's end the motor stands."""
+    reading, writing = os.pipe()
+    with os.fdopen(writing, "w") as permits:
+
+        def give(hold: str) -> None:
+            permits.write(json.dumps({"hold": hold, "at": time.monotonic()}) + "\n")
+            permits.flush()
+
+        env = {**environment(domain), "GREENROOF_ROS_PERMIT_PIPE": str(reading)}
+        rig.start(drive.address, popen={"env": env, "pass_fds": [reading]})
+        os.close(reading)
+        rig.join()
+        rig.tick_until(0.5, lambda: "no permit yet" in rig.state, 5, "waiting for a permit")
+        assert drive.speed() == 0.0
+        rig.every_tick = lambda: give("")
+        rig.run(drive)
+        rig.every_tick = lambda: give("the weather node is missing")
+        taken = rig.tick_until(0.5, lambda: drive.speed() == 0.0, 4, "a stop")
+        assert taken < 2
+        rig.tick_until(
+            0.5, lambda: rig.says("supervisor", WARN, "weather node is missing"), 3, "the reason"
+        )
+        rig.every_tick = lambda: give("")
+        rig.run(drive)
+        rig.every_tick = lambda: None
+        taken = rig.tick_until(0.5, lambda: drive.speed() == 0.0, 6, "a stop")
+        assert 1.5 < taken < 4
+        assert "no permit for 2 s" in rig.state
+        rig.every_tick = lambda: give("")
+        rig.run(drive)
+        rig.every_tick = lambda: None
+    taken = rig.tick_until(0.5, lambda: drive.speed() == 0.0, 4, "a stop")
+    assert taken < 2
+    assert "bringup has ended" in rig.state
+
+
+def test_check_pump_finds_it_right(domain: int, tmp_path: Path, rig: PumpRig) -> None:
+    """The check plays all peers itself, so those of the test's own must not be there."""
+    rig.leave()
+    drive = SimulatedDrive(domain, tmp_path, "--speed", "20")
+    try:
+        node = rig.start(drive.address)
+        check = Process(domain, "check_pump", "--node", "pump", "--period", "0.05", cwd=tmp_path)
+        assert check.wait(120) == 0, check.stdout() + check.stderr()
+        assert "12 of 12 checks passed" in check.stdout()
+        assert drive.speed() == 0.0
+        assert node.poll() is None
+    finally:
+        drive.end()
+
+
+def test_live(domain: int, tmp_path: Path, rig: PumpRig, drive: SimulatedDrive) -> None:
+    """A flow every tick of its own; what is too old, unknown, or of two, stops it and heals."""
+    site = tmp_path / "site.yaml"
+    site.write_text((CONFIG / "site.yaml").read_text().replace("tau: 1.0 ", "tau: 0.2 "))
+    rig.start(
+        drive.address, live="true", site_file=site, level_limit=1.0, frost_limit=1.0,
+        command_limit=1.0, flow_limit=1.0, recovery_time=0.3,
+    )
+    levels = {"/cistern/level": 2.5, "/roof/level": 0.01, "/weather/frost": 0.0}
+    good = {**levels, "/pump/command": 0.5}
+
+    def play(values: dict[str, float], until: Callable[[], Any], seconds: float, what: str) -> None:
+        def played() -> Any:
+            for name, value in values.items():
+                rig.publish(name, value)
+            rig.observer.until(lambda: True, 1, "")
+            return until()
+
+        wait_for(played, seconds, f"{what} ({rig.states[-3:]}, {rig.diagnoses})")
+
+    def runs(values: dict[str, float]) -> None:
+        play(
+            values, lambda: rig.state.startswith("running") and drive.speed() > 0.5, 20, "running"
+        )
+
+    rig.join()
+    runs(good)
+    began, before = time.monotonic(), len(rig.flows)
+    play(good, lambda: time.monotonic() > began + 2, 5, "two seconds")
+    assert 8 <= len(rig.flows) - before <= 12
+    for missing, words in (
+        ("/pump/command", "command"), ("/cistern/level", "level of the cistern"),
+        ("/roof/level", "level of the roof"), ("/weather/frost", "frost"),
+    ):
+        fewer = {name: value for name, value in good.items() if name != missing}
+        play(fewer, lambda: drive.speed() == 0.0, 4, f"a stop without {missing}")
+        assert words in rig.state
+        runs(good)
+    play({**good, "/weather/frost": math.nan}, lambda: drive.speed() == 0.0, 4, "a stop")
+    runs(good)
+    # A flow meter knows better than the speed.
+    play(good, lambda: rig.says("flow", OK, "computed from the speed"), 3, "the flow's source")
+    measured = {**good, "/pump/meter": 0.00321}
+    play(measured, lambda: rig.flows[-1] == 0.00321, 6, "the measured flow")
+    play(measured, lambda: rig.says("flow", OK, "flow meter"), 3, "its source")
+
+
+def test_what_its_help_says_is_what_it_has(
+    domain: int, tmp_path: Path, rig: PumpRig, observer: Observer  # noqa: F811
+) -> None:
+    text = run_module(tmp_path, "pump --help").stdout
+    rig.start(f"tcp://127.0.0.1:{free_port()}")
+    assert section(text, "parameters") == parameters_of(observer, "pump")
+    check_topics(observer, "pump", text)
+
+
+def test_wrong_parameters_end_it_in_one_line(domain: int, tmp_path: Path, rig: PumpRig) -> None:
+    """Exit code 2: who supervises it need not start it again."""
+    wrong = {
+        "drive": (None, "parameter drive of pump: must be given"),
+        "device_id": (300, "parameter device_id of pump"),
+        "address": ("127.0.0.1:502", "parameter address of pump = '127.0.0.1:502': must be tcp://"),
+        "least_on": ("soon", "parameter least_on of pump"),
+        "site_file": ("no_such.yaml", "no_such.yaml"),
+    }
+    started = {}
+    for name, (value, _) in wrong.items():
+        given = {"address": "tcp://127.0.0.1:1", name: value}
+        errors = (tmp_path / f"{name}.err").open("w")
+        started[name] = rig.start(popen={"stderr": errors}, **given)
+    for name, (_, words) in wrong.items():
+        assert started[name].wait(20) == 2, name
+        lines = (tmp_path / f"{name}.err").read_text().splitlines()
+        assert len(lines) == 1, lines
+        assert lines[0].startswith("error: ")
+        assert words in lines[0]
