@@ -34,7 +34,7 @@ templates_path = ["_templates"]
 nitpicky = True
 nitpick_ignore_regex = [
     (r"py:.*", r"(?!greenroof_ros).*"), (r"py:.*", r".*\._\w+"), (r"py:data", r".*"),
-    (r"py:class", r".*\.(Amount|Cell)"),
+    (r"py:class", r".*\.(Amount|Cell|Record)"),
 ]
 
 highlight_language = "none"

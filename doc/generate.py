@@ -1,4 +1,4 @@
-"""Write the documentation's tables from the package's own: ``python doc/generate.py``.
+"""Write the documentation's tables and drawings from the package's own: ``python doc/generate.py``.
 
 A table stands in a page between ``<!-- table: NAME -->`` and ``<!-- end of table -->``, so that it
 can be read without a build, too. ``make docs`` writes all of them again; a test holds them to what
@@ -14,20 +14,29 @@ import math
 import os
 import re
 import sys
-from collections.abc import Callable, Iterable, Sequence
+import types
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, Union, get_args, get_origin
 from unittest import mock
 
 DOC = Path(__file__).resolve().parent
-sys.path.insert(0, str(DOC.parent))
+sys.path[:0] = [str(DOC), str(DOC.parent)]
+
+from who_publishes import WAYS, drawing
 
 from greenroof_ros.common.files import shared_directory
 from greenroof_ros.common.interface import Topic, markdown_table, read_topics
 from greenroof_ros.common.parameter import Parameter
+from greenroof_ros.common.records import Key, Word, keys
+from greenroof_ros.common.records import span as accepted
 from greenroof_ros.controllers.registry import BUILT_IN, find_controller
+from greenroof_ros.drives import drive_file, sensor_file
+from greenroof_ros.drives.faults import DRIVE_FAULTS, SITE_FAULTS, Fault
 from greenroof_ros.model.metrics import METRICS
 from greenroof_ros.model.site import read_site, site_parameters
+from greenroof_ros.pumping.settings import pump_parameters
 
 COMMANDS = {
     "bringup": "greenroof_ros.bringup",
@@ -38,6 +47,9 @@ COMMANDS = {
     "recover": "greenroof_ros.recover",
     "topics": "greenroof_ros.topics",
     "check_controller": "greenroof_ros.check_controller",
+    "check_pump": "greenroof_ros.check_pump",
+    "drive_simulator": "greenroof_ros.drive_simulator",
+    "site_simulator": "greenroof_ros.site_simulator",
 }
 _BLOCK = re.compile(
     r"(?<=<!-- table: )(?P<name>[a-z_ ]+)(?P<gap> -->\n)(?P<table>.*?)(?=<!-- end of table -->)",
@@ -102,6 +114,8 @@ def quality() -> str:
     """Return range and quality of service of each topic."""
 
     def messages(topic: Topic) -> str:
+        if not topic.publishers:
+            return "as they come, in a live graph only"
         if not topic.per_tick:
             return "as needed, not recorded"
         return "one a tick, from controllers that have it" if topic.optional else "one a tick"
@@ -164,6 +178,136 @@ def site() -> str:
                 "" if one.default is None else number(one.default), one.meaning,
             )
             for one in site_parameters()
+        ),
+    )
+
+
+# --- drives ---------------------------------------------------------------------------------------
+
+# What each part of a drive's file is called there.
+_DRIVE_PARTS = {
+    "the file": drive_file.DriveFile,
+    "`sources`, each": drive_file.Source,
+    "`numbering`": drive_file.Numbering,
+    "`tcp`": drive_file.Tcp,
+    "`serial`": drive_file.Serial,
+    "`registers`, each": drive_file.Register,
+    "`sequences`": drive_file.Sequences,
+    "a step of `sequences`": drive_file.Step,
+    "a condition: in `status`, and `until` of a step": drive_file.Condition,
+    "`status`": drive_file.Status,
+    "`faults`, `warnings`": drive_file.Codes,
+    "`timeout`": drive_file.Timeout,
+    "`timeout.action`": drive_file.Action,
+    "`nameplate`, each": drive_file.Nameplate,
+}
+
+
+def _kind(key: Key) -> str:
+    """Return what a key of a file holds."""
+    names = {str: "text", int: "whole number", float: "number", Word: "word", tuple: "list"}
+    union = get_origin(key.kind) in (Union, types.UnionType)
+    kinds = get_args(key.kind) if union else (key.kind,)
+    return " or ".join(
+        names.get(get_origin(kind) or kind, "mapping") for kind in kinds
+        if kind is not types.NoneType
+    )
+
+
+def drive_files() -> str:
+    """Return every key of a drive's file."""
+    return _keys(_DRIVE_PARTS)
+
+
+def sensors_file() -> str:
+    """Return every key of a file of level sensors."""
+    return _keys({"the file": sensor_file.Sensors, "`cistern`, `roof`": sensor_file.Sensor})
+
+
+def _keys(parts: Mapping[str, Any]) -> str:
+    """Return every key of the parts of a file."""
+
+    def limits(key: Key) -> str:
+        one = key.entry
+        if math.isfinite(one.low) or math.isfinite(one.high):
+            texts = [accepted(one.low, one.high)]
+        else:
+            texts = []
+        return ", ".join([*texts, *(f"`{choice}`" for choice in one.choices if choice)])
+
+    return "\n".join(
+        f"### {title[0].upper()}{title[1:]}\n\n"
+        + markdown(
+            ("key", "holds", "accepted", "may be left out", "meaning"),
+            (
+                (
+                    f"`{key.name}`", _kind(key), limits(key), "yes" if key.optional else "",
+                    key.entry.meaning,
+                )
+                for key in keys(kind)
+            ),
+        )
+        for title, kind in parts.items()
+    )
+
+
+def drive_faults() -> str:
+    """Return what can go wrong with a simulated drive."""
+    return _faults(DRIVE_FAULTS)
+
+
+def site_faults() -> str:
+    """Return what can go wrong at a simulated site."""
+    return _faults(SITE_FAULTS)
+
+
+def _faults(known: Mapping[str, Fault]) -> str:
+    return markdown(
+        ("number", "fault", "what then happens", "parameter", "default"),
+        (
+            (
+                one.number, f"`{name}`", one.meaning, one.parameter,
+                one.default if one.parameter else "",
+            )
+            for name, one in known.items()
+        ),
+    )
+
+
+def drives() -> str:
+    """Return the drives whose files come with the package, and what is not verified in them."""
+    parts = []
+    for path in sorted((shared_directory() / "config" / "drives").glob("*.yaml")):
+        drive = drive_file.read_drive_file(path)
+        parts.append(f"### {drive.name}\n\n{cell(drive.make)}: {cell(drive.model)}.\n")
+        parts.append(markdown(
+            ("source", "document", "read at"),
+            ((one.title, one.document, one.where) for one in drive.sources),
+        ))
+        own = drive.timeout
+        parts.append(markdown(
+            ("its own communication timeout", ""),
+            (
+                ("set it", own.how_to_set), ("starts anew with", own.kept_alive_by),
+                ("beware", own.traps),
+            ),
+        ))
+        parts.append("To set in the drive besides:\n")
+        parts.append("\n".join(f"- {cell(text)}" for text in drive.set_up) + "\n")
+        vital = set(drive.unverified_and_vital)
+        names = [f"**`{key}`**" if key in vital else f"`{key}`" for key in drive.unverified]
+        parts.append(f"Not verified (bold: said when it is activated): {', '.join(names)}.\n")
+    return "\n".join(parts)
+
+
+def pump_settings() -> str:
+    """Return the settings of the pump's logic, with their defaults for the paper's site."""
+    site = read_site(shared_directory() / "config" / "site.yaml")
+    return markdown(
+        ("parameter", "default", "unit", "range", "meaning"),
+        (
+            (f"`{one.name}`", number(one.default), one.unit, span(one.low, one.high), one.meaning)
+            for one in pump_parameters(site)
         ),
     )
 
@@ -251,15 +395,26 @@ def nodes() -> str | None:
     """Return the parameters that each node declares; None without a ROS 2."""
     if importlib.util.find_spec("rclpy") is None:
         return None
-    from greenroof_ros.graph.parameters import default_site, site_file
-    from greenroof_ros.nodes import plant, recorder, weather
+    from greenroof_ros.graph.parameters import LIVE, default_site, site_file
+    from greenroof_ros.nodes import (
+        controller,
+        level_sensor,
+        live_recorder,
+        plant,
+        pump,
+        recorder,
+        weather,
+    )
 
     site = default_site()
     declared = {
         "plant": [site_file(), *plant.parameters(site)],
-        "weather": [site_file(), *weather.parameters(site)],
+        "weather": [LIVE, site_file(), *weather.parameters(site)],
         "recorder": recorder.PARAMETERS,
-        "controllers": [site_file()],
+        "live_recorder": live_recorder.PARAMETERS,
+        "pump": [site_file(), *pump.parameters(site)],
+        "level_sensor": level_sensor.PARAMETERS,
+        "controllers": [LIVE, site_file(), *controller.LIVE_PARAMETERS],
     }
     return "\n".join(
         f"### {node}\n\n"
@@ -280,8 +435,15 @@ TABLES: dict[str, Callable[[], str | None]] = {
     "controllers": controllers,
     "metrics": metrics,
     "site": site,
+    "pump settings": pump_settings,
     "commands": commands,
     "nodes": nodes,
+    **{name: partial(drawing, way) for name, way in WAYS.items()},
+    "drive file": drive_files,
+    "drives": drives,
+    "sensors file": sensors_file,
+    "drive faults": drive_faults,
+    "site faults": site_faults,
 }
 
 

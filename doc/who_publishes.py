@@ -1,0 +1,121 @@
+"""Drawings of who publishes what, made from ``msg_defs/topics.yaml``: one for each way to run.
+
+A column is a node, or a device on Modbus; a row is a topic, from the dot of who publishes it to the
+arrows of those that subscribe. The SVG takes its colour from the page, light or dark.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from html import escape
+
+from greenroof_ros.common.interface import Topic, read_live_topics, read_topics
+
+_LABELS, _COLUMN, _ROW, _HEAD = 270, 112, 26, 46
+
+
+@dataclass(frozen=True)
+class Way:
+    """A way to run the graph.
+
+    Attributes:
+        name: for people.
+        nodes: their roles in the interface, from left to right.
+        live: whether it runs on the system's clock.
+        devices: what is no node, on the right.
+        exchanges: what goes over Modbus: text, from, to.
+        perhaps: nodes of somebody else's, which may be absent.
+    """
+
+    name: str
+    nodes: tuple[str, ...]
+    live: bool = False
+    devices: tuple[str, ...] = ()
+    exchanges: tuple[tuple[str, str, str], ...] = ()
+    perhaps: tuple[str, ...] = ()
+
+
+_DRIVE = (
+    ("control word, speed", "pump", "drive"), ("status, actual speed, faults", "drive", "pump")
+)
+WAYS = {
+    "simulated graph": Way("simulated", ("weather", "plant", "controller", "recorder")),
+    "hardware in the loop graph": Way(
+        "hardware in the loop", ("weather", "plant", "controller", "pump", "recorder"),
+        devices=("drive",), exchanges=_DRIVE,
+    ),
+    "live graph": Way(
+        "live",
+        ("gauge", "weather", "controller", "recorder", "pump", "cistern_sensor", "roof_sensor"),
+        live=True,
+        devices=("drive", "sensors"),
+        exchanges=(
+            *_DRIVE, ("cistern level", "sensors", "cistern_sensor"),
+            ("roof level", "sensors", "roof_sensor"),
+        ),
+        perhaps=("gauge",),
+    ),
+}
+
+
+def publisher(topic: Topic, way: Way) -> str | None:
+    """Return who publishes a topic: of two that may, the one that takes the simulation's place."""
+    found = [role for role in topic.publishers if role in way.nodes]
+    return found[-1] if found else None
+
+
+def rows(way: Way) -> list[tuple[str, str, list[str], bool]]:
+    """Return the rows of a drawing: label, from, to, and whether it may be absent."""
+    found = []
+    for topic in (read_live_topics() if way.live else read_topics()).values():
+        source = publisher(topic, way)
+        if source is None or topic.name == "/diagnostics":
+            continue
+        readers = [role for role in topic.subscribers if role in way.nodes and role != source]
+        perhaps = topic.optional or source in way.perhaps
+        unit = f" [{topic.unit}]" if topic.unit else ""
+        found.append((topic.name + unit, source, readers, perhaps))
+    return [*found, *((text, source, [reader], False) for text, source, reader in way.exchanges)]
+
+
+def drawing(way: Way) -> str:
+    """Return the drawing of a way to run, as it stands in a page."""
+    columns = [*way.nodes, *way.devices]
+    at = {name: _LABELS + _COLUMN * number + _COLUMN // 2 for number, name in enumerate(columns)}
+    lines = rows(way)
+    width, height = _LABELS + _COLUMN * len(columns), _HEAD + _ROW * len(lines) + 12
+    parts = [
+        f'<svg viewBox="0 0 {width} {height}" width="{width}" style="max-width: 100%" role="img" '
+        f'aria-label="Who publishes what: {escape(way.name)}" '
+        'xmlns="http://www.w3.org/2000/svg" font-size="13" fill="currentColor" '
+        'stroke="currentColor" font-family="sans-serif">'
+    ]
+    for name, x in at.items():
+        device = name in way.devices
+        dashes = ' stroke-dasharray="4 3"' if name in way.perhaps else ""
+        parts += [
+            f'<rect x="{x - 52}" y="8" width="104" height="28" rx="{0 if device else 14}" '
+            f'fill="none"{dashes}/>',
+            f'<text x="{x}" y="26" text-anchor="middle" stroke="none">{escape(name)}</text>',
+            f'<line x1="{x}" y1="36" x2="{x}" y2="{height - 6}" stroke-opacity="0.25"/>',
+        ]
+    for number, (label, source, readers, perhaps) in enumerate(lines):
+        parts += _row(label, at[source], [at[reader] for reader in readers], perhaps,
+                      _HEAD + _ROW * number + _ROW // 2)
+    return "\n".join(["```{raw} html", *parts, "</svg>", "```"]) + "\n"
+
+
+def _row(label: str, source: int, readers: Sequence[int], perhaps: bool, y: int) -> list[str]:
+    dashes = ' stroke-dasharray="4 3"' if perhaps else ""
+    ends = min([source, *readers]), max([source, *readers])
+    parts = [
+        f'<text x="{_LABELS - 8}" y="{y + 4}" text-anchor="end" stroke="none">'
+        f"{escape(label)}</text>",
+        f'<line x1="{ends[0]}" y1="{y}" x2="{ends[1]}" y2="{y}"{dashes}/>',
+        f'<circle cx="{source}" cy="{y}" r="4"/>',
+    ]
+    for x in readers:
+        back = 9 if x < source else -9
+        parts.append(f'<path d="M{x} {y} l{back} -4 v8 z" stroke="none"/>')
+    return parts
