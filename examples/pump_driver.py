@@ -5,34 +5,51 @@ run. This pump's flow follows the command with a lag of first order.
 """
 
 import math
+from contextlib import suppress
 
 import rclpy
+from rclpy.clock import Clock, ClockType
 from rclpy.duration import Duration
 from rclpy.event_handler import SubscriptionEventCallbacks
+from rclpy.executors import ExternalShutdownException
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from std_msgs.msg import Float64
 
 MAX_FLOW, LAG, TICK = 0.008, 30.0, 1.0  # of this pump: m3/s, s; of the graph: s
+SILENCE = 3.0  # s without a command after which the pump stops
 
 
 def on_command(message):
     """Follow a command, and publish the flow (m3/s)."""
+    watchdog.reset()
     command = min(message.data, 1.0) if 0.0 <= message.data < math.inf else 0.0  # not a NaN
+    if node.commanders > 1:
+        command = 0.0
     flow.data += (command * MAX_FLOW - flow.data) * (1 - math.exp(-TICK / LAG))
     publisher.publish(flow)
 
 
+def on_silence():
+    """Stop the pump: no command has come."""
+    flow.data = 0.0
+
+
 def on_liveliness(event):
-    """Stop the pump: the controller has ended, was killed, or hangs."""
+    """Count who commands; stop the pump when the controller has ended, was killed, or hangs."""
+    node.commanders = event.alive_count
     if event.alive_count == 0:
-        raise SystemExit("stopped: no controller")
+        print("stopped: no controller")
+        raise SystemExit
 
 
 rclpy.init()
 node, flow = rclpy.create_node("pump"), Float64()
+node.commanders = 0
 qos = QoSProfile(depth=64, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 qos.liveliness_lease_duration = Duration(seconds=1)
 publisher = node.create_publisher(Float64, "pump/flow", qos)
+watchdog = node.create_timer(SILENCE, on_silence, clock=Clock(clock_type=ClockType.STEADY_TIME))
 events = SubscriptionEventCallbacks(liveliness=on_liveliness)
 node.create_subscription(Float64, "pump/command", on_command, qos, event_callbacks=events)
-rclpy.spin(node)
+with suppress(KeyboardInterrupt, ExternalShutdownException):  # SIGINT, SIGTERM: the pump stops
+    rclpy.spin(node)

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import contextlib
 import fcntl
 import json
 import os
 import signal
+import socket
 import subprocess
 import sys
 import tempfile
@@ -18,8 +20,6 @@ from typing import Any, ClassVar
 from mcap.reader import make_reader
 
 from greenroof_ros.common.processes import end_with_parent
-
-_SHARED_MEMORY = Path("/dev/shm")
 
 
 @contextmanager
@@ -51,28 +51,26 @@ def environment(domain: int) -> dict[str, str]:
     }
 
 
-def shared_memory_of(pids: Iterable[int]) -> set[Path]:
-    """Return Fast DDS's shared-memory files that living processes own: they hold their locks."""
-    owned = set()
-    for pid in pids:
-        try:
-            targets = [entry.readlink() for entry in Path(f"/proc/{pid}/fd").iterdir()]
-        except OSError:
-            continue  # it has just ended
-        for target in targets:
-            if target.parent == _SHARED_MEMORY and target.name.endswith("_el"):
-                name = target.name.removesuffix("_el")
-                owned |= {target, _SHARED_MEMORY / name, _SHARED_MEMORY / f"sem.{name}_mutex"}
-    return owned
+def files_of(pid: int) -> list[str]:
+    """Return what a process has open, as the kernel names it."""
+    found = []
+    with contextlib.suppress(OSError):  # it has just ended
+        for entry in Path(f"/proc/{pid}/fd").iterdir():
+            with contextlib.suppress(OSError):
+                found.append(str(entry.readlink()))
+    return found
 
 
-def left_behind(shared_memory: set[Path]) -> set[Path]:
-    """Return which of these files are still there, and nobody's.
-
-    Some names (fastrtps_port7000 and the like) go from one process to the next, of any domain.
-    """
-    living = [int(entry.name) for entry in Path("/proc").glob("[0-9]*")]
-    return {file for file in shared_memory if file.exists()} - shared_memory_of(living)
+def udp_addresses_of(pid: int) -> list[str]:
+    """Return the addresses to which a process has bound UDP sockets; none before it is a node."""
+    sockets = set(files_of(pid))
+    addresses = []
+    for line in Path("/proc/net/udp").read_text().splitlines()[1:]:
+        fields = line.split()
+        if f"socket:[{fields[9]}]" in sockets:
+            number = bytes.fromhex(fields[1].partition(":")[0])
+            addresses.append(socket.inet_ntoa(number[::-1]))  # as on a little-endian machine
+    return addresses
 
 
 def wait_for(condition: Callable[[], Any], seconds: float, what: str) -> Any:

@@ -22,10 +22,11 @@ import greenroof_ros
 
 NODES = (
     "plant", "weather", "controller", "mpc", "onoff", "planning_mpc", "anticipating_onoff",
-    "scenario_mpc", "recorder",
+    "scenario_mpc", "recorder", "live_recorder", "pump", "level_sensor",
 )
 COMMANDS = (
-    "bringup", "simulate", "bound", "recover", "topics", "check_controller", "study", "report",
+    "bringup", "simulate", "bound", "recover", "topics", "check_controller", "check_pump",
+    "drive_simulator", "site_simulator", "study", "report",
 )
 SCRIPTS = sorted(NODES + COMMANDS)
 
@@ -444,3 +445,17 @@ def test_console_script_can_be_called(name, setup_options):
     code = f"import importlib; print(callable(importlib.import_module('{module}').{function}))"
     printed = run(sys.executable, "-c", code, cwd=CHECKOUT, env=dict(os.environ))
     assert printed.splitlines()[-1] == "True"
+
+
+def test_the_service_is_one_that_systemd_takes() -> None:
+    """Its own check of the unit, but for paths that are a site's."""
+    unit = CHECKOUT / "examples" / "greenroof.service"
+    try:
+        done = subprocess.run(
+            ["systemd-analyze", "verify", "--man=no", str(unit)],
+            capture_output=True, text=True, check=False,
+        )
+    except FileNotFoundError:
+        pytest.skip("there is no systemd here")
+    said = [line for line in done.stderr.splitlines() if "greenroof.service" in line]
+    assert not [line for line in said if "is not executable" not in line], done.stderr

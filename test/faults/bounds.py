@@ -1,0 +1,69 @@
+"""How long the pump may go on after a fault: what the documentation says, from the code's defaults.
+
+doc/explanation/pump-safety.md and doc/explanation/live.md state the same figures.
+"""
+
+from __future__ import annotations
+
+from greenroof_ros.graph import live_supervisor, permit
+from greenroof_ros.graph.live import LIMITS
+from greenroof_ros.model.pump_speed import flow_at
+from greenroof_ros.model.site import Site
+from greenroof_ros.nodes.pump import parameters as parameters_of_pump
+
+# Of the simulated drive, as the campaign starts it: from rated speed to rest, and its own timeout.
+RAMP_S = 1.0
+DRIVE_TIMEOUT_S = 5.0
+# How long bringup hears nothing of a node before it kills it: its default.
+SILENCE_S = 5.0
+# What a busy machine may add to any of these, and what measuring adds.
+SLACK_S = 1.0
+
+
+def _limit(topic: str) -> float:
+    return float(LIMITS[topic].default)
+
+
+def bounds(site: Site) -> dict[str, float]:
+    """Return each bound by its name (s), from the fault to a pump that stands.
+
+    Args:
+        site: of the campaign.
+    """
+    exchange = 2 * next(
+        float(one.default) for one in parameters_of_pump(site) if one.name == "exchange_period"
+    )
+    follow, averaging, tolerance, delivery = (
+        next(float(one.default) for one in parameters_of_pump(site) if one.name == name)
+        for name in ("follow_time", "averaging_time", "level_tolerance", "least_delivery")
+    )
+    end = exchange + RAMP_S + SLACK_S
+    step = site.tau + end
+    frozen, jump = 0.01, 0.02
+    flow = flow_at(site, 1.0, 2.0)
+    return {
+        # A rule of the pump node, or of the controller: the tick in which it acts.
+        "step": site.tau + step,
+        # The median of five readings of a sensor a second is that of two readings ago.
+        "filtered": 3.0 + site.tau + step,
+        "command": _limit("/pump/command") + step,
+        "level": _limit("/cistern/level") + site.tau + step,
+        # What a second node needs until it is there at all.
+        "start": 8.0 + step,
+        # The same, of what comes and goes: it is there for 2 s first.
+        "intermittent": 2.0 + _limit("/cistern/level") + site.tau + step,
+        "frost": _limit("/weather/frost") + step,
+        # The permit: at once for a node that ended, after its silence for one that hangs.
+        "permit": permit._GREATEST_AGE_S + step,
+        "silent": live_supervisor._SILENT_S + permit._PERIOD_S + step,
+        # The drive stands by itself, or bringup stops it.
+        "drive": DRIVE_TIMEOUT_S + end,
+        "supervised": SILENCE_S + end,
+        "follow": follow + step,
+        # A level that does not move while the pump moves the water.
+        "cistern frozen": frozen * site.a1 / flow + _limit("/cistern/level") + step,
+        "roof frozen": frozen * site.a2 / flow + _limit("/roof/level") + step,
+        # The delivery check: the volume that may be missing, and the averaging that comes on top.
+        "undelivered": tolerance * site.a2 / (delivery * flow) + 2 * averaging + step,
+        "drift": jump / 2e-4 + step,
+    }

@@ -1,0 +1,229 @@
+"""A case of a rig with a drive: the fault, the time until the pump stands, and what comes after."""
+
+from __future__ import annotations
+
+import random
+import time
+from dataclasses import dataclass
+
+from bounds import bounds
+from cases import Case
+from graphs import alive
+from inject import begin
+from lost import BOUND_S, last_message, newest_file
+from rig import BrokenError, Rig, SiteRig
+
+# How much longer than the bound is waited, for a figure of how bad it was (s).
+_LONGER_S = 10.0
+# What a node that was killed needs until the pump runs again: back-off, start, recovery (s).
+_RECOVERY_S = 75.0
+_LEAST_SPEED = 0.05
+_STEADY_S = 6.0
+# How far below the suction level the cistern may be pumped: five seconds at full flow (m).
+_DRY_M = 0.002
+
+
+@dataclass
+class Outcome:
+    """What came of a case.
+
+    Attributes:
+        to_safe: time from the fault to a pump that stands, or to the alarm where it cannot be
+            stopped (s); None where it had to run on.
+        bound: of that (s).
+        alarm: what was said of the cause.
+        lost: seconds that a bag lacks, ticks in a simulation; None where nothing was to lose.
+        recovery: how it went on.
+        wrong: what was not as it should be; empty for nothing.
+    """
+
+    to_safe: float | None = None
+    bound: float | None = None
+    alarm: str = ""
+    lost: float | None = None
+    recovery: str = ""
+    wrong: str = ""
+
+    def fail(self, what: str) -> None:
+        self.wrong = "; ".join(filter(None, (self.wrong, what)))
+
+
+def run_case(rig: Rig, case: Case, rng: random.Random, outcome: Outcome) -> None:
+    """Do a case to a rig, and note what came of it.
+
+    Raises:
+        BrokenError: the rig did not come to run before it.
+    """
+    # What the case before left may show once more: a level that came just before its sensor died
+    # becomes too old after its limit.
+    rig.until_running(steady_s=_STEADY_S if case.expected.stops is False else 0.0)
+    time.sleep(rng.uniform(0.0, 2.0))
+    if not rig.runs():
+        rig.until_running()
+    outcome.bound = bounds(rig.site)[case.expected.bound]
+    if case.fault == "unstoppable":
+        _unstoppable(rig, case, outcome)
+    else:
+        _fault(rig, case, rng, outcome)
+    if rig.truth.greatest > 1.001:
+        outcome.fail(f"the pump turned at {rig.truth.greatest:.3f} of its rated speed")
+        rig.truth.greatest = 0.0
+    if isinstance(rig, SiteRig) and rig.cistern_level() < rig.site.suction_level - _DRY_M:
+        outcome.fail("the pump ran dry")
+
+
+def _fault(rig: Rig, case: Case, rng: random.Random, outcome: Outcome) -> None:
+    expected = case.expected
+    printed, began = len(rig.main.stderr()), time.monotonic()
+    recorded = newest_file(rig.state / "bag") if isinstance(rig, SiteRig) else None
+    clock = time.time()
+    undo = begin(rig, case, rng)
+    if case.fault == "dry":
+        began = time.monotonic()  # it took its time to become so
+    try:
+        if expected.stops:
+            _until_it_stands(rig, case, began, outcome)
+        elif expected.stops is False:
+            time.sleep(max(0.0, began + expected.watch - time.monotonic()))
+            if rig.truth.least(began, time.monotonic()) < _LEAST_SPEED:
+                outcome.fail(f"the pump stopped, and should run on: {_said(rig, began)}")
+        else:
+            time.sleep(max(0.0, began + expected.watch - time.monotonic()))
+        _alarm(rig, case, began, printed, outcome)
+    finally:
+        undo()
+    _recover(rig, case, outcome)
+    if case.target == "recorder" and case.fault != "stop short":
+        assert recorded is not None
+        outcome.lost = max(0.0, clock - last_message(recorded))
+        if outcome.lost > BOUND_S:
+            outcome.fail(f"{outcome.lost:.1f} s before the fault are not in the bag")
+
+
+def _until_it_stands(rig: Rig, case: Case, began: float, outcome: Outcome) -> None:
+    assert outcome.bound is not None
+    until = began + outcome.bound + _LONGER_S
+    stood = None
+    while stood is None and time.monotonic() < until:
+        time.sleep(0.02)
+        stood = rig.truth.stood_at(began)
+    if stood is None:
+        outcome.fail(
+            f"the pump had not stopped {until - began:.1f} s after the fault (bound "
+            f"{outcome.bound:.1f} s), at {rig.truth.speed:.2f} of its speed; "
+            f"{_said(rig, began)}"
+        )
+        return
+    outcome.to_safe = stood - began
+    if outcome.to_safe > outcome.bound:
+        outcome.fail(f"the pump stopped after {outcome.to_safe:.2f} s, bound {outcome.bound:.2f} s")
+
+
+def _alarm(rig: Rig, case: Case, began: float, printed: int, outcome: Outcome) -> None:
+    if not case.expected.alarm:
+        return
+    assert outcome.bound is not None
+    until = max(began + outcome.bound, time.monotonic() + 2.0)
+    while not outcome.alarm and time.monotonic() < until:
+        outcome.alarm = rig.said(case.expected.alarm, began, printed)[:300]
+        time.sleep(0.05)
+    if not outcome.alarm:
+        outcome.fail(
+            f"nothing said /{case.expected.alarm}/; said was {_said(rig, began)}, "
+            f"{rig.main.stderr()[printed:][-400:]!r}"
+        )
+
+
+def _said(rig: Rig, began: float) -> list[str]:
+    """Return what was said since a time, with how long after it (s)."""
+    said = [(at - began, who, text) for at, who, text in rig.watcher.said if at >= began]
+    return [f"{after:.2f} {who} {text}" for after, who, text in said[:30]]
+
+
+def _recover(rig: Rig, case: Case, outcome: Outcome) -> None:
+    """See that it goes on as specified."""
+    expected = case.expected.recovery
+    if expected == "ends":
+        _ends(rig, case, outcome)
+        return
+    if expected == "stays":
+        since = time.monotonic()
+        time.sleep(5.0)
+        if rig.truth.turned(since, time.monotonic()) > _LEAST_SPEED:
+            outcome.fail("the pump ran again")
+        outcome.recovery = "stayed off"
+        return
+    began = time.monotonic()
+    patience = _RECOVERY_S if expected == "heals" else 12.0
+    while time.monotonic() < began + patience:
+        if rig.runs():
+            outcome.recovery = f"ran again after {time.monotonic() - began:.1f} s"
+            if expected == "latches":
+                outcome.fail("the fault did not latch: the pump ran again by itself")
+            return
+        if rig.watcher.state == "fault" and expected != "heals":
+            time.sleep(1.0)
+            break
+        time.sleep(0.05)
+    if expected == "heals":
+        outcome.fail(f"did not heal within {patience:.0f} s: {rig.watcher.last.get('/pump/state')}")
+    if rig.watcher.state != "fault" and expected == "latches":
+        outcome.fail(f"no latched fault: {rig.watcher.last.get('/pump/state')}")
+    turned = rig.truth.turned(time.monotonic() - 0.5, time.monotonic())
+    if turned > _LEAST_SPEED:
+        outcome.fail(f"the pump turns at {turned:.2f} while its fault is latched")
+    answer = rig.watcher.reset()
+    try:
+        rig.until_running(30)
+        outcome.recovery = f"ran again after ~/reset ({answer[:80]})"
+    except BrokenError as error:
+        outcome.fail(f"did not run after ~/reset ({answer}): {error}")
+
+def _ends(rig: Rig, case: Case, outcome: Outcome) -> None:
+    """See that bringup ends by name, and everything with it."""
+    pids = set(rig.pids().values()) | rig.started
+    try:
+        code = rig.main.process.wait(25)
+    except Exception:
+        outcome.fail("bringup did not end within 25 s")
+        return
+    expected = {"kill": -9, "term": 0 if isinstance(rig, SiteRig) else 130}.get(
+        case.fault if case.target == "bringup" else "", 1)
+    if code != expected:
+        outcome.fail(f"bringup ended with exit code {code}, not {expected}")
+    until = time.monotonic() + 12
+    while any(map(alive, pids)) and time.monotonic() < until:
+        time.sleep(0.05)
+    left = [pid for pid in pids if alive(pid)]
+    if left:
+        outcome.fail(f"{len(left)} processes were left after 12 s")
+    outcome.recovery = f"ended with exit code {code}"
+
+
+def _unstoppable(rig: Rig, case: Case, outcome: Outcome) -> None:
+    """Let the motor run whatever it is told; only an alarm can be asked for."""
+    contactor = case.target == "contactor"
+    printed = len(rig.main.stderr())
+    if not contactor:
+        rig.truth.inject_drive(case.target)
+    rig.watcher.hold(True)
+    if contactor:
+        began = time.monotonic()
+        while not rig.truth.stood_at(began) and time.monotonic() < began + 10:
+            time.sleep(0.02)
+        rig.truth.inject_drive("stuck_running", 8000)
+    began = time.monotonic()
+    try:
+        _alarm(rig, case, began, printed, outcome)
+        outcome.to_safe = time.monotonic() - began
+    finally:
+        rig.truth.inject_drive("none")
+    cleared = time.monotonic()
+    while rig.truth.speed > 0.005 and time.monotonic() < cleared + 8:
+        time.sleep(0.02)
+    if rig.truth.speed > 0.005:
+        outcome.fail("the pump still turned 8 s after it could be stopped again")
+    if "fault" not in rig.watcher.last.get("/pump/state", ""):
+        outcome.fail(f"no latched fault: {rig.watcher.last.get('/pump/state')}")
+    rig.watcher.hold(False)
+    _recover(rig, case, outcome)

@@ -1,0 +1,134 @@
+"""Controller, sensors and weather played by the campaign, each as good or bad as a case asks."""
+
+from __future__ import annotations
+
+import math
+import random
+import threading
+import time
+from collections import deque
+from collections.abc import Callable, Sequence
+
+from truth import Truth
+from watcher import Watcher
+
+from greenroof_ros.model.pump_speed import flow_at
+from greenroof_ros.model.site import Site
+
+Value = float | Sequence[float]
+PERIOD_S = 1.0
+HOSTILE = (math.nan, math.inf, -math.inf, -1.0, -1e-9, -1e300)
+# Too large, which a command may be: it is taken as 1.
+HUGE = (101.0, 1e9, 1.7976931348623157e308)
+# What is wrong but looks right, by topic: how far off, or a value of its own.
+_WRONG: dict[str, Callable[[float], float]] = {
+    "/cistern/level": lambda level: level + 0.3,
+    "/roof/level": lambda level: level + 0.1,
+    "/weather/frost": lambda frost: 1.0,
+    "/pump/command": lambda command: -0.5,
+    "/forecast/precipitation": lambda rain: 1e-4,
+    "/forecast/evapotranspiration": lambda loss: 1e-3,
+}
+# How an intermittent topic comes and goes, and how late a delayed one is (s).
+_ON_S, _OFF_S, _DELAY_S, _SLOW = 2.0, 7.0, 2.0, 4.0
+
+
+class Players:
+    """Publishes each topic once a second; levels follow from what the drive really does."""
+
+    def __init__(
+        self, watcher: Watcher, truth: Truth, site: Site, *, command: bool = False
+    ) -> None:
+        self.cistern, self.roof = 2.9, 0.01
+        self.mode: dict[str, str] = {}
+        self._watcher, self._truth, self._site = watcher, truth, site
+        self._values: dict[str, Callable[[], Value]] = {
+            "/cistern/level": lambda: self.cistern,
+            "/roof/level": lambda: self.roof,
+            "/weather/frost": lambda: 0.0,
+        }
+        if command:
+            self._values["/pump/command"] = lambda: 1.0
+        else:
+            self._values["/forecast/precipitation"] = lambda: [0.0] * site.M
+            self._values["/forecast/evapotranspiration"] = lambda: [1e-7] * site.M
+        self._sent: dict[str, deque[tuple[float, Value]]] = {
+            topic: deque(maxlen=20) for topic in self._values
+        }
+        self._began: dict[str, float] = {}
+        self._next: dict[str, float] = dict.fromkeys(self._values, 0.0)
+        self._random = random.Random(0)
+        self._ended = False
+        self._thread = threading.Thread(target=self._play, daemon=True)
+        self._thread.start()
+
+    @property
+    def topics(self) -> set[str]:
+        """What is published."""
+        return set(self._values)
+
+    def close(self) -> None:
+        self._ended = True
+        self._thread.join(3)
+
+    def set(self, topic: str, mode: str, rng: random.Random) -> None:
+        """Publish a topic in one of the ways of PX4's list from now on."""
+        self._random = random.Random(rng.random())
+        self._began[topic] = time.monotonic()
+        self.mode[topic] = mode
+
+    def _play(self) -> None:
+        at = time.monotonic()
+        while not self._ended:
+            time.sleep(0.02)
+            before, at = at, time.monotonic()
+            pumped = flow_at(self._site, self._truth.speed, self.cistern) * (at - before)
+            self.cistern -= pumped / self._site.a1
+            self.roof += pumped / self._site.a2
+            for topic, value in self._values.items():
+                if at >= self._next[topic]:
+                    self._next[topic] = max(at, self._next[topic] + PERIOD_S)
+                    self._publish(topic, value(), at)
+
+    def _publish(self, topic: str, value: Value, now: float) -> None:
+        mode, sent = self.mode.get(topic, "ok"), self._sent[topic]
+        since = now - self._began.get(topic, now)
+        if mode == "off" or (mode == "intermittent" and since % (_ON_S + _OFF_S) > _ON_S):
+            return
+        if mode == "slow":
+            self._next[topic] = now + _SLOW * PERIOD_S
+        if mode == "stuck" and sent:
+            value = sent[-1][1]
+        elif mode == "garbage":
+            value = self._garbage(topic, value)
+        elif mode == "wrong":
+            change = _WRONG[topic]
+            value = change(value) if isinstance(value, float) else [change(one) for one in value]
+        elif mode == "delayed":
+            sent.append((now, value))
+            value = next(old for at, old in sent if now - at <= _DELAY_S + PERIOD_S)
+            self._watcher.publish(topic, value)
+            return
+        if mode != "garbage":
+            sent.append((now, value))
+        self._watcher.publish(topic, value)
+
+    def _garbage(self, topic: str, value: Value) -> Value:
+        hostile = HOSTILE if topic == "/pump/command" else HOSTILE + HUGE
+        if isinstance(value, float):
+            return self._random.choice(hostile)
+        kind = self._random.randrange(3)
+        if kind == 0:
+            return []
+        if kind == 1:
+            return list(value[:-3])
+        return [self._random.choice(hostile) for _ in value]
+
+    def burst(self, topic: str, count: int, rng: random.Random) -> None:
+        """Publish so many hostile values as fast as it goes, then in fits and starts."""
+        sample = self._values[topic]()
+        self._random = random.Random(rng.random())
+        for number in range(count):
+            self._watcher.publish(topic, self._garbage(topic, sample))
+            if number % 500 == 499:
+                time.sleep(rng.uniform(0.0, 0.05))

@@ -1,0 +1,364 @@
+"""What the cases are done to: a live site, a pump node alone, or a simulation with a drive."""
+
+from __future__ import annotations
+
+import os
+import re
+import signal
+import socket
+import subprocess
+import time
+from collections.abc import Callable
+from datetime import datetime, timedelta, timezone
+from pathlib import Path
+from typing import Any
+
+import yaml
+from bounds import RAMP_S
+from graphs import Process, alive
+from places import CONFIG
+from players import Players
+from truth import STANDS, Truth
+from watcher import Watcher
+
+from greenroof_ros.drives.address import parse_address
+from greenroof_ros.model.site import Site, read_site
+
+START_S = 60.0
+# What the campaign sets other than its default, so that a pump that was stopped runs again soon.
+# None of these is in a bound.
+SHORTENED = {"recovery_time": 1.0}
+PUMP_SHORTENED = {**SHORTENED, "least_on": 1.0, "least_off": 1.0, "starts_per_hour": 3600.0}
+# The paper's site, but for a roof that takes an hour to fill: ten times its target.
+_TARGET = 0.45
+_CISTERN_M3, _ROOF_M3 = 73.0, 0.5
+CONTROLLER = "onoff"
+
+
+class BrokenError(Exception):
+    """The rig cannot be used any more."""
+
+
+def wait(condition: Callable[[], Any], seconds: float, what: str) -> None:
+    """Wait for a condition.
+
+    Raises:
+        BrokenError: it does not come.
+    """
+    until = time.monotonic() + seconds
+    while not condition():
+        if time.monotonic() > until:
+            raise BrokenError(f"{what} within {seconds:g} s")
+        time.sleep(0.02)
+
+
+def free_port() -> int:
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        return int(probe.getsockname()[1])
+
+
+def site_file(directory: Path, **changes: float) -> Path:
+    """Write the campaign's site file."""
+    text = (CONFIG / "site.yaml").read_text()
+    values = {"z_veg": _TARGET, "x2_star": 68.8 * _TARGET, "starts_per_hour": 3600.0, **changes}
+    for name, value in values.items():
+        text, count = re.subn(rf"(?m)^{name}: \S+", f"{name}: {value!r}", text)
+        assert count == 1, name
+    path = directory / "site.yaml"
+    path.write_text(text)
+    return path
+
+
+def write_forecast(path: Path, *, issued: datetime | None = None, text: str | None = None) -> None:
+    """Put a dry forecast of two days in place, as one should: whole, by renaming."""
+    issued = issued or datetime.now(timezone.utc).replace(minute=0, second=0, microsecond=0)
+    lines = ["issued,time,precipitation [mm/h],evapotranspiration [mm/day],temperature [degC]"]
+    for hour in range(48):
+        at = issued + timedelta(hours=hour)
+        lines.append(f"{issued.isoformat()},{at.isoformat()},0.0,2.0,15.0")
+    draft = path.with_suffix(".new")
+    draft.write_text("\n".join(lines) + "\n" if text is None else text)
+    draft.replace(path)
+
+
+def _has_shared_memory(pid: int) -> bool:
+    """Whether a process shares memory with others, which a stopped one of them could hold."""
+    try:
+        return "/dev/shm/fastrtps" in Path(f"/proc/{pid}/maps").read_text()
+    except OSError:
+        return False  # it has ended
+
+
+class Simulator:
+    """A simulated drive or site as a program, that can be started again where it was."""
+
+    def __init__(self, domain: int, directory: Path, module: str, *options: str) -> None:
+        self._start = (domain, directory, module, options)
+        self.start()
+
+    def start(self) -> None:
+        domain, directory, module, options = self._start
+        self.process = Process(domain, module, *options, cwd=directory)
+        wait(
+            lambda: self.process.stdout().startswith("ready:")
+            or self.process.process.poll() is not None, START_S, f"no {module}",
+        )
+        self.ready = self.process.stdout().partition("\n")[0]
+        if not self.ready.startswith("ready:"):
+            raise BrokenError(f"{module}: {self.process.stderr()}")
+
+    def end(self) -> None:
+        popen = self.process.process
+        if popen.poll() is None:
+            popen.send_signal(signal.SIGCONT)
+            popen.terminate()
+            popen.wait(10)
+
+
+class Rig:
+    """A pump on a simulated drive, and all that has to do with it.
+
+    Attributes:
+        watcher: the campaign's node in the graph.
+        truth: what the drive really does.
+    """
+
+    def __init__(self, directory: Path, domain: int, drive: str) -> None:
+        self.directory, self.domain, self.drive_name = directory, domain, drive
+        directory.mkdir(parents=True, exist_ok=True)
+        self.site_file = site_file(directory)
+        self.site: Site = read_site(self.site_file)
+        self._parameters = directory / "nodes.yaml"
+        self._parameters.write_text(yaml.safe_dump({
+            "/**/pump": {"ros__parameters": PUMP_SHORTENED},
+            f"/**/{CONTROLLER}": {"ros__parameters": SHORTENED},
+            "/**/weather": {"ros__parameters": dict(SHORTENED)},
+        }))
+        drive_port, bench = free_port(), free_port()
+        self.drive = Simulator(
+            domain, directory, "drive_simulator", "--drive", drive, "--ramp", "1", "--boot", "2",
+            "--port", str(drive_port), "--workbench", str(bench), "--site", str(self.site_file),
+        )
+        self.drive_at = f"tcp://127.0.0.1:{drive_port}"
+        self._bench = f"tcp://127.0.0.1:{bench}"
+        self.site_simulator: Simulator | None = None
+        self.main: Process
+        self.started: set[int] = set()
+        self.ended_badly: list[str] = []
+
+    def _watch(self, site_bench: str | None = None) -> None:
+        site = None if site_bench is None else parse_address(site_bench)
+        self.truth = Truth(parse_address(self._bench), site)
+        self.watcher = Watcher(self.domain)
+
+    def pids(self) -> dict[str, int]:
+        """Return the process of each node, by the node's name, and of ``bringup``."""
+        found = {"bringup": self.main.process.pid}
+        children = Path(f"/proc/{self.main.process.pid}/task/{self.main.process.pid}/children")
+        try:
+            pids = [int(word) for word in children.read_text().split()]
+        except OSError:
+            pids = []
+        for pid in pids:
+            try:
+                words = Path(f"/proc/{pid}/cmdline").read_bytes().decode().split("\0")
+            except OSError:
+                continue
+            module = next((w for w in words if w.startswith("greenroof_ros.nodes.")), None)
+            if module is None:
+                continue
+            name = module.rpartition(".")[2].removeprefix("live_")
+            if name == "level_sensor":
+                name = f"{words[words.index('--tank') + 1]}_sensor"
+            found[name] = pid
+        self.started.update(found.values())
+        return found
+
+    def runs(self) -> bool:
+        """Whether the pump runs, truly and by its node."""
+        return self.truth.runs() and self.watcher.state in ("running", "starting")
+
+    def until_running(self, seconds: float = START_S, steady_s: float = 0.0) -> None:
+        """Wait until the pump runs, and has for so long without a break.
+
+        Raises:
+            BrokenError: it does not.
+        """
+        until = time.monotonic() + seconds
+        since = time.monotonic()
+        while not self.runs() or time.monotonic() - since < steady_s:
+            if not self.runs():
+                since = time.monotonic()
+            if self.main.process.poll() is not None:
+                raise BrokenError(f"bringup ended: {self.main.stderr()[-600:]}")
+            if time.monotonic() > until:
+                said = {who: text for who, text in self.watcher.last.items()
+                        if not text.startswith("OK")}
+                raise BrokenError(
+                    f"the pump did not run within {seconds:.0f} s (speed {self.truth.speed:.2f}): "
+                    f"{said}; {self.main.stderr()[-300:]}"
+                )
+            time.sleep(0.02)
+
+    def said(self, pattern: str, since: float, printed: int) -> str:
+        """Return what was said of a cause, on a topic, or by bringup beyond what it had printed."""
+        found = self.watcher.find(pattern, since)
+        if not found:
+            text = self.main.stderr()[printed:]
+            line = next((one for one in text.splitlines() if re.search(pattern, one)), "")
+            found = f"bringup: {line}" if line else ""
+        return found
+
+    def __enter__(self) -> Rig:
+        return self
+
+    def __exit__(self, *failure: object) -> None:
+        self.ended_badly = self._end_main()
+        self.watcher.close()
+        self.truth.close()
+        self.drive.end()
+        if self.site_simulator is not None:
+            self.site_simulator.end()
+
+    def _end_main(self) -> list[str]:
+        """End what is under test, and return what is wrong with how it ended."""
+        wrong = []
+        pids = set(self.pids().values()) | self.started
+        if any(map(_has_shared_memory, pids)):
+            wrong.append("a process has shared memory")
+        main = self.main.process
+        if main.poll() is None:
+            main.send_signal(signal.SIGCONT)
+            main.terminate()
+            try:
+                code = main.wait(25)
+                if code not in (0, 130):
+                    wrong.append(f"exit code {code} after SIGTERM")
+            except subprocess.TimeoutExpired:
+                wrong.append("still there 25 s after SIGTERM")
+                main.kill()
+                main.wait()
+        until = time.monotonic() + 12
+        while any(map(alive, pids)) and time.monotonic() < until:
+            time.sleep(0.05)
+        for pid in filter(alive, pids):
+            wrong.append(f"process {pid} is left")
+            os.kill(pid, signal.SIGKILL)
+        until = time.monotonic() + 2 * RAMP_S
+        while self.truth.speed > STANDS and time.monotonic() < until:
+            time.sleep(0.05)
+        if self.truth.speed > STANDS and self.drive.process.process.poll() is None:
+            wrong.append(f"the pump runs on at {self.truth.speed:.2f}")
+        if "Traceback" in self.main.stderr():
+            wrong.append("a traceback in what was printed")
+        return wrong
+
+
+class SiteRig(Rig):
+    """A live site by bringup: sensors and drive simulated, each a program behind Modbus."""
+
+    cistern_m3 = _CISTERN_M3
+
+    def __init__(self, directory: Path, domain: int, drive: str) -> None:
+        super().__init__(directory, domain, drive)
+        sensors = yaml.safe_load((CONFIG / "sensors.yaml").read_text())
+        for tank in ("cistern", "roof"):
+            sensors[tank]["address"] = f"tcp://127.0.0.1:{free_port()}"
+        file = directory / "sensors.yaml"
+        file.write_text(yaml.safe_dump(sensors))
+        bench = free_port()
+        self.levels = directory / "levels.csv"
+        self.site_simulator = Simulator(
+            domain, directory, "site_simulator", "--sensors", str(file), "--drive-at", self._bench,
+            "--workbench", str(bench), "--site", str(self.site_file), "--rain", "0",
+            "--constant-evapotranspiration", "0", "--cistern", str(self.cistern_m3),
+            "--roof", str(_ROOF_M3), "--output", str(self.levels),
+        )
+        self.forecast = directory / "forecast.csv"
+        write_forecast(self.forecast)
+        self.state = directory / "state"
+        self._options = (
+            "--plant", "external", "--controller", CONTROLLER, "--site", str(self.site_file),
+            "--sensors", str(file), "--forecast", str(self.forecast), "--drive", drive,
+            "--drive-at", self.drive_at, "--state", str(self.state), "--restarts", "1000",
+            "--node-parameters", str(self._parameters),
+        )
+        self._watch(f"tcp://127.0.0.1:{bench}")
+        self.bring_up()
+
+    def bring_up(self) -> None:
+        """Start bringup, at first or again."""
+        self.main = Process(self.domain, "bringup", *self._options, cwd=self.directory)
+        wait(lambda: self.truth.samples, 10, "no speed of the drive")
+
+    def cistern_level(self) -> float:
+        """Return the true level of the cistern (m)."""
+        line = self.levels.read_text().splitlines()[-1]
+        return float(line.split(",")[1])
+
+
+class DryRig(SiteRig):
+    """The same with water for half a minute."""
+
+    cistern_m3 = 19.0
+
+
+class PlayedRig(Rig):
+    """The same with levels and weather from nodes of somebody else's, whom the campaign plays."""
+
+    def __init__(self, directory: Path, domain: int, drive: str) -> None:
+        super().__init__(directory, domain, drive)
+        self._watch()
+        self.players = Players(self.watcher, self.truth, self.site)
+        self.main = Process(
+            domain, "bringup", "--plant", "external", "--controller", CONTROLLER,
+            "--site", str(self.site_file), "--sensors", "external", "--weather", "external",
+            "--drive", drive, "--drive-at", self.drive_at, "--state", str(directory / "state"),
+            "--restarts", "1000", "--node-parameters", str(self._parameters), cwd=directory,
+        )
+
+    def __exit__(self, *failure: object) -> None:
+        super().__exit__(*failure)
+        self.players.close()
+
+
+class PumpRig(Rig):
+    """The pump node alone: no supervisor, and the campaign is controller, sensors and weather."""
+
+    def __init__(self, directory: Path, domain: int, drive: str) -> None:
+        super().__init__(directory, domain, drive)
+        self._watch()
+        self.players = Players(self.watcher, self.truth, self.site, command=True)
+        options = {
+            "live": "true", "site_file": self.site_file, "drive": drive, "address": self.drive_at,
+            "autostart": "true", "state_file": directory / "pump.json",
+        }
+        self.main = Process(
+            domain, "nodes.pump", "--ros-args", "--params-file", str(self._parameters),
+            *(word for name, value in options.items() for word in ("-p", f"{name}:={value}")),
+            cwd=directory,
+        )
+
+    def __exit__(self, *failure: object) -> None:
+        super().__exit__(*failure)
+        self.players.close()
+
+
+class LoopRig(Rig):
+    """Hardware in the loop: the site is simulated in lockstep at real time, the drive is not."""
+
+    def __init__(self, directory: Path, domain: int, drive: str) -> None:
+        super().__init__(directory, domain, drive)
+        self._watch()
+        self.main = Process(
+            domain, "bringup", "--controller", CONTROLLER, "--site", str(self.site_file),
+            "--cistern", str(_CISTERN_M3), "--roof", str(_ROOF_M3), "--hours", "2",
+            "--drive", drive, "--drive-at", self.drive_at, "--output", str(directory / "run"),
+            "--node-parameters", str(self._parameters), cwd=directory,
+        )
+
+
+RIGS: dict[str, type[Rig]] = {
+    "site": SiteRig, "dry": DryRig, "played": PlayedRig, "pump": PumpRig, "loop": LoopRig,
+}

@@ -1,0 +1,232 @@
+"""A case of the simulated way: the run ends by name, or not one byte of its bag changes."""
+
+from __future__ import annotations
+
+import contextlib
+import hashlib
+import os
+import random
+import signal
+import subprocess
+import sys
+import tempfile
+import time
+from pathlib import Path
+
+from bounds import SILENCE_S, SLACK_S
+from cases import Case
+from graphs import Process, alive, bag_file, environment, summary_of
+from inject import signal_process
+from live import Outcome
+from rosbags.highlevel import AnyReader
+from watcher import Watcher
+
+from greenroof_ros.recording.bag_reader import count_ticks
+from greenroof_ros.recording.damaged_bag import recovered_bag
+
+# A run that is over before a fault shows would show nothing; the short one is compared whole.
+_LONG_H, _SHORT_H = "12", "3"
+# From the fault to the end of bringup: silence is noticed, and all nodes are ended.
+_BOUND_S = 2 * SILENCE_S + SLACK_S
+# Ticks that may be missing in a restored bag: what the plant may run ahead of the recorder.
+_LOST_TICKS = 32
+
+
+def run_case(case: Case, directory: Path, domain: int, rng: random.Random) -> Outcome:
+    """Bring a simulation up, do the case to it, and look at what it leaves."""
+    directory.mkdir(parents=True, exist_ok=True)
+    same = case.expected.recovery in ("same", "goes on")
+    restart = ("--on-node-failure", "restart") if case.rig == "restarting" else ()
+    run = Process(
+        domain, "bringup", "--controller", "onoff", "--hours", _SHORT_H if same else _LONG_H,
+        "--output", "run", *restart, cwd=directory,
+    )
+    outcome = Outcome(bound=None if same else _BOUND_S)
+    watcher = None
+    pids: list[int] = []
+    try:
+        if case.fault == "intruder":
+            watcher = Watcher(domain, "intruder")
+        run.wait_for_ticks()
+        time.sleep(rng.uniform(0.0, 1.0))
+        nodes = {name.removeprefix("live_"): pid for name, pid in run.nodes().items()}
+        pids = list(nodes.values())
+        began = time.monotonic()
+        _begin(case, run, nodes, watcher, rng)
+        if case.expected.recovery == "goes on":
+            _goes_on(run, directory, domain, outcome)
+        elif same:
+            _same(run, directory, domain, outcome)
+        else:
+            _ends(case, run, directory, began, outcome)
+    except (AssertionError, OSError, KeyError, subprocess.TimeoutExpired) as error:
+        outcome.fail(f"{type(error).__name__}: {error}"[:600])
+    finally:
+        if watcher is not None:
+            watcher.close()
+        _clean_up(run, pids, outcome)
+    return outcome
+
+
+def _begin(
+    case: Case, run: Process, nodes: dict[str, int], watcher: Watcher | None, rng: random.Random
+) -> None:
+    if watcher is not None:
+        watcher.open(case.target)
+        time.sleep(0.2)
+        for _ in range(20):
+            watcher.publish_any(
+                case.target, None if case.target == "/clock"
+                else [0.5] * 10 if case.target.startswith("/forecast") else 0.5,
+            )
+    elif case.fault == "second graph":
+        second = Process(int(run_domain(run)), "bringup", "--hours", "1", cwd=run.cwd)
+        code = second.wait(30)
+        assert code == 3 and "already" in second.stderr(), (code, second.stderr())
+    else:
+        pid = run.process.pid if case.target == "bringup" else nodes[case.target]
+        go_on = signal_process(pid, case.fault, rng)
+        if case.target == "bringup" and case.fault == "stop long":
+            time.sleep(8.0)
+            go_on()
+
+
+def run_domain(run: Process) -> str:
+    """Return the ROS domain of a bringup."""
+    words = Path(f"/proc/{run.process.pid}/environ").read_bytes().decode().split("\0")
+    return next(word for word in words if word.startswith("ROS_DOMAIN_ID=")).partition("=")[2]
+
+
+def _same(run: Process, directory: Path, domain: int, outcome: Outcome) -> None:
+    code = run.wait(120)
+    if code != 0:
+        outcome.fail(f"the run ended with exit code {code}: {_error(run)}")
+        return
+    undisturbed = reference(directory.parent.parent, domain)
+    if digest(bag_file(directory / "run")) != digest(bag_file(undisturbed)):
+        outcome.fail("the bag is not that of an undisturbed run")
+    outcome.lost = 0
+    outcome.recovery = "ran to its end, every byte as undisturbed"
+
+
+def _goes_on(run: Process, directory: Path, domain: int, outcome: Outcome) -> None:
+    """See that a run went on, another process in the place of the node, with its numbers."""
+    code = run.wait(120)
+    if code != 0:
+        outcome.fail(f"the run ended with exit code {code}: {_error(run)}")
+        return
+    incidents = summary_of(directory / "run")["incidents"]
+    if len(incidents) != 1:
+        outcome.fail(f"{len(incidents)} incidents, not one")
+    lost = {(topic, tick) for one in incidents for topic, tick in one["lost"]}
+    outcome.alarm = "; ".join(f"{one['node']} {one['how']}" for one in incidents)
+    outcome.lost = len(lost)
+    mine = messages(directory / "run" / "bag")
+    others = messages(reference(directory.parent.parent, domain) / "bag")
+    if mine.keys() != others.keys():
+        outcome.fail(f"other topics: {sorted(mine.keys() ^ others.keys())}")
+    for topic in mine.keys() & others.keys():
+        differing = sum(a != b for a, b in zip(mine[topic], others[topic], strict=False))
+        differing += abs(len(mine[topic]) - len(others[topic]))
+        if differing > sum(name == topic for name, _ in lost):
+            outcome.fail(f"{differing} messages of {topic} differ from an undisturbed run")
+    outcome.recovery = "went on, every number as undisturbed"
+
+
+def messages(bag: Path) -> dict[str, list[tuple[int, bytes]]]:
+    """Return time and bytes of each message of a bag, by topic."""
+    found: dict[str, list[tuple[int, bytes]]] = {}
+    with AnyReader([bag]) as reader:
+        for connection, time_ns, data in reader.messages():
+            found.setdefault(connection.topic, []).append((time_ns, bytes(data)))
+    return found
+
+
+def _error(run: Process) -> str:
+    """Return what bringup gives as the reason of its end."""
+    lines = run.stderr().splitlines()
+    return next((one for one in lines if "error:" in one or "SIGTERM" in one), "")[:300]
+
+
+def _ends(case: Case, run: Process, directory: Path, began: float, outcome: Outcome) -> None:
+    bringup = case.fault if case.target == "bringup" else ""
+    expected = {"kill": -signal.SIGKILL, "term": 130}.get(bringup, 1)
+    if case.expected.recovery == "either":
+        code = run.wait(120)
+        outcome.recovery = f"ended with exit code {code}"
+        return
+    code = run.wait(60)
+    outcome.to_safe = time.monotonic() - began
+    outcome.recovery = f"ended with exit code {code}"
+    if outcome.to_safe > _BOUND_S:
+        outcome.fail(f"ended after {outcome.to_safe:.1f} s, bound {_BOUND_S:.1f} s")
+    if code != expected:
+        outcome.fail(f"ended with exit code {code}, not {expected}: {run.stderr()[-400:]}")
+    said = run.stderr()
+    outcome.alarm = _error(run)
+    words = case.expected.alarm.split("|")
+    if words != [""] and not any(word in said for word in words):
+        outcome.fail(f"nothing said {case.expected.alarm}: {said[-400:]}")
+    if "Traceback" in said:
+        outcome.fail("a traceback")
+    _count_lost(directory, domain_free=code != -signal.SIGKILL, outcome=outcome)
+
+
+def _count_lost(directory: Path, *, domain_free: bool, outcome: Outcome) -> None:
+    """Count the ticks that the plant had made and the bag, restored, has not."""
+    run = directory / "run"
+    bag = run / "bag"
+    ticks = count_ticks(bag)
+    if ticks is None:
+        done = subprocess.run(
+            [sys.executable, "-m", "greenroof_ros.recover", str(run)], capture_output=True,
+            text=True, env=environment(0), timeout=60,
+        )
+        if done.returncode != 0:
+            outcome.fail(f"the bag could not be restored: {done.stderr[-300:]}")
+            return
+        ticks = count_ticks(recovered_bag(bag)) or 0
+    last = summary_of(run).get("last_tick")
+    if domain_free and last is not None:
+        outcome.lost = max(0, last + 1 - ticks)
+        if outcome.lost > _LOST_TICKS:
+            outcome.fail(f"{outcome.lost} ticks are lost, of {last + 1}")
+
+
+def _clean_up(run: Process, pids: list[int], outcome: Outcome) -> None:
+    popen = run.process
+    if popen.poll() is None:
+        popen.send_signal(signal.SIGCONT)
+        popen.terminate()
+        try:
+            popen.wait(20)
+        except subprocess.TimeoutExpired:
+            outcome.fail("bringup did not end within 20 s of SIGTERM")
+            popen.kill()
+    until = time.monotonic() + 12
+    while any(map(alive, pids)) and time.monotonic() < until:
+        time.sleep(0.05)
+    for pid in pids:
+        if alive(pid):
+            outcome.fail("a node is left 12 s after the end")
+            os.kill(pid, signal.SIGKILL)
+
+
+def digest(file: Path) -> str:
+    return hashlib.sha256(file.read_bytes()).hexdigest()
+
+
+def reference(directory: Path, domain: int) -> Path:
+    """Return an undisturbed short run, made once in a directory."""
+    kept = directory / "undisturbed"
+    if not (kept / "run").is_dir():
+        place = Path(tempfile.mkdtemp(prefix="undisturbed-", dir=directory))
+        run = Process(
+            domain, "bringup", "--controller", "onoff", "--hours", _SHORT_H, "--output", "run",
+            cwd=place,
+        )
+        code = run.wait(120)
+        assert code == 0, run.stderr()
+        with contextlib.suppress(OSError):  # the other lane was faster
+            place.rename(kept)
+    return kept / "run"

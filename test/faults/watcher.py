@@ -1,0 +1,178 @@
+"""The campaign's own node: it hears what is said in a graph, plays sensors, and is the intruder."""
+
+from __future__ import annotations
+
+import os
+import re
+import threading
+import time
+from array import array
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from typing import Any
+
+import rclpy
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.node import Node
+from rclpy.signals import SignalHandlerOptions
+from std_msgs.msg import String
+from std_srvs.srv import SetBool, Trigger
+
+from greenroof_ros.common.interface import read_topics
+from greenroof_ros.graph.qos import message_class, qos_profile
+from greenroof_ros.graph.transport import choose_transport
+
+
+@contextmanager
+def _transport() -> Iterator[None]:
+    """Use the nodes' transport, and leave the environment of what is started later as it was."""
+    before = dict(os.environ)
+    choose_transport()
+    try:
+        yield
+    finally:
+        os.environ.clear()
+        os.environ.update(before)
+
+
+class Watcher:
+    """A node in a thread of its own.
+
+    Attributes:
+        said: all that was said, as (time, who, text): states of the pump, and diagnoses that
+            changed, with their level in front.
+    """
+
+    def __init__(self, domain: int, name: str = "watcher") -> None:
+        self.said: list[tuple[float, str, str]] = []
+        self.last: dict[str, str] = {}
+        self._context = rclpy.Context()
+        with _transport():
+            rclpy.init(
+                args=[], context=self._context, domain_id=domain,
+                signal_handler_options=SignalHandlerOptions.NO,
+            )
+            self.node = Node(
+                name, context=self._context, start_parameter_services=False, enable_rosout=False
+            )
+        self._topics = read_topics()
+        self._publishers: dict[str, Any] = {}
+        self._lock = threading.Lock()
+        for topic, kind, heard in (
+            ("/pump/state", String, self._on_state),
+            ("/diagnostics", DiagnosticArray, self._on_diagnostics),
+        ):
+            self.node.create_subscription(kind, topic, heard, qos_profile(self._topics[topic].qos))
+        self._reset = self.node.create_client(Trigger, "/pump/reset")
+        self._stop = self.node.create_client(SetBool, "/pump/stop")
+        self._executor = SingleThreadedExecutor(context=self._context)
+        self._executor.add_node(self.node)
+        self._ended = False
+        self._thread = threading.Thread(target=self._spin, daemon=True)
+        self._thread.start()
+
+    def _spin(self) -> None:
+        while not self._ended:
+            self._executor.spin_once(timeout_sec=0.05)
+
+    def close(self) -> None:
+        self._ended = True
+        self._thread.join(3)
+        self.node.destroy_node()
+        self._context.try_shutdown()
+
+    def _say(self, who: str, text: str) -> None:
+        if self.last.get(who) != text:
+            self.last[who] = text
+            self.said.append((time.monotonic(), who, text))
+
+    def _on_state(self, message: Any) -> None:
+        self._say("/pump/state", message.data)
+
+    def _on_diagnostics(self, message: Any) -> None:
+        for status in message.status:
+            if ": " in status.name:  # a part of a node; the nodes' own states are no news
+                level = ("OK", "WARN", "ERROR", "STALE")[status.level[0]]
+                self._say(status.name, f"{level} {status.message}")
+
+    @property
+    def state(self) -> str:
+        """What the pump node says of the pump, its first word."""
+        return self.last.get("/pump/state", "").partition(":")[0]
+
+    def find(self, pattern: str, since: float) -> str:
+        """Return what was said since a time that matches; empty where nothing does."""
+        expression = re.compile(pattern)
+        for at, who, text in list(self.said):
+            if at >= since and not text.startswith("OK ") and expression.search(text):
+                return f"{who}: {text}"
+        return ""
+
+    # --- publishing -----------------------------------------------------------------------------
+
+    def publish(self, topic: str, value: float | Sequence[float] | str) -> None:
+        """Publish on a topic of the interface, with its profile."""
+        kind = message_class(self._topics[topic].type)
+        with self._lock:
+            if topic not in self._publishers:
+                profile = qos_profile(self._topics[topic].qos)
+                self._publishers[topic] = self.node.create_publisher(kind, topic, profile)
+            message = kind()
+            if isinstance(value, (float, str)):
+                message.data = value
+            else:
+                message.data = array("d", value)
+            self._publishers[topic].publish(message)
+
+    def publish_any(self, topic: str, value: Any) -> None:
+        """Publish on a topic of any type; None for a message as it is made."""
+        if value is not None:
+            self.publish(topic, value)
+        elif self._topics[topic].type.endswith("DiagnosticArray"):
+            status = DiagnosticStatus(
+                name="/onoff", message="ready", hardware_id="nobody",
+                values=[KeyValue(key="role", value="controller"), KeyValue(key="x", value="{")],
+            )
+            self._publishers[topic].publish(DiagnosticArray(status=[status]))
+        else:
+            self._publishers[topic].publish(message_class(self._topics[topic].type)())
+
+    def open(self, topic: str) -> None:
+        """Be a publisher of a topic, and say nothing on it."""
+        with self._lock:
+            if topic not in self._publishers:
+                one = self._topics[topic]
+                self._publishers[topic] = self.node.create_publisher(
+                    message_class(one.type), topic, qos_profile(one.qos)
+                )
+
+    def withdraw(self, topic: str) -> None:
+        """Be no publisher of a topic any more."""
+        with self._lock:
+            publisher = self._publishers.pop(topic, None)
+            if publisher is not None:
+                self.node.destroy_publisher(publisher)
+
+    # --- services -------------------------------------------------------------------------------
+
+    def reset(self, seconds: float = 5.0) -> str:
+        """Call ~/reset of the pump node and return its answer; empty where there was none."""
+        return self._call(self._reset, Trigger.Request(), seconds)
+
+    def hold(self, on: bool, seconds: float = 5.0) -> str:
+        """Call ~/stop of the pump node."""
+        return self._call(self._stop, SetBool.Request(data=on), seconds)
+
+    def _call(self, client: Any, request: Any, seconds: float) -> str:
+        until = time.monotonic() + seconds
+        while not client.service_is_ready():
+            if time.monotonic() > until:
+                return ""
+            time.sleep(0.05)
+        answer = client.call_async(request)
+        while not answer.done():
+            if time.monotonic() > until:
+                return ""
+            time.sleep(0.02)
+        return str(answer.result().message) or "answered"
