@@ -9,13 +9,13 @@ NAME = "greenroof_ros"
 SHARE = Path("share") / NAME
 
 # Nodes: ``ros2 run greenroof_ros plant``, or just ``plant`` in a virtual environment.
-NODES = ("plant", "weather", "controller", "recorder")
+NODES = ("plant", "weather", "controller", "recorder", "live_recorder", "pump", "level_sensor")
 # The node of one of this package's controllers, without ``--controller``.
 CONTROLLERS = ("mpc", "onoff", "planning_mpc", "anticipating_onoff", "scenario_mpc")
 # Commands: they start the graph, or need no ROS at all.
 COMMANDS = (
-    "bringup", "simulate", "bound", "recover", "topics", "check_controller", "study.__main__",
-    "report.__main__",
+    "bringup", "simulate", "bound", "recover", "topics", "check_controller", "check_pump",
+    "drive_simulator", "site_simulator", "study.__main__", "report.__main__",
 )
 
 
@@ -74,6 +74,13 @@ setup(
             "ros-jazzy-rosgraph-msgs>=2.0,<3",  # Clock
             "ros-jazzy-diagnostic-msgs>=5.3,<6",  # /diagnostics
             "ros-jazzy-rcl-interfaces>=2.0,<3",  # descriptors and results of node parameters
+            "ros-jazzy-lifecycle-msgs>=2.0,<3",  # the pump node's states
+            "ros-jazzy-std-srvs>=5.3,<6",  # the pump node's services
+        ],
+        # The pump node's drives and level sensors, and their simulators.
+        "pump": [
+            # TCP and RTU; its minor releases change the interface, which has `device_id` since 3.10
+            "pymodbus[serial]>=3.16,<3.17",
         ],
         # Studies of many runs, and reports with figures; neither needs a ROS.
         "study": [

@@ -5,12 +5,20 @@ from __future__ import annotations
 import argparse
 import re
 import shlex
-import signal
 import sys
+import time
 from pathlib import Path
 from typing import Any
 
-from greenroof_ros.common.command_line import EXIT_DONE, EXIT_INTERRUPTED, command, within
+from greenroof_ros.common.command_line import (
+    EXIT_DONE,
+    EXIT_FAILED,
+    EXIT_INTERRUPTED,
+    command,
+    within,
+)
+from greenroof_ros.common.errors import ConfigurationError
+from greenroof_ros.common.signals import InterruptedRun, Signals
 from greenroof_ros.controllers.registry import controller_names
 from greenroof_ros.experiment import summary, summary_table
 from greenroof_ros.experiment.options import (
@@ -23,44 +31,23 @@ from greenroof_ros.experiment.progress import RunProgress
 from greenroof_ros.experiment.run import Run
 from greenroof_ros.experiment.run_directory import make_run_directory, write_configuration
 from greenroof_ros.graph.domain import only_bringup, refuse_other_nodes
-from greenroof_ros.graph.states import FINISHED, READY, ROLES
-from greenroof_ros.graph.supervisor import NodeFailed, Supervisor
+from greenroof_ros.graph.node_processes import NodeFailed
+from greenroof_ros.graph.restarts import MOST, Restarts
+from greenroof_ros.graph.states import FINISHED, PUMP, READY, RECORDER, ROLES
+from greenroof_ros.graph.supervisor import Supervisor
+from greenroof_ros.live.drive import (
+    DriveChoice,
+    add_drive_arguments,
+    chosen_drive,
+    own_parameters,
+)
+from greenroof_ros.live.run import run_live
+from greenroof_ros.live.site import EXTERNAL, add_live_arguments, live_site, refuse_live_options
 from greenroof_ros.recording.bag_reader import count_ticks
 
+_NODES = "greenroof_ros.nodes"
 # From the start of the processes to all being ready (s): imports on a busy machine take seconds.
 _START_LIMIT_S = 30.0
-
-
-class _Interrupted(Exception):
-    """Ctrl-C, or SIGTERM, or the terminal was closed; the message says which."""
-
-
-class _Signals:
-    """Notes that a signal came; the run looks at it where it can end cleanly.
-
-    An exception out of the handler could fall into the middle of anything, the end of the nodes
-    among it. A signal that is ignored stays so: ``nohup`` ignores the end of the terminal, and a
-    shell Ctrl-C for what it starts in the background.
-    """
-
-    def __init__(self) -> None:
-        self._came: signal.Signals | None = None
-        for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
-            if signal.getsignal(number) is not signal.SIG_IGN:
-                signal.signal(number, self._on_signal)
-
-    def _on_signal(self, signum: int, frame: Any) -> None:
-        self._came = signal.Signals(signum)
-
-    def ignore(self) -> None:
-        """Take no further one: the end of the interpreter would be ended by it."""
-        for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
-            signal.signal(number, signal.SIG_IGN)
-
-    def check(self) -> None:
-        """Raise :class:`_Interrupted` if one came."""
-        if self._came is not None:
-            raise _Interrupted(f"interrupted by {self._came.name}")
 
 
 def _parser() -> argparse.ArgumentParser:
@@ -69,14 +56,21 @@ def _parser() -> argparse.ArgumentParser:
         usage="%(prog)s [options]",
         description="Start plant, weather, controller and recorder as ROS 2 nodes, each its own\n"
         "process, run them in lockstep on simulated time, and end them. While it runs,\n"
-        "'ros2 topic echo --qos-durability volatile /roof/level' shows the roof.",
+        "'ros2 topic echo --qos-durability volatile /roof/level' shows the roof.\n\n"
+        "Three ways to run:\n"
+        "  simulated             as it is, or with any option but those below\n"
+        "  hardware in the loop  with --drive and --drive-at: a drive, not a simulated pump\n"
+        "  live                  with --plant external: a site with sensors, nothing is simulated",
         epilog="examples:\n"
         "  python -m greenroof_ros.bringup --controller planning_mpc --initial high-low\n"
         "  python -m greenroof_ros.bringup --weather mine.csv --start 2024-06-01 --hours 24\n"
         "  python -m greenroof_ros.bringup --namespace site1 --site site1.yaml\n"
-        "  python -m greenroof_ros.bringup --speed 60 --no-record\n\n"
-        "exit codes: 0 done, 1 a node failed, 2 bad usage or configuration,\n"
-        "3 a graph is there already, 130 interrupted",
+        "  python -m greenroof_ros.bringup --speed 60 --no-record\n"
+        "  python -m greenroof_ros.bringup --drive danfoss_fc202 --drive-at tcp://127.0.0.1:5020\n"
+        "  python -m greenroof_ros.bringup --plant external --sensors sensors.yaml \\\n"
+        "    --forecast forecast.csv --drive danfoss_fc202 --drive-at /dev/ttyUSB0\n\n"
+        "exit codes: 0 done, or live and asked to stop, 1 a node failed,\n"
+        "2 bad usage or configuration, 3 a graph is there already, 130 interrupted",
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     add_run_arguments(parser)
@@ -97,6 +91,17 @@ def _parser() -> argparse.ArgumentParser:
         help="longest wait for a node, in wall time, 2 s at least: nodes that join listen for a "
         "second (default: %(default)s s)",
     )
+    group.add_argument(
+        "--on-node-failure", choices=["end", "restart"], default="end",
+        help="restart: start weather, controller, pump node or recorder again when one dies or "
+        f"hangs, up to {MOST} times each, and go on from the same tick: the controller as one that "
+        "begins there, with the configured parameters, the pump node with what it keeps over "
+        "restarts, the recorder in another file of the bag; the end of the plant, or what cannot "
+        "be gone on with exactly, ends the run (default: %(default)s the run)",
+    )
+    add_drive_arguments(parser)
+    add_live_arguments(parser)
+    parser.set_defaults(speed=None)
     return parser
 
 
@@ -111,7 +116,9 @@ def _namespace(text: str) -> str:
 _namespace.__name__ = "namespace: letters, digits and _, no digit first, such as site1"
 
 
-def _watch(run: Run, limit: float, supervisor: Supervisor, signals: _Signals) -> None:
+def _watch(
+    run: Run, limit: float, supervisor: Supervisor, signals: Signals, restarts: Restarts | None
+) -> None:
     """Watch the nodes until all have reported the end of the run.
 
     Args:
@@ -119,18 +126,22 @@ def _watch(run: Run, limit: float, supervisor: Supervisor, signals: _Signals) ->
         limit: longest silence of a node (s).
         supervisor: has started the nodes.
         signals: looked at ten times a second.
+        restarts: starts nodes again that fail; None where their failure ends the run.
 
     Raises:
         NodeFailed: one ended, hangs, or is not ready in time.
-        _Interrupted: a signal came.
+        InterruptedRun: a signal came.
     """
     waiting = set(supervisor.nodes)
     running = set(supervisor.nodes)
     with RunProgress(run.steps, run.site.tau) as progress:
         while running:
             signals.check()
+            supervisor.permit.tell("waiting for nodes" if waiting - {RECORDER} else "")
             for node, report in supervisor.reports():
                 progress.warn(report["warnings"])
+                if restarts is not None:
+                    restarts.hear(node, report)
                 if report["state"] in (READY, FINISHED):
                     waiting.discard(node)
                 if report["state"] == FINISHED:
@@ -142,9 +153,12 @@ def _watch(run: Run, limit: float, supervisor: Supervisor, signals: _Signals) ->
                     )
             if waiting:
                 progress.waiting(f"waiting for {', '.join(_missing(run, waiting, supervisor))}")
-                supervisor.check(_START_LIMIT_S)
-            else:
-                supervisor.check(limit)
+            try:
+                supervisor.check(_START_LIMIT_S if waiting else limit)
+            except NodeFailed as failure:
+                if restarts is None:
+                    raise
+                waiting |= restarts.start_again(failure)
 
 
 def _missing(run: Run, waiting: set[str], supervisor: Supervisor) -> list[str]:
@@ -157,7 +171,7 @@ def _missing(run: Run, waiting: set[str], supervisor: Supervisor) -> list[str]:
     return sorted(missing | (waiting - supervisor.last.keys()) or waiting)
 
 
-def _run_graph(run: Run, arguments: argparse.Namespace, signals: _Signals) -> int:
+def _run_graph(run: Run, arguments: argparse.Namespace, signals: Signals) -> int:
     """Make the run's directory, start the nodes, watch them, end them, and say how it went.
 
     Returns:
@@ -170,55 +184,119 @@ def _run_graph(run: Run, arguments: argparse.Namespace, signals: _Signals) -> in
     """
     namespace: str = arguments.namespace
     controller = run.controller
-    names = {"plant", "weather", "recorder", controller.name, *controller_names()}
+    drive, own = chosen_drive(arguments), own_parameters(arguments)
+    stop_drive = drive.stopper() if drive is not None else None
+    restart = arguments.on_node_failure == "restart"
+    names = {"plant", "weather", RECORDER, controller.name, *controller_names()}
+    if drive is not None:
+        names.add(PUMP)
     with only_bringup(namespace):
         refuse_other_nodes(namespace, names, signals.check)
         directory = make_run_directory(arguments.output, controller.name)
         parameters = write_configuration(
             directory, run,
             {
-                "speed": arguments.speed,
-                "pump": arguments.pump,
+                "speed": _speed(arguments.speed, drive),
+                "pump": arguments.pump if drive is None else "external",
                 "record": not arguments.no_record,
-                "peer_limit": arguments.peer_limit,
+                # The plant, and the recorder at the end, wait for a node that is started again.
+                "peer_limit": arguments.peer_limit + (_START_LIMIT_S if restart else 0.0),
             },
+            {} if drive is None else {PUMP: {
+                **drive.parameters(arguments.state or directory),
+                "exchange_period": _exchange_period(run, _speed(arguments.speed, drive)),
+            }},
         )
         summary.write(summary.build_unfinished(run, summary.RUNNING), directory)
-        supervisor = Supervisor(directory / "log", parameters, namespace)
+        supervisor = Supervisor(
+            directory / "log", [parameters, *([] if own is None else [own])], namespace, stop_drive
+        )
+        restarts = Restarts(supervisor) if restart else None
         try:
             with supervisor:
-                supervisor.start("plant", "plant")
-                supervisor.start("weather", "weather")
-                supervisor.start(
-                    controller.name, "controller", "--controller", controller.reference
+                if drive is not None:
+                    supervisor.add(PUMP, f"{_NODES}.pump")
+                    _wait_for_drive(run, supervisor, signals)
+                supervisor.add("plant", f"{_NODES}.plant")
+                supervisor.add("weather", f"{_NODES}.weather")
+                supervisor.add(
+                    controller.name, f"{_NODES}.controller", "--controller", controller.reference
                 )
                 if not arguments.no_record:
-                    supervisor.start("recorder", "recorder")
-                _watch(run, arguments.peer_limit, supervisor, signals)
-        except _Interrupted as error:
+                    supervisor.add(RECORDER, f"{_NODES}.recorder")
+                _watch(run, arguments.peer_limit, supervisor, signals, restarts)
+        except InterruptedRun as error:
             signals.ignore()
             print(error, file=sys.stderr)
-            _end_early(run, directory, supervisor, summary.INTERRUPTED, str(error))
+            _end_early(run, directory, supervisor, restarts, summary.INTERRUPTED, str(error))
             return EXIT_INTERRUPTED
         except NodeFailed as error:
             signals.ignore()
             print(f"error: {error}", file=sys.stderr)
-            _end_early(run, directory, supervisor, summary.FAILED, error.reason)
+            _end_early(run, directory, supervisor, restarts, summary.FAILED, error.reason)
             return error.code
-        _end_whole(run, directory, supervisor, as_json=arguments.json)
+        _end_whole(run, directory, supervisor, restarts, as_json=arguments.json)
         return EXIT_DONE
 
 
-def _refused(supervisor: Supervisor) -> dict[str, int]:
+def _wait_for_drive(run: Run, supervisor: Supervisor, signals: Signals) -> None:
+    """Wait until the pump node may run its drive: no run begins that could not pump.
+
+    Raises:
+        NodeFailed: it ended, or something speaks against the drive for too long.
+        InterruptedRun: a signal came.
+    """
+    until = time.monotonic() + _START_LIMIT_S
+    with RunProgress(run.steps, run.site.tau) as progress:
+        while not supervisor.last.get(PUMP, {}).get("active"):
+            signals.check()
+            supervisor.permit.tell("waiting for nodes")
+            supervisor.reports()
+            said = supervisor.last.get(PUMP, {}).get("diagnoses", {})
+            trouble = "; ".join(
+                message for part in ("drive", "drive timeout")
+                for level, message in [said.get(part, ("OK", ""))] if level != "OK"
+            )
+            progress.waiting(f"waiting for the drive: {trouble or 'the pump node starts'}")
+            supervisor.check(_START_LIMIT_S)
+            if time.monotonic() > until:
+                reason = f"the drive cannot be run, after {_START_LIMIT_S:g} s: {trouble}"
+                raise NodeFailed(reason, supervisor.quoted(PUMP), EXIT_FAILED, [PUMP], "no drive")
+
+
+def _exchange_period(run: Run, speed: float) -> float:
+    """Return the time between two rounds of requests to the drive (s): a tick, within limits."""
+    return min(max(run.site.tau / speed, 0.02), 0.1) if speed else 0.02
+
+
+def _speed(asked: float | None, drive: DriveChoice | None) -> float:
+    """Return the simulated time per wall time; 0 for as fast as it goes, which no drive does."""
+    if asked is not None:
+        return asked
+    return 0.0 if drive is None else 1.0
+
+
+def _refused(supervisor: Supervisor, restarts: Restarts | None) -> dict[str, int]:
     """Return how many values of each topic the nodes refused."""
-    refused: dict[str, int] = {}
+    refused: dict[str, int] = {} if restarts is None else dict(restarts.refused)
     for report in supervisor.last.values():
         for topic, count in report["refused"].items():
             refused[topic] = refused.get(topic, 0) + count
     return refused
 
 
-def _end_whole(run: Run, directory: Path, supervisor: Supervisor, *, as_json: bool) -> None:
+def _parameter_changes(
+    run: Run, supervisor: Supervisor, restarts: Restarts | None
+) -> list[dict[str, Any]]:
+    """Return the parameters that changed in the run, in whichever process of the controller."""
+    last = supervisor.last.get(run.controller.name, {})
+    before = [] if restarts is None else restarts.parameter_changes
+    return [*before, *last.get("parameter_changes", [])]
+
+
+def _end_whole(
+    run: Run, directory: Path, supervisor: Supervisor, restarts: Restarts | None, *, as_json: bool
+) -> None:
     """Write and print the summary of a run that is done."""
     plant, controller = supervisor.last["plant"], supervisor.last[run.controller.name]
     result = summary.build(
@@ -226,16 +304,18 @@ def _end_whole(run: Run, directory: Path, supervisor: Supervisor, *, as_json: bo
         plant["metrics"],
         wall_s=plant["wall_s"],
         solver=controller["solver"],
-        messages=supervisor.last.get("recorder", {}).get("messages"),
-        refused=_refused(supervisor),
-        parameter_changes=controller["parameter_changes"],
+        messages=supervisor.last.get(RECORDER, {}).get("messages"),
+        refused=_refused(supervisor, restarts),
+        parameter_changes=_parameter_changes(run, supervisor, restarts),
+        incidents=None if restarts is None else restarts.incidents,
     )
     summary.write(result, directory)
     summary_table.show(result, directory, as_json=as_json)
 
 
 def _end_early(
-    run: Run, directory: Path, supervisor: Supervisor, status: str, reason: str
+    run: Run, directory: Path, supervisor: Supervisor, restarts: Restarts | None, status: str,
+    reason: str,
 ) -> None:
     """Write how far a run came that is not done, and say how its bag is opened."""
     bag = directory / "bag"
@@ -248,8 +328,9 @@ def _end_early(
     summary.write(
         summary.build_unfinished(
             run, status, reason=reason, last_tick=reached if reached >= 0 else None,
-            refused=_refused(supervisor),
-            parameter_changes=last.get(run.controller.name, {}).get("parameter_changes"),
+            refused=_refused(supervisor, restarts),
+            parameter_changes=_parameter_changes(run, supervisor, restarts),
+            incidents=None if restarts is None else restarts.incidents,
         ),
         directory,
     )
@@ -281,16 +362,31 @@ def _bag_lines(directory: Path, bag: Path, ticks: int | None) -> list[str]:
 @command
 def main() -> int:
     """Bring the graph up, watch it, and end it."""
-    arguments = parse_run_arguments(_parser())
-    signals = _Signals()
-    run = run_from_arguments(arguments)
-    if arguments.pump == "external":
-        run.sensor_pump_errors.refuse_external_pump()
+    parser = _parser()
+    arguments = parse_run_arguments(parser)
+    signals = Signals()
     try:
-        return _run_graph(run, arguments, signals)
-    except _Interrupted as error:  # before a node was started
+        if arguments.plant == EXTERNAL:
+            return run_live(live_site(parser, arguments), signals)
+        refuse_live_options(parser, arguments)
+        return _run_graph(_simulated_run(arguments), arguments, signals)
+    except InterruptedRun as error:  # before a node was started
         print(error, file=sys.stderr)
         return EXIT_INTERRUPTED
+
+
+def _simulated_run(arguments: argparse.Namespace) -> Run:
+    """Build and check the run that a command line asks for.
+
+    Raises:
+        ConfigurationError: an option, or a file that it names, is wrong.
+    """
+    run = run_from_arguments(arguments)
+    if arguments.pump == EXTERNAL or arguments.drive is not None:
+        run.sensor_pump_errors.refuse_external_pump()
+    if arguments.state is not None and arguments.drive is None:
+        raise ConfigurationError("is of a drive, or a live site", key="--state")
+    return run
 
 
 if __name__ == "__main__":

@@ -5,12 +5,10 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from rich.console import Console
-from rich.table import Table
-
-from greenroof_ros.common.command_line import EXIT_DONE, EXIT_FAILED, command
+from greenroof_ros.common.command_line import command
 from greenroof_ros.common.files import shared_directory
-from greenroof_ros.controllers.check import Finding, check_controller
+from greenroof_ros.common.findings import Finding, print_findings
+from greenroof_ros.controllers.check import check_controller
 from greenroof_ros.controllers.registry import controller_names, find_controller
 from greenroof_ros.experiment.options import add_output_arguments, add_run_arguments
 from greenroof_ros.model.site import read_site
@@ -53,15 +51,7 @@ def main() -> int:
     choice = find_controller(arguments.controller)
     site = read_site(arguments.site or shared_directory() / "config" / "site.yaml")
     findings = [*check_controller(choice, site), _options(arguments.controller)]
-    table = Table(title=f"{choice.name}, {choice.path}", title_justify="left")
-    for name in ("check", "result"):
-        table.add_column(name)
-    for finding in findings:
-        table.add_row(finding.check, finding.problem or "right")
-    Console().print(table)
-    failed = [finding for finding in findings if finding.problem]
-    print(f"{len(findings) - len(failed)} of {len(findings)} checks passed")
-    return EXIT_FAILED if failed else EXIT_DONE
+    return print_findings(f"{choice.name}, {choice.path}", findings)
 
 
 if __name__ == "__main__":

@@ -4,41 +4,47 @@ from __future__ import annotations
 
 import argparse
 import shutil
+from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
+
+from mcap.records import Channel
 
 from greenroof_ros.common.command_line import command
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.interface import find_namespace, read_topics
+from greenroof_ros.recording.bag_files import numbered_files
 from greenroof_ros.recording.bag_writer import BagWriter
 from greenroof_ros.recording.damaged_bag import read_ticks, recovered_bag
+from greenroof_ros.recording.live_recovery import is_live, restore
 
 
-def recover(directory: Path, output: Path | None = None) -> tuple[Path, int]:
-    """Write every whole tick of a damaged bag into a new bag.
+def recover(directory: Path, output: Path | None = None) -> tuple[Path, str]:
+    """Write every whole tick of a damaged bag, or message of a live site, into a new bag.
 
     Args:
         directory: a run directory, or the bag in it.
         output: the new bag, which must not exist; by default beside the old one.
 
     Returns:
-        The new bag and the number of its ticks.
+        The new bag, and how much is in it, for people.
 
     Raises:
         ConfigurationError: there is no bag, it holds no whole tick, or the output exists.
     """
     bag = directory / "bag" if (directory / "bag").is_dir() else directory
-    files = sorted(bag.glob("*.mcap"))
-    if len(files) != 1:
+    files = [path for _, path in numbered_files(bag)]
+    if not files:
         raise ConfigurationError(
-            f"must be a run directory or the bag in it, with one .mcap file, not {len(files)}",
-            file=directory,
+            "must be a run directory or the bag in it, and holds no .mcap file", file=directory
         )
     target = output or recovered_bag(bag)
     if target.exists():
         raise ConfigurationError("exists already; nothing was written", file=target)
     try:
-        return target, _rewrite(files[0], target)
+        if is_live(bag):
+            return target, f"{restore(bag.resolve(), target)} messages"
+        return target, f"{_rewrite(files, target)} ticks"
     except OSError as error:
         shutil.rmtree(target, ignore_errors=True)
         raise ConfigurationError(
@@ -46,11 +52,11 @@ def recover(directory: Path, output: Path | None = None) -> tuple[Path, int]:
         ) from error
 
 
-def _rewrite(file: Path, target: Path) -> int:
-    """Write the whole ticks of a bag's file into a new bag and return their number."""
+def _rewrite(files: list[Path], target: Path) -> int:
+    """Write the whole ticks of a bag's files into a new bag and return their number."""
     topics = read_topics()
     writer: BagWriter | None = None
-    for channels, time_ns, messages in read_ticks(file):
+    for file, channels, time_ns, messages in _ticks(files):
         if writer is None:
             names = [channel.topic for channel in channels]
             namespace = find_namespace(names, ["/clock"], file)
@@ -65,9 +71,18 @@ def _rewrite(file: Path, target: Path) -> int:
             )
         writer.write_tick(time_ns, messages)
     if writer is None:
-        raise ConfigurationError("holds not one whole tick", file=file)
+        raise ConfigurationError("holds not one whole tick", file=files[0])
     writer.close()
     return writer.ticks
+
+
+def _ticks(files: list[Path]) -> Iterator[tuple[Path, list[Channel], int, list[bytes]]]:
+    """Read the ticks of a bag: of another file those that follow on the last."""
+    count = 0
+    for file in files:
+        for channels, time_ns, messages in read_ticks(file, count):
+            count += 1
+            yield file, channels, time_ns, messages
 
 
 @command
@@ -76,16 +91,16 @@ def main() -> int:
     parser = argparse.ArgumentParser(
         prog="python -m greenroof_ros.recover",
         description="Repair the bag of a run whose recorder was killed or ran out of disk: every "
-        "whole tick goes into a new bag beside the old one, which is left as it is. A report of "
-        "the run then uses the new one.",
+        "whole tick, or every message of a live site, goes into a new bag beside the old one, "
+        "which is left as it is. A report of the run then uses the new one.",
     )
     parser.add_argument("directory", type=Path, metavar="DIR", help="a run directory, or its bag")
     parser.add_argument(
         "--output", type=Path, metavar="BAG", help="the new bag (default: beside the old one)"
     )
     arguments = parser.parse_args()
-    bag, ticks = recover(arguments.directory, arguments.output)
-    print(f"{ticks} ticks recovered to {bag}")
+    bag, amount = recover(arguments.directory, arguments.output)
+    print(f"{amount} recovered to {bag}")
     return 0
 
 

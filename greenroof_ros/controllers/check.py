@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
 from itertools import product
 from typing import Any
 
@@ -12,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from greenroof_ros.common.errors import ConfigurationError
+from greenroof_ros.common.findings import Finding
 from greenroof_ros.common.interface import read_topics
 from greenroof_ros.controllers.protocol import Controller
 from greenroof_ros.controllers.registry import ControllerChoice
@@ -27,19 +27,6 @@ _ROOF = (0.0, 0.5, 0.999, 1.0, 1.001, 2.0)
 _RAIN = (0.0, 1e-7, 2e-5)
 _EVAPOTRANSPIRATION = (0.0, 3e-6)
 _SOLVER_FIGURES = {"solves", "fallbacks", "mean_s", "p99_s", "max_s"}
-
-
-@dataclass(frozen=True)
-class Finding:
-    """The result of one check.
-
-    Attributes:
-        check: what a controller must do.
-        problem: what this one does instead; empty where it is right.
-    """
-
-    check: str
-    problem: str
 
 
 class _ProblemError(Exception):

@@ -38,8 +38,11 @@ BUILT_IN = {
 DEFAULT = "mpc"
 # A controller's node is named after it, beside these.
 _OTHER_NODES = {"plant", "weather", "recorder", "pump", "bringup"}
-# Every node has these parameters.
-_OF_EVERY_NODE = {"site_file", "use_sim_time"}
+# Every controller's node has these parameters.
+_OF_EVERY_NODE = {
+    "site_file", "use_sim_time", "live", "level_limit", "forecast_limit", "frost_limit",
+    "gauge_limit", "flow_limit", "recovery_time", "frozen_movement", "jump_tolerance",
+}
 
 
 @dataclass(frozen=True)

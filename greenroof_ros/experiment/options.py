@@ -235,8 +235,10 @@ def parse_run_arguments(
     return known
 
 
-def run_from_arguments(arguments: argparse.Namespace) -> Run:
-    """Build and check the run that a command line asks for.
+def controller_from_arguments(
+    arguments: argparse.Namespace,
+) -> tuple[ControllerChoice, dict[str, float]]:
+    """Return the controller that a command line asks for, and all of its parameters.
 
     Raises:
         ConfigurationError: an option, or a file that it names, is wrong.
@@ -249,6 +251,16 @@ def run_from_arguments(arguments: argparse.Namespace) -> Run:
         value = getattr(arguments, f"{_PARAMETER}{name}")
         if value is not None:
             parameters[name] = value
+    return controller, parameters
+
+
+def run_from_arguments(arguments: argparse.Namespace) -> Run:
+    """Build and check the run that a command line asks for.
+
+    Raises:
+        ConfigurationError: an option, or a file that it names, is wrong.
+    """
+    controller, parameters = controller_from_arguments(arguments)
     return _run(
         arguments, controller, parameters, _forecast_choice(arguments),
         SensorPumpErrors(**{name: getattr(arguments, name) for name in RANGES}),

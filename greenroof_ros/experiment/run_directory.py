@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import shutil
+from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import replace
 from datetime import datetime
@@ -55,13 +56,17 @@ def _make_dated_directory(controller: str) -> Path:
     return directory
 
 
-def write_configuration(directory: Path, run: Run, nodes: dict[str, object]) -> Path:
+def write_configuration(
+    directory: Path, run: Run, nodes: dict[str, object],
+    others: Mapping[str, dict[str, object]] | None = None,
+) -> Path:
     """Keep the files that a run was made from, and write the parameters of its nodes.
 
     Args:
         directory: of the run.
         run: what was asked for.
         nodes: parameters of the plant beyond those that the run itself decides.
+        others: parameters of nodes that are not in every run, likewise, by node.
 
     Returns:
         The ROS 2 parameter file that all nodes of the run read.
@@ -70,14 +75,17 @@ def write_configuration(directory: Path, run: Run, nodes: dict[str, object]) -> 
         ConfigurationError: the directory cannot be written.
     """
     try:
-        return _write_configuration(directory / "configuration", run, nodes)
+        return _write_configuration(directory / "configuration", run, nodes, others or {})
     except OSError as error:
         raise ConfigurationError(
             f"cannot be written: {error.strerror}", key="--output", value=str(directory)
         ) from error
 
 
-def _write_configuration(configuration: Path, run: Run, nodes: dict[str, object]) -> Path:
+def _write_configuration(
+    configuration: Path, run: Run, nodes: dict[str, object],
+    others: Mapping[str, dict[str, object]],
+) -> Path:
     site_file = configuration / "site.yaml"
     shutil.copyfile(run.site_file, site_file)
     weather = configuration / "weather"
@@ -113,6 +121,7 @@ def _write_configuration(configuration: Path, run: Run, nodes: dict[str, object]
             "directory": str(configuration.parent / "bag"),
             "controller": run.controller.reference,
         },
+        **{name: {**common, **values} for name, values in others.items()},
     }
     file = configuration / "parameters.yaml"
     file.write_text(

@@ -26,6 +26,7 @@ def build(
     messages: Mapping[str, int] | None = None,
     refused: Mapping[str, int] | None = None,
     parameter_changes: list[dict[str, Any]] | None = None,
+    incidents: list[dict[str, Any]] | None = None,
 ) -> dict[str, Any]:
     """Put the summary of a run that is done together, the same for ``simulate`` and the graph.
 
@@ -37,6 +38,7 @@ def build(
         messages: how many messages of each topic are in the bag.
         refused: how many values of each topic were refused.
         parameter_changes: parameters changed during the run, with their tick.
+        incidents: nodes that failed and were started again.
     """
     return {
         **_status(DONE, None, run.steps),
@@ -50,6 +52,7 @@ def build(
         "messages": dict(messages or {}),
         "refused": dict(refused or {}),
         "parameter_changes": parameter_changes or [],
+        "incidents": incidents or [],
         "versions": versions(),
     }
 
@@ -62,6 +65,7 @@ def build_unfinished(
     last_tick: int | None = None,
     refused: Mapping[str, int] | None = None,
     parameter_changes: list[dict[str, Any]] | None = None,
+    incidents: list[dict[str, Any]] | None = None,
 ) -> dict[str, Any]:
     """Put the summary of a run that is not done together: without metrics, which are of whole runs.
 
@@ -72,12 +76,14 @@ def build_unfinished(
         last_tick: the last that the plant reported.
         refused: how many values of each topic were refused until then.
         parameter_changes: parameters changed until then, with their tick.
+        incidents: nodes that failed and were started again.
     """
     return {
         **_status(status, reason, last_tick),
         **_setting(run),
         "refused": dict(refused or {}),
         "parameter_changes": parameter_changes or [],
+        "incidents": incidents or [],
         "versions": versions(),
     }
 
@@ -93,10 +99,7 @@ def _setting(run: Run) -> dict[str, Any]:
     return {
         "controller": run.controller.name,
         "controller_reference": run.controller.reference,
-        # JSON has no infinity: null stands for "no bound".
-        "parameters": {
-            key: value if math.isfinite(value) else None for key, value in run.parameters.items()
-        },
+        "parameters": finite(run.parameters),
         "initial": {"name": run.initial, "cistern_m3": run.x1, "roof_m3": run.x2},
         "start": run.start.isoformat(),
         "steps": run.steps,
@@ -115,6 +118,11 @@ def _setting(run: Run) -> dict[str, Any]:
         "filled": run.series.filled,
         "filled_hours": run.series.filled_hours,
     }
+
+
+def finite(parameters: Mapping[str, float]) -> dict[str, float | None]:
+    """Return parameters as JSON has them, which has no infinity: null stands for no bound."""
+    return {name: value if math.isfinite(value) else None for name, value in parameters.items()}
 
 
 def write(summary: Mapping[str, Any], directory: Path) -> None:

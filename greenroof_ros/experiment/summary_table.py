@@ -76,6 +76,16 @@ def table(summary: Mapping[str, Any]) -> Table:
                 f"{hours_minutes(tick * summary['tau_s'])} (tick {tick})",
             )
         )
+    for incident in summary["incidents"]:
+        after = "another process ended before it went on"
+        if incident["tick"] is not None:
+            after = (
+                f"another went on from tick {incident['tick']}, after "
+                f"{incident['restarted_after_s']:g} s"
+            )
+        if incident["lost"]:
+            after += f"; {len(incident['lost'])} messages are lost"
+        rows.append(("RESTARTED", incident["node"], f"it ended ({incident['how']}); {after}"))
     if summary["frost_hours"]:
         rows.append(
             (

@@ -189,6 +189,13 @@ def _understand(content: dict[str, Any]) -> About:
             f"the controller's {name} was changed in the run: {parameter_text(given.get(name))}"
             f"{''.join(map(str, found))} (tick {ticks})"
         ))
+    notes += [
+        Note(
+            f"node {incident['node']} ended in the run ({incident['how']}), and another went on "
+            f"from tick {incident['tick']}"
+        )
+        for incident in content.get("incidents") or [] if incident["tick"] is not None
+    ]
     site = content.get("sensor_pump_errors") or {}
     sensor_pump_errors = sensor_pump_errors_label(site)
     exact_sensor = not (site.get("roof_noise") or site.get("roof_offset"))

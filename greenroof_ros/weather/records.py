@@ -16,13 +16,14 @@ HOUR = timedelta(hours=1)
 PRECIPITATION = "precipitation"
 EVAPOTRANSPIRATION = "evapotranspiration"
 RADIATION = "solar radiation"
+TEMPERATURE = "temperature"
 
 # Quantity: unit, least and largest believable value. More than the world's record of an hour's
 # rain, or of a day's evapotranspiration, is a wrong unit and not weather.
 QUANTITIES = {
     PRECIPITATION: ("mm/h", 0.0, 500.0),
     EVAPOTRANSPIRATION: ("mm/day", 0.0, 50.0),
-    "temperature": ("degC", -90.0, 60.0),
+    TEMPERATURE: ("degC", -90.0, 60.0),
     "dew point": ("degC", -90.0, 60.0),
     "wind speed": ("km/h", 0.0, 500.0),
     "station pressure": ("kPa", 50.0, 110.0),
