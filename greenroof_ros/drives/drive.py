@@ -299,7 +299,7 @@ class Drive:
             return ""
         return (
             f"{self._line.where}: somebody else writes to the drive: its control word is "
-            f"0x{word:04X}, and 0x{self._word:04X} was written"
+            f"0x{word:04X}, and 0x{self._word:04X} was written (unless the drive itself changed it)"
         )
 
     def forget_full_scales(self) -> None:

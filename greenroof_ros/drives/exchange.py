@@ -21,8 +21,9 @@ FIRST_WAIT_S, LONGEST_WAIT_S = 0.25, 5.0
 # How long the speed of a drive that was told to stop may stay as it is before it is taken for one
 # that does not stop (s), and what counts as slower (share of rated speed).
 STILL_S, SLOWER = 3.0, 0.005
-# How long a drive is given to come to rest, at most (s): the supervisor's service has 30 s to end.
-LEAVE_S = 20.0
+# How long a drive is given to come to rest, at most (s), by its driver and by the supervisor: both,
+# one after the other, must fit into the 30 s that a service of systemd has to end.
+LEAVE_S, STOP_S = 20.0, 8.0
 # After a drive did not come to run, how long it is left off before the next attempt (s).
 PAUSE_S = 2.0
 # The same after the last sign that somebody else writes to it: longer than a slow writer's period.
@@ -413,7 +414,7 @@ async def _stand(drive: Drive, until: float) -> DriveStatus:
 def stop_drive(
     file: DriveFile, address: Address, *, device_id: int | None = None, timeout_s: float = 0.5
 ) -> str:
-    """Stop a drive whose driver has died; blocks while its speed falls, `LEAVE_S` at most.
+    """Stop a drive whose driver has died; blocks while its speed falls, `STOP_S` at most.
 
     It needs no lock: it only stops, which must work while a driver that hangs still has it.
 
@@ -435,7 +436,7 @@ async def _stop(
         drive = Drive(file, address, device_id, timeout_s)
         try:
             await drive.connect()
-            return str(await _stand(drive, time.monotonic() + LEAVE_S))
+            return str(await _stand(drive, time.monotonic() + STOP_S))
         except DriveError:
             attempts -= 1
             if not attempts:
