@@ -624,11 +624,14 @@ def test_a_thread_that_ends_says_so() -> None:
             "exchange = DriveExchange(file, parse_address('tcp://127.0.0.1:1'))\n"
             "last = os.dup(0)\n"
             "os.close(last)\n"
-            "resource.setrlimit(resource.RLIMIT_NOFILE, (last, last))\n"
+            "limits = resource.getrlimit(resource.RLIMIT_NOFILE)\n"
+            "resource.setrlimit(resource.RLIMIT_NOFILE, (last, limits[1]))\n"
             "exchange.start()\n"
             "until = time.monotonic() + 5\n"
             "while exchange.snapshot.errors == 0 and time.monotonic() < until:\n"
             "    time.sleep(0.01)\n"
+            "resource.setrlimit(resource.RLIMIT_NOFILE, limits)\n"
+            "exchange.close()\n"
             "now = exchange.snapshot\n"
             "print(now.connected, now.status, now.problem)\n",
         ],
