@@ -12,11 +12,14 @@ from dataclasses import dataclass
 from greenroof_ros.drives.address import Address
 from greenroof_ros.drives.drive_file import Condition, DriveFile, Register, Step
 from greenroof_ros.drives.modbus_line import DriveError, ModbusLine
+from greenroof_ros.drives.values import limits
 
 # Between two looks at whether a drive has reached a state (s).
 _LOOK_S = 0.05
 # Slower than this share of rated speed a pump stands.
 _STANDS = 0.01
+# A speed so little below 0 (share of rated speed) is noise of a pump at rest.
+_NOISE = 0.02
 
 
 @dataclass(frozen=True)
@@ -27,9 +30,9 @@ class DriveStatus:
         ready: no fault and no interlock; it would start.
         running: the motor is fed.
         at_speed: the speed asked for is reached; None where the drive does not say.
-        fault: in words; empty for none.
+        fault: in words; empty for none. That the pump turns backwards is one, too.
         warning: in words; empty for none.
-        speed: as share of rated speed.
+        speed: as share of rated speed; below 0 only where the pump turns backwards.
         flow: m3/s; None where the drive has none.
         remote: it obeys the bus.
         says: the bits of its status word, in words.
@@ -64,7 +67,13 @@ class DriveStatus:
 
 
 class Drive:
-    """One drive; one connection."""
+    """One drive; one connection.
+
+    Attributes:
+        file: what the drive is like.
+        timeout_note: why its own communication timeout counts as off; empty where it does not.
+        stopped: whether the last `stop` on this connection was written; None where there was none.
+    """
 
     def __init__(
         self,
@@ -82,8 +91,8 @@ class Drive:
             timeout_s: longest wait for a connection, and for each answer (s).
         """
         self.file = file
-        # Why the drive's own communication timeout counts as off; empty where it does not.
         self.timeout_note = ""
+        self.stopped: bool | None = None
         if device_id is None:
             device_id = file.serial.device_id if address.line else file.tcp.device_id
         self._line = ModbusLine(
@@ -93,6 +102,16 @@ class Drive:
         self._full_scale: dict[str, float] = {}
         # What the drive was left in by somebody else is not known.
         self._prepared = False
+        # The control word that was written last; None where it is not known what came of it.
+        self._word: int | None = None
+        # The drive has given back a control word that was written.
+        self._echoes = False
+        steps = file.sequences
+        # The bits of the control word that mean something here.
+        self._bits = 0
+        for step in (*steps.ready, *steps.run, *steps.stop, *steps.reset):
+            if step.write == "control" and isinstance(step.value, int):
+                self._bits |= step.value
 
     @property
     def connected(self) -> bool:
@@ -106,7 +125,8 @@ class Drive:
             DriveError: it cannot be opened.
         """
         self._full_scale.clear()
-        self._prepared = False
+        self._prepared = self._echoes = False
+        self._word = self.stopped = None
         await self._line.connect()
 
     async def close(self) -> None:
@@ -172,6 +192,11 @@ class Drive:
         speed = await self._scaled("speed", await self._raw("speed"))
         if speed is None:
             raise DriveError("answer", f"{self._line.where}: its speed is not available")
+        if -_NOISE <= speed <= 0:
+            speed = 0.0
+        elif speed < 0:
+            backwards = f"the pump turns backwards (speed {speed:.1%})"
+            fault, timed_out = "; ".join(filter(None, (fault, backwards))), False
         flow = None
         if "flow" in self.file.registers:
             flow = await self._scaled("flow", await self._raw("flow"))
@@ -220,10 +245,24 @@ class Drive:
     async def stop(self) -> None:
         """Ramp down and switch off; to be called again and again while the pump is to stand.
 
+        A step that the drive refuses does not keep the later ones from being written: a speed of 0
+        may get through where the control word does not.
+
         Raises:
             DriveError: no or a wrong answer.
         """
-        await self._perform(self.file.sequences.stop)
+        self.stopped = False
+        refused: DriveError | None = None
+        for step in self.file.sequences.stop:
+            try:
+                await self._perform([step])
+            except DriveError as error:
+                refused = refused or error
+                if error.kind == "connection":
+                    break
+        if refused is not None:
+            raise refused
+        self.stopped = True
 
     async def reset(self) -> None:
         """Stop, and acknowledge a fault.
@@ -234,6 +273,38 @@ class Drive:
         await self.stop()
         self._prepared = False
         await self._perform(self.file.sequences.reset)
+
+    async def intruder(self) -> str:
+        """Return that the control word is not the one written last; empty where nothing is known.
+
+        Only those bits count that the drive's file uses, and only on a connection on which the
+        drive has given back a word that was written: there are some whose control word cannot be
+        read, or reads as something else.
+
+        Raises:
+            DriveError: there is no connection any more.
+        """
+        if self._word is None:
+            return ""
+        try:
+            word = await self._number("control")
+        except DriveError as error:
+            if error.kind == "connection":
+                raise
+            return ""
+        if not (word ^ self._word) & self._bits:
+            self._echoes = True
+            return ""
+        if not self._echoes:
+            return ""
+        return (
+            f"{self._line.where}: somebody else writes to the drive: its control word is "
+            f"0x{word:04X}, and 0x{self._word:04X} was written (unless the drive itself changed it)"
+        )
+
+    def forget_full_scales(self) -> None:
+        """Have the registers that others are divided by read again when they are next needed."""
+        self._full_scale.clear()
 
     # --- sequences --------------------------------------------------------------------------------
 
@@ -259,7 +330,11 @@ class Drive:
                 word = int(step.value)
             else:
                 word = await self._encoded(step.write, speed)
+            if step.write == "control":
+                self._word = None
             await self._line.write(self.file.registers[step.write].address, word)
+            if step.write == "control":
+                self._word = word
             until = step.until
             if until is None or (seen and until.register in seen
                                  and until.holds(seen[until.register])):
@@ -322,14 +397,15 @@ class Drive:
         if not register.full_scale:
             return register.scale
         if register.full_scale not in self._full_scale:
-            value = await self._raw(register.full_scale)
-            if not isinstance(value, (int, float)) or not value > 0:
+            scale, raw = self.file.registers[register.full_scale], await self._number(
+                register.full_scale
+            )
+            value = self._believable(scale, raw, raw * scale.scale, scale.low)
+            if value <= 0:
                 raise DriveError(
-                    "answer",
-                    f"{self._line.where}: {self.file.registers[register.full_scale].meaning} is "
-                    f"{value}, which cannot be",
+                    "answer", f"{self._line.where}: {scale.meaning} is {raw}, which cannot be"
                 )
-            self._full_scale[register.full_scale] = float(value)
+            self._full_scale[register.full_scale] = value
         return register.scale / self._full_scale[register.full_scale]
 
     async def _scaled(self, name: str, raw: int | float | str) -> float | None:
@@ -337,18 +413,32 @@ class Drive:
         assert isinstance(raw, (int, float))
         if raw == register.missing:
             return None
-        value = raw * await self._factor(register)
-        if not math.isfinite(value) or not register.low <= value <= register.high:
+        low = min(register.low, -_NOISE) if name == "speed" else register.low
+        return self._believable(register, raw, raw * await self._factor(register), low)
+
+    def _believable(
+        self, register: Register, raw: int | float, value: float, low: float
+    ) -> float:
+        if not math.isfinite(value) or not low <= value <= register.high:
             raise DriveError(
                 "answer",
                 f"{self._line.where}: {register.meaning} (register {register.manual}) is {raw}: "
-                f"{value:g} {register.unit}, believable are {register.low:g} to {register.high:g}",
+                f"{f'{value:g} {register.unit}'.strip()}, believable are {low:g} to "
+                f"{register.high:g}",
             )
         return value
 
     async def _encoded(self, name: str, value: float) -> int:
         register = self.file.registers[name]
-        return round(value / await self._factor(register)) & 0xFFFF
+        raw = round(value / await self._factor(register))
+        low, high = limits(register.type)
+        if not low <= raw <= high:
+            raise DriveError(
+                "drive",
+                f"{self._line.where}: a speed of {value:.1%} would be {raw} in {register.meaning} "
+                f"(register {register.manual}), which holds {low:g} to {high:g}",
+            )
+        return raw & 0xFFFF
 
 
 def decode(register: Register, words: list[int]) -> int | float | str:

@@ -103,7 +103,7 @@ class DriveBench:
         now = time.monotonic()
         if parameter == faults.DEFAULT:
             parameter = DRIVE_FAULTS[name].default
-        if name == "exception" and parameter not in list(ExcCodes):
+        if name in ("exception", "refused_writes") and parameter not in list(ExcCodes):
             return False
         self._wire.fault, self._wire.parameter = name, parameter
         self.drive.no_fault(now)

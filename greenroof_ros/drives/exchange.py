@@ -13,14 +13,27 @@ from typing import Any
 from greenroof_ros.drives.address import Address
 from greenroof_ros.drives.drive import Drive, DriveStatus
 from greenroof_ros.drives.drive_file import DriveFile
+from greenroof_ros.drives.lock import DriveLock
 from greenroof_ros.drives.modbus_line import DriveError, check_installed
 
 # Waits between two attempts to connect (s): the first, and the longest.
 FIRST_WAIT_S, LONGEST_WAIT_S = 0.25, 5.0
-# How long a drive is given to ramp down before the connection is given up (s).
-RAMP_S = 3.0
+# How long the speed of a drive that was told to stop may stay as it is before it is taken for one
+# that does not stop (s), and what counts as slower (share of rated speed).
+STILL_S, SLOWER = 3.0, 0.005
+# How long a drive is given to come to rest, at most (s), by its driver and by the supervisor: both,
+# one after the other, must fit into the 30 s that a service of systemd has to end.
+LEAVE_S, STOP_S = 20.0, 8.0
 # After a drive did not come to run, how long it is left off before the next attempt (s).
 PAUSE_S = 2.0
+# The same after the last sign that somebody else writes to it: longer than a slow writer's period.
+INTRUDER_PAUSE_S = 10.0
+# How often the drive's settings on which safety rests are read again (s).
+SETTINGS_S = 30.0
+# By how much a silence is longer than the drive's own communication timeout (s).
+SILENCE_MARGIN_S = 1.0
+# Between two attempts to be the only driver of this machine (s).
+LOCK_WAIT_S = 1.0
 # So many cycles without a valid answer, one after the other, are a lost connection.
 LOST_AFTER = 2
 
@@ -32,8 +45,8 @@ class Snapshot:
     """What is known of a drive at one moment.
 
     Attributes:
-        status: what it said last; None while there is no connection (after `close`: what it said
-            when it was left).
+        status: what it said last; None while there is no connection. After `close`: what it said
+            when it was left, which may be that it does not stand; None where it was not heard.
         read_at: when (s, `time.monotonic`).
         connected: there is a connection, over which answers come.
         identity: its nameplate; empty until read.
@@ -59,8 +72,10 @@ class DriveExchange:
     """Keeps a drive at the speed that was asked for last, or off.
 
     Control word and status go over the line in every period, so that the drive's own communication
-    timeout is kept alive as long as, and only as long as, this thread lives. Nothing here raises
-    into the caller.
+    timeout is kept alive as long as, and only as long as, this thread lives. Where the drive does
+    not take the order to stop, it is left in silence for longer than that timeout: it may count an
+    order that it refuses as a sign of life. While this lives, it is the only one on this machine
+    for its drive. Nothing here raises into the caller.
     """
 
     def __init__(
@@ -72,6 +87,7 @@ class DriveExchange:
         *,
         device_id: int | None = None,
         timeout_s: float = 0.5,
+        timeout_limit_s: float = 10.0,
     ) -> None:
         """Prepare it.
 
@@ -82,19 +98,29 @@ class DriveExchange:
             dead_man_s: the drive is stopped when `demand` was not called for so long (s).
             device_id: unit identifier or slave address; None for that of the file.
             timeout_s: longest wait for each answer (s).
+            timeout_limit_s: what the drive's own communication timeout is taken for while it is
+                unknown, or off (s).
 
         Raises:
             ConfigurationError: there is no Modbus library.
         """
         check_installed()
+        if device_id is None:
+            device_id = file.serial.device_id if address.line else file.tcp.device_id
         self._drive = (file, address, device_id, timeout_s)
+        self._only = DriveLock(address, file.tcp.port, device_id)
         self._period_s, self._dead_man_s, self._timeout_s = period_s, dead_man_s, timeout_s
+        self._timeout_limit_s = timeout_limit_s
         self._snapshot, self._lock = Snapshot(), threading.Lock()
         # Written and read whole, so that no lock is needed.
         self._demand: tuple[float | None, float] = (None, -math.inf)
         self._reset_wanted = False
         self._closing = False
+        self._leave_by = math.inf
         self._paused_until = -math.inf
+        self._settings_at = -math.inf
+        # On so many connections, one after the other, *stop* could not be written at last.
+        self._not_stopped = 0
         self._loop: asyncio.AbstractEventLoop | None = None
         self._wake: asyncio.Event | None = None
         self._thread = threading.Thread(target=self._work, name="drive", daemon=True)
@@ -114,12 +140,20 @@ class DriveExchange:
         self._thread.start()
 
     def close(self) -> None:
-        """Stop the drive, read back that it stands, and let go; a few seconds at most."""
+        """Stop the drive, read back that it stands, and let go; what came of it is in `snapshot`.
+
+        It goes on for as long as the speed falls, `LEAVE_S` at most; a drive whose speed does not
+        fall, or that does not answer, is left after a few seconds.
+        """
         self._demand = (None, -math.inf)
+        self._leave_by = time.monotonic() + LEAVE_S
         self._closing = True
         self._rouse()
         if self._thread.is_alive():
-            self._thread.join(RAMP_S + 2 * (LOST_AFTER + 1) * self._timeout_s + 1.0)
+            self._thread.join(LEAVE_S + LONGEST_WAIT_S)
+            if self._thread.is_alive():
+                self._update(connected=False, status=None)
+                self._fail("whether the drive stands was not read: its connection hangs")
 
     def demand(self, speed: float | None) -> None:
         """Ask for a speed (share of rated speed), or for off (None); holds for `dead_man_s`.
@@ -164,37 +198,82 @@ class DriveExchange:
         return speed if fresh and not self._closing else None
 
     def _work(self) -> None:
-        asyncio.run(self._keep_up())
+        try:
+            asyncio.run(self._keep_up())
+        except BaseException as error:
+            _log.exception("the exchange with the drive has ended")
+            self._update(connected=False, status=None)
+            self._fail(
+                f"the exchange with the drive has ended: {error!r}; nothing is sent to it any "
+                "more, so that its own timeout stops it; restart this program"
+            )
+        finally:
+            self._only.release()
 
     async def _keep_up(self) -> None:
         self._loop, self._wake = asyncio.get_running_loop(), asyncio.Event()
         # A protocol that chokes on nonsense closes the connection, which is noticed here anyway.
         self._loop.set_exception_handler(lambda _loop, context: _log.debug("%s", context))
+        if not await self._alone():
+            return
         wait = FIRST_WAIT_S
-        left = False
-        while not left:
+        left: DriveStatus | None = None
+        while left is None:
             last_attempt = self._closing
             drive = Drive(*self._drive)
             try:
-                await self._greet(drive)
-                wait = FIRST_WAIT_S
-                while not self._closing:
-                    await self._cycle(drive)
-                self._update(status=await _stand(drive), read_at=time.monotonic())
-                left = True
+                try:
+                    await self._greet(drive)
+                    wait = FIRST_WAIT_S
+                    while not self._closing:
+                        await self._cycle(drive)
+                    left = await _stand(drive, self._leave_by)
+                    self._update(read_at=time.monotonic())
+                finally:
+                    self._update(connected=False, status=left)
+                    await drive.close()
             except DriveError as error:
                 self._fail(str(error))
             except Exception as error:  # whatever it is, the next attempt starts with a stop
                 _log.exception("talking to the drive failed")
                 self._fail(f"talking to the drive failed: {error!r}")
-            finally:
-                await drive.close()
-                self._update(connected=False, **({} if left else {"status": None}))
+            if drive.stopped is not None:
+                self._not_stopped = 0 if drive.stopped else self._not_stopped + 1
             if last_attempt:
                 break
-            if not left and not self._closing:
+            if self._not_stopped > 1:
+                await self._be_silent()
+            elif left is None and not self._closing:
                 await self._pause(wait)
                 wait = min(2 * wait, LONGEST_WAIT_S)
+
+    async def _alone(self) -> bool:
+        """Wait until nobody else on this machine runs the drive; tell whether it came to that."""
+        while not self._closing:
+            try:
+                self._only.take()
+            except DriveError as error:
+                if self._snapshot.problem != str(error):
+                    self._fail(str(error))
+            else:
+                return True
+            await self._pause(LOCK_WAIT_S)
+        return False
+
+    async def _be_silent(self) -> None:
+        """Send nothing, for longer than the drive waits before it stops by itself."""
+        known = self._snapshot.timeout_s
+        timeout_s = self._timeout_limit_s if known is None else known
+        silence_s = timeout_s + SILENCE_MARGIN_S
+        self._update(problem=(
+            f"{self._snapshot.problem}; *stop* could not be written on two connections one after "
+            f"the other, so nothing is sent for {silence_s:g} s: the drive's own communication "
+            f"timeout ({timeout_s:g} s{'' if known is not None else ', if it is no longer'}) stops "
+            "it then, which any message might put off"
+        ))
+        until = time.monotonic() + silence_s
+        while not self._closing and time.monotonic() < until:
+            await self._pause(until - time.monotonic())
 
     async def _pause(self, seconds: float) -> None:
         assert self._wake is not None
@@ -208,22 +287,40 @@ class DriveExchange:
     async def _greet(self, drive: Drive) -> None:
         """Stop a drive first, then see what it is and whether it would stop by itself."""
         await drive.connect()
-        await drive.stop()
+        try:
+            await drive.stop()
+        except DriveError as error:
+            # How long a silence must be is worth another question.
+            if error.kind != "connection" and not self._snapshot.timeout_known:
+                await self._read_settings(drive)
+            raise
+        # Another one's word, which takes a while to come, cannot stand there yet.
+        await drive.intruder()
         status = await self._read(drive)
-        seconds, known = None, False
         try:
             identity = await drive.identify()
+        except DriveError as error:
+            if error.kind == "connection":
+                raise
+            identity = self._snapshot.identity or "unknown"
+        await self._read_settings(drive)
+        self._update(
+            status=status, read_at=time.monotonic(), connected=True, problem="", identity=identity
+        )
+
+    async def _read_settings(self, drive: Drive) -> None:
+        """Read what somebody may change at the panel, and on which safety rests."""
+        drive.forget_full_scales()
+        seconds, known = None, False
+        try:
             seconds = await drive.timeout()
             known, note = True, drive.timeout_note
         except DriveError as error:
             if error.kind == "connection":
                 raise
-            identity = self._snapshot.identity or "unknown"
             note = str(error)
-        self._update(
-            status=status, read_at=time.monotonic(), connected=True, problem="",
-            identity=identity, timeout_s=seconds, timeout_known=known, timeout_note=note,
-        )
+        self._settings_at = time.monotonic()
+        self._update(timeout_s=seconds, timeout_known=known, timeout_note=note)
 
     async def _cycle(self, drive: Drive) -> None:
         started = time.monotonic()
@@ -232,6 +329,8 @@ class DriveExchange:
             try:
                 problem = await self._exchange(drive)
                 status = await self._read(drive)
+                if time.monotonic() - self._settings_at > SETTINGS_S:
+                    await self._read_settings(drive)
                 break
             except DriveError as error:
                 silent += 1
@@ -268,7 +367,14 @@ class DriveExchange:
 
     async def _exchange(self, drive: Drive) -> str:
         """Do what is asked for; return what the drive itself has against it."""
+        pause_s = PAUSE_S
         try:
+            intruder = await drive.intruder()
+            if intruder:
+                pause_s = INTRUDER_PAUSE_S
+                raise DriveError(
+                    "drive", f"{intruder}; stopped until {pause_s:g} s after the last such word"
+                )
             if self._reset_wanted:
                 self._reset_wanted = False
                 self._paused_until = -math.inf
@@ -283,18 +389,24 @@ class DriveExchange:
                 raise
             await drive.stop()
             self._fail(str(error))
-            self._paused_until = time.monotonic() + PAUSE_S
+            self._paused_until = time.monotonic() + pause_s
             return str(error)
         return ""
 
 
-async def _stand(drive: Drive) -> DriveStatus:
-    """Stop a drive; return what it says when it stands, or `RAMP_S` later."""
-    deadline = time.monotonic() + RAMP_S
+async def _stand(drive: Drive, until: float) -> DriveStatus:
+    """Stop a drive, and return what it says when it stands, or does not come to that.
+
+    How long its ramp is, no drive file says; so it is waited for as long as the speed falls.
+    """
+    lowest, fell_at = math.inf, time.monotonic()
     while True:
         await drive.stop()
         status = await drive.read()
-        if status.stands or time.monotonic() > deadline:
+        now = time.monotonic()
+        if abs(status.speed) < lowest - SLOWER:
+            lowest, fell_at = abs(status.speed), now
+        if status.stands or now - fell_at > STILL_S or now > until:
             return status
         await asyncio.sleep(0.1)
 
@@ -302,7 +414,9 @@ async def _stand(drive: Drive) -> DriveStatus:
 def stop_drive(
     file: DriveFile, address: Address, *, device_id: int | None = None, timeout_s: float = 0.5
 ) -> str:
-    """Stop a drive whose driver has died; blocks for a few seconds at most.
+    """Stop a drive whose driver has died; blocks while its speed falls, `STOP_S` at most.
+
+    It needs no lock: it only stops, which must work while a driver that hangs still has it.
 
     Returns:
         What the drive said when it was stopped.
@@ -322,7 +436,7 @@ async def _stop(
         drive = Drive(file, address, device_id, timeout_s)
         try:
             await drive.connect()
-            return str(await _stand(drive))
+            return str(await _stand(drive, time.monotonic() + STOP_S))
         except DriveError:
             attempts -= 1
             if not attempts:

@@ -64,6 +64,7 @@ DRIVE_FAULTS: Mapping[str, Fault] = {
     ),
     "power_cycle": Fault(17, "the drive loses power for a moment, once"),
     "timeout_off": Fault(18, "the drive's communication timeout is turned off, for good"),
+    "refused_writes": Fault(19, "every write is refused", "exception code", 6),
 }
 SITE_FAULTS: Mapping[str, Fault] = {
     NONE: Fault(0, "no fault"),

@@ -32,7 +32,7 @@ class Wire:
         fault: name of one of `faults.DRIVE_FAULTS`, as far as it concerns the wire.
         parameter: of the fault.
         deaf: tells whether it hears nothing at all, as where a device has no power.
-        heard: is called for each request that reads.
+        heard: is called for each request, also one that is refused.
         ignores: tells whether a device does not answer to a request for a register.
     """
 
@@ -109,11 +109,11 @@ class _Handler(ServerRequestHandler):
             return
         if self._wire.ignores(request.dev_id, request.address):
             return
-        if self._wire.fault == "exception":
+        self._wire.heard()
+        refuses_writes = self._wire.fault == "refused_writes" and request.function_code in _WRITES
+        if refuses_writes or self._wire.fault == "exception":
             self._refuse(request, self._wire.parameter)
             return
-        if request.function_code not in _WRITES:
-            self._wire.heard()
         await super().handle_request()  # type: ignore[no-untyped-call]
 
     def _refuse(self, request: ModbusPDU, code: int) -> None:

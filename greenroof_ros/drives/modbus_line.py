@@ -8,7 +8,10 @@ means.
 from __future__ import annotations
 
 import logging
+import socket
+import struct
 import termios
+from asyncio.trsock import TransportSocket
 from typing import TYPE_CHECKING
 
 from greenroof_ros.common.errors import ConfigurationError
@@ -20,6 +23,15 @@ if TYPE_CHECKING:
 
 # Its messages are ours in other words; without a handler they would go to the terminal.
 logging.getLogger("pymodbus").addHandler(logging.NullHandler())
+
+# A connection over which nothing gets through for so long is lost (s).
+_LOST_S = 5
+_KEEP_ALIVE = (
+    (socket.SOL_SOCKET, socket.SO_KEEPALIVE, 1),
+    (socket.IPPROTO_TCP, socket.TCP_KEEPIDLE, _LOST_S),
+    (socket.IPPROTO_TCP, socket.TCP_KEEPINTVL, 1),
+    (socket.IPPROTO_TCP, socket.TCP_USER_TIMEOUT, 1000 * _LOST_S),
+)
 
 # Section 7 of the specification.
 _EXCEPTIONS = {
@@ -116,10 +128,25 @@ class ModbusLine:
             raise DriveError("connection", f"{self.where}: cannot connect: {error}") from error
         if not opened:
             raise DriveError("connection", f"{self.where}: cannot connect")
+        plug = self._socket()
+        if plug is not None:
+            for level, option, value in _KEEP_ALIVE:
+                plug.setsockopt(level, option, value)
 
     def close(self) -> None:
-        """Close the connection."""
+        """Close the connection.
+
+        One over which a request was not answered is reset, instead of closed in good order: so a
+        device with one socket or two has a free one at once, and no request that is still on its
+        way arrives later.
+        """
         self._client.close()
+
+    def _socket(self) -> TransportSocket | None:
+        """Return the socket; None for a serial line, or where the connection has ended."""
+        transport = self._client.ctx.transport
+        found: TransportSocket | None = transport.get_extra_info("socket") if transport else None
+        return found
 
     async def read(self, address: int, count: int, *, inputs: bool = False) -> list[int]:
         """Read holding registers, or input registers.
@@ -171,6 +198,9 @@ class ModbusLine:
     def _silence(self, what: str, error: Exception) -> DriveError:
         if not self.connected:
             return DriveError("connection", f"{self.where}: {what}: the connection was closed")
+        plug = self._socket()
+        if plug is not None:
+            plug.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))
         return DriveError(
             "connection", f"{self.where}: {what}: no valid answer within {self._timeout_s:g} s"
         )

@@ -199,7 +199,7 @@ class SimulatedDrive:
         return found
 
     def heard(self, now: float) -> None:
-        """Take in that a client reads."""
+        """Take in a request, whatever becomes of it: with some makes that is a sign of life."""
         self.advance(now)
         if self.profile.read():
             self._hear(now)

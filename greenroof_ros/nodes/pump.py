@@ -146,7 +146,8 @@ class _Drive:
         """Begin to keep it stopped."""
         if self._exchange is None:
             self._exchange = DriveExchange(
-                self.file, self._address, self._period, _DEAD_MAN_S, device_id=self._device_id
+                self.file, self._address, self._period, _DEAD_MAN_S, device_id=self._device_id,
+                timeout_limit_s=self._limit,
             )
             self._exchange.start()
 

@@ -2,21 +2,24 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+import time
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
 import pytest
-from simulators import Simulator, until
+from simulators import Bus, Simulator, until
 
 from greenroof_ros.drives.address import parse_address
 from greenroof_ros.drives.drive_file import find_drive_file, read_drive_file
-from greenroof_ros.drives.exchange import DriveExchange
+from greenroof_ros.drives.exchange import DriveExchange, stop_drive
+from greenroof_ros.drives.modbus_line import DriveError
 
 FREE = ("--port", "0", "--workbench", "0")
 
 
 @contextmanager
 def driver(make: str, drive: Simulator) -> Iterator[DriveExchange]:
+    """Run a driver until it is closed."""
     at = drive.ready.split()[2].rstrip(",")
     exchange = DriveExchange(
         read_drive_file(find_drive_file(make)), parse_address(at), period_s=0.1, dead_man_s=1.0
@@ -86,3 +89,215 @@ def test_modbus_rtu_over_a_pseudo_terminal() -> None:
     ) as drive, driver(make, drive) as exchange:
         reach(exchange, drive, 0.6)
         reach(exchange, drive, 0.0)
+
+
+# --- a drive that refuses to be stopped -----------------------------------------------------------
+
+
+def keep_asking(exchange: DriveExchange, speed: float, reached: Callable[[], bool],
+                within: float) -> None:
+    """Ask for a speed until something is so."""
+
+    def asked() -> bool:
+        exchange.demand(speed)
+        return reached()
+
+    until(asked, within)
+
+
+ANY_MESSAGE = ("abb_acs880", "grundfos_cim500", "schneider_atv630")
+
+
+@pytest.mark.parametrize("fault", ["refused_writes", "exception"])
+@pytest.mark.parametrize("make", ANY_MESSAGE)
+def test_a_drive_for_which_a_refused_order_is_a_sign_of_life_stops_by_itself(
+    make: str, fault: str
+) -> None:
+    """Exception 6, busy, to all; the drive's own timeout of 2 s needs 2 s of silence to fall."""
+    with Simulator(
+        "drive_simulator", "--drive", make, *FREE, "--ramp", "0.4", "--timeout", "2"
+    ) as drive:
+        if make == "abb_acs880":
+            with Bus(drive.ports[0]) as panel:
+                panel.write(5814, 1)  # 58.15 = any message
+        with driver(make, drive) as exchange:
+            reach(exchange, drive, 0.6)
+            drive.inject(fault, 6)
+            keep_asking(exchange, 0.6, lambda: drive.speed() == 0, 12)
+            assert "so nothing is sent for 3 s" in exchange.snapshot.problem
+            assert exchange.snapshot.status is None
+            drive.inject("none")
+            keep_asking(exchange, 0.6, lambda: drive.speed() > 0.5, 20)
+    assert "communication timeout: nothing for 2 s" in drive.said
+
+
+def test_the_same_over_a_serial_line() -> None:
+    make = "schneider_atv630"
+    with Simulator(
+        "drive_simulator", "--drive", make, "--serial", "pty", "--workbench", "0", "--ramp", "0.4",
+        "--timeout", "2",
+    ) as drive, driver(make, drive) as exchange:
+        reach(exchange, drive, 0.6)
+        drive.inject("refused_writes")
+        keep_asking(exchange, 0.6, lambda: drive.speed() == 0, 12)
+
+
+def test_a_stop_that_is_refused_three_times_leaves_the_rest_to_the_drive() -> None:
+    make = "schneider_atv630"
+    with Simulator(
+        "drive_simulator", "--drive", make, *FREE, "--ramp", "0.4", "--timeout", "2"
+    ) as drive, driver(make, drive) as exchange:
+        reach(exchange, drive, 0.6)
+        drive.inject("refused_writes")
+        exchange.close()
+        assert exchange.snapshot.status is None
+        with pytest.raises(DriveError, match="refused with exception 6"):
+            stop_drive(
+                read_drive_file(find_drive_file(make)),
+                parse_address(f"tcp://127.0.0.1:{drive.ports[0]}"),
+            )
+        until(lambda: drive.speed() == 0, 8)
+
+
+# --- the end --------------------------------------------------------------------------------------
+
+
+def test_close_waits_for_a_ramp_however_long() -> None:
+    """From 0.9 a ramp of 6 s takes 5.4 s."""
+    make = "abb_acs880"
+    with Simulator(
+        "drive_simulator", "--drive", make, *FREE, "--ramp", "6", "--timeout", "2"
+    ) as drive, driver(make, drive) as exchange:
+        keep_asking(exchange, 0.9, lambda: drive.speed() > 0.89, 20)
+        began = time.monotonic()
+        exchange.close()
+        assert 4.5 < time.monotonic() - began < 15
+        assert drive.speed() < 0.01
+        assert exchange.snapshot.status is not None and exchange.snapshot.status.stands
+
+
+def test_close_of_a_drive_that_runs_on_says_so() -> None:
+    make = "danfoss_fc202"
+    with Simulator(
+        "drive_simulator", "--drive", make, *FREE, "--ramp", "0.4"
+    ) as drive, driver(make, drive) as exchange:
+        reach(exchange, drive, 0.6)
+        drive.inject("stuck_running", 6000)
+        began = time.monotonic()
+        exchange.close()
+        assert time.monotonic() - began < 12
+        assert drive.speed() == pytest.approx(0.6)
+        left = exchange.snapshot.status
+        assert left is not None and not left.stands and left.speed == pytest.approx(0.6, abs=1e-3)
+
+
+def test_close_of_a_drive_that_is_not_heard_says_nothing_of_it() -> None:
+    make = "danfoss_fc202"
+    with Simulator(
+        "drive_simulator", "--drive", make, *FREE, "--ramp", "0.4", "--timeout", "2"
+    ) as drive, driver(make, drive) as exchange:
+        reach(exchange, drive, 0.6)
+        drive.inject("half_open")
+        exchange.close()
+        assert exchange.snapshot.status is None and not exchange.snapshot.connected
+        assert "no valid answer" in exchange.snapshot.problem
+        until(lambda: drive.speed() == 0, 8)
+
+
+# --- somebody else --------------------------------------------------------------------------------
+
+# What another client writes, as of the makers' manuals (see test_wire.py): run, and stop.
+WORDS = {
+    "abb_acs880": (0, 0x047F, 0x047E), "danfoss_fc202": (49999, 0x047C, 0x043C),
+    "grundfos_cim500": (100, 0x0003, 0x0001), "schneider_atv630": (8501, 0x000F, 0x0007),
+}
+
+
+@pytest.mark.parametrize("make", WORDS)
+def test_somebody_else_who_writes_run_or_stop_has_the_drive_stopped(
+    make: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The other one writes more than once: a word that is overwritten at once is not seen."""
+    monkeypatch.setattr("greenroof_ros.drives.exchange.INTRUDER_PAUSE_S", 2.0)
+    address, run, stop = WORDS[make]
+    with Simulator(
+        "drive_simulator", "--drive", make, *FREE, "--ramp", "0.4", "--timeout", "2"
+    ) as drive, Bus(drive.ports[0]) as other, driver(make, drive) as exchange:
+        reach(exchange, drive, 0.6)
+        reach(exchange, drive, 0.0)
+        assert exchange.snapshot.errors == 0
+
+        def caught() -> bool:
+            return "somebody else writes to the drive" in exchange.snapshot.problem
+
+        def meddle(word: int, speed: float | None) -> None:
+            """Write a word until ours has noticed."""
+            errors = exchange.snapshot.errors
+
+            def noticed() -> bool:
+                exchange.demand(speed)
+                other.write(address, word)
+                time.sleep(0.03)
+                return exchange.snapshot.errors > errors
+
+            until(noticed, 5)
+            assert caught()
+
+        # Ours says stop; the other one, run.
+        meddle(run, None)
+        assert f"control word is 0x{run:04X}, and 0x{stop:04X} was" in exchange.snapshot.problem
+        until(lambda: drive.speed() == 0 and not caught(), 6)
+        # Ours says run; the other one, stop, and for longer than the pause run again and again.
+        reach(exchange, drive, 0.6)
+        meddle(stop, 0.6)
+        began = time.monotonic()
+        while time.monotonic() - began < 4:
+            keep_asking(exchange, 0.6, lambda: drive.speed() == 0, 3)
+            last = time.monotonic()
+            meddle(run, 0.6)
+        # It has gone: the drive runs again, after the pause.
+        keep_asking(exchange, 0.6, lambda: drive.speed() == 0, 3)
+        keep_asking(exchange, 0.6, lambda: drive.speed() > 0.5, 10)
+        assert time.monotonic() - last > 2.0
+        assert exchange.snapshot.connected and not caught()
+
+
+# --- what the drive says --------------------------------------------------------------------------
+
+
+def test_a_timeout_that_is_turned_off_at_the_panel_is_noticed(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr("greenroof_ros.drives.exchange.SETTINGS_S", 0.5)
+    make = "danfoss_fc202"
+    with Simulator(
+        "drive_simulator", "--drive", make, *FREE, "--ramp", "0.4", "--timeout", "2"
+    ) as drive, driver(make, drive) as exchange:
+        reach(exchange, drive, 0.6)
+        assert exchange.snapshot.timeout_s == 2
+        drive.inject("timeout_off")
+        keep_asking(exchange, 0.6, lambda: exchange.snapshot.timeout_s is None, 5)
+        assert exchange.snapshot.timeout_known
+        assert "is 0: Off; the pump would run on" in exchange.snapshot.timeout_note
+
+
+def test_a_pump_that_turns_backwards_is_a_fault_and_noise_at_rest_is_none() -> None:
+    """ABB, 20000 is 100 %: -100 is -0.5 %, 0xFF9C; -8000 is -40 %, 0xE0C0."""
+    make = "abb_acs880"
+    with Simulator("drive_simulator", "--drive", make, *FREE) as drive, driver(
+        make, drive
+    ) as exchange:
+        with Bus(drive.ports[0]) as bus:
+            drive.inject("absurd_value", 0xFF9C)
+            until(lambda: bus.read(4) == 0xFF9C)
+        read_at = time.monotonic()
+        until(lambda: exchange.snapshot.read_at > read_at + 0.3)
+        status = exchange.snapshot.status
+        assert status is not None and (status.speed, status.fault) == (0.0, "")
+        drive.inject("absurd_value", 0xE0C0)
+        until(lambda: exchange.snapshot.status is not None and exchange.snapshot.status.fault != "")
+        status = exchange.snapshot.status
+        assert status is not None and status.fault == "the pump turns backwards (speed -40.0%)"
+        assert not status.stands and drive.speed() == 0
+        drive.inject("none")
+        until(lambda: exchange.snapshot.status is not None and exchange.snapshot.status.fault == "")

@@ -2,17 +2,26 @@
 
 from __future__ import annotations
 
+import itertools
+import os
+import subprocess
+import sys
 import threading
 import time
 from collections.abc import Callable, Iterator
+from pathlib import Path
 from typing import Any
 
 import pytest
 from modbus_wire import Registers, SerialWire, Wire, acs880, over_serial
+from places import CHECKOUT
+from simulators import free_ports
 
-from greenroof_ros.drives.address import parse_address
+from greenroof_ros.drives.address import Address, parse_address
+from greenroof_ros.drives.drive import Drive
 from greenroof_ros.drives.drive_file import DriveFile, find_drive_file, read_drive_file
 from greenroof_ros.drives.exchange import DriveExchange, stop_drive
+from greenroof_ros.drives.lock import DriveLock
 from greenroof_ros.drives.modbus_line import DriveError
 
 PERIOD, DEAD_MAN, TIMEOUT = 0.05, 0.3, 0.2
@@ -225,30 +234,35 @@ def test_close_connects_once_more_to_stop(
 
 
 def test_nobody_there_and_then_somebody(file: DriveFile, drive: Registers) -> None:
-    wire = Wire(drive)
-    wire.answer = lambda _request: None
-    exchange = DriveExchange(file, parse_address(wire.at), PERIOD, DEAD_MAN, timeout_s=TIMEOUT)
+    port = free_ports(1)[0]
+    exchange = DriveExchange(
+        file, parse_address(f"tcp://127.0.0.1:{port}"), PERIOD, DEAD_MAN, timeout_s=TIMEOUT
+    )
+    wire = None
     try:
         exchange.start()
         wait(lambda: exchange.snapshot.errors >= 3)
-        assert not exchange.snapshot.connected and "closed" in exchange.snapshot.problem
-        wire.answer = drive
+        assert not exchange.snapshot.connected and "cannot connect" in exchange.snapshot.problem
+        wire = Wire(drive, port)
         wait(lambda: exchange.snapshot.connected, within=5.5)
     finally:
         exchange.close()
-        wire.close()
+        if wire is not None:
+            wire.close()
 
 
 def test_waits_between_attempts_grow(file: DriveFile) -> None:
-    wire = Wire(lambda _request: None)
-    exchange = DriveExchange(file, parse_address(wire.at), PERIOD, DEAD_MAN, timeout_s=TIMEOUT)
+    """Where nobody listens nothing is heard, so that there is no need for silence."""
+    port = free_ports(1)[0]
+    exchange = DriveExchange(
+        file, parse_address(f"tcp://127.0.0.1:{port}"), PERIOD, DEAD_MAN, timeout_s=TIMEOUT
+    )
     try:
         exchange.start()
         time.sleep(2.0)  # attempts after 0, 0.25, 0.75, 1.75 s, and what each takes
-        assert 3 <= wire.connections <= 4
+        assert 3 <= exchange.snapshot.errors <= 4
     finally:
         exchange.close()
-        wire.close()
 
 
 def test_own_timeout_that_cannot_be_read(exchange: DriveExchange, drive: Registers) -> None:
@@ -338,6 +352,295 @@ def test_a_serial_line_whose_plug_is_pulled(file: DriveFile, drive: Registers) -
         hand.end()
         exchange.close()
         wire.close()
+
+
+# --- a drive that refuses to be stopped -----------------------------------------------------------
+
+
+def refusing(drive: Registers, times: list[float]) -> Callable[[bytes], Any]:
+    """Answer as a drive that refuses its control word, and write down when it was asked."""
+
+    def answer(request: bytes) -> Any:
+        times.append(time.monotonic())
+        if request[7:10] == b"\x06\0\0":
+            return [(0.0, request[:4] + bytes([0, 3, request[6], 0x86, 6]))]
+        return drive(request)
+
+    return answer
+
+
+def silences(times: list[float]) -> list[float]:
+    """Return how long nothing was sent, where that is longer than the waits between attempts."""
+    gaps = [later - before for before, later in itertools.pairwise(times)]
+    return [gap for gap in gaps if gap > 1.0]
+
+
+def test_a_drive_that_refuses_to_stop_is_left_in_silence(
+    exchange: DriveExchange, drive: Registers, wire: Wire, hand: Hand
+) -> None:
+    """Its own timeout, 58.16, is 1.5 s; a margin of 1 s makes 2.5 s."""
+    drive.values[5815] = 15
+    times: list[float] = []
+    exchange.start()
+    hand.speed = 0.5
+    wait(lambda: drive.values[4] == 10000)
+    drive.written.clear()
+    wire.answer = refusing(drive, times)
+    wait(lambda: "so nothing is sent for 2.5 s" in exchange.snapshot.problem)
+    assert "refused with exception 6" in exchange.snapshot.problem
+    assert not exchange.snapshot.connected and exchange.snapshot.status is None
+    connections = wire.connections
+    assert drive.written[-1] == (1, 0)  # what comes after the refused word
+    for speed in (None, 0.5):  # who asks for something does not break it
+        hand.speed = speed
+        time.sleep(0.3)
+    exchange.reset()
+    wait(lambda: len(silences(times)) == 2, within=8)
+    assert min(silences(times)) >= 2.5
+    assert wire.connections == connections + 2  # one attempt after each silence
+    wire.answer = drive
+    wait(lambda: exchange.snapshot.connected, within=5)
+    wait(lambda: drive.values[4] == 10000)
+
+
+def test_the_silence_is_that_of_the_limit_where_the_timeout_is_unknown(
+    file: DriveFile, drive: Registers
+) -> None:
+    del drive.values[5815]
+    times: list[float] = []
+    wire = Wire(refusing(drive, times))
+    exchange = DriveExchange(
+        file, parse_address(wire.at), PERIOD, DEAD_MAN, timeout_s=TIMEOUT, timeout_limit_s=0.8
+    )
+    try:
+        exchange.start()
+        wait(lambda: len(silences(times)) == 1, within=6)
+        assert silences(times)[0] >= 1.8
+    finally:
+        exchange.close()
+        wire.close()
+
+
+def test_close_in_a_silence_tries_once_more_and_ends(
+    exchange: DriveExchange, drive: Registers, wire: Wire
+) -> None:
+    wire.answer = refusing(drive, [])
+    exchange.start()
+    wait(lambda: "so nothing is sent for 6 s" in exchange.snapshot.problem)
+    count = len(wire.seen)
+    began = time.monotonic()
+    exchange.close()
+    assert time.monotonic() - began < 2.0
+    assert len(wire.seen) > count
+    assert exchange.snapshot.status is None
+
+
+# --- settings -------------------------------------------------------------------------------------
+
+
+def test_what_somebody_changes_at_the_panel_is_noticed(
+    exchange: DriveExchange, drive: Registers, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("greenroof_ros.drives.exchange.SETTINGS_S", 0.2)
+    exchange.start()
+    wait(lambda: exchange.snapshot.timeout_s == 5.0)
+    drive.values[5815] = 70
+    wait(lambda: exchange.snapshot.timeout_s == 7.0)
+    drive.values[5813] = 0
+    wait(lambda: exchange.snapshot.timeout_s is None)
+    assert exchange.snapshot.timeout_known
+    drive.values[5813] = 1
+    wait(lambda: exchange.snapshot.timeout_s == 7.0)
+    del drive.values[5815]
+    wait(lambda: not exchange.snapshot.timeout_known)
+    assert exchange.snapshot.timeout_s is None
+    assert "reading register 5815: refused with exception 2" in exchange.snapshot.timeout_note
+    assert exchange.snapshot.connected
+
+
+def test_the_rated_speed_is_read_again(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Schneider: at 725 rpm of 1450 half of rated speed; of 2900 a quarter; of 60000 nonsense."""
+    monkeypatch.setattr("greenroof_ros.drives.exchange.SETTINGS_S", 0.2)
+    drive = Registers({
+        8501: 0, 8602: 0, 3201: 0x0233, 8604: 725, 7121: 0, 9604: 1450, 6005: 50, 7010: 1,
+        3302: 1, 3011: 1,
+    })
+    wire = Wire(drive)
+    exchange = DriveExchange(
+        read_drive_file(find_drive_file("schneider_atv630")), parse_address(wire.at), PERIOD,
+        DEAD_MAN, timeout_s=TIMEOUT,
+    )
+
+    def reads(speed: float) -> None:
+        wait(lambda: exchange.snapshot.status
+             and exchange.snapshot.status.speed == pytest.approx(speed))
+
+    try:
+        exchange.start()
+        reads(0.5)
+        drive.values[9604] = 2900
+        reads(0.25)
+        drive.values[9604] = 60000
+        wait(lambda: "believable are 300 to 6000" in exchange.snapshot.problem)
+        wait(lambda: exchange.snapshot.status is None)
+        drive.values.update({9604: 1450, 8604: 0})
+        wait(lambda: exchange.snapshot.connected)
+    finally:
+        exchange.close()
+        wire.close()
+
+
+# --- two drivers ----------------------------------------------------------------------------------
+
+
+def test_a_second_driver_on_the_same_machine_keeps_off(
+    exchange: DriveExchange, file: DriveFile, drive: Registers, wire: Wire, hand: Hand
+) -> None:
+    """The first, a process of its own that names the host in another way, dies by SIGKILL."""
+    first = subprocess.Popen(
+        [
+            sys.executable, "-c",
+            "import sys, time\n"
+            "from greenroof_ros.drives.address import parse_address\n"
+            "from greenroof_ros.drives.drive_file import find_drive_file, read_drive_file\n"
+            "from greenroof_ros.drives.exchange import DriveExchange\n"
+            "file = read_drive_file(find_drive_file('abb_acs880'))\n"
+            "exchange = DriveExchange(file, parse_address(sys.argv[1]))\n"
+            "exchange.start()\n"
+            "time.sleep(60)\n",
+            f"tcp://localhost:{wire.port}",
+        ],
+        cwd=CHECKOUT,
+    )
+    try:
+        wait(lambda: wire.seen, within=20)
+        exchange.start()
+        wait(lambda: f"process {first.pid} of this machine" in exchange.snapshot.problem)
+        hand.speed = 0.5
+        time.sleep(1.5)
+        assert wire.connections == 1 and RUN not in drive.written
+        assert not exchange.snapshot.connected and exchange.snapshot.errors == 1
+        # The supervisor's stop needs no lock.
+        assert stop_drive(file, parse_address(wire.at)) == "speed 0.0%, off"
+        first.kill()
+        wait(lambda: drive.values[4] == 10000, within=5)
+    finally:
+        first.kill()
+        first.wait()
+    (lock,) = (
+        found for directory in ("/run/lock", "/tmp")
+        for found in Path(directory).glob(f"greenroof_ros-127.0.0.1-{wire.port}-1.lock")
+    )
+    assert lock.stat().st_mode & 0o777 == 0o666
+    exchange.close()
+    assert not lock.exists()
+
+
+def test_a_serial_line_is_one_drivers_by_whatever_name(
+    file: DriveFile, drive: Registers, tmp_path: Path
+) -> None:
+    wire = SerialWire(over_serial(drive))
+    other = tmp_path / "by-id"
+    other.symlink_to(wire.line)
+    one, two = (
+        DriveExchange(file, parse_address(str(name)), PERIOD, DEAD_MAN, timeout_s=TIMEOUT)
+        for name in (wire.line, other)
+    )
+    try:
+        one.start()
+        wait(lambda: one.snapshot.connected)
+        two.start()
+        wait(lambda: f"process {os.getpid()} of this machine" in two.snapshot.problem)
+        one.close()
+        wait(lambda: two.snapshot.connected)
+    finally:
+        one.close()
+        two.close()
+        wire.close()
+
+
+@pytest.mark.skipif(os.geteuid() != 0, reason="only root can be another user")
+def test_a_lock_holds_between_users() -> None:
+    """Nobody's process has it, so that its file is nobody's; then root takes it over."""
+    port = free_ports(1)[0]
+    lock = DriveLock(Address("127.0.0.1"), port, 1)
+    ours, theirs = os.pipe()
+    ready, said = os.pipe()
+    child = os.fork()
+    if child == 0:
+        try:
+            os.setuid(65534)
+            DriveLock(Address("127.0.0.1", port), 502, 1).take()
+            os.write(said, b"x")
+            os.read(ours, 1)
+        finally:
+            os._exit(0)
+    assert os.read(ready, 1) == b"x"
+    with pytest.raises(DriveError, match=f"process {child} of this machine"):
+        lock.take()
+    os.write(theirs, b"x")
+    os.waitpid(child, 0)
+    lock.take()
+    lock.release()
+    for each in (ours, theirs, ready, said):
+        os.close(each)
+
+
+# --- what must not happen -------------------------------------------------------------------------
+
+
+def test_a_connection_that_cannot_even_be_closed_is_made_again(
+    exchange: DriveExchange, drive: Registers, wire: Wire, hand: Hand,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    exchange.start()
+    hand.speed = 0.5
+    wait(lambda: drive.values[4] == 10000)
+    close = Drive.close
+    broken = iter([True])
+
+    async def fail_once(self: Drive) -> None:
+        if next(broken, False):
+            raise OSError("torn out")
+        await close(self)
+
+    monkeypatch.setattr(Drive, "close", fail_once)
+    drive.values[4] = 0
+    wire.drop()
+    wait(lambda: next(broken, None) is None and exchange.snapshot.connected)
+    wait(lambda: drive.values[4] == 10000)
+
+
+def test_a_thread_that_ends_says_so() -> None:
+    """Without a free file descriptor there is no event loop: the thread cannot even begin."""
+    done = subprocess.run(
+        [
+            sys.executable, "-c",
+            "import os, resource, time\n"
+            "from greenroof_ros.drives.address import parse_address\n"
+            "from greenroof_ros.drives.drive_file import find_drive_file, read_drive_file\n"
+            "from greenroof_ros.drives.exchange import DriveExchange\n"
+            "file = read_drive_file(find_drive_file('abb_acs880'))\n"
+            "exchange = DriveExchange(file, parse_address('tcp://127.0.0.1:1'))\n"
+            "last = os.dup(0)\n"
+            "os.close(last)\n"
+            "limits = resource.getrlimit(resource.RLIMIT_NOFILE)\n"
+            "resource.setrlimit(resource.RLIMIT_NOFILE, (last, limits[1]))\n"
+            "exchange.start()\n"
+            "until = time.monotonic() + 5\n"
+            "while exchange.snapshot.errors == 0 and time.monotonic() < until:\n"
+            "    time.sleep(0.01)\n"
+            "resource.setrlimit(resource.RLIMIT_NOFILE, limits)\n"
+            "exchange.close()\n"
+            "now = exchange.snapshot\n"
+            "print(now.connected, now.status, now.problem)\n",
+        ],
+        cwd=CHECKOUT, capture_output=True, text=True, check=True, timeout=30,
+    )
+    assert "False None the exchange with the drive has ended: OSError(24" in done.stdout
+
+
+# --- the supervisor's stop ------------------------------------------------------------------------
 
 
 def test_stop_drive(file: DriveFile, drive: Registers, wire: Wire) -> None:

@@ -8,7 +8,10 @@ The manual's number of each register and what each word means stand beside the f
 from __future__ import annotations
 
 import asyncio
+import socket
+import threading
 from collections.abc import Callable, Coroutine
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -268,6 +271,17 @@ def test_stop(name: str) -> None:
     follow(name, STOPS[name], lambda drive: drive.stop())
 
 
+def test_a_refused_step_of_the_stop_does_not_keep_the_next_from_being_written() -> None:
+    with pytest.raises(DriveError, match="writing 0x047E to register 0: refused with exc") as got:
+        follow("abb_acs880", """
+OFF1          : 0001 0000 0006 01 06 0000 047E
+busy          : 0001 0000 0003 01 86 06
+no speed      : 0002 0000 0006 01 06 0001 0000
+              : 0002 0000 0006 01 06 0001 0000
+""", lambda drive: drive.stop())
+    assert got.value.kind == "answer"
+
+
 @pytest.mark.parametrize("name", RESETS)
 def test_reset(name: str) -> None:
     follow(name, STOPS[name].rstrip() + RESETS[name], lambda drive: drive.reset())
@@ -315,7 +329,7 @@ bits 4 and 30 : 0002 0000 0007 01 03 04 4000 0010
 """, lambda drive: drive.read())
     assert status.fault == "control word timeout, safe stop"
     assert not status.timed_out  # there is another fault besides
-    assert status.speed == pytest.approx(-1 / 16384)
+    assert status.speed == 0  # noise of a pump at rest
     assert status.stands
 
 
@@ -573,6 +587,47 @@ def test_a_connection_closed_by_the_drive() -> None:
         wire.close()
 
 
+def test_a_connection_without_an_answer_is_reset() -> None:
+    """So that a drive with one socket has it free at once; RFC 9293, section 3.10.7.4."""
+    with socket.create_server(("127.0.0.1", 0)) as listener:
+        ended: list[str] = []
+
+        def serve() -> None:
+            one, _ = listener.accept()
+            with one:
+                try:
+                    while one.recv(512):
+                        pass
+                    ended.append("closed")
+                except ConnectionResetError:
+                    ended.append("reset")
+
+        drive = threading.Thread(target=serve)
+        drive.start()
+        with pytest.raises(DriveError, match="no valid answer"):
+            talk(
+                "abb_acs880", f"tcp://127.0.0.1:{listener.getsockname()[1]}",
+                lambda drive: drive.read(),
+            )
+        drive.join(5)
+    assert ended == ["reset"]
+
+
+def test_a_connection_is_watched_by_the_kernel() -> None:
+    """Timer 2 of /proc/net/tcp, keepalive, runs while nothing is sent: proc_net_tcp.txt."""
+    wire = Wire(lambda _request: [])
+
+    async def look(_drive: Drive) -> list[str]:
+        lines = [line.split() for line in Path("/proc/net/tcp").read_text().splitlines()[1:]]
+        return [line[5][:2] for line in lines if line[2].endswith(f":{wire.port:04X}")
+                and line[3] == "01"]
+
+    try:
+        assert talk("abb_acs880", wire.at, look) == ["02"]
+    finally:
+        wire.close()
+
+
 def test_nobody_there() -> None:
     wire = Wire(lambda _request: [])
     wire.close()
@@ -593,7 +648,7 @@ def test_a_speed_that_cannot_be() -> None:
 
 
 def test_a_rated_speed_of_nothing() -> None:
-    with pytest.raises(DriveError, match="NSP, nominal motor speed in rpm is 0"):
+    with pytest.raises(DriveError, match=r"NSP, nominal .* is 0: 0, believ"):
         follow("schneider_atv630", """
               : 0001 0000 0006 01 03 0C81 0001
               : 0001 0000 0005 01 03 02 0233
@@ -602,6 +657,62 @@ def test_a_rated_speed_of_nothing() -> None:
               : 0003 0000 0006 01 03 2584 0001
               : 0003 0000 0005 01 03 02 0000
 """, lambda drive: drive.read())
+
+
+def test_a_rated_speed_that_no_motor_has() -> None:
+    """0xEA60 = 60000 rpm: every speed would look like rest."""
+    with pytest.raises(DriveError, match="is 60000: 60000, believable are 300 to 6000"):
+        follow("schneider_atv630", """
+              : 0001 0000 0006 01 03 0C81 0001
+              : 0001 0000 0005 01 03 02 0233
+              : 0002 0000 0006 01 03 219C 0001
+              : 0002 0000 0005 01 03 02 0000
+              : 0003 0000 0006 01 03 2584 0001
+              : 0003 0000 0005 01 03 02 EA60
+""", lambda drive: drive.read())
+
+
+def test_a_word_that_the_register_cannot_hold_is_not_written(tmp_path: Path) -> None:
+    """90 % of 40000 rpm is 36000, in 16 bits with a sign -29536: full speed backwards."""
+    file = tmp_path / "fast.yaml"
+    text = find_drive_file("schneider_atv630").read_text()
+    file.write_text(text.replace("high: 6000", "high: 60000"))
+    with pytest.raises(DriveError, match=r"a speed of 90\.0% would be 36000 in LFRD") as got:
+        follow(
+            str(file), SCHNEIDER_START.split("50 %")[0].replace("05AA", "9C40"),
+            lambda drive: drive.run(0.9),
+        )
+    assert got.value.kind == "drive"
+
+
+@pytest.mark.parametrize(
+    ("word", "speed", "fault"),
+    [
+        # 20000 is 100 % (FENA-11 p. 92): -100 is -0.5 %, -400 -2 %, -8000 -40 %.
+        ("FF9C", 0.0, ""), ("FE70", 0.0, ""),
+        ("E0C0", -0.4, "the pump turns backwards (speed -40.0%)"),
+    ],
+)
+def test_a_speed_below_0(word: str, speed: float, fault: str) -> None:
+    status = follow("abb_acs880", f"""
+400004        : 0001 0000 0006 01 03 0003 0001
+              : 0001 0000 0005 01 03 02 1231
+400005        : 0002 0000 0006 01 03 0004 0001
+              : 0002 0000 0005 01 03 02 {word}
+""", lambda drive: drive.read())
+    assert (status.speed, status.fault) == (speed, fault)
+    assert status.stands == (speed == 0)
+
+
+def test_an_own_file_may_begin_its_speeds_at_0(tmp_path: Path) -> None:
+    file = tmp_path / "own.yaml"
+    file.write_text(find_drive_file("abb_acs880").read_text().replace("low: -1.6", "low: 0.0"))
+    assert follow(str(file), """
+              : 0001 0000 0006 01 03 0003 0001
+              : 0001 0000 0005 01 03 02 1231
+-1 count      : 0002 0000 0006 01 03 0004 0001
+              : 0002 0000 0005 01 03 02 FFFF
+""", lambda drive: drive.read()).speed == 0
 
 
 def test_a_fault_keeps_it_from_running() -> None:
