@@ -40,6 +40,7 @@ class Snapshot:
         timeout_s: its own communication timeout (s); None for off.
         timeout_known: the timeout could be read.
         timeout_note: why it counts as off, or could not be read.
+        hold: why the drive is kept off although it is connected; empty where nothing does.
         problem: what went wrong last and is not over; empty for nothing.
         errors: how often anything went wrong.
     """
@@ -51,6 +52,7 @@ class Snapshot:
     timeout_s: float | None = None
     timeout_known: bool = False
     timeout_note: str = ""
+    hold: str = ""
     problem: str = "not yet connected"
     errors: int = 0
 
@@ -95,6 +97,9 @@ class DriveExchange:
         self._reset_wanted = False
         self._closing = False
         self._paused_until = -math.inf
+        own = file.timeout.over(address)
+        self._unguarded_s = 0.0 if own is None else own.unguarded_after_power_up_s
+        self._guarded_from = -math.inf
         self._loop: asyncio.AbstractEventLoop | None = None
         self._wake: asyncio.Event | None = None
         self._thread = threading.Thread(target=self._work, name="drive", daemon=True)
@@ -161,7 +166,19 @@ class DriveExchange:
     def _wanted(self) -> float | None:
         speed, at = self._demand
         fresh = time.monotonic() - at <= self._dead_man_s
-        return speed if fresh and not self._closing else None
+        return speed if fresh and not self._closing and not self._hold() else None
+
+    def _hold(self) -> str:
+        """Return why the drive must not run although it is connected.
+
+        Since the connection before, it may have been without power, which looks like a cut cable.
+        """
+        if time.monotonic() >= self._guarded_from:
+            return ""
+        return (
+            f"its own communication timeout does not guard for {self._unguarded_s:g} s after "
+            "power-up, so it is not run for so long after it was connected"
+        )
 
     def _work(self) -> None:
         asyncio.run(self._keep_up())
@@ -208,9 +225,11 @@ class DriveExchange:
     async def _greet(self, drive: Drive) -> None:
         """Stop a drive first, then see what it is and whether it would stop by itself."""
         await drive.connect()
+        self._guarded_from = time.monotonic() + self._unguarded_s
         await drive.stop()
         status = await self._read(drive)
         seconds, known = None, False
+        identity = self._snapshot.identity or "unknown"
         try:
             identity = await drive.identify()
             seconds = await drive.timeout()
@@ -218,11 +237,11 @@ class DriveExchange:
         except DriveError as error:
             if error.kind == "connection":
                 raise
-            identity = self._snapshot.identity or "unknown"
             note = str(error)
         self._update(
             status=status, read_at=time.monotonic(), connected=True, problem="",
             identity=identity, timeout_s=seconds, timeout_known=known, timeout_note=note,
+            hold=self._hold(),
         )
 
     async def _cycle(self, drive: Drive) -> None:
@@ -241,7 +260,8 @@ class DriveExchange:
                 # What is still to come of the late answer must not be taken for the next.
                 await asyncio.sleep(self._period_s)
         self._update(
-            status=status, read_at=time.monotonic(), problem=problem or self._lasting()
+            status=status, read_at=time.monotonic(), problem=problem or self._lasting(),
+            hold=self._hold(),
         )
         if not self._closing:
             await self._pause(max(0.0, self._period_s - (time.monotonic() - started)))
