@@ -197,8 +197,9 @@ _DRIVE_PARTS = {
     "a condition: in `status`, and `until` of a step": drive_file.Condition,
     "`status`": drive_file.Status,
     "`faults`, `warnings`": drive_file.Codes,
-    "`timeout`": drive_file.Timeout,
-    "`timeout.action`": drive_file.Action,
+    "`timeout`": drive_file.Timeouts,
+    "`timeout.serial`, `timeout.tcp`": drive_file.Timeout,
+    "`action` of either": drive_file.Action,
     "`nameplate`, each": drive_file.Nameplate,
 }
 
@@ -284,14 +285,15 @@ def drives() -> str:
             ("source", "document", "read at"),
             ((one.title, one.document, one.where) for one in drive.sources),
         ))
-        own = drive.timeout
-        parts.append(markdown(
-            ("its own communication timeout", ""),
-            (
-                ("set it", own.how_to_set), ("starts anew with", own.kept_alive_by),
-                ("beware", own.traps),
-            ),
-        ))
+        for interface, own in drive.timeout.known.items():
+            where = "own Ethernet port" if interface == "tcp" else "serial port"
+            parts.append(markdown(
+                (f"communication timeout of its {where}", ""),
+                (
+                    ("set it", own.how_to_set), ("starts anew with", own.kept_alive_by),
+                    ("beware", own.traps),
+                ),
+            ))
         parts.append("To set in the drive besides:\n")
         parts.append("\n".join(f"- {cell(text)}" for text in drive.set_up) + "\n")
         vital = set(drive.unverified_and_vital)

@@ -66,7 +66,7 @@ def _parser() -> argparse.ArgumentParser:
         "  python -m greenroof_ros.bringup --weather mine.csv --start 2024-06-01 --hours 24\n"
         "  python -m greenroof_ros.bringup --namespace site1 --site site1.yaml\n"
         "  python -m greenroof_ros.bringup --speed 60 --no-record\n"
-        "  python -m greenroof_ros.bringup --drive danfoss_fc202 --drive-at tcp://127.0.0.1:5020\n"
+        "  python -m greenroof_ros.bringup --drive danfoss_fc202 --drive-at gateway://127.0.0.1:5020\n"
         "  python -m greenroof_ros.bringup --plant external --sensors sensors.yaml \\\n"
         "    --forecast forecast.csv --drive danfoss_fc202 --drive-at /dev/ttyUSB0\n\n"
         "exit codes: 0 done, or live and asked to stop, 1 a node failed,\n"

@@ -61,7 +61,8 @@ def _parser() -> argparse.ArgumentParser:
     )
     place.add_argument(
         "--port", type=within(0, _LAST_PORT, int), default=_PORT,
-        help="TCP port of the drive, 0 for a free one (default: %(default)s)",
+        help="TCP port of the drive, 0 for a free one; of a gateway to its serial port where the "
+        "make has none of its own (default: %(default)s)",
     )
     place.add_argument(
         "--serial", metavar="DEVICE",

@@ -41,6 +41,11 @@ class Wire:
     def at(self) -> str:
         return f"tcp://127.0.0.1:{self.port}"
 
+    @property
+    def gateway(self) -> str:
+        """The same as the address of a gateway to a drive's serial port."""
+        return f"gateway://127.0.0.1:{self.port}"
+
     def drop(self) -> None:
         """Close every connection, as a drive that loses its power does."""
         for one in self._open:

@@ -15,6 +15,7 @@ from typing import Any
 from diagnostic_msgs.msg import DiagnosticArray
 from graphs import environment, wait_for
 from lifecycle_msgs.srv import ChangeState, GetState
+from places import CONFIG, guarding
 from rosgraph_msgs.msg import Clock
 from std_msgs.msg import Float64, String
 from test_nodes import Observer, qos
@@ -25,6 +26,7 @@ from greenroof_ros.drives.workbench import Workbench
 
 # Ten ticks of 1 s in a second, and a drive that ramps ten times as fast as in real time.
 PERIOD_S, FACTOR = 0.1, 10
+MAKES = {path.stem for path in (CONFIG / "drives").glob("*.yaml")}
 OK, WARN, ERROR, STALE = b"\x00", b"\x01", b"\x02", b"\x03"
 LEAST_TIMES = {"least_on": 1.0, "least_off": 1.0, "starts_per_hour": 3600.0}
 
@@ -118,7 +120,8 @@ class PumpRig:
     ) -> subprocess.Popen[bytes]:
         """Start the node; its state file is the same each time."""
         given = {
-            "drive": drive, "address": address, "autostart": "true", "exchange_period": 0.05,
+            "drive": guarding(drive, self.cwd) if drive in MAKES else drive,
+            "address": address, "autostart": "true", "exchange_period": 0.05,
             "state_file": self.cwd / "state.json", **LEAST_TIMES, **parameters,
         }
         self.states.clear()

@@ -20,7 +20,7 @@ from greenroof_ros.drives.address import Address
 from greenroof_ros.drives.faults import DEFAULT, DRIVE_FAULTS, SITE_FAULTS
 from greenroof_ros.drives.workbench import Workbench
 
-_PLACE = re.compile(r"tcp://127\.0\.0\.1:(\d+), device")
+_PLACE = re.compile(r"(?:tcp|gateway)://127\.0\.0\.1:(\d+), device")
 
 
 class Simulator:

@@ -45,6 +45,7 @@ class ControlProfile(ABC):
         fault: code, or bits, of what has tripped the drive; 0 if nothing has.
         fault_stands: whether its cause does, so that it cannot be reset.
         local: whether somebody has taken the drive over at its panel.
+        loss: code, or bits, of the fault after the communication timeout of this interface.
         lost: whether the bus was silent for longer than the drive's timeout.
         runs_locally: whether, left to its own settings, the drive runs.
     """
@@ -57,13 +58,14 @@ class ControlProfile(ABC):
     """whether the drive as delivered runs while no bus controls it"""
     STOPS: ClassVar[int] = 0
     """timeout_action that trips; nothing where there is no choice"""
-    LOSS: ClassVar[int] = 0
-    """code, or bits, of the fault after the drive's communication timeout"""
+    LOSS: ClassVar[Mapping[str, int]] = {}
+    """code, or bits, of the fault after the communication timeout of each interface"""
     UNGUARDED_S: ClassVar[float] = 0.0
     """after power-up the timeout does not count for so long (s)"""
 
-    def __init__(self, raw: MutableMapping[str, int]) -> None:
+    def __init__(self, raw: MutableMapping[str, int], interface: str) -> None:
         self.raw = raw
+        self.loss = self.LOSS.get(interface, 0)
         self.fault = self.last_fault = 0
         self.fault_stands = False
         self.local = False
@@ -162,7 +164,7 @@ class AbbDrives(ControlProfile):
     # 58.14 No action, 58.16 3.0 s
     DELIVERED: ClassVar = {"timeout_action": 0, "timeout_time": 30}
     STOPS: ClassVar = 1
-    LOSS: ClassVar = 0x6681
+    LOSS: ClassVar = {"serial": 0x6681}
     UNGUARDED_S: ClassVar = 30.0
 
     def power_up(self) -> None:
@@ -250,7 +252,7 @@ class AbbDrives(ControlProfile):
     def communication_lost(self) -> None:
         """58.14: 1 and 4 trip; the rest is a warning at most, and the motor runs on."""
         if self.guard[1] in (1, 4):
-            self.trip(self.LOSS)
+            self.trip(self.loss)
 
 
 class FcProfile(ControlProfile):
@@ -259,7 +261,7 @@ class FcProfile(ControlProfile):
     # 8-04 Off, 8-03 60 s
     DELIVERED: ClassVar = {"timeout_action": 0, "timeout_time": 600}
     STOPS: ClassVar = 5
-    LOSS: ClassVar = 1 << 4
+    LOSS: ClassVar = {"serial": 1 << 4}
 
     def power_up(self) -> None:
         """Begin at rest, without a valid control word."""
@@ -286,7 +288,7 @@ class FcProfile(ControlProfile):
         """Coasting goes before braking, and that before the ramp."""
         word = self._word
         if self.fault:
-            return Motion.RAMP_DOWN if self.fault == self.LOSS else Motion.COAST
+            return Motion.RAMP_DOWN if self.fault == self.loss else Motion.COAST
         if not word & 0x0008:
             return Motion.COAST
         stopped = self.lost and self.guard[1] == 2
@@ -307,7 +309,7 @@ class FcProfile(ControlProfile):
     def communication_lost(self) -> None:
         """8-04: 5 stops and trips, 2 stops until there is a valid word, 1 freezes the output."""
         if self.guard[1] == 5:
-            self.trip(self.LOSS)
+            self.trip(self.loss)
 
 
 class CimProfile(ControlProfile):
@@ -393,10 +395,10 @@ class Cia402(ControlProfile):
     leaves it as it is.
     """
 
-    # SLL freewheel stop, TTO 10.0 s
+    # SLL and ETHL freewheel stop, TTO and TTOB 10.0 s
     DELIVERED: ClassVar = {"timeout_action": 1, "timeout_time": 100}
     STOPS: ClassVar = 1
-    LOSS: ClassVar = 5
+    LOSS: ClassVar = {"serial": 5, "tcp": 150}
 
     def power_up(self) -> None:
         """Begin in 'switch on disabled'."""
@@ -451,7 +453,7 @@ class Cia402(ControlProfile):
         """Trip: with freewheel stop there is nothing to wait for."""
         super().trip(fault)
         if fault:
-            ramps = fault == self.LOSS and self.guard[1] in (6, 7)
+            ramps = fault == self.loss and self.guard[1] in (6, 7)
             self._state = _Cia.REACTION if ramps else _Cia.FAULT
         elif self._state in (_Cia.REACTION, _Cia.FAULT):
             self._state = _Cia.DISABLED
@@ -476,9 +478,9 @@ class Cia402(ControlProfile):
         })
 
     def communication_lost(self) -> None:
-        """SLL: 1 freewheel, 6 ramp, 7 fast stop and 8 DC injection trip; 2 stops without error."""
+        """SLL, ETHL: 1 freewheel, 6 ramp, 7 fast, 8 DC injection trip; 2 stops without error."""
         if self.guard[1] in (1, 6, 7, 8):
-            self.trip(self.LOSS)
+            self.trip(self.loss)
 
 
 _PROFILES = {

@@ -93,8 +93,9 @@ class Drive:
         self.file = file
         self.timeout_note = ""
         self.stopped: bool | None = None
+        self._timeout, self._interface = file.timeout.over(address), address.interface
         if device_id is None:
-            device_id = file.serial.device_id if address.line else file.tcp.device_id
+            device_id = (file.tcp if self._interface == "tcp" else file.serial).device_id
         self._line = ModbusLine(
             address, port=file.tcp.port, device_id=device_id, serial=file.serial,
             timeout_s=timeout_s,
@@ -147,14 +148,21 @@ class Drive:
         return f"{self.file.make} {self.file.model} ({'; '.join(parts)})"
 
     async def timeout(self) -> float | None:
-        """Return the drive's own communication timeout (s), None for off.
+        """Return the drive's own communication timeout (s) on this connection, None for off.
 
         Off is also one after which the drive would not stop; `timeout_note` then says why.
 
         Raises:
-            DriveError: it cannot be read.
+            DriveError: it cannot be read, or the drive's file tells of none for this interface.
         """
-        own = self.file.timeout
+        own = self._timeout
+        if own is None:
+            raise DriveError(
+                "answer",
+                f"{self._line.where}: {self.file.path} tells of none by which a connection there "
+                f"is guarded (timeout.{self._interface}); if a gateway to the drive's serial port "
+                "is there, the address is gateway://HOST:PORT",
+            )
         register = self.file.registers[own.register]
         raw = await self._raw(own.register)
         seconds = await self._scaled(own.register, raw)
@@ -168,7 +176,7 @@ class Drive:
                 text = own.action.runs_on.get(chosen, "not known to the drive's file")
                 self.timeout_note = (
                     f"{action.meaning} (register {action.manual}) is {chosen}: {text}; the pump "
-                    "would run on"
+                    "might run on"
                 )
         return None if self.timeout_note else seconds
 
@@ -183,7 +191,8 @@ class Drive:
         if await self._holds(status.fault, seen):
             raw = await self._number(self.file.faults.register)
             fault = self.file.faults.text(raw) or "the drive names no cause"
-            timed_out = self.file.faults.only(raw, self.file.timeout.trips)
+            trips = () if self._timeout is None else self._timeout.trips
+            timed_out = self.file.faults.only(raw, trips)
         if status.warning is not None and await self._holds(status.warning, seen):
             warning = "the drive names no cause"
             if self.file.warnings is not None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import time
 from collections.abc import Callable
+from dataclasses import replace
 
 from pymodbus.constants import ExcCodes
 
@@ -43,7 +44,8 @@ class DriveBench:
         Args:
             file: the make.
             settings: of the drive.
-            address: TCP port or serial line of the drive; port 0 takes a free one.
+            address: TCP port or serial line of the drive; port 0 takes a free one. A drive whose
+                file tells of no timeout of an Ethernet port of its own is behind a gateway there.
             workbench_address: TCP port of the workbench, likewise.
             site: for the flow, of drives that report it; until the workbench is told of another
                 level, the cistern's is that of the paper's low-low.
@@ -55,10 +57,13 @@ class DriveBench:
         self._site = site
         self._level = site.cistern_level(initial_state(site, "low-low")[0])
         self._say = say
+        self._gateway = not address.line and file.timeout.tcp is None
+        interface = replace(address, gateway=self._gateway).interface
         self.drive = SimulatedDrive(
-            file, settings, time.monotonic(), lambda speed: flow_at(site, speed, self._level), say
+            file, settings, time.monotonic(), lambda speed: flow_at(site, speed, self._level), say,
+            interface,
         )
-        self.device_id = file.serial.device_id if address.line else file.tcp.device_id
+        self.device_id = (file.tcp if interface == "tcp" else file.serial).device_id
         self._wire = Wire(
             deaf=lambda: not self._answers(), heard=lambda: self.drive.heard(time.monotonic())
         )
@@ -83,7 +88,7 @@ class DriveBench:
     @property
     def address(self) -> Address:
         """Where the drive is; its port is known when it has started."""
-        return self._server.address
+        return replace(self._server.address, gateway=self._gateway)
 
     @property
     def workbench_address(self) -> Address:

@@ -10,7 +10,7 @@ from typing import Annotated, Any
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.files import YamlMapping, read_yaml, shared_directory
 from greenroof_ros.common.records import Entry, Word, read_record
-from greenroof_ros.drives.address import Serial
+from greenroof_ros.drives.address import Address, Serial
 
 # How many registers a value takes; a text says so itself.
 WIDTH = {"uint16": 1, "int16": 1, "uint32": 2, "int32": 2, "float32": 2, "text": 0}
@@ -37,10 +37,12 @@ class Numbering:
 
 @dataclass(frozen=True)
 class Tcp:
-    """Modbus TCP: of the drive itself, or of a gateway to its serial line."""
+    """Modbus TCP."""
 
-    port: Annotated[int, Entry("TCP port", low=1, high=65535)]
-    device_id: Annotated[int, Entry("unit identifier", low=0, high=255)]
+    port: Annotated[int, Entry("TCP port, of a gateway, too", low=1, high=65535)]
+    device_id: Annotated[
+        int, Entry("unit identifier; behind a gateway it is that of `serial`", low=0, high=255),
+    ]
 
 
 @dataclass(frozen=True)
@@ -179,14 +181,15 @@ class Action:
     runs_on: Annotated[
         dict[int, str],
         Entry(
-            "values with which it does not, or not for certain: the timeout counts as off", low=0
+            "values with which it does not, or not for certain, or not until somebody resets it: "
+            "the timeout counts as off", low=0,
         ),
     ]
 
 
 @dataclass(frozen=True)
 class Timeout:
-    """The drive's own communication timeout."""
+    """The communication timeout of one of the drive's interfaces."""
 
     register: Annotated[str, Entry("name of the register that holds the time")]
     kept_alive_by: Annotated[str, Entry("which messages start it anew")]
@@ -197,7 +200,41 @@ class Timeout:
         tuple[Word, ...],
         Entry("codes (or bits) of `faults` by which the drive says that it has passed", low=0),
     ] = ()
+    unguarded_after_power_up_s: Annotated[
+        float,
+        Entry(
+            "so long after power-up it does not guard (s); the pump stands so long after each "
+            "connection, since the drive may have been switched on just before", low=0, high=600,
+        ),
+    ] = 0.0
+    local_settings_decide: Annotated[
+        bool,
+        Entry(
+            "what the pump does then is set in the drive and cannot be read: a person must say "
+            "that it stops (`local_settings_stop_the_pump`)"
+        ),
+    ] = False
     traps: Annotated[str, Entry("when it does not guard")] = ""
+
+
+@dataclass(frozen=True)
+class Timeouts:
+    """The drive's own communication timeouts: each interface has one, which guards it alone."""
+
+    serial: Annotated[
+        Timeout | None, Entry("of its serial port, over a line or a gateway"),
+    ] = None
+    tcp: Annotated[Timeout | None, Entry("of its own Ethernet port, or its adapter's")] = None
+
+    @property
+    def known(self) -> dict[str, Timeout]:
+        """Those of which the file tells, by interface."""
+        both = {"serial": self.serial, "tcp": self.tcp}
+        return {name: one for name, one in both.items() if one is not None}
+
+    def over(self, address: Address) -> Timeout | None:
+        """Return the one that guards a connection; None where the file tells of none."""
+        return self.known.get(address.interface)
 
 
 @dataclass(frozen=True)
@@ -229,7 +266,7 @@ class DriveFile:
     sequences: Annotated[Sequences, Entry("control words")]
     status: Annotated[Status, Entry("the status word")]
     faults: Annotated[Codes, Entry("fault codes")]
-    timeout: Annotated[Timeout, Entry("the drive's own communication timeout")]
+    timeout: Annotated[Timeouts, Entry("the drive's own communication timeouts")]
     nameplate: Annotated[tuple[Nameplate, ...], Entry("read on connecting")]
     least_speed: Annotated[
         float, Entry("share of rated speed below which it is not run", low=0, high=1),
@@ -247,9 +284,11 @@ class DriveFile:
     def unverified_and_vital(self) -> tuple[str, ...]:
         """Those unverified keys by which a pump may run when it must not."""
         steps = (*self.sequences.ready, *self.sequences.run, *self.sequences.stop)
-        registers = {"status", self.timeout.register, *(step.write for step in steps)}
-        if self.timeout.action is not None:
-            registers.add(self.timeout.action.register)
+        registers = {"status", *(step.write for step in steps)}
+        for own in self.timeout.known.values():
+            registers.add(own.register)
+            if own.action is not None:
+                registers.add(own.action.register)
         vital = ("numbering", "sequences", "timeout", *(f"registers.{name}" for name in registers))
         return tuple(
             key for key in self.unverified
@@ -374,6 +413,12 @@ class _Check:
             self.fail(f"{key}.low", register.low, f"must be at most high, {register.high:g}")
         if register.full_scale:
             self._bits(f"{key}.full_scale", register.full_scale)
+            full = self.drive.registers[register.full_scale]
+            if not 0 < full.low <= full.high < math.inf or full.full_scale:
+                self.fail(
+                    f"registers.{register.full_scale}", None,
+                    f"must have low, above 0, and high, and no full_scale: {name} is divided by it",
+                )
         if register.unit and register.type == "text":
             self.fail(f"{key}.unit", register.unit, "does not belong to a text")
 
@@ -419,16 +464,16 @@ class _Check:
         self._bits("faults.register", drive.faults.register)
         if drive.warnings is not None:
             self._bits("warnings.register", drive.warnings.register)
-        self._known("timeout.register", drive.timeout.register)
-        self._unit("timeout.register", drive.timeout.register, "s")
-        action = drive.timeout.action
-        if action is not None:
-            self._bits("timeout.action.register", action.register)
-            for value in action.stops:
-                if value in action.runs_on:
-                    self.fail(
-                        "timeout.action.stops", value, "stands in stops and in runs_on, too"
-                    )
+        for interface, own in drive.timeout.known.items():
+            key = f"timeout.{interface}"
+            self._unit(f"{key}.register", own.register, "s")
+            if own.action is not None:
+                self._bits(f"{key}.action.register", own.action.register)
+                for value in own.action.stops:
+                    if value in own.action.runs_on:
+                        self.fail(
+                            f"{key}.action.stops", value, "stands in stops and in runs_on, too"
+                        )
         for number, plate in enumerate(drive.nameplate, start=1):
             self._known(f"nameplate.{number}.register", plate.register)
 

@@ -53,6 +53,7 @@ class Snapshot:
         timeout_s: its own communication timeout (s); None for off.
         timeout_known: the timeout could be read.
         timeout_note: why it counts as off, or could not be read.
+        hold: why the drive is kept off although it is connected; empty where nothing does.
         problem: what went wrong last and is not over; empty for nothing.
         errors: how often anything went wrong.
     """
@@ -64,6 +65,7 @@ class Snapshot:
     timeout_s: float | None = None
     timeout_known: bool = False
     timeout_note: str = ""
+    hold: str = ""
     problem: str = "not yet connected"
     errors: int = 0
 
@@ -121,6 +123,9 @@ class DriveExchange:
         self._settings_at = -math.inf
         # On so many connections, one after the other, *stop* could not be written at last.
         self._not_stopped = 0
+        own = file.timeout.over(address)
+        self._unguarded_s = 0.0 if own is None else own.unguarded_after_power_up_s
+        self._guarded_from = -math.inf
         self._loop: asyncio.AbstractEventLoop | None = None
         self._wake: asyncio.Event | None = None
         self._thread = threading.Thread(target=self._work, name="drive", daemon=True)
@@ -195,7 +200,19 @@ class DriveExchange:
     def _wanted(self) -> float | None:
         speed, at = self._demand
         fresh = time.monotonic() - at <= self._dead_man_s
-        return speed if fresh and not self._closing else None
+        return speed if fresh and not self._closing and not self._hold() else None
+
+    def _hold(self) -> str:
+        """Return why the drive must not run although it is connected.
+
+        Since the connection before, it may have been without power, which looks like a cut cable.
+        """
+        if time.monotonic() >= self._guarded_from:
+            return ""
+        return (
+            f"its own communication timeout does not guard for {self._unguarded_s:g} s after "
+            "power-up, so it is not run for so long after it was connected"
+        )
 
     def _work(self) -> None:
         try:
@@ -287,6 +304,7 @@ class DriveExchange:
     async def _greet(self, drive: Drive) -> None:
         """Stop a drive first, then see what it is and whether it would stop by itself."""
         await drive.connect()
+        self._guarded_from = time.monotonic() + self._unguarded_s
         try:
             await drive.stop()
         except DriveError as error:
@@ -305,7 +323,8 @@ class DriveExchange:
             identity = self._snapshot.identity or "unknown"
         await self._read_settings(drive)
         self._update(
-            status=status, read_at=time.monotonic(), connected=True, problem="", identity=identity
+            status=status, read_at=time.monotonic(), connected=True, problem="",
+            identity=identity, hold=self._hold(),
         )
 
     async def _read_settings(self, drive: Drive) -> None:
@@ -340,7 +359,8 @@ class DriveExchange:
                 # What is still to come of the late answer must not be taken for the next.
                 await asyncio.sleep(self._period_s)
         self._update(
-            status=status, read_at=time.monotonic(), problem=problem or self._lasting()
+            status=status, read_at=time.monotonic(), problem=problem or self._lasting(),
+            hold=self._hold(),
         )
         if not self._closing:
             await self._pause(max(0.0, self._period_s - (time.monotonic() - started)))

@@ -144,6 +144,14 @@ class SensorExchange:
                 self._reading = Reading(level, time.monotonic(), "")
             except DriveError as error:
                 self._reading = Reading(None, time.monotonic(), str(error))
+            # Whatever it is, the next reading starts anew.
+            except (Exception, asyncio.CancelledError) as error:
+                _log.exception("reading a level failed")
+                self._reading = Reading(
+                    None, time.monotonic(), f"{self._sensor.address}: reading failed: {error!r}"
+                )
+                sensor.close()
+                sensor = LevelSensor(self._sensor, self._timeout_s)
             # Not one reading after another to catch up with what a pause has cost.
             due = max(due + self._sensor.period, time.monotonic())
             while not self._end.is_set() and (rest := due - time.monotonic()) > 0:

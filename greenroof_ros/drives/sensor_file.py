@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
@@ -48,7 +49,9 @@ class Sensor:
         int, Entry("readings of which the median is taken, an odd number; 1: no filter", low=1,
                    high=99)
     ] = 5
-    period: Annotated[float, Entry("from one reading to the next (s)", low=0.05, high=3600)] = 1.0
+    period: Annotated[float, Entry(
+        "from one reading to the next (s); at most half of level_limit", low=0.05, high=3600
+    )] = 1.0
     baud_rate: Annotated[
         int, Entry("of a serial line: bits per second", low=1200, high=1_000_000)
     ] = 19200
@@ -92,8 +95,12 @@ def default_sensors() -> Path:
     return shared_directory() / "config" / "sensors.yaml"
 
 
-def read_sensors(path: Path) -> Sensors:
+def read_sensors(path: Path, level_limit: float = math.inf) -> Sensors:
     """Read a file of sensors and check it.
+
+    Args:
+        path: the file.
+        level_limit: age beyond which nobody takes a level (s); two readings must fit into it.
 
     Raises:
         ConfigurationError: something in it is missing, unknown, impossible, or contradicts
@@ -102,7 +109,14 @@ def read_sensors(path: Path) -> Sensors:
     content = read_yaml(path)
     sensors = read_record(Sensors, path, content)
     for tank in TANKS:
-        _check(path, content[tank], tank, getattr(sensors, tank))
+        sensor = getattr(sensors, tank)
+        _check(path, content[tank], tank, sensor)
+        if sensor.period > level_limit / 2:
+            raise _refused(
+                path, content[tank], tank, "period",
+                f"must be at most {level_limit / 2:g} s, half of level_limit: beyond that age "
+                "nobody takes the level, and the pump stands",
+            )
     cistern, roof = sensors.cistern, sensors.roof
     if _place(cistern) == _place(roof):
         raise _refused(

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 
 from pymodbus.constants import ExcCodes
 
+from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.drives.control_profiles import ControlProfile, Motion, Seen, profile_of
 from greenroof_ros.drives.drive_file import DriveFile, Register
 from greenroof_ros.drives.values import encode
@@ -56,6 +57,7 @@ class SimulatedDrive:
         now: float,
         flow: Callable[[float], float] = lambda speed: 0.0,
         say: Callable[[str], None] = lambda text: None,
+        interface: str = "serial",
     ) -> None:
         """Be a drive at rest that has been under power for long.
 
@@ -65,6 +67,8 @@ class SimulatedDrive:
             now: present time (s).
             flow: see the attributes.
             say: is told what happens, for people.
+            interface: by which it is spoken to, ``serial`` or ``tcp``; the timeout of the drive
+                file's other one is as delivered, and guards nothing.
 
         Raises:
             ConfigurationError: the make cannot be simulated.
@@ -80,9 +84,25 @@ class SimulatedDrive:
         self._speed_stays = False
         self._absurd: int | None = None
         profile = profile_of(file.make)
-        self._roles = {file.timeout.register: "timeout_time"}
-        if file.timeout.action is not None:
-            self._roles[file.timeout.action.register] = "timeout_action"
+        own = file.timeout.known.get(interface)
+        if own is None:
+            raise ConfigurationError(
+                "is missing: a drive without a communication timeout cannot be simulated",
+                file=file.path, key=f"timeout.{interface}",
+            )
+        self._timeout = own
+        self._roles = {own.register: "timeout_time"}
+        if own.action is not None:
+            self._roles[own.action.register] = "timeout_action"
+        idle = {
+            name: profile.DELIVERED[role]
+            for one in file.timeout.known.values()
+            for name, role in (
+                (one.register, "timeout_time"),
+                *(((one.action.register, "timeout_action"),) if one.action else ()),
+            )
+            if name not in self._roles
+        }
         self._written = {
             step.write
             for steps in (
@@ -90,19 +110,20 @@ class SimulatedDrive:
             )
             for step in steps
         } | {"control", "reference"}
-        raw = {self._roles.get(name, name): 0 for name in self._written | set(self._roles)}
+        raw = idle | {self._roles.get(name, name): 0 for name in self._written | set(self._roles)}
         raw |= {name: value for name, (_, value) in profile.EXTRA.items()}
-        raw |= self._timeout(profile)
-        self.profile = profile(raw)
+        raw |= self._settings_of(profile)
+        self.profile = profile(raw, interface)
         self.profile.runs_locally = profile.RUNS_AS_DELIVERED and settings.timeout_s is None
 
-    def _timeout(self, profile: type[ControlProfile]) -> Mapping[str, int]:
+    def _settings_of(self, profile: type[ControlProfile]) -> Mapping[str, int]:
         """Return the registers of the timeout as they are set."""
         if self._settings.timeout_s is None:
             return profile.DELIVERED
-        scale = self._file.registers[self._file.timeout.register].scale
+        register = self._file.registers[self._timeout.register]
+        seconds = min(self._settings.timeout_s, register.high)
         return {
-            "timeout_time": max(1, round(self._settings.timeout_s / scale)),
+            "timeout_time": max(1, round(seconds / register.scale)),
             "timeout_action": profile.STOPS,
         }
 
@@ -142,7 +163,7 @@ class SimulatedDrive:
     def _loss_at(self) -> float:
         """When the timeout falls if nothing more is heard; infinity if it does not."""
         raw, _ = self.profile.guard
-        timeout = self._file.timeout
+        timeout = self._timeout
         if self._heard is None or self.profile.lost or raw == 0 or raw in timeout.off_values:
             return math.inf
         seconds = raw * self._file.registers[timeout.register].scale
@@ -336,7 +357,7 @@ class SimulatedDrive:
     def disable_timeout(self, now: float) -> None:
         """Turn the communication timeout off, as somebody may at the panel."""
         self.advance(now)
-        timeout = self._file.timeout
+        timeout = self._timeout
         if timeout.action is not None:
             self.profile.raw["timeout_action"] = min(timeout.action.runs_on)
         else:

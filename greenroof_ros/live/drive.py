@@ -85,7 +85,9 @@ def add_drive_arguments(parser: argparse.ArgumentParser) -> None:
     )
     group.add_argument(
         "--drive-at", metavar="ADDRESS",
-        help="where it is: tcp://HOST:PORT, or a serial line such as /dev/ttyUSB0",
+        help="where it is: tcp://HOST:PORT where it has an Ethernet port of its own, "
+        "gateway://HOST:PORT of a gateway to its serial port, or a serial line such as "
+        "/dev/ttyUSB0",
     )
     group.add_argument(
         "--state", type=Path, metavar="DIR",
@@ -114,7 +116,7 @@ def chosen_drive(arguments: argparse.Namespace) -> DriveChoice | None:
         return None
     if arguments.drive_at is None:
         raise ConfigurationError(
-            "needs --drive-at, such as tcp://192.168.0.20:502 or /dev/ttyUSB0",
+            "needs --drive-at, such as tcp://192.168.0.20:502, gateway://... or /dev/ttyUSB0",
             key="--drive", value=arguments.drive,
         )
     if arguments.pump == "external":

@@ -16,14 +16,17 @@ from greenroof_ros.common.command_line import EXIT_DONE, command
 from greenroof_ros.drives.level_sensor import SensorExchange
 from greenroof_ros.drives.sensor_file import default_sensors, read_sensors
 from greenroof_ros.graph.link import LISTEN_S, LinkedNode
+from greenroof_ros.graph.live import LIMITS
 from greenroof_ros.graph.node_help import NodeParser, node_help
 from greenroof_ros.graph.node_process import run_node
 from greenroof_ros.graph.parameters import NodeParameter, declare
 from greenroof_ros.graph.reports import ERROR, OK, STALE
 
 TANKS = ("cistern", "roof")
+_LIMIT = LIMITS["/cistern/level"]
 PARAMETERS = [
     NodeParameter("sensors_file", str(default_sensors()), "what the sensors are like, and where"),
+    _LIMIT,
 ]
 # After so many periods without any reading, good or bad, the reader hangs.
 _PERIODS = 5
@@ -39,7 +42,8 @@ class LevelSensorNode(LinkedNode):
             tank: ``cistern`` or ``roof``.
         """
         super().__init__(f"{tank}_sensor", f"{tank}_sensor", always_live=True)
-        sensors = read_sensors(Path(declare(self, PARAMETERS)["sensors_file"]))
+        values = declare(self, PARAMETERS)
+        sensors = read_sensors(Path(values["sensors_file"]), values[_LIMIT.name])
         self._sensor = sensors.cistern if tank == "cistern" else sensors.roof
         self._publish = self.publish_topic(f"/{tank}/level")
         self._level: float | None = None

@@ -83,7 +83,10 @@ _AGAIN_S, _LOOK_S = 0.5, 0.2
 
 _OWN = (
     NodeParameter("drive", "", "make of drive, a file of config/drives, or a file's path"),
-    NodeParameter("address", "", "of the drive: tcp://HOST:PORT, or /dev/tty... of a serial line"),
+    NodeParameter(
+        "address", "", "of the drive: tcp://HOST:PORT where it has an Ethernet port of its own, "
+        "gateway://HOST:PORT of a gateway to its serial port, or /dev/tty... of a serial line",
+    ),
     NodeParameter(
         "device_id", 0, "unit identifier or slave address of the drive; 0 for its file's", 0, 247
     ),
@@ -98,6 +101,10 @@ _OWN = (
     NodeParameter(
         "activate_without_drive_timeout", False, "activate although the drive itself would run on "
         "when this machine fails: DANGEROUS",
+    ),
+    NodeParameter(
+        "local_settings_stop_the_pump", False, "a person has set the pump so that it stands when "
+        "the bus lets go of it, and has seen that it does; needed where that cannot be read",
     ),
     NodeParameter(
         "state_file", "", "keeps a stop, a fault and the day's use over restarts; without it "
@@ -135,6 +142,7 @@ class _Drive:
         self._period = values["exchange_period"]
         self._limit = values["drive_timeout_limit"]
         self.without_timeout = values["activate_without_drive_timeout"]
+        self._stops_locally = values["local_settings_stop_the_pump"]
         self._exchange: DriveExchange | None = None
 
     @property
@@ -184,7 +192,8 @@ class _Drive:
     def timeout_problem(self) -> str:
         """Return what is wrong with its own communication timeout; empty where nothing is."""
         known, seconds = self.snapshot.timeout_known, self.snapshot.timeout_s
-        repair = f"; to set it: {self.file.timeout.how_to_set}"
+        own = self.file.timeout.over(self._address)
+        repair = f"; to set it: {own.how_to_set}" if own is not None else ""
         if not known:
             return (
                 "the drive's own communication timeout could not be read "
@@ -199,6 +208,12 @@ class _Drive:
             return (
                 f"the drive's own communication timeout is {seconds:g} s, and must be at most "
                 f"{self._limit:g} s (drive_timeout_limit){repair}"
+            )
+        if own is not None and own.local_settings_decide and not self._stops_locally:
+            return (
+                "after the drive's own communication timeout, or this node's end, the pump does "
+                "what is set in itself, which cannot be read: set it to stop there, see that it "
+                f"does, and say so (local_settings_stop_the_pump: true){repair}"
             )
         return ""
 
@@ -415,6 +430,7 @@ class PumpNode(Lifecycle, LinkedNode):
             return "the drive is in local control: hand it over to the bus at its panel"
         return (
             (not self._without_timeout and self._drive.timeout_problem())
+            or self._drive.snapshot.hold
             or self._permit.hold(now)
             or self._two_publishers(now)
             # Another pump node may have the same drive: neither runs it then.
@@ -528,10 +544,11 @@ class PumpNode(Lifecycle, LinkedNode):
             self.diagnose("drive", WARN, f"the drive: {said}")
         else:
             self.diagnose("drive", OK, f"connected to {snapshot.identity}")
-        timeout = self._drive.timeout_problem()
+        problem, hold = self._drive.timeout_problem(), snapshot.hold
+        level = ERROR if problem and not self._without_timeout else WARN if problem or hold else OK
         self.diagnose(
-            "drive timeout", OK if not timeout else WARN if self._without_timeout else ERROR,
-            timeout or f"without this machine the drive stops after {snapshot.timeout_s:g} s",
+            "drive timeout", level, problem or hold
+            or f"without this machine the drive stops after {snapshot.timeout_s:g} s",
         )
 
 
@@ -544,7 +561,8 @@ def _help() -> str:
     """Return the node's help."""
     return node_help(
         "pump", "pump", f"{__doc__}", [LIVE, site_file(), *parameters(default_site())[1:]],
-        "--ros-args -p drive:=abb_acs880 -p address:=tcp://127.0.0.1:5020 -p autostart:=true",
+        "--ros-args -p drive:=danfoss_fc202 -p address:=gateway://127.0.0.1:5020 "
+        "-p autostart:=true",
     )
 
 

@@ -27,6 +27,12 @@ def test_shipped_files_are_right(path: Path) -> None:
     for name, register in drive.registers.items():
         if register.source == "none":
             assert f"registers.{name}" in drive.unverified
+        # At rest a signed speed may be a count below 0.
+        if name == "speed" and register.type.startswith("int"):
+            assert register.low <= -1.2
+        if register.full_scale:
+            full = drive.registers[register.full_scale]
+            assert 0 < full.low < full.high < 10_000
     # A drive whose vital words nobody has seen in its manual says so.
     assert drive.unverified_and_vital
 
@@ -138,7 +144,22 @@ def refused(tmp_path: Path, old: str, new: str) -> str:
             "registers.timeout_time.full_scale = 'nothing': must be one of registers:",
         ),
         ("    low: -1.6\n", "    low: 2\n", "registers.speed.low = 2.0: must be at most high, 1.6"),
-        ("stops: {1: Fault,", "stops: {2: Fault,", "timeout.action.stops = 2: stands in stops and"),
+        (
+            "stops: {1: Fault,", "stops: {2: Fault,",
+            "timeout.serial.action.stops = 2: stands in stops and",
+        ),
+        (
+            "  serial:\n    register: timeout_time", "  usb:\n    register: timeout_time",
+            "timeout.usb = ",
+        ),
+        (
+            "    register: timeout_time\n", "    register: rating\n",
+            "registers.rating: must have the unit s",
+        ),
+        (
+            "    scale: 5.0e-5\n    low: -1.6\n", "    full_scale: rating\n    low: -1.6\n",
+            "registers.rating: must have low, above 0, and high, and no full_scale: speed is div",
+        ),
         (
             "  - registers.fault\n", "  - registers.faulty\n",
             "unverified = 'registers.faulty': names no key of this file",
@@ -190,18 +211,29 @@ def test_a_file_of_ones_own(tmp_path: Path) -> None:
         ("tcp://10.0.0.7", Address(host="10.0.0.7")),
         ("tcp://pump.local:5020", Address(host="pump.local", port=5020)),
         ("tcp://[::1]:502", Address(host="::1", port=502)),
+        ("gateway://10.0.0.7:4001", Address(host="10.0.0.7", port=4001, gateway=True)),
+        ("gateway://10.0.0.7", Address(host="10.0.0.7", gateway=True)),
         ("/dev/ttyUSB0", Address(line="/dev/ttyUSB0")),
     ],
 )
 def test_addresses(text: str, address: Address) -> None:
     assert parse_address(text) == address
+    assert str(address) == text
+
+
+@pytest.mark.parametrize(
+    ("text", "interface"),
+    [("tcp://10.0.0.7", "tcp"), ("gateway://10.0.0.7", "serial"), ("/dev/ttyUSB0", "serial")],
+)
+def test_a_gateway_leads_to_the_serial_port(text: str, interface: str) -> None:
+    assert parse_address(text).interface == interface
 
 
 @pytest.mark.parametrize(
     "text", ["", "10.0.0.7", "tcp://", "tcp://host:0", "tcp://host:70000", "udp://host", "COM3"]
 )
 def test_no_addresses(text: str) -> None:
-    with pytest.raises(ConfigurationError, match="must be tcp://HOST, tcp://HOST:PORT, or a"):
+    with pytest.raises(ConfigurationError, match="must be tcp://HOST, tcp://HOST:PORT, gateway:"):
         parse_address(text)
 
 

@@ -9,6 +9,7 @@ import sys
 import threading
 import time
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -19,7 +20,7 @@ from simulators import free_ports
 
 from greenroof_ros.drives.address import Address, parse_address
 from greenroof_ros.drives.drive import Drive
-from greenroof_ros.drives.drive_file import DriveFile, find_drive_file, read_drive_file
+from greenroof_ros.drives.drive_file import DriveFile, Timeouts, find_drive_file, read_drive_file
 from greenroof_ros.drives.exchange import DriveExchange, stop_drive
 from greenroof_ros.drives.lock import DriveLock
 from greenroof_ros.drives.modbus_line import DriveError
@@ -30,7 +31,12 @@ OFF, RUN = (0, 0x047E), (0, 0x047F)
 
 @pytest.fixture(scope="module")
 def file() -> DriveFile:
-    return read_drive_file(find_drive_file("abb_acs880"))
+    """ABB's, but for the time after power-up, which only its own test waits for."""
+    read = read_drive_file(find_drive_file("abb_acs880"))
+    assert read.timeout.serial is not None
+    return replace(
+        read, timeout=Timeouts(replace(read.timeout.serial, unguarded_after_power_up_s=0.0))
+    )
 
 
 @pytest.fixture
@@ -48,7 +54,7 @@ def wire(drive: Registers) -> Iterator[Wire]:
 @pytest.fixture
 def exchange(file: DriveFile, wire: Wire) -> Iterator[DriveExchange]:
     made = DriveExchange(
-        file, parse_address(wire.at), PERIOD, DEAD_MAN, timeout_s=TIMEOUT
+        file, parse_address(wire.gateway), PERIOD, DEAD_MAN, timeout_s=TIMEOUT
     )
     yield made
     made.close()
@@ -274,13 +280,67 @@ def test_own_timeout_that_cannot_be_read(exchange: DriveExchange, drive: Registe
     assert "reading register 5815: refused with exception 2" in now.timeout_note
 
 
+def test_the_timeout_of_another_port_guards_nothing(
+    file: DriveFile, drive: Registers, wire: Wire
+) -> None:
+    """ABB's embedded fieldbus is serial: an Ethernet port is an adapter's, with 50.02 and 50.03."""
+    exchange = DriveExchange(
+        file, parse_address(wire.at), PERIOD, DEAD_MAN, timeout_s=TIMEOUT
+    )
+    try:
+        exchange.start()
+        wait(lambda: exchange.snapshot.connected)
+        now = exchange.snapshot
+        assert not now.timeout_known and now.timeout_s is None
+        assert "1234" in now.identity
+        for words in ("abb_acs880.yaml", "timeout.tcp", "gateway://HOST:PORT"):
+            assert words in now.timeout_note
+        asked = {frame[-8:-4] for frame in wire.frames if frame[14:16] == "03"}
+        assert not asked & {"16b5", "16b7"}  # neither 58.14 nor 58.16 was read
+    finally:
+        exchange.close()
+
+
+def test_after_each_connection_the_drive_is_off_while_it_may_not_guard(
+    file: DriveFile, drive: Registers, wire: Wire
+) -> None:
+    """Here for 1 s of the 30 s; a cut cable looks like a power cycle, so it counts anew."""
+    assert read_drive_file(find_drive_file("abb_acs880")).timeout.serial == replace(
+        file.timeout.serial, unguarded_after_power_up_s=30.0  # type: ignore[type-var]
+    )
+    slow = replace(file, timeout=Timeouts(
+        replace(file.timeout.serial, unguarded_after_power_up_s=1.0)  # type: ignore[type-var]
+    ))
+    exchange = DriveExchange(
+        slow, parse_address(wire.gateway), PERIOD, DEAD_MAN, timeout_s=TIMEOUT
+    )
+    hand = Hand(exchange, 0.5)
+    began = time.monotonic()
+    try:
+        exchange.start()
+        for _ in range(2):
+            wait(lambda: exchange.snapshot.connected)
+            assert "does not guard for 1 s after power-up" in exchange.snapshot.hold
+            wait(lambda: RUN in drive.written)
+            assert time.monotonic() - began > 1.0
+            wait(lambda: exchange.snapshot.hold == "" and drive.values[4] == 10000)
+            assert exchange.snapshot.problem == ""
+            began = time.monotonic()
+            wire.drop()
+            wait(lambda: not exchange.snapshot.connected)
+            drive.written.clear()
+    finally:
+        hand.end()
+        exchange.close()
+
+
 def test_own_timeout_that_lets_it_run_on(exchange: DriveExchange, drive: Registers) -> None:
     drive.values[5813] = 2
     exchange.start()
     wait(lambda: exchange.snapshot.connected)
     now = exchange.snapshot
     assert now.timeout_known and now.timeout_s is None
-    assert "is 2: Last speed; the pump would run on" in now.timeout_note
+    assert "is 2: Last speed; the pump might run on" in now.timeout_note
 
 
 def test_the_trip_of_a_lost_connection_is_acknowledged(

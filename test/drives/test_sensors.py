@@ -138,6 +138,19 @@ def test_a_sensor_that_comes_and_goes_is_read_again_by_itself() -> None:
         assert time.monotonic() - began < 1
 
 
+def test_no_error_ends_the_reading_for_good() -> None:
+    """A host's name with an empty part is a UnicodeError: it is said, and tried again."""
+    exchange = SensorExchange(sensor("tcp://no..where:502"), timeout_s=0.2)
+    exchange.start()
+    try:
+        until(lambda: "tcp://no..where:502: reading failed: Unicode" in exchange.snapshot.problem)
+        first = exchange.snapshot
+        assert first.level is None
+        until(lambda: exchange.snapshot.read_at > first.read_at)
+    finally:
+        exchange.close()
+
+
 # --- the file -------------------------------------------------------------------------------------
 
 

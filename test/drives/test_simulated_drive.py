@@ -70,13 +70,15 @@ MAKES = {
         (100, 0x0001), 200, (304, 250), True, (200, 0x0000), {11: 0},
     ),
     # BBV51701, p. 9 to 13: CMD 8501 = 6, 7, 15 leads through ETA 3201 = ..21, ..23 to ..27. LFRD
-    # 8602 and RFRD 8604 in rpm, NSP 1500. SLL 7010 = 1 freewheel, TTO 6005 = 10.0 s; LFT 7121 = 5.
+    # 8602 and RFRD 8604 in rpm, NSP 1500. EAV64332: SLL 7010 = 1 freewheel, TTO 6005 = 10.0 s, LFT
+    # 7121 = 5 on the serial port; on Ethernet ETHL 7021 = 1, TTOB 64415 = 10.0 s, LFT = 150.
     "schneider_atv630": Make(
         (
             (8501, 0x0006, 0x006F, 0x0021), (8501, 0x0007, 0x006F, 0x0023), (8602, 750, 0, 0),
             (8501, 0x000F, 0x006F, 0x0027),
         ),
-        (8501, 0x0007), 3201, (8604, 750), True, (7121, 5), {7010: 1, 6005: 100},
+        (8501, 0x0007), 3201, (8604, 750), True, (7121, 5),
+        {7010: 1, 6005: 100, 7021: 1, 64415: 100},
     ),
 }
 
@@ -297,7 +299,7 @@ def test_a_read_on_the_wire_keeps_a_drive_alive_where_any_message_does() -> None
             bus.read(3201)
         assert drive.speed() > 0.4
         until(lambda: drive.speed() == 0)
-        assert bus.read(7121) == 5
+        assert bus.read(7121) == 150
 
 
 def test_a_trip_by_the_timeout_is_reset_by_the_manuals_word() -> None:

@@ -42,12 +42,12 @@ def talk(name: str, wire: str, task: Task, **options: Any) -> Any:
     return asyncio.run(go())
 
 
-def follow(name: str, dialogue: str, task: Task) -> Any:
+def follow(name: str, dialogue: str, task: Task, *, gateway: bool = False) -> Any:
     """Do something; every request must be that of the dialogue, byte for byte."""
     requests, answer = script(dialogue)
     wire = Wire(answer)
     try:
-        result = talk(name, wire.at, task)
+        result = talk(name, wire.gateway if gateway else wire.at, task)
     finally:
         wire.close()
     assert wire.frames == [each.hex() for each in requests]
@@ -311,7 +311,7 @@ bits 3 and 7  : 0001 0000 0005 01 03 02 10B8
 0xA7CE        : 0003 0000 0005 01 03 02 A7CE
 400005        : 0004 0000 0006 01 03 0004 0001
               : 0004 0000 0005 01 03 02 0000
-""", lambda drive: drive.read())
+""", lambda drive: drive.read(), gateway=True)
     assert status.fault == "EFB communication loss (code 26241, 0x6681)"
     assert status.warning == "EFB communication loss (code 42958, 0xA7CE)"
     assert not status.ready and not status.remote
@@ -414,6 +414,13 @@ TIMEOUTS = [
 8-04          : 0002 0000 0006 01 03 1F67 0001
 [0]           : 0002 0000 0005 01 03 02 0000
 """),
+    # 8-04 = [2] stop: the next valid control word starts it again.
+    ("danfoss_fc202", None, """
+8-03          : 0001 0000 0006 01 03 1F5D 0002
+50            : 0001 0000 0007 01 03 04 0000 0032
+8-04          : 0002 0000 0006 01 03 1F67 0001
+[2]           : 0002 0000 0005 01 03 02 0002
+"""),
     # 8-04 = [5] stop and trip.
     ("danfoss_fc202", 5.0, """
 8-03          : 0001 0000 0006 01 03 1F5D 0002
@@ -427,7 +434,7 @@ off           : 0001 0000 0005 01 03 02 0000
 """),
     ("grundfos_cim500", 5.0, """
 00012         : 0001 0000 0006 01 03 000B 0001
-              : 0001 0000 0005 01 03 02 0005
+on            : 0001 0000 0005 01 03 02 0001
 """),
     # TTO 10.0 s, SLL 1 freewheel stop: as delivered.
     ("schneider_atv630", 10.0, """
@@ -450,9 +457,59 @@ def test_own_timeout(name: str, expected: float | None, dialogue: str) -> None:
     async def ask(drive: Drive) -> tuple[float | None, str]:
         return await drive.timeout(), drive.timeout_note
 
-    seconds, note = follow(name, dialogue, ask)
+    seconds, note = follow(name, dialogue, ask, gateway=True)
     assert seconds == (None if expected is None else pytest.approx(expected))
     assert bool(note) == (expected is None)
+
+
+# EAV64332, sheet Parameters: the embedded Ethernet port has TTOB 64415 (0xFB9F) and ETHL 7021
+# (0x1B6D), the serial port TTO and SLL. The CIM 500 is an Ethernet module.
+ON_ETHERNET = [
+    ("schneider_atv630", 4.0, """
+TTOB          : 0001 0000 0006 01 03 FB9F 0001
+              : 0001 0000 0005 01 03 02 0028
+ETHL          : 0002 0000 0006 01 03 1B6D 0001
+ramp stop     : 0002 0000 0005 01 03 02 0006
+"""),
+    ("schneider_atv630", None, """
+TTOB          : 0001 0000 0006 01 03 FB9F 0001
+              : 0001 0000 0005 01 03 02 0028
+ETHL          : 0002 0000 0006 01 03 1B6D 0001
+ignore        : 0002 0000 0005 01 03 02 0000
+"""),
+    ("grundfos_cim500", 5.0, """
+00012         : 0001 0000 0006 01 03 000B 0001
+on            : 0001 0000 0005 01 03 02 0001
+"""),
+]
+
+
+@pytest.mark.parametrize(("name", "expected", "dialogue"), ON_ETHERNET)
+def test_own_timeout_of_its_ethernet_port(
+    name: str, expected: float | None, dialogue: str
+) -> None:
+    seconds = follow(name, dialogue, lambda drive: drive.timeout())
+    assert seconds == (None if expected is None else pytest.approx(expected))
+
+
+@pytest.mark.parametrize("name", ["abb_acs880", "danfoss_fc202"])
+def test_no_timeout_of_an_ethernet_port_is_known(name: str) -> None:
+    with pytest.raises(DriveError, match=rf"{name}.yaml tells of none .* \(timeout.tcp\)"):
+        follow(name, "", lambda drive: drive.timeout())
+
+
+@pytest.mark.parametrize("rpm", [0, 1, 299, 7201, 0xFFFF])
+def test_a_rated_speed_that_cannot_be_is_refused(rpm: int) -> None:
+    """NSP 9604 (0x2584) of 1 rpm would make any speed the least, of 65535 rpm the greatest."""
+    with pytest.raises(DriveError, match=f"NSP.*is {rpm}: .*believable are 300 to 7200"):
+        follow("schneider_atv630", f"""
+ETA           : 0001 0000 0006 01 03 0C81 0001
+enabled       : 0001 0000 0005 01 03 02 0627
+RFRD          : 0002 0000 0006 01 03 219C 0001
+750           : 0002 0000 0005 01 03 02 02EE
+NSP           : 0003 0000 0006 01 03 2584 0001
+              : 0003 0000 0005 01 03 02 {rpm:04X}
+""", lambda drive: drive.read())
 
 
 # --- serial line ----------------------------------------------------------------------------------
@@ -661,7 +718,7 @@ def test_a_rated_speed_of_nothing() -> None:
 
 def test_a_rated_speed_that_no_motor_has() -> None:
     """0xEA60 = 60000 rpm: every speed would look like rest."""
-    with pytest.raises(DriveError, match="is 60000: 60000, believable are 300 to 6000"):
+    with pytest.raises(DriveError, match="is 60000: 60000, believable are 300 to 7200"):
         follow("schneider_atv630", """
               : 0001 0000 0006 01 03 0C81 0001
               : 0001 0000 0005 01 03 02 0233
@@ -676,7 +733,7 @@ def test_a_word_that_the_register_cannot_hold_is_not_written(tmp_path: Path) -> 
     """90 % of 40000 rpm is 36000, in 16 bits with a sign -29536: full speed backwards."""
     file = tmp_path / "fast.yaml"
     text = find_drive_file("schneider_atv630").read_text()
-    file.write_text(text.replace("high: 6000", "high: 60000"))
+    file.write_text(text.replace("high: 7200", "high: 60000"))
     with pytest.raises(DriveError, match=r"a speed of 90\.0% would be 36000 in LFRD") as got:
         follow(
             str(file), SCHNEIDER_START.split("50 %")[0].replace("05AA", "9C40"),

@@ -28,7 +28,8 @@ START_S = 60.0
 # What the campaign sets other than its default, so that a pump that was stopped runs again soon.
 # None of these is in a bound.
 SHORTENED = {"recovery_time": 1.0}
-PUMP_SHORTENED = {**SHORTENED, "least_on": 1.0, "least_off": 1.0, "starts_per_hour": 3600.0}
+PUMP_SHORTENED = {**SHORTENED, "least_on": 1.0, "least_off": 1.0, "starts_per_hour": 3600.0,
+                  "local_settings_stop_the_pump": True}  # as the simulated Grundfos is set
 # The paper's site, but for a roof that takes an hour to fill: ten times its target.
 _TARGET = 0.45
 _CISTERN_M3, _ROOF_M3 = 73.0, 0.5
@@ -140,7 +141,7 @@ class Rig:
             domain, directory, "drive_simulator", "--drive", drive, "--ramp", "1", "--boot", "2",
             "--port", str(drive_port), "--workbench", str(bench), "--site", str(self.site_file),
         )
-        self.drive_at = f"tcp://127.0.0.1:{drive_port}"
+        self.drive_at = self.drive.ready.split()[2].rstrip(",")
         self._bench = f"tcp://127.0.0.1:{bench}"
         self.site_simulator: Simulator | None = None
         self.main: Process

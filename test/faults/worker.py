@@ -14,6 +14,7 @@ import simulated
 from cases import Case, all_cases
 from graphs import own_domain
 from live import Outcome, run_case
+from places import guarding
 from rig import RIGS, BrokenError, Rig
 
 
@@ -74,7 +75,8 @@ def _live(
             try:
                 if rig is None:
                     domain = stack.enter_context(own_domain())
-                    rig = stack.enter_context(RIGS[kind](directory / str(number), domain, drive))
+                    place = directory / str(number)
+                    rig = stack.enter_context(RIGS[kind](place, domain, guarding(drive, place)))
                 run_case(rig, case, _random(seed, case), outcome)
             except BrokenError as error:
                 outcome.fail(f"rig: {error}")

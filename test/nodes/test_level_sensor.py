@@ -108,3 +108,20 @@ def test_levels_of_a_simulated_site(
         codes = [process.wait(10) for process in nodes]
         site.wait(10)
     assert codes == [0, 0]
+
+
+def test_a_sensor_that_is_too_slow_for_its_readers_is_refused(domain: int, tmp_path: Path) -> None:
+    """A level counts for 5 s (level_limit), and two readings must fit into that."""
+    head, roof = (CONFIG / "sensors.yaml").read_text().split("roof:")
+    file = tmp_path / "sensors.yaml"
+    file.write_text(head + "roof:" + roof.replace("period: 1.0", "period: 2.6"))
+    done = subprocess.run(
+        [
+            sys.executable, "-m", "greenroof_ros.nodes.level_sensor", "--tank", "roof",
+            "--ros-args", "-p", f"sensors_file:={file}",
+        ],
+        cwd=tmp_path, env=environment(domain), capture_output=True, text=True, timeout=60,
+    )
+    assert done.returncode == 2
+    assert f"{file}, line 36: roof.period = 2.6: must be at most 2.5 s, half of" in done.stderr
+    assert "Traceback" not in done.stderr

@@ -17,7 +17,7 @@ from pathlib import Path
 
 import pytest
 from graphs import Process, alive, bring_up, summary_of, wait_for
-from places import CONFIG
+from places import CONFIG, guarding
 from rosbags.highlevel import AnyReader
 
 rclpy = pytest.importorskip("rclpy", reason="nodes need ROS 2")
@@ -128,6 +128,7 @@ class Hardware:
             "--ramp", "1", "--speed", speed, cwd=cwd,
         )
         self.drive, self._bench = _addresses(drive)
+        self.file = guarding("abb_acs880", cwd)
 
     def add_tanks(self) -> None:
         """Fill the tanks and start the sensors of ``sensors.yaml``."""
@@ -159,7 +160,7 @@ class Hardware:
 def _addresses(simulator: Process) -> list[str]:
     """Return what a simulator says when it is ready."""
     line = wait_for(lambda: simulator.stdout().partition("\n")[0], 20, "a simulator that is ready")
-    return re.findall(r"tcp://[\d.:]+", line)
+    return re.findall(r"(?:tcp|gateway)://[\d.:]+", line)
 
 
 def _free_ports(count: int) -> list[int]:
@@ -183,7 +184,7 @@ def test_a_live_site_with_drive_and_sensors(
     levels, states = site.listen("/roof/level"), site.listen("/pump/state", String)
     with live(
         domain, tmp_path, "--controller", "onoff", "--sensors", "sensors.yaml",
-        "--forecast", "forecast.csv", "--drive", "abb_acs880", "--drive-at", hardware.drive,
+        "--forecast", "forecast.csv", "--drive", hardware.file, "--drive-at", hardware.drive,
         "--node-parameters", "nodes.yaml",
     ) as process:
         site.until(lambda: hardware.speed() > 0.9, 40, "the pump")
@@ -210,7 +211,7 @@ def test_a_drive_in_the_loop(domain: int, tmp_path: Path) -> None:
     """In lockstep, at real time unless told otherwise; the drive stands at the end, be it early."""
     hardware = Hardware(domain, tmp_path, "20")
     run = ("--initial", "high-low", "--controller", "onoff", "--hours", "0.03", "--drive",
-           "abb_acs880", "--drive-at", hardware.drive)
+           hardware.file, "--drive-at", hardware.drive)
     done = bring_up(domain, tmp_path, *run, "--speed", "20")
     assert done["pumped_m3"] > 0.3
     assert hardware.speed() == 0
@@ -231,7 +232,7 @@ def test_a_pump_node_that_is_started_again_in_the_loop(domain: int, tmp_path: Pa
     (tmp_path / "nodes.yaml").write_text("/**:\n  ros__parameters:\n    least_off: 1.0\n")
     run = Process(
         domain, "bringup", "--output", "run", "--initial", "high-low", "--controller", "onoff",
-        "--hours", "0.06", "--drive", "abb_acs880", "--drive-at", hardware.drive, "--speed", "10",
+        "--hours", "0.06", "--drive", hardware.file, "--drive-at", hardware.drive, "--speed", "10",
         "--node-parameters", "nodes.yaml", "--on-node-failure", "restart", cwd=tmp_path,
     )
     wait_for(lambda: hardware.speed() > 0.9, 40, "the pump")

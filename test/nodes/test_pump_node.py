@@ -21,7 +21,7 @@ rclpy = pytest.importorskip("rclpy", reason="nodes need ROS 2")
 pytest.importorskip("pymodbus", reason="drives are on Modbus")
 
 from graphs import Process, environment, wait_for  # noqa: E402
-from places import CONFIG  # noqa: E402
+from places import CONFIG, guarding  # noqa: E402
 from pump_node_rig import (  # noqa: E402
     ERROR,
     OK,
@@ -61,7 +61,7 @@ def free_port() -> int:
 def test_lifecycle(domain: int, tmp_path: Path, rig: PumpRig) -> None:
     """Every transition, possible or not; a command is answered in every state."""
     port = free_port()
-    node = rig.start(f"tcp://127.0.0.1:{port}", autostart="false")
+    node = rig.start(f"gateway://127.0.0.1:{port}", autostart="false")
     rig.join()
     assert not rig.change("activate")
     began = time.monotonic()
@@ -133,12 +133,60 @@ def test_without_the_drives_own_timeout_it_does_not_activate(
         off.end()
 
 
+def test_without_knowing_that_the_drive_would_stop_it_does_not_run(
+    domain: int, tmp_path: Path, rig: PumpRig
+) -> None:
+    """A port whose timeout nobody knows; settings that nobody can read; the time after power-up."""
+    abb = SimulatedDrive(domain, tmp_path)
+    grundfos = SimulatedDrive(domain, tmp_path, make="grundfos_cim500")
+    assert (abb.address[:10], grundfos.address[:6]) == ("gateway://", "tcp://")
+    try:
+        for make, address, words in (
+            ("abb_acs880", abb.address.replace("gateway", "tcp"), ("timeout.tcp", "gateway://")),
+            ("grundfos_cim500", grundfos.address, ("local_settings_stop_the_pump: true",)),
+        ):
+            node = rig.start(address, drive=make)
+            rig.join()
+            rig.tick_until(0.5, lambda: rig.says("drive timeout", ERROR, *words), 20, "the reason")  # noqa: B023
+            rig.tick_until(0.5, lambda: rig.lifecycle_state() == "inactive", 10, "configuring")
+            rig.tick_until(0.5, lambda: "not activated" in rig.state, 10, "the refusal")
+            for _ in range(10):
+                assert rig.tick(0.5) == 0.0
+            assert abb.speed() == grundfos.speed() == 0.0
+            node.terminate()
+            assert node.wait(10) == 0
+            rig.diagnoses.clear()
+        node = rig.start(
+            grundfos.address, drive="grundfos_cim500", local_settings_stop_the_pump="true"
+        )
+        rig.run(grundfos)
+        node.kill()
+        stands_within(grundfos, 12)
+
+        text = (CONFIG / "drives" / "abb_acs880.yaml").read_text()
+        file = tmp_path / "mine.yaml"
+        file.write_text(text.replace("after_power_up_s: 30 ", "after_power_up_s: 4 "))
+        began = time.monotonic()
+        rig.start(abb.address, drive=str(file))
+        rig.join()
+        rig.tick_until(0.5, lambda: "does not guard for 4 s" in rig.state, 20, "the reason")
+        assert rig.lifecycle_state() == "active"
+        assert rig.says("drive timeout", WARN, "does not guard")
+        while time.monotonic() - began < 4:  # it connected later than that began
+            assert rig.tick(0.5) == 0.0
+        rig.run(abb)
+        assert rig.says("drive timeout", OK)
+    finally:
+        abb.end()
+        grundfos.end()
+
+
 def test_the_least_speed_of_the_drive_file(
     rig: PumpRig, drive: SimulatedDrive, tmp_path: Path
 ) -> None:
     """0.4 of the flow from 3 m is a speed of 0.60, s^2 = (0.16 42.2 + 13) / 55.2: below 0.9."""
     file = tmp_path / "mine.yaml"
-    text = (CONFIG / "drives" / "abb_acs880.yaml").read_text()
+    text = Path(guarding("abb_acs880", tmp_path)).read_text()
     file.write_text(text.replace("least_speed: 0.3", "least_speed: 0.9"))
     rig.start(drive.address, drive=str(file))
     rig.join()
