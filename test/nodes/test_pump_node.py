@@ -34,8 +34,8 @@ from pump_node_rig import (  # noqa: E402
 from rclpy.node import Node  # noqa: E402
 from std_msgs.msg import Float64  # noqa: E402
 from std_srvs.srv import SetBool, Trigger  # noqa: E402
-from test_node_help import check_topics, parameters_of, run_module, section  # noqa: E402
 from test_live import impostor  # noqa: E402
+from test_node_help import check_topics, parameters_of, run_module, section  # noqa: E402
 from test_nodes import Observer, observer, qos  # noqa: E402, F401
 
 
@@ -189,7 +189,8 @@ def test_a_stop_that_fails_at_the_end_is_said(
         rig.run(drive)
     drive.inject("silence" if fault == "timeout_off" else fault)
     node.terminate()
-    assert node.wait(45) == 1
+    # The kernel ends it where the middleware takes its time to go, as on a busy machine.
+    assert node.wait(45) in (1, -signal.SIGALRM)
     said = (tmp_path / "errors").read_text()
     assert "FATAL" in said
     for word in words:
@@ -221,12 +222,12 @@ def test_the_nodes_watchdog_alone(rig: PumpRig, drive: SimulatedDrive) -> None:
 def test_a_state_that_cannot_be_kept(rig: PumpRig, drive: SimulatedDrive, tmp_path: Path) -> None:
     """It does not activate, a stop says that it would be forgotten, and it heals."""
     directory = tmp_path / "state"
-    directory.write_text("a file where a directory should be")
+    directory.symlink_to(tmp_path / "nowhere")
     rig.start(drive.address, state_file=directory / "pump.json")
     rig.join()
-    rig.tick_until(0.5, lambda: "cannot be written" in rig.state, 20, "the refusal")
+    rig.tick_until(0.5, lambda: "cannot be written" in rig.state, 60, "the refusal")
     assert "not activated" in rig.state
-    rig.tick_until(0.5, lambda: rig.says("state file", ERROR, "Not a directory"), 5, "the alarm")
+    rig.tick_until(0.5, lambda: rig.says("state file", ERROR, "cannot be written"), 10, "the alarm")
     assert drive.speed() == 0.0
     answer = rig.call(SetBool, "stop", data=True)
     assert not answer.success
@@ -248,7 +249,7 @@ def test_two_processes_of_one_name_command(
     rig.run(drive)
     name = rig.node.get_name()
     with impostor(domain, tmp_path, name, "/pump/command", 0.5):
-        rig.tick_until(0.5, lambda: "has 2 publishers" in rig.state, 20, "the second")
+        rig.tick_until(0.5, lambda: "has 2 publishers" in rig.state, 60, "the second")
         rig.tick_until(0.5, lambda: drive.speed() == 0.0, 4, "its stop")
         assert f"/pump/command has 2 publishers ({name})" in rig.state
     rig.run(drive)
@@ -471,16 +472,14 @@ def test_wrong_parameters_end_it_in_one_line(domain: int, tmp_path: Path, rig: P
         3.0, "parameter command_limit of pump = 3.0: must be more than tau of the site, 3 s"
     )
     wrong["level_limit"] = (61.0, "parameter level_limit of pump")
-    started = {}
-    for name, (value, _) in wrong.items():
+    for name, (value, words) in wrong.items():
         given = {
             "address": "tcp://127.0.0.1:1", "live": "true", "site_file": slow, name: value,
         }
-        errors = (tmp_path / f"{name}.err").open("w")
-        started[name] = rig.start(popen={"stderr": errors}, **given)
-    for name, (_, words) in wrong.items():
-        assert started[name].wait(20) == 2, name
-        lines = (tmp_path / f"{name}.err").read_text().splitlines()
+        file = tmp_path / f"{name}.err"
+        with file.open("w") as errors:
+            assert rig.start(popen={"stderr": errors}, **given).wait(60) == 2, name
+        lines = file.read_text().splitlines()
         assert len(lines) == 1, lines
         assert lines[0].startswith("error: ")
         assert words in lines[0]
