@@ -71,8 +71,9 @@ _NEEDED = ("/pump/command", "/cistern/level", "/roof/level", "/weather/frost")
 _METER = "/pump/meter"
 # Without a call for so long the drive's thread stops the drive: this node hangs (s).
 _DEAD_MAN_S = 1.0
-# How long *configure* waits for the drive, longer than between two attempts, and how old what it said may be (s). Nothing is known of
-# it during a start, of some seconds; a lost connection is noticed by the exchange, sooner.
+# How long *configure* waits for the drive, longer than between two attempts, and how old what it
+# said may be (s). Nothing is known of it during a start, of some seconds; a lost connection is
+# noticed by the exchange, sooner.
 _CONNECT_S, _DRIVE_AGE_S = 7.0, 10.0
 # How long a pump needs to stand once its drive has noticed that nobody talks to it (s).
 _RAMP_S = 5.0
