@@ -193,6 +193,7 @@ def _run_graph(run: Run, arguments: argparse.Namespace, signals: Signals) -> int
     with only_bringup(namespace):
         refuse_other_nodes(namespace, names, signals.check)
         directory = make_run_directory(arguments.output, controller.name)
+        of_drive = {} if drive is None else drive.parameters(arguments.state)
         parameters = write_configuration(
             directory, run,
             {
@@ -203,7 +204,7 @@ def _run_graph(run: Run, arguments: argparse.Namespace, signals: Signals) -> int
                 "peer_limit": arguments.peer_limit + (_START_LIMIT_S if restart else 0.0),
             },
             {} if drive is None else {PUMP: {
-                **drive.parameters(arguments.state or directory),
+                **of_drive,
                 "exchange_period": _exchange_period(run, _speed(arguments.speed, drive)),
             }},
         )
@@ -216,7 +217,11 @@ def _run_graph(run: Run, arguments: argparse.Namespace, signals: Signals) -> int
             with supervisor:
                 if drive is not None:
                     supervisor.add(PUMP, f"{_NODES}.pump")
-                    _wait_for_drive(run, supervisor, signals)
+                    print(
+                        f"stops and faults of the drive are kept in {of_drive['state_file']}",
+                        file=sys.stderr,
+                    )
+                    _wait_for_drive(run, supervisor, signals, of_drive["state_file"])
                 supervisor.add("plant", f"{_NODES}.plant")
                 supervisor.add("weather", f"{_NODES}.weather")
                 supervisor.add(
@@ -239,8 +244,12 @@ def _run_graph(run: Run, arguments: argparse.Namespace, signals: Signals) -> int
         return EXIT_DONE
 
 
-def _wait_for_drive(run: Run, supervisor: Supervisor, signals: Signals) -> None:
+def _wait_for_drive(
+    run: Run, supervisor: Supervisor, signals: Signals, state_file: str
+) -> None:
     """Wait until the pump node may run its drive: no run begins that could not pump.
+
+    What was latched in another run holds the pump in this one, and is said.
 
     Raises:
         NodeFailed: it ended, or something speaks against the drive for too long.
@@ -254,7 +263,7 @@ def _wait_for_drive(run: Run, supervisor: Supervisor, signals: Signals) -> None:
             supervisor.reports()
             said = supervisor.last.get(PUMP, {}).get("diagnoses", {})
             trouble = "; ".join(
-                message for part in ("drive", "drive timeout")
+                message for part in ("drive", "drive timeout", "state file")
                 for level, message in [said.get(part, ("OK", ""))] if level != "OK"
             )
             progress.waiting(f"waiting for the drive: {trouble or 'the pump node starts'}")
@@ -262,6 +271,13 @@ def _wait_for_drive(run: Run, supervisor: Supervisor, signals: Signals) -> None:
             if time.monotonic() > until:
                 reason = f"the drive cannot be run, after {_START_LIMIT_S:g} s: {trouble}"
                 raise NodeFailed(reason, supervisor.quoted(PUMP), EXIT_FAILED, [PUMP], "no drive")
+    latched = supervisor.last[PUMP]["latched"]
+    if latched:
+        print(
+            f"warning: the pump stays off, by {state_file}: {latched}; a fault is cleared by the "
+            "service /pump/reset, a stop by /pump/stop with false, and --state DIR is another's",
+            file=sys.stderr,
+        )
 
 
 def _exchange_period(run: Run, speed: float) -> float:

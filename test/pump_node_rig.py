@@ -198,14 +198,14 @@ class PumpRig:
         """Command until the pump runs."""
         self.join()
         self.tick_until(
-            command, lambda: self.state.startswith("running") and drive.speed() > 0.5, 20, "running"
+            command, lambda: self.state.startswith("running") and drive.speed() > 0.5, 60, "running"
         )
 
     def join(self) -> None:
         """Wait until the node is in the graph."""
         self.observer.until(
             lambda: self.states and self._publishers["/pump/command"].get_subscription_count(),
-            20, "the node",
+            60, "the node",
         )
 
     def says(self, part: str, level: bytes, *words: str) -> bool:

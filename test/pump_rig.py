@@ -50,7 +50,7 @@ class Rig:
         self.settings = settings or settings_for(self.site)
         self.plant = Plant(self.site, x1, x2)
         self.ledger = Ledger(file, time.time)
-        self.control = PumpControl(self.site, self.settings, self.ledger)
+        self.control = PumpControl(self.site, self.settings, self.ledger, 15.0)
         self.tau = tau
         self.now = 1000.0
         self.speed = 0.0

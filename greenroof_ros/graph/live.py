@@ -47,15 +47,15 @@ JUMP_TOLERANCE = NodeParameter(
 LEVEL_PARAMETERS = [FROZEN_MOVEMENT, JUMP_TOLERANCE]
 
 
-def _limit(name: str, default: float, what: str) -> NodeParameter:
-    return NodeParameter(name, default, f"live: greatest age of {what} (s)", 0.1, 1e6)
+def _limit(name: str, default: float, most: float, what: str) -> NodeParameter:
+    return NodeParameter(name, default, f"live: greatest age of {what} (s)", 0.1, most)
 
 
-_LEVEL = _limit("level_limit", 5.0, "a level")
-_FORECAST = _limit("forecast_limit", 3600.0, "a forecast, since it came")
-_FROST = _limit("frost_limit", 60.0, "frost")
-_GAUGE = _limit("gauge_limit", 60.0, "what the gauges measure")
-_FLOW = _limit("flow_limit", 5.0, "the pump's flow")
+_LEVEL = _limit("level_limit", 5.0, 60.0, "a level")
+_FORECAST = _limit("forecast_limit", 3600.0, 86400.0, "a forecast, since it came")
+_FROST = _limit("frost_limit", 60.0, 600.0, "frost")
+_GAUGE = _limit("gauge_limit", 60.0, 3600.0, "what the gauges measure")
+_FLOW = _limit("flow_limit", 5.0, 60.0, "the pump's flow")
 # Of each topic that somebody acts on in a live graph, how old it may be.
 LIMITS = {
     "/cistern/level": _LEVEL,
@@ -65,7 +65,7 @@ LIMITS = {
     "/weather/frost": _FROST,
     "/gauge/precipitation": _GAUGE,
     "/gauge/temperature": _GAUGE,
-    "/pump/command": _limit("command_limit", 3.0, "a command"),
+    "/pump/command": _limit("command_limit", 3.0, 10.0, "a command; more than tau"),
     "/pump/flow": _FLOW,
     "/pump/meter": _FLOW,
 }
@@ -146,8 +146,9 @@ class LivePublishers:
     def problem(self, now: float) -> str:
         """Say that there are two, if there are.
 
-        One that was killed is known for 20 s more where the topic has no lease. It counts no more
-        if another node of its name has reported since, and alone.
+        One that was killed is known for 20 s more where the topic has no lease. It does not count
+        if its node was started again since, and alone reports: another process of that name, beside
+        a node that lived all the time, is a second one.
 
         Args:
             now: of the steady clock (s).
@@ -158,7 +159,7 @@ class LivePublishers:
             "a node that does not say its name" if name == UNKNOWN_NAME else name
             for name in self.names()
         ]
-        if not self._lease and len(names) == 1 and not self._peers.doubled(names[0], now):
+        if not self._lease and len(names) == 1 and self._peers.may_be_one(names[0], now):
             return ""
         return (
             f"has {self.count} publishers ({', '.join(names)}), and must have one: end the other, "

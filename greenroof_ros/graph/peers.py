@@ -17,6 +17,9 @@ from greenroof_ros.graph.states import ENDED, FINISHED, READY, ROLES, STARTING
 # for longer than the other limit, the plant's own for its peers, will not.
 _SILENT_S = 3.0
 _GONE_S = 5.0
+# For so long (s) ROS knows a process that was killed; and a silence (s) after which a process of
+# the same node may be another.
+_KNOWN_S, _PERHAPS_DEAD_S = 25.0, 1.0
 # A pause of this process itself (s): what it did not hear is not the others' silence.
 _PAUSE_S = 1.0
 # How long somebody must be missing before it is said, and how often it is said again (s).
@@ -81,6 +84,7 @@ class Peers:
         self._reports: dict[str, Report] = {}
         self._processes: dict[str, set[str]] = {}  # that have had a name
         self._doubled: dict[str, float] = {}
+        self._replaced: dict[str, float] = {}
         self._heard: dict[str, float] = {}
         self._silent: set[str] = set()
         self._looked = time.monotonic()
@@ -109,6 +113,8 @@ class Peers:
         if before is None:
             return
         again = before.process != report.process
+        if again:
+            self._replaced[name] = now
         if report.state == ENDED:
             # The end of the plant is that of the run, which says so itself.
             if before.state in (STARTING, READY) and report.role != "plant":
@@ -118,14 +124,19 @@ class Peers:
             self._logger.info(f"{name} {'was started' if again else 'answers'} again")
         self._silent.discard(name)
 
-    def doubled(self, name: str, now: float) -> bool:
-        """Whether there were two nodes of a name a moment ago, or it never reported.
+    def may_be_one(self, name: str, now: float) -> bool:
+        """Whether of two processes of a node's name one may be what it was before its restart.
+
+        Not where the node never reported, where two report, and where it lived all the time.
 
         Args:
             name: of the node.
             now: of the steady clock (s).
         """
-        return name not in self._reports or now - self._doubled.get(name, -math.inf) < _SILENT_S
+        if name not in self._reports or now - self._doubled.get(name, -math.inf) < _SILENT_S:
+            return False
+        started_again = now - self._replaced.get(name, -math.inf) < _KNOWN_S
+        return started_again or now - self._heard[name] > _PERHAPS_DEAD_S
 
     def look(self, now: float) -> None:
         """Say who has fallen silent; called all the time.

@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 import argparse
+import re
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from greenroof_ros.common.errors import ConfigurationError
+from greenroof_ros.drives.address import parse_address
 from greenroof_ros.drives.drive_file import find_drive_file, read_drive_file
+from greenroof_ros.pumping.ledger import state_directory
 
 
 @dataclass(frozen=True)
@@ -24,25 +27,39 @@ class DriveChoice:
     file: Path
     at: str
 
-    def parameters(self, state: Path) -> dict[str, Any]:
+    def state_file(self) -> Path:
+        """Return where a stop or a fault of this drive is kept unless ``--state`` says otherwise.
+
+        It is the drive's, not a run's, so that a fault outlives the run that found it.
+
+        Raises:
+            ConfigurationError: the file or the address is wrong.
+        """
+        address, port = parse_address(self.at, "--drive-at"), read_drive_file(self.file).tcp.port
+        where = address.line or f"{address.host}-{address.port or port}"
+        name = re.sub(r"[^A-Za-z0-9._]+", "-", f"{self.file.stem}-{where}")
+        return state_directory() / f"{name}.json"
+
+    def parameters(self, state: Path | None) -> dict[str, Any]:
         """Return the parameters of the pump node that follow from it.
 
         Args:
-            state: directory of what must survive a restart of the node.
+            state: directory of what must survive a restart of the node; None for the drive's own.
 
         Raises:
             ConfigurationError: it cannot be made.
         """
+        file = self.state_file() if state is None else state.resolve() / "pump.json"
         try:
-            state.mkdir(parents=True, exist_ok=True)
+            file.parent.mkdir(parents=True, exist_ok=True)
         except OSError as error:
             raise ConfigurationError(
-                f"cannot be written: {error.strerror}", key="--state", value=str(state)
+                f"cannot be written: {error.strerror}", key="--state", value=str(file.parent)
             ) from error
         return {
             "drive": str(self.file),
             "address": self.at,
-            "state_file": str(state.resolve() / "pump.json"),
+            "state_file": str(file),
             "autostart": True,
         }
 
@@ -53,7 +70,6 @@ class DriveChoice:
             ConfigurationError: the file or the address is wrong, or pymodbus is not installed.
         """
         try:
-            from greenroof_ros.drives.address import parse_address
             from greenroof_ros.drives.exchange import stop_drive
             from greenroof_ros.drives.modbus_line import DriveError
         except ModuleNotFoundError as error:
@@ -91,8 +107,9 @@ def add_drive_arguments(parser: argparse.ArgumentParser) -> None:
     )
     group.add_argument(
         "--state", type=Path, metavar="DIR",
-        help="directory of what must survive a restart: faults, the pump's hours; live, of all "
-        "that is kept: bag, logs, summary, too (default: the run's own; live: live)",
+        help="directory of what must survive a restart: a stop, a fault, the pump's day; live, of "
+        "all that is kept: bag, logs, summary, too (default: the drive's own, a file by its "
+        "address in ~/.local/state/greenroof_ros; live: live)",
     )
     group.add_argument(
         "--node-parameters", type=Path, metavar="FILE",

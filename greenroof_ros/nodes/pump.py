@@ -63,7 +63,7 @@ from greenroof_ros.pumping.input_rules import (
     expected_rise,
     roof_speeds,
 )
-from greenroof_ros.pumping.ledger import Ledger
+from greenroof_ros.pumping.ledger import Ledger, state_directory
 from greenroof_ros.pumping.pump_control import Decision, Observation, PumpControl
 from greenroof_ros.pumping.settings import PumpSettings, pump_parameters
 
@@ -71,9 +71,12 @@ _NEEDED = ("/pump/command", "/cistern/level", "/roof/level", "/weather/frost")
 _METER = "/pump/meter"
 # Without a call for so long the drive's thread stops the drive: this node hangs (s).
 _DEAD_MAN_S = 1.0
-# How long *configure* waits for the drive, and how old what it said may be (s). Between two of its
-# answers may be a whole start, some seconds.
-_CONNECT_S, _DRIVE_AGE_S = 3.0, 10.0
+# How long *configure* waits for the drive, longer than between two attempts, and how old what it
+# said may be (s). Nothing is known of it during a start, of some seconds; a lost connection is
+# noticed by the exchange, sooner.
+_CONNECT_S, _DRIVE_AGE_S = 7.0, 10.0
+# How long a pump needs to stand once its drive has noticed that nobody talks to it (s).
+_RAMP_S = 5.0
 # A pause of this process itself (s), after which what waited for it is no command of now.
 _PAUSE_S = 1.0
 # How long the drive has to acknowledge its fault before that counts again (s).
@@ -108,7 +111,7 @@ _OWN = (
     ),
     NodeParameter(
         "state_file", "", "keeps a stop, a fault and the day's use over restarts; without it "
-        "~/.local/state/greenroof_ros/NAME.json",
+        "greenroof_ros/NAME.json in $XDG_STATE_HOME or ~/.local/state",
     ),
 )
 
@@ -159,14 +162,31 @@ class _Drive:
             )
             self._exchange.start()
 
-    def let_go(self) -> DriveStatus | None:
-        """Stop it, and return what it says then; takes a few seconds at most."""
+    def let_go(self) -> str:
+        """Stop it, and return what it says then; takes half a minute at most.
+
+        Raises:
+            OSError: it was not heard at the end, or does not stand.
+        """
         if self._exchange is None:
-            return None
+            return ""
+        self._exchange.demand(None)
         self._exchange.close()
-        status = self._exchange.snapshot.status
-        self._exchange = None
-        return status
+        snapshot, self._exchange = self._exchange.snapshot, None
+        status = snapshot.status
+        # A thread that still talks to it has not read that it stands.
+        if status is not None and status.stands and not snapshot.connected:
+            return f"let go of the drive: {status}"
+        if status is None or snapshot.connected:
+            what = f"the drive was not heard at the end ({snapshot.problem or 'no last answer'})"
+        else:
+            what = f"the drive does not stand at the end: {status}"
+        rest = "nothing but its own panel stops it now: its communication timeout is not known"
+        if snapshot.timeout_known:
+            rest = "nothing but its own panel stops it now: its communication timeout is off"
+        if snapshot.timeout_s is not None:
+            rest = f"its own timeout of {snapshot.timeout_s:g} s has to stop it"
+        raise OSError(f"{what}; {rest}")
 
     def demand(self, speed: float | None) -> None:
         """Ask for a speed, share of the rated one; None for off."""
@@ -231,10 +251,19 @@ class PumpNode(Lifecycle, LinkedNode):
         given = {one.name: values[one.name] for one in pump_parameters(site)}
         given["least_speed"] = max(given["least_speed"], self._drive.file.least_speed)
         settings = PumpSettings(**given)
-        self._ledger = Ledger(self._state_file(values), time.time)
-        self._control = PumpControl(site, settings, self._ledger)
+        state_file = self._state_file(values)
+        self._ledger = Ledger(state_file, time.time)
+        drive_stops_after = values["drive_timeout_limit"] + _RAMP_S
+        if self._drive.without_timeout:
+            drive_stops_after = math.inf
+        self._control = PumpControl(site, settings, self._ledger, drive_stops_after)
+        kept = self._ledger.record
+        if kept.fault or kept.held:
+            self.get_logger().warning(
+                f"{state_file} keeps the pump off: {kept.fault or kept.held}"
+            )
         self._permit = PermitReader()
-        self._command_limit: float = values[LIMITS["/pump/command"].name]
+        self._command_limit = self._checked_command_limit(values)
         self._autostart: bool = values["autostart"]
         self._without_timeout = self._drive.without_timeout
         self._resetting_until = 0.0
@@ -274,7 +303,22 @@ class PumpNode(Lifecycle, LinkedNode):
         if values["state_file"]:
             return Path(values["state_file"])
         name = self.get_fully_qualified_name().strip("/").replace("/", "-")
-        return Path.home() / ".local" / "state" / "greenroof_ros" / f"{name}.json"
+        return state_directory() / f"{name}.json"
+
+    def _checked_command_limit(self, values: dict[str, Any]) -> float:
+        """Return the greatest age of a command (s).
+
+        Raises:
+            ConfigurationError: in a live graph the pump would never run with it.
+        """
+        name, tau = LIMITS["/pump/command"].name, self._site.tau
+        limit: float = values[name]
+        if self.live and limit <= tau:
+            raise ConfigurationError(
+                f"must be more than tau of the site, {tau:g} s: a command comes once in that time",
+                key=f"parameter {name} of {self.get_name()}", value=limit,
+            )
+        return limit
 
     # --- lifecycle ------------------------------------------------------------------------------
 
@@ -284,19 +328,21 @@ class PumpNode(Lifecycle, LinkedNode):
         until = time.monotonic() + _CONNECT_S
         while self._drive.absence(time.monotonic()):
             if time.monotonic() > until:
-                why = self._drive.absence(until)
-                self._drive.let_go()
-                raise RefusedError(f"not configured: {why}")
+                # It is tried on: a drive that comes is stopped.
+                raise RefusedError(f"not configured: {self._drive.absence(until)}")
             time.sleep(0.02)
         self.reports.hardware = self._drive.snapshot.identity
 
     def activate(self) -> None:
-        """Let the pump run, unless the drive would run on without this machine."""
+        """Let the pump run, unless the drive would run on alone, or a stop could not be kept."""
         absence = self._drive.absence(time.monotonic())
         if absence:
             raise RefusedError(f"not activated: {absence}")
         problem = self._drive.timeout_problem()
         if problem and not self._without_timeout:
+            raise RefusedError(f"not activated: {problem}")
+        problem = self._ledger.kept()
+        if problem:
             raise RefusedError(f"not activated: {problem}")
         unverified = self._drive.file.unverified_and_vital
         if unverified:
@@ -310,21 +356,31 @@ class PumpNode(Lifecycle, LinkedNode):
         self._step(time.monotonic(), 0.0)
 
     def clean_up(self) -> None:
-        """Stop the drive, and let go of it."""
-        self._drive.demand(None)
-        status = self._drive.let_go()
-        if status is not None:
-            say = self.get_logger().info if status.stands else self.get_logger().error
-            say(f"let go of the drive: {status}")
+        """Stop the drive, read that it stands, and let go of it.
+
+        Raises:
+            OSError: that could not be read.
+        """
+        said = self._drive.let_go()
+        if said:
+            self.get_logger().info(said)
 
     def on_asked(self) -> None:
         """Leave the lifecycle to who asked."""
         self._autostart = False
 
     def on_stop(self) -> None:
-        """Stop the drive and read that back, whatever ends the node."""
-        self.clean_up()
-        self._ledger.close()
+        """Stop the drive and read that back, whatever ends the node.
+
+        Raises:
+            OSError: it could not be read; the node's exit code says so, too.
+        """
+        try:
+            self.clean_up()
+        finally:
+            problem = self._ledger.kept()
+            if problem:
+                self.get_logger().error(problem)
 
     def _start_by_itself(self, now: float) -> None:
         """Go towards *active* where that is possible, again and again."""
@@ -346,8 +402,9 @@ class PumpNode(Lifecycle, LinkedNode):
     ) -> SetBool.Response:
         self._control.hold(request.data)
         self._step(time.monotonic(), 0.0)
-        response.success = True
-        response.message = self._state
+        problem = self._ledger.kept()
+        response.success = not problem
+        response.message = f"{self._state}; but {problem}" if problem else self._state
         return response
 
     def _on_reset_request(
@@ -356,8 +413,11 @@ class PumpNode(Lifecycle, LinkedNode):
         cleared = self._control.reset()
         self._drive.reset()
         self._resetting_until = time.monotonic() + _RESET_S
-        response.success = True
         response.message = f"cleared: {cleared}" if cleared else "there was no fault"
+        problem = self._ledger.kept()
+        response.success = not problem
+        if problem:
+            response.message += f"; but {problem}"
         self.get_logger().info(f"reset: {response.message}")
         return response
 
@@ -415,6 +475,7 @@ class PumpNode(Lifecycle, LinkedNode):
         return {
             "pump": self._state, "flow": self._decision.flow,
             "active": self.lifecycle_state == ACTIVE,
+            "latched": self._ledger.record.fault or self._ledger.record.held,
         }
 
     # --- the pump -------------------------------------------------------------------------------
@@ -520,6 +581,8 @@ class PumpNode(Lifecycle, LinkedNode):
         frost = f"{self._frost.name} {self._frost.why}" if not self._frost.good else ""
         if self._frost.good and self._frost.value > 0:
             frost = "there is frost"
+        kept = self._ledger.problem
+        self.diagnose("state file", ERROR if kept else OK, kept or "stops and faults are kept")
         self.diagnose("frost", WARN if frost else OK, frost or "there is no frost")
         if self._permit.given:
             hold = self._permit.hold(now)

@@ -1,29 +1,43 @@
-"""What must survive a restart of the pump node: held, fault, and how much of the day is used up.
+"""What must survive a restart of the pump node: held, fault, starts, how much of the day is used.
 
-A JSON file, written whole to a second file that then takes the first one's name, so that a power
-cut leaves the old or the new one. A thread of its own writes: a slow disk keeps the pump's control
-from nothing.
+A file of two lines of fixed length, padded with blanks, in turn written over in place. Its room on
+the disk is taken when it is made, so that a disk that is full later takes a stop or a fault all the
+same (not one that never writes in place: btrfs, zfs). Each line begins with its checksum, and is a
+page long, which a kill does not tear; a power cut may. Then the other line is whole, but the torn
+one may have been a stop or a fault: the pump is held until somebody releases it.
 
-The day is 24 h from the ledger's first step on. Time for which the node was down counts by the
-system clock, if that did not go back.
+A thread of its own writes: a slow disk keeps the pump's control from nothing.
+
+The day is 24 h of the ledger's clock, which begins with its first step and counts the time of the
+site: of the steady clock, or simulated. Time for which the node was down counts by the system
+clock, if that did not go back.
 """
 
 from __future__ import annotations
 
+import errno
 import json
 import math
 import os
+import stat
 import threading
+import time
+import zlib
 from collections.abc import Callable
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
+from typing import Any
 
 from greenroof_ros.pumping.settings import DAY_S
 
-# At most so much of a day's use is lost when the node is killed (s).
-_SAVE_EVERY = 60.0
+# Length of a line (bytes): a page, a block of most disks.
+_LINE = 4096
+# So much of a text, and so many starts, have room in it.
+_TEXT, _STARTS = 350, 100
+# At most so much of the use is not on the disk while the pump is on (s).
+SAVE_EVERY_S = 10.0
 # A disk that needs longer is an alarm (s).
-_PATIENCE = 2.0
+_PATIENCE_S = 2.0
 
 
 @dataclass(frozen=True)
@@ -33,25 +47,41 @@ class Record:
     Attributes:
         held: why the pump is held by somebody; empty where it is not.
         fault: the latched fault; empty where there is none.
-        day_elapsed: of the present day (s).
-        day_run: how long the pump was on in it (s).
+        elapsed: since the ledger's first step (s).
+        day_run: how long the pump was on in the present day (s).
         day_volume: what it pumped in it (m3).
+        starts: when it was last started (s, as ``elapsed``); the last hundred.
+        on: whether it was on when this was written.
         written_at: by the system clock (s since 1970).
     """
 
     held: str = ""
     fault: str = ""
-    day_elapsed: float = 0.0
+    elapsed: float = 0.0
     day_run: float = 0.0
     day_volume: float = 0.0
+    starts: tuple[float, ...] = ()
+    on: bool = False
     written_at: float = 0.0
+
+    @property
+    def day_elapsed(self) -> float:
+        """How much of the present day is over (s)."""
+        return self.elapsed % DAY_S
+
+
+def state_directory() -> Path:
+    """Return where state is kept that nobody gave a place: the user's, by the XDG's rules."""
+    given = os.environ.get("XDG_STATE_HOME")
+    return (Path(given) if given else Path.home() / ".local" / "state") / "greenroof_ros"
 
 
 class Ledger:
     """Keeps the record, in a file if there is one.
 
-    A missing file is a fresh record. A broken one holds the pump until somebody releases it: what
-    it said, be it a fault, is not known.
+    A missing file is a fresh record, and is made at once. A broken one holds the pump until
+    somebody releases it: what it said, be it a fault, is not known. It is kept beside, as
+    ``.broken``.
 
     Attributes:
         record: the present one.
@@ -67,17 +97,26 @@ class Ledger:
         """
         self._file = file
         self._clock = system_clock
-        self._unsaved = self._unwritten = 0.0
+        self._unsaved = 0.0
         self._lock = threading.Lock()
         self._to_write: Record | None = None
         self._writer: threading.Thread | None = None
+        self._writing_since = 0.0
+        self._sequence = 0
+        self._unseen = 0.0
         self.problem = ""
         self.record = Record()
-        if file is not None:
-            self.record = _read(file)
-            down = system_clock() - self.record.written_at
-            if self.record.written_at > 0 and down > 0:
-                self._pass(down)
+        if file is None:
+            return
+        self.record, self._sequence, whole = _read(file)
+        down = system_clock() - self.record.written_at
+        known = self.record.written_at > 0 and down > 0
+        if self.record.on:
+            self._unseen = down if known else math.inf
+        if known:
+            self._pass(down)
+        if not whole:
+            self._save()
 
     def hold(self, reason: str) -> None:
         """Hold the pump, or release it (empty)."""
@@ -89,6 +128,14 @@ class Ledger:
         self.record = replace(self.record, fault=text)
         self._save()
 
+    def switch(self, on: bool) -> None:
+        """Note that the pump was started or stopped."""
+        record = self.record
+        if on:
+            record = replace(record, starts=(*record.starts, record.elapsed)[-_STARTS:])
+        self.record = replace(record, on=on)
+        self._save()
+
     def count(self, dt: float, run: float, volume: float) -> None:
         """Count the time that passed, that of it in which the pump was on (s), and m3 pumped."""
         self._pass(dt)
@@ -96,32 +143,42 @@ class Ledger:
             self.record,
             day_run=self.record.day_run + run, day_volume=self.record.day_volume + volume,
         )
-        self._unsaved += dt
+        # While nothing is used nothing needs to be written, but for a file that could not be.
+        if run or volume or self.problem:
+            self._unsaved += dt
         if self._writer is None:
-            self._unwritten = 0.0
-            if self._unsaved >= _SAVE_EVERY:
+            if self._unsaved >= SAVE_EVERY_S:
                 self._save()
-        else:
-            self._unwritten += dt
-            if self._unwritten > _PATIENCE:
-                self.problem = f"{self._file} could not be written within {_PATIENCE:g} s"
+        elif time.monotonic() - self._writing_since > _PATIENCE_S:
+            self.problem = self._too_slow()
 
-    def flush(self) -> None:
-        """Wait until the record is on the disk, for a few seconds at most."""
+    def count_unseen(self, most: float, flow: float) -> None:
+        """Count what the pump may have done at worst since a node did not live to see it off.
+
+        Args:
+            most: how long it may have run at most since the record was written (s).
+            flow: the greatest (m3/s).
+        """
+        if self.record.on:
+            run = min(self._unseen, most, DAY_S)
+            self.count(0.0, run, run * flow)
+            self.switch(False)
+
+    def kept(self) -> str:
+        """Write the record, and return why that cannot be done; takes two seconds at most."""
+        self._save()
         writer = self._writer
         if writer is not None:
-            writer.join(_PATIENCE)
-
-    def close(self) -> None:
-        """Write the record a last time."""
-        self._save()
-        self.flush()
+            writer.join(_PATIENCE_S)
+            if writer.is_alive():
+                self.problem = self._too_slow()
+        return self.problem
 
     def _pass(self, elapsed: float) -> None:
-        elapsed += self.record.day_elapsed
-        if elapsed >= DAY_S:
+        before, now = self.record.elapsed, self.record.elapsed + elapsed
+        if now // DAY_S > before // DAY_S:
             self.record = replace(self.record, day_run=0.0, day_volume=0.0)
-        self.record = replace(self.record, day_elapsed=elapsed % DAY_S)
+        self.record = replace(self.record, elapsed=now)
 
     def _save(self) -> None:
         """Have the record written, after the one that is being written."""
@@ -136,7 +193,7 @@ class Ledger:
                     target=self._write_all, args=(self._file,), name="ledger", daemon=True
                 )
                 try:
-                    self._writer = writer
+                    self._writer, self._writing_since = writer, time.monotonic()
                     writer.start()
                 except RuntimeError as error:
                     self._writer = None
@@ -149,22 +206,17 @@ class Ledger:
                 if record is None:
                     self._writer = None
                     return
+                self._writing_since = time.monotonic()
             self._write(file, record)
 
     def _write(self, file: Path, record: Record) -> None:
-        beside = file.with_name(file.name + ".new")
         try:
-            file.parent.mkdir(parents=True, exist_ok=True)
-            with beside.open("w") as stream:
-                json.dump(asdict(record), stream, indent=1)
-                stream.flush()
-                os.fsync(stream.fileno())
-            beside.replace(file)
-            directory = os.open(file.parent, os.O_RDONLY)
-            try:
-                os.fsync(directory)
-            finally:
-                os.close(directory)
+            if self._sequence == 0 or not file.exists():
+                _make(file, record)
+                self._sequence = 2
+            else:
+                _overwrite(file, self._sequence + 1, record)
+                self._sequence += 1
             self.problem = ""
         except OSError as error:
             self.problem = (
@@ -172,27 +224,116 @@ class Ledger:
                 "a fault, and how much was pumped"
             )
 
+    def _too_slow(self) -> str:
+        return f"{self._file} could not be written within {_PATIENCE_S:g} s"
 
-def _read(file: Path) -> Record:
-    """Read a record; a broken one is one that holds the pump."""
+
+def _line(sequence: int, record: Record) -> bytes:
+    """Return a record as a line of the file."""
+
+    def short(text: str) -> str:
+        return "".join(one if one.isprintable() else " " for one in text[:_TEXT])
+
+    record = replace(record, held=short(record.held), fault=short(record.fault))
+    content = {"sequence": sequence, **asdict(record)}
+    content["starts"] = [round(one, 1) for one in record.starts]
+    text = json.dumps(content, ensure_ascii=False).encode()
+    line = b"%08x " % zlib.crc32(text) + text
+    assert len(line) < _LINE
+    return line.ljust(_LINE - 1) + b"\n"
+
+
+def _make(file: Path, record: Record) -> None:
+    """Make the file whole beside, and give it its name; what has the name is moved away.
+
+    Raises:
+        OSError: there is no room for it, for instance.
+    """
+    if file.exists() and not file.is_file():
+        raise FileExistsError(errno.EEXIST, "it is there and no file")
+    file.parent.mkdir(parents=True, exist_ok=True)
+    beside = file.with_name(file.name + ".new")
+    with beside.open("wb") as stream:
+        stream.write(_line(1, record) + _line(2, record))
+        stream.flush()
+        os.fsync(stream.fileno())
+    if file.exists():
+        file.replace(file.with_name(file.name + ".broken"))
+    beside.replace(file)
+    directory = os.open(file.parent, os.O_RDONLY)
     try:
-        content = json.loads(file.read_text())
-        kinds = {key: type(value) for key, value in asdict(Record()).items()}
-        if not isinstance(content, dict) or set(content) != set(kinds):
-            raise ValueError(f"it must hold {', '.join(kinds)}")
-        for key, value in content.items():
-            kind = kinds[key]
-            if kind is str and not isinstance(value, str):
-                raise ValueError(f"{key} must be a text")
-            if kind is float and not (
-                type(value) in (int, float) and math.isfinite(value) and value >= 0
-            ):
-                raise ValueError(f"{key} must be a number, 0 or more")
-        return Record(**content)
+        os.fsync(directory)
+    finally:
+        os.close(directory)
+
+
+def _overwrite(file: Path, sequence: int, record: Record) -> None:
+    """Write the line whose turn it is.
+
+    Raises:
+        OSError: the disk fails.
+    """
+    descriptor = os.open(file, os.O_WRONLY)
+    try:
+        os.pwrite(descriptor, _line(sequence, record), _LINE * ((sequence + 1) % 2))
+        os.fdatasync(descriptor)
+    finally:
+        os.close(descriptor)
+
+
+def _read(file: Path) -> tuple[Record, int, bool]:
+    """Read the file.
+
+    Returns:
+        The newest record; its number, 0 where the file must be made; and whether all was whole. A
+        broken record is one that holds the pump.
+    """
+    try:
+        if not stat.S_ISREG(file.stat().st_mode):
+            raise ValueError("it is no file")
+        with file.open("rb") as stream:
+            content = stream.read(2 * _LINE + 1)
     except FileNotFoundError:
-        return Record()
-    except (OSError, ValueError, OverflowError, RecursionError) as error:
-        return Record(
-            held=f"{file} cannot be read ({error}), so whether there was a fault is not known; "
-            "look at the pump, then release it"
-        )
+        return Record(), 0, False
+    except (OSError, ValueError) as error:
+        return Record(held=_unknown(file, str(error))), 0, False
+    if len(content) != 2 * _LINE:
+        why = f"it must be {2 * _LINE} bytes long"
+        return Record(held=_unknown(file, why)), 0, False
+    found, problems = [], []
+    for number in range(2):
+        try:
+            found.append(_parse(content[number * _LINE : (number + 1) * _LINE], number))
+        except ValueError as error:
+            problems.append(f"line {number + 1}: {error}")
+    if not found:
+        return Record(held=_unknown(file, "; ".join(problems))), 0, False
+    sequence, record = max(found, key=lambda one: one[0])
+    if problems:
+        # The broken line's turn is next, so that the file is whole again then.
+        record = replace(record, held=record.held or _unknown(file, problems[0]))
+    return record, sequence, not problems
+
+
+def _unknown(file: Path, why: str) -> str:
+    return (
+        f"{file} cannot be read ({why}), so whether there was a stop or a fault is not known; "
+        "look at the pump, then release it"
+    )
+
+
+def _parse(line: bytes, number: int) -> tuple[int, Record]:
+    """Return what a line says.
+
+    Raises:
+        ValueError: it is broken.
+    """
+    checksum, _, text = line.rstrip().partition(b" ")
+    if checksum != b"%08x" % zlib.crc32(text):
+        raise ValueError("its checksum is wrong")
+    content: dict[str, Any] = json.loads(text)
+    sequence = content.pop("sequence")
+    names = asdict(Record()).keys()
+    if content.keys() != names or (sequence + 1) % 2 != number:
+        raise ValueError(f"it must hold sequence, {', '.join(names)}")
+    return sequence, Record(**content | {"starts": tuple(content["starts"])})

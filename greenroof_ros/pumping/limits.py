@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import math
 from collections import deque
+from collections.abc import Iterable
 
 from greenroof_ros.model.site import Site
 from greenroof_ros.pumping.ledger import Ledger
@@ -22,15 +23,22 @@ class SwitchLimits:
     off first.
     """
 
-    def __init__(self, settings: PumpSettings) -> None:
+    def __init__(self, settings: PumpSettings, started_ago: Iterable[float] = ()) -> None:
+        """Prepare for the first step.
+
+        Args:
+            settings: the limits.
+            started_ago: how long before the first step the pump was started (s), oldest first.
+        """
         self._settings = settings
         self._switched_at: float | None = None
-        self._starts: deque[float] = deque()
+        self._starts = deque(-ago for ago in started_ago)
 
     def begin(self, now: float) -> None:
         """Take the first step's time (s) for that of the last stop."""
         if self._switched_at is None:
             self._switched_at = now
+            self._starts = deque(now + start for start in self._starts)
 
     def started(self, now: float) -> None:
         """Count a start."""

@@ -8,12 +8,12 @@ from dataclasses import dataclass, replace
 from greenroof_ros.model.pump_speed import flow_at
 from greenroof_ros.model.site import Site
 from greenroof_ros.pumping.delivery import DeliveryCheck
-from greenroof_ros.pumping.ledger import Ledger
+from greenroof_ros.pumping.ledger import SAVE_EVERY_S, Ledger
 from greenroof_ros.pumping.limits import SiteLimits, SwitchLimits
 from greenroof_ros.pumping.pulses import Pulses
 from greenroof_ros.pumping.settings import PumpSettings
 
-# Below this share of its rated speed a pump stands: the noise of a drive's reading.
+# Below this share of its rated speed, backwards too, a pump stands: noise of a drive's reading.
 _STANDS = 0.02
 # A measured flow above so many times the maximum flow is no flow of this pump.
 _GREATEST_FLOW = 1.5
@@ -78,17 +78,34 @@ class Decision:
 class PumpControl:
     """Turns commands into speeds, and refuses to wherever something speaks against it."""
 
-    def __init__(self, site: Site, settings: PumpSettings, ledger: Ledger) -> None:
+    def __init__(
+        self, site: Site, settings: PumpSettings, ledger: Ledger, drive_stops_after: float
+    ) -> None:
+        """Count what was not seen before, at worst, and begin with the pump off.
+
+        Args:
+            site: with the pump.
+            settings: its limits.
+            ledger: what is known of before.
+            drive_stops_after: within which time a drive that is not heard stands (s); infinite
+                where it may run on.
+        """
         self._site = site
         self._settings = settings
         self._ledger = ledger
-        self._switch = SwitchLimits(settings)
+        self._drive_stops_after = drive_stops_after
+        ledger.count_unseen(drive_stops_after + SAVE_EVERY_S, flow_at(site, 1.0, site.z_o))
+        record = ledger.record
+        self._switch = SwitchLimits(settings, [record.elapsed - start for start in record.starts])
         self._limits = SiteLimits(site, settings, ledger)
         self._pulses = Pulses(site, settings)
         self._delivery = DeliveryCheck(site, settings)
         self._asked: float | None = None
         self._astray_for = 0.0
         self._unknown_for = 0.0
+        # What it turned at most when that was last known, share of the rated speed; before that
+        # it is not known to stand.
+        self._turned = 1.0
 
     def hold(self, on: bool) -> None:
         """Hold the pump off over anything, or release it; kept over restarts.
@@ -120,12 +137,16 @@ class PumpControl:
                 simulated faster than that; None where both are one.
         """
         drive_dt = dt if drive_dt is None else drive_dt
-        seen = _believable(seen)
+        backwards, seen = _backwards(seen), _believable(seen)
         self._switch.begin(now)
-        warnings = [self._ledger.problem] if self._ledger.problem else []
+        warnings: list[str] = []
         flow, source = self._flow(seen, warnings)
-        self._account(dt, seen.speed, flow)
-        self._latch(dt, drive_dt, seen, flow)
+        self._unknown_for = self._unknown_for + drive_dt if seen.speed is None else 0.0
+        known = self._turned if seen.speed is None else seen.speed
+        self._turned = max(known, self._asked or 0.0)
+        most = max(flow, self._unseen_flow(seen))
+        self._account(dt, seen.speed, most, flow)
+        self._latch(dt, drive_dt, seen, backwards, flow, most)
         command, refusal, warning = _command(seen.command)
         if warning:
             warnings.append(warning)
@@ -180,11 +201,20 @@ class PumpControl:
             return 0.0, "unknown, taken as 0"
         return flow_at(site, seen.speed, seen.cistern_level), "computed from the speed"
 
-    def _account(self, dt: float, speed: float | None, flow: float) -> None:
+    def _unseen_flow(self, seen: Observation) -> float:
+        """Return what flows at worst (m3/s) where the drive is not heard; 0 once it must stand."""
+        stopped = self._turned <= _STANDS or self._unknown_for > self._drive_stops_after
+        if seen.speed is not None or stopped:
+            return 0.0
+        level = self._site.z_o if seen.cistern_level is None else seen.cistern_level
+        return flow_at(self._site, min(1.0, self._turned), level)
+
+    def _account(self, dt: float, speed: float | None, most: float, flow: float) -> None:
         """Count what the last step's decision made of the time since."""
-        on = self._asked is not None or (speed is not None and speed > _STANDS)
+        unseen = speed is None and most > flow
+        on = self._asked is not None or unseen or (speed is not None and speed > _STANDS)
         self._limits.account(dt, on)
-        self._ledger.count(dt, dt if on else 0.0, flow * dt)
+        self._ledger.count(dt, dt if on else 0.0, most * dt)
         self._pulses.account(flow * dt, dt)
 
     def _is_astray(self, speed: float | None) -> bool:
@@ -192,11 +222,13 @@ class PumpControl:
         asked = self._asked or 0.0
         return speed is not None and abs(speed - asked) > self._settings.follow_tolerance
 
-    def _latch(self, dt: float, drive_dt: float, seen: Observation, flow: float) -> None:
+    def _latch(
+        self, dt: float, drive_dt: float, seen: Observation, backwards: str, flow: float,
+        most: float,
+    ) -> None:
         """Look for faults; the first one stays until it is reset."""
         self._astray_for = self._astray_for + drive_dt if self._is_astray(seen.speed) else 0.0
-        self._unknown_for = self._unknown_for + drive_dt if seen.speed is None else 0.0
-        found = self._undelivered(dt, seen, flow)
+        found = self._undelivered(dt, seen, flow, most)
         if self._astray_for > self._settings.follow_time:
             asked = "it is told to stop"
             if self._asked is not None:
@@ -205,20 +237,17 @@ class PumpControl:
                 f"the speed does not follow: the pump turns at {seen.speed:.2f} of its speed, and "
                 f"{asked}, for {self._astray_for:.0f} s"
             )
+        found = backwards or found
         if seen.drive_fault:
             found = f"the drive reports: {seen.drive_fault}"
         if found and not self._ledger.record.fault:
             self._ledger.fault(found)
 
-    def _undelivered(self, dt: float, seen: Observation, flow: float) -> str:
+    def _undelivered(self, dt: float, seen: Observation, flow: float, most: float) -> str:
         """Return what the delivery check finds."""
         if seen.cistern_level is None or seen.roof_level is None:
             self._delivery.restart()
             return ""
-        # A drive that is not heard may run on, until its own timeout stops it.
-        most = flow
-        if seen.speed is None and self._unknown_for <= self._settings.follow_time:
-            most = flow_at(self._site, 1.0, seen.cistern_level)
         return self._delivery.step(
             dt, seen.cistern_level, seen.roof_level, flow * dt, most * dt
         )
@@ -258,9 +287,18 @@ class PumpControl:
     def _switch_to(self, now: float, asked: float | None) -> None:
         if asked is not None and self._asked is None:
             self._switch.started(now)
+            self._ledger.switch(True)
         elif asked is None and self._asked is not None:
             self._switch.stopped(now)
+            self._ledger.switch(False)
         self._asked = asked
+
+
+def _backwards(seen: Observation) -> str:
+    """Return that the pump turns backwards, beyond noise; empty where it does not."""
+    if seen.speed is None or not -_GREATEST_SPEED <= seen.speed < -_STANDS:
+        return ""
+    return f"the pump turns backwards, at {-seen.speed:.2f} of its speed"
 
 
 def _believable(seen: Observation) -> Observation:
@@ -269,11 +307,12 @@ def _believable(seen: Observation) -> Observation:
     def known(value: float | None, least: float, most: float) -> float | None:
         return value if value is not None and least <= value <= most else None
 
+    speed = known(seen.speed, -_STANDS, _GREATEST_SPEED)
     return replace(
         seen,
         cistern_level=known(seen.cistern_level, -_GREATEST_LEVEL, _GREATEST_LEVEL),
         roof_level=known(seen.roof_level, -_GREATEST_LEVEL, _GREATEST_LEVEL),
-        speed=known(seen.speed, 0.0, _GREATEST_SPEED),
+        speed=None if speed is None else max(0.0, speed),
         flow=known(seen.flow, 0.0, math.inf),
         drive_flow=known(seen.drive_flow, 0.0, math.inf),
     )

@@ -356,6 +356,7 @@ class LoopRig(Rig):
             domain, "bringup", "--controller", CONTROLLER, "--site", str(self.site_file),
             "--cistern", str(_CISTERN_M3), "--roof", str(_ROOF_M3), "--hours", "2",
             "--drive", drive, "--drive-at", self.drive_at, "--output", str(directory / "run"),
+            "--state", str(directory / "state"),
             "--node-parameters", str(self._parameters), cwd=directory,
         )
 

@@ -338,6 +338,57 @@ def test_a_node_that_is_killed_may_come_again_but_not_twice(
             process.wait(8)
 
 
+IMPOSTOR = (
+    "import sys, rclpy\n"
+    "from rclpy.node import Node\n"
+    "from std_msgs.msg import Float64\n"
+    "from greenroof_ros.common.interface import read_live_topics\n"
+    "from greenroof_ros.graph.qos import qos_profile\n"
+    "rclpy.init()\n"
+    "node = Node(sys.argv[1], start_parameter_services=False)\n"
+    "topic = read_live_topics()[sys.argv[2]]\n"
+    "publisher = node.create_publisher(Float64, sys.argv[2], qos_profile(topic.qos))\n"
+    "node.create_timer(0.1, lambda: publisher.publish(Float64(data=float(sys.argv[3]))))\n"
+    "rclpy.spin(node)\n"
+)
+
+
+@contextmanager
+def impostor(domain: int, cwd: Path, name: str, topic: str, value: float) -> Iterator[None]:
+    """Publish what another node does, under its name, and report nothing."""
+    process = subprocess.Popen(
+        [sys.executable, "-c", IMPOSTOR, name, topic, str(value)], cwd=cwd, env=environment(domain)
+    )
+    try:
+        yield
+    finally:
+        process.kill()
+        process.wait(8)
+
+
+def test_an_impostor_of_the_same_name(domain: int, tmp_path: Path, site: Site) -> None:
+    """A process that calls itself weather, beside the one that lives: no frost of it is believed.
+
+    The topic has no lease, and both endpoints have one node's name.
+    """
+    file = tmp_path / "forecast.csv"
+    write_forecast(file, timedelta(0), 0.0, 15.0)
+    commands = dry_site(site)
+    site.values = {name: site.values[name] for name in ("/cistern/level", "/roof/level")}
+    with live_node(domain, tmp_path, "weather", forecast=file, recovery_time=0.5), live_node(
+        domain, tmp_path, "controller --controller onoff", recovery_time=0.5
+    ):
+        site.until(lambda: newest(commands), 20, "a command")
+        with impostor(domain, tmp_path, "weather", "/weather/frost", 0.0):
+            site.until(
+                site.says("/onoff: inputs", ERROR, "/weather/frost has 2 publishers (weather)"),
+                20, "two of one name",
+            )
+            site.until(lambda: newest(commands) == 0.0, TAU + SLACK, "command 0")
+            site.during(2)
+            assert newest(commands) == 0.0
+
+
 HEADER = "issued,time,precipitation [mm/h],evapotranspiration [mm/day],temperature [degC]"
 
 

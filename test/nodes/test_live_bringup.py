@@ -27,6 +27,7 @@ from test_live import Site, observer, site, write_forecast  # noqa: E402, F401
 
 from greenroof_ros.drives.address import parse_address  # noqa: E402
 from greenroof_ros.drives.workbench import Workbench  # noqa: E402
+from greenroof_ros.pumping.ledger import Ledger  # noqa: E402
 from greenroof_ros.recording.bag_reader import count_ticks  # noqa: E402
 
 NOBODY = ("--sensors", "external", "--pump", "external", "--weather", "external")
@@ -215,7 +216,8 @@ def test_a_drive_in_the_loop(domain: int, tmp_path: Path) -> None:
     done = bring_up(domain, tmp_path, *run, "--speed", "20")
     assert done["pumped_m3"] > 0.3
     assert hardware.speed() == 0
-    assert (tmp_path / "run" / "pump.json").is_file()
+    assert state_of(hardware).is_file()
+    assert not (tmp_path / "run" / "pump.json").exists()
     early = Process(domain, "bringup", "--output", "early", *run, cwd=tmp_path)
     wait_for(lambda: hardware.speed() > 0.9, 40, "the pump")
     os.kill(early.nodes()["pump"], signal.SIGKILL)
@@ -224,6 +226,32 @@ def test_a_drive_in_the_loop(domain: int, tmp_path: Path) -> None:
     assert "bringup told the drive to stop" in early.stderr()
     wait_for(lambda: hardware.speed() == 0, 3, "the pump's stop")
     assert 1 < summary_of(tmp_path / "early")["last_tick"] < 60
+
+
+def state_of(hardware: Hardware) -> Path:
+    """Return where the state of a drive is kept that nobody gave a place."""
+    where = hardware.drive.removeprefix("tcp://").replace(":", "-")
+    return Path(os.environ["XDG_STATE_HOME"]) / "greenroof_ros" / f"abb_acs880-{where}.json"
+
+
+def test_a_fault_of_an_earlier_run_in_the_loop(domain: int, tmp_path: Path) -> None:
+    """It is the drive's, holds the pump in this run, too, and bringup says so, and where it is."""
+    hardware = Hardware(domain, tmp_path, "20")
+    ledger = Ledger(state_of(hardware), time.time)
+    ledger.fault("the drive reports: overload")
+    assert ledger.kept() == ""
+    run = ("--initial", "high-low", "--controller", "onoff", "--hours", "0.01", "--drive",
+           "abb_acs880", "--drive-at", hardware.drive, "--speed", "20")
+    held = Process(domain, "bringup", "--output", "held", *run, cwd=tmp_path)
+    assert held.wait(60) == 0, held.stderr()
+    assert f"off, by {state_of(hardware)}: the drive reports: overload" in held.stderr()
+    assert summary_of(tmp_path / "held")["pumped_m3"] == 0
+    other = Process(
+        domain, "bringup", "--output", "other", *run, "--state", "another's", cwd=tmp_path
+    )
+    assert other.wait(60) == 0, other.stderr()
+    assert "overload" not in other.stderr()
+    assert summary_of(tmp_path / "other")["pumped_m3"] > 0
 
 
 def test_a_pump_node_that_is_started_again_in_the_loop(domain: int, tmp_path: Path) -> None:

@@ -169,7 +169,7 @@ def test_a_drive_has_its_own_time() -> None:
 
     By then 900 s have been simulated.
     """
-    control = PumpControl(PAPER_SITE, settings_for(PAPER_SITE), Ledger(None, time.time))
+    control = PumpControl(PAPER_SITE, settings_for(PAPER_SITE), Ledger(None, time.time), 15.0)
     seen = Observation(
         command=1.0, cistern_level=2.8, roof_level=0.01, frost=False, speed=0.5, flow=0.0,
         drive_flow=None, drive_ready=True, drive_fault="", problem="",
@@ -265,6 +265,60 @@ def test_nothing_runs_before_anything_is_known() -> None:
     assert decision.flow > 0
 
 
+@pytest.mark.parametrize("speed", [-0.001, -0.019])
+def test_noise_below_zero_is_a_pump_at_rest(speed: float) -> None:
+    """A count below zero, as of a drive's 16 bits: it starts."""
+    rig = Rig()
+    rig.change = {"speed": speed}
+    rig.run(9, 1.0)
+    assert rig.decisions[-1].source == "the pump stands"
+    rig.change = {}
+    assert rig.run(5, 1.0).state in ("starting", "running")
+
+
+def test_a_pump_that_turns_backwards() -> None:
+    """Beyond noise it latches."""
+    rig = Rig()
+    rig.run(15, 1.0)
+    rig.change = {"speed": -0.021}
+    decision = rig.step(1.0)
+    assert (decision.speed, decision.state) == (None, "fault")
+    assert decision.why == "the pump turns backwards, at 0.02 of its speed"
+    rig.change = {}
+    assert rig.run(60, 1.0).state == "fault"
+    rig.control.reset()
+    assert rig.run(5, 1.0).speed is not None
+
+
+def test_what_is_not_heard_counts_at_worst() -> None:
+    """Run time and volume, until the drive must have stopped: 15 s, not the minute after.
+
+    From 2.8 m the pump delivers b sqrt(2.8 + 55.2 - 13) = 1.29646769e-3 6.708204 m3/s at most.
+    """
+    flow = 1.29646769e-3 * math.sqrt(2.8 + 55.2 - 13.0)
+    rig = Rig(x1=70.0)
+    rig.run(60, 1.0)
+    before = rig.ledger.record
+    rig.change = {"speed": None, "problem": "connection lost", "cistern_level": 2.8}
+    rig.run(75, 1.0)
+    after = rig.ledger.record
+    assert after.day_run - before.day_run == pytest.approx(15, abs=1)
+    assert after.day_volume - before.day_volume == pytest.approx(15 * flow, rel=0.08)
+    assert {one.flow for one in rig.decisions[-75:]} == {0.0}
+    rig.change = {}
+    rig.run(60, 0.0)
+    assert "fault" not in {one.state for one in rig.decisions}
+
+
+def test_a_pump_at_rest_that_is_not_heard_counts_nothing() -> None:
+    """It stood, and was not asked to run."""
+    rig = Rig()
+    rig.run(60, 0.0)
+    rig.change = {"speed": None, "problem": "connection lost"}
+    rig.run(60, 1.0)
+    assert (rig.ledger.record.day_run, rig.ledger.record.day_volume) == (0, 0)
+
+
 @pytest.mark.parametrize("controller", ["mpc", "planning_mpc", "onoff"])
 @pytest.mark.parametrize("drive_ramp", [0.2, 1.0])
 def test_the_simulated_site_is_followed(controller: str, drive_ramp: float) -> None:
@@ -310,7 +364,7 @@ ANYTHING = st.none() | st.floats() | st.floats(0, 1)
 )
 def test_whatever_comes(seen: list[Observation], dt: float) -> None:
     """Nothing raises; speeds are those of a drive and flows those of the pump."""
-    control = PumpControl(PAPER_SITE, settings_for(PAPER_SITE), Ledger(None, time.time))
+    control = PumpControl(PAPER_SITE, settings_for(PAPER_SITE), Ledger(None, time.time), 15.0)
     for k, one in enumerate(seen):
         decision = control.step(20.0 + dt * k, dt, one)
         assert decision.speed is None or 0.3 <= decision.speed <= 1
