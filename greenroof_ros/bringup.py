@@ -229,14 +229,14 @@ def _run_graph(run: Run, arguments: argparse.Namespace, signals: Signals) -> int
             signals.ignore()
             print(error, file=sys.stderr)
             _end_early(run, directory, supervisor, restarts, summary.INTERRUPTED, str(error))
-            return EXIT_INTERRUPTED
+            return EXIT_FAILED if supervisor.may_run else EXIT_INTERRUPTED
         except NodeFailed as error:
             signals.ignore()
             print(f"error: {error}", file=sys.stderr)
             _end_early(run, directory, supervisor, restarts, summary.FAILED, error.reason)
-            return error.code
+            return EXIT_FAILED if supervisor.may_run else error.code
         _end_whole(run, directory, supervisor, restarts, as_json=arguments.json)
-        return EXIT_DONE
+        return EXIT_FAILED if supervisor.may_run else EXIT_DONE
 
 
 def _wait_for_drive(run: Run, supervisor: Supervisor, signals: Signals) -> None:

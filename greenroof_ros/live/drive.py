@@ -11,6 +11,11 @@ from typing import Any
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.drives.drive_file import find_drive_file, read_drive_file
 
+_MAY_RUN = (
+    "THE PUMP MAY BE RUNNING: only the drive's own communication timeout stops it now, if that is "
+    "on; look at the pump, and stop it at the drive's panel or its switch"
+)
+
 
 @dataclass(frozen=True)
 class DriveChoice:
@@ -46,8 +51,10 @@ class DriveChoice:
             "autostart": True,
         }
 
-    def stopper(self) -> Callable[[], str]:
-        """Return what stops the drive without the pump node, and says what came of it.
+    def stopper(self) -> Callable[[], tuple[bool, str]]:
+        """Return what stops the drive without the pump node.
+
+        It returns whether the drive says that the pump stands, and what came of it, in words.
 
         Raises:
             ConfigurationError: the file or the address is wrong, or pymodbus is not installed.
@@ -62,12 +69,13 @@ class DriveChoice:
             ) from error
         file, address = read_drive_file(self.file), parse_address(self.at)
 
-        def stop() -> str:
+        def stop() -> tuple[bool, str]:
             try:
-                said = stop_drive(file, address)
-                return f"bringup told the drive to stop, which said then: {said}"
+                status = stop_drive(file, address)
             except DriveError as error:
-                return f"bringup could not stop the drive, whose own timeout has to: {error}"
+                return False, f"bringup could not stop the drive: {error}; {_MAY_RUN}"
+            said = f"bringup told the drive to stop, which said then: {status}"
+            return (True, said) if status.stands else (False, f"{said}; {_MAY_RUN}")
 
         return stop
 
