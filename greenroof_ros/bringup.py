@@ -69,7 +69,7 @@ def _parser() -> argparse.ArgumentParser:
         "  python -m greenroof_ros.bringup --drive danfoss_fc202 --drive-at tcp://127.0.0.1:5020\n"
         "  python -m greenroof_ros.bringup --plant external --sensors sensors.yaml \\\n"
         "    --forecast forecast.csv --drive danfoss_fc202 --drive-at /dev/ttyUSB0\n\n"
-        "exit codes: 0 done, or live and asked to stop, 1 a node failed,\n"
+        "exit codes: 0 done, or live and asked to stop, 1 a node failed, or the pump may run on,\n"
         "2 bad usage or configuration, 3 a graph is there already, 130 interrupted",
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )

@@ -17,9 +17,9 @@ _INTERVAL_S = 0.25
 # How long a text must stand before it is a line of a log (s): on the way to being well, or not, a
 # node says one thing after the other.
 _SETTLED_S = 3.0
-# How long after the start, and again after all nodes are there, what is not well is what is waited
-# for (s): inputs count after 10 s by default. How long such a text must stand (s).
-_START_S, _WAITED_S = 15.0, 1.0
+# How long what is not well is what is waited for (s): after the start, and after all nodes are
+# there, since inputs count after 10 s by default. How long such a text must stand (s).
+_START_S, _INPUTS_S, _WAITED_S = 60.0, 20.0, 1.0
 # What the pump node says of the hold that bringup tells it.
 _OF_BRINGUP = "supervisor"
 
@@ -88,7 +88,7 @@ class Status:
     def all_are_here(self) -> None:
         """Say that all nodes are there; what they wait for then comes soon."""
         self.say("all nodes are here")
-        self._starts_until = time.monotonic() + _START_S
+        self._starts_until = time.monotonic() + _INPUTS_S
 
     def _say_start(
         self, reports: Mapping[str, Mapping[str, Any]], hold: str,

@@ -17,6 +17,7 @@ import pytest
 from graphs import alive, wait_for
 from places import CHECKOUT
 
+from greenroof_ros.graph import live_supervisor
 from greenroof_ros.graph.live_supervisor import Incident, LiveSupervisor
 from greenroof_ros.graph.node_processes import NodeFailed
 
@@ -154,6 +155,29 @@ def test_the_drive_is_stopped_for_a_pump_node_that_cannot(
         assert [i.done for i in incidents] == ["starts again in 1 s", "the drive stands"]
         here.until(lambda: here.supervisor.all_ready)
     assert len(stops) == 2 and len(incidents) == 2  # at the end, whatever the pump node says
+
+
+def test_a_pump_that_turns_on_is_stopped_once_more(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Longer than any ramp after it was forbidden; once, since the node may be right."""
+    monkeypatch.setattr(live_supervisor, "_RAMP_S", 1.0)
+    with site(tmp_path, monkeypatch, silence_s=9.0) as (here, incidents, stops):
+        here.add("weather", "pump")
+        here.until(lambda: here.supervisor.all_ready and not here.supervisor.hold)
+        (here.marks / "pump-says").write_text("stopping: the weather is missing")
+        ended = time.monotonic() + 5
+        here.until(lambda: time.monotonic() > ended)
+        assert not incidents  # it is allowed
+        (here.marks / "weather-waits").touch()
+        here.until(lambda: len(here.starts("pump")) == 2)
+        ended = time.monotonic() + 5
+        here.until(lambda: time.monotonic() > ended)
+        assert [(i.node, i.what) for i in incidents] == [
+            ("pump", "did not stop the pump within 3 s (weather is starting): killed"),
+            ("pump", "could not stop the drive"),
+        ]
+        assert len(stops) == 1 and len(here.starts("pump")) == 2
 
 
 def test_a_pump_node_that_does_not_end_by_itself(

@@ -91,7 +91,7 @@ def test_a_site_is_kept_up_and_systemd_told(
     commands = site.listen("/pump/command")
     with live(domain, tmp_path, *NOBODY, "--bag-limit", "50") as process:
         site.until(lambda: systemd.times("EXTEND_TIMEOUT_USEC=30000000"), 20, "the start")
-        site.until(lambda: "waiting: mpc waits for" in process.stderr(), 20, "what it waits for")
+        site.until(lambda: "waiting: mpc waits for" in process.stderr(), 50, "what it waits for")
         assert "READY=1" not in systemd.lines()
         assert not any(value for _, value in commands)
         site.values = dict(DRY)
@@ -320,13 +320,13 @@ def test_a_full_disk_keeps_no_site_from_starting(domain: int, tmp_path: Path) ->
             while True:
                 stream.write(bytes(4096))
         with live(domain, tmp_path, *NOBODY) as process:
-            wait_for(lambda: "waiting: mpc waits for" in process.stderr(), 30, "the controller")
+            wait_for(lambda: "waiting: mpc waits for" in process.stderr(), 50, "the controller")
             assert process.nodes().keys() == {"controller", "live_recorder"}
         assert old.read_text() == "of before"
         said = process.stderr()
         assert "No space left on device; the new configuration is in memory only" in said
     finally:
-        subprocess.run(["umount", str(disk)], check=True)
+        subprocess.run(["umount", "-l", str(disk)], check=True)
 
 
 def test_a_drive_in_the_loop(domain: int, tmp_path: Path) -> None:
