@@ -205,11 +205,14 @@ class LiveSupervisor(NodeProcesses):
             self._held_since, self._met = now, False
         self._permit.tell(self.hold)
 
+    def _pump_state(self) -> str:
+        """Return the state of the pump that its node said last; empty before it said one."""
+        return str(self.last.get(PUMP, {}).get("pump", "")).partition(":")[0]
+
     def _says_it_stands(self) -> bool:
-        """Whether the pump node said last that the pump is off."""
-        said = self.last.get(PUMP, {})
-        state = str(said.get("pump", "")).partition(":")[0]
-        return state in ("off", "held", "fault") and not said.get("flow")
+        """Whether the pump node said last that the pump is off, and that nothing flows."""
+        flow = self.last.get(PUMP, {}).get("flow")
+        return self._pump_state() in ("off", "held", "fault") and not flow
 
     def _disobeys(self, now: float) -> str:
         """Return what the pump node does although it may not; empty where it does nothing such.
@@ -220,10 +223,10 @@ class LiveSupervisor(NodeProcesses):
         if not self.hold or self._says_it_stands():
             return ""
         passed = now - max(self._held_since, self._known[PUMP].started, self.awake_since)
-        said = str(self.last.get(PUMP, {}).get("pump", ""))
-        if passed > _OBEYS_S and said.startswith(("running", "starting")):
+        state = self._pump_state()
+        if passed > _OBEYS_S and state in ("running", "starting"):
             return f"ran the pump for {_OBEYS_S:g} s after it was forbidden ({self.hold})"
-        if passed > _OBEYS_S + _RAMP_S and said and not self._met:
+        if passed > _OBEYS_S + _RAMP_S and state and not self._met:
             self._met = True
             return f"did not stop the pump within {_OBEYS_S + _RAMP_S:g} s ({self.hold})"
         return ""
