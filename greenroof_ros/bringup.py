@@ -69,7 +69,7 @@ def _parser() -> argparse.ArgumentParser:
         "  python -m greenroof_ros.bringup --drive danfoss_fc202 --drive-at gateway://127.0.0.1:5020\n"
         "  python -m greenroof_ros.bringup --plant external --sensors sensors.yaml \\\n"
         "    --forecast forecast.csv --drive danfoss_fc202 --drive-at /dev/ttyUSB0\n\n"
-        "exit codes: 0 done, or live and asked to stop, 1 a node failed,\n"
+        "exit codes: 0 done, or live and asked to stop, 1 a node failed, or the pump may run on,\n"
         "2 bad usage or configuration, 3 a graph is there already, 130 interrupted",
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
@@ -234,14 +234,14 @@ def _run_graph(run: Run, arguments: argparse.Namespace, signals: Signals) -> int
             signals.ignore()
             print(error, file=sys.stderr)
             _end_early(run, directory, supervisor, restarts, summary.INTERRUPTED, str(error))
-            return EXIT_INTERRUPTED
+            return EXIT_FAILED if supervisor.may_run else EXIT_INTERRUPTED
         except NodeFailed as error:
             signals.ignore()
             print(f"error: {error}", file=sys.stderr)
             _end_early(run, directory, supervisor, restarts, summary.FAILED, error.reason)
-            return error.code
+            return EXIT_FAILED if supervisor.may_run else error.code
         _end_whole(run, directory, supervisor, restarts, as_json=arguments.json)
-        return EXIT_DONE
+        return EXIT_FAILED if supervisor.may_run else EXIT_DONE
 
 
 def _wait_for_drive(

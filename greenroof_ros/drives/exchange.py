@@ -433,13 +433,13 @@ async def _stand(drive: Drive, until: float) -> DriveStatus:
 
 def stop_drive(
     file: DriveFile, address: Address, *, device_id: int | None = None, timeout_s: float = 0.5
-) -> str:
+) -> DriveStatus:
     """Stop a drive whose driver has died; blocks while its speed falls, `STOP_S` at most.
 
     It needs no lock: it only stops, which must work while a driver that hangs still has it.
 
     Returns:
-        What the drive said when it was stopped.
+        What the drive said when it was stopped, which may be that it does not stand.
 
     Raises:
         DriveError: it could not be told to in three attempts; the message says why.
@@ -449,14 +449,14 @@ def stop_drive(
 
 async def _stop(
     file: DriveFile, address: Address, device_id: int | None, timeout_s: float
-) -> str:
+) -> DriveStatus:
     asyncio.get_running_loop().set_exception_handler(lambda _loop, _context: None)
     attempts = 3
     while True:
         drive = Drive(file, address, device_id, timeout_s)
         try:
             await drive.connect()
-            return str(await _stand(drive, time.monotonic() + STOP_S))
+            return await _stand(drive, time.monotonic() + STOP_S)
         except DriveError:
             attempts -= 1
             if not attempts:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import fcntl
 import os
-import tempfile
 import time
 from collections.abc import Callable, Collection, Iterator
 from contextlib import contextmanager
@@ -19,6 +18,8 @@ from greenroof_ros.graph.transport import choose_transport
 _LISTEN_S = 1.0
 # Above it the ports of a domain run into those that the system lends.
 _LAST_DOMAIN = 101
+# Where bringups lock each other out: in memory, so that a full disk keeps none from starting.
+_LOCKS = Path("/dev/shm")
 
 
 def _domain() -> int:
@@ -53,7 +54,7 @@ def only_bringup(namespace: str) -> Iterator[None]:
         OccupiedError: one runs already.
     """
     name = f"greenroof_ros-{os.getuid()}-domain-{_domain()}{namespace.replace('/', '-')}.lock"
-    with (Path(tempfile.gettempdir()) / name).open("w") as stream:
+    with (_LOCKS / name).open("w") as stream:
         try:
             fcntl.flock(stream, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except OSError:

@@ -22,8 +22,12 @@ from greenroof_ros.graph.node_processes import NodeFailed, NodeProcesses
 from greenroof_ros.graph.permit import Permit
 from greenroof_ros.graph.states import PUMP, READY, RECORDER
 
-# A node that says nothing for so long (s) holds the pump; reports come four times a second.
+# A node that says nothing for so long (s) holds the pump; reports come four times a second. A pump
+# node that said that the pump turns is killed then.
 _SILENT_S = 2.0
+# How long after the permit was withdrawn the pump node may say that it runs the pump (s), and how
+# much longer the pump may turn: the longest ramp of a drive.
+_OBEYS_S, _RAMP_S = 2.0, 30.0
 # How long a node that was just started may say nothing (s): imports take seconds.
 _START_LIMIT_S = 30.0
 # The time before a restart (s): 1, 2, 4, ... to this, by the restarts of the last ten minutes.
@@ -58,7 +62,8 @@ class _Node:
 
     module: str
     arguments: tuple[str, ...]
-    starts_again: float | None = None  # at what time (steady clock, s), where it does not run
+    started: float = 0.0  # at what time (steady clock, s)
+    starts_again: float | None = None  # at what time, where it does not run
     restarts: deque[float] = field(default_factory=deque)  # when, within the window
     was_ready: bool = False
 
@@ -68,11 +73,13 @@ class LiveSupervisor(NodeProcesses):
 
     A node that ends, or says nothing for too long, is started again, after a while that grows; one
     that needs that too often is given up, and the site with it, the pump stopped. The pump node is
-    told four times a second whether it may run. Where it dies, it cannot stop the drive any more:
-    that is then done from here.
+    told four times a second whether it may run. Where it dies, falls silent or does not obey, it is
+    killed, and the drive is stopped from here; and at the end, whatever the pump node says. The
+    recorder is never given up, and ends nothing: recording must not stop control.
 
     Attributes:
         hold: why the pump may not run; empty where it may.
+        may_run: that the pump may run after the end, and what protects; empty where it stands.
     """
 
     def __init__(
@@ -83,7 +90,7 @@ class LiveSupervisor(NodeProcesses):
         *,
         silence_s: float,
         restarts: int,
-        stop_drive: Callable[[], str] | None,
+        stop_drive: Callable[[], tuple[bool, str]] | None,
         on_incident: Callable[[Incident], None],
     ) -> None:
         """Start nothing yet.
@@ -94,20 +101,23 @@ class LiveSupervisor(NodeProcesses):
             namespace: of all nodes, such as ``/site1``; empty for none.
             silence_s: how long a node may say nothing before it is killed (s).
             restarts: of one node within ten minutes; one more, and the site is stopped.
-            stop_drive: stops the drive without the pump node, and returns what came of it, within
-                seconds; None where the pump is somebody else's.
+            stop_drive: stops the drive without the pump node, and returns whether it stands and
+                what came of it, in words; None where the pump is somebody else's.
             on_incident: called with each.
         """
         super().__init__(logs, parameters, namespace)
         # Files of rcl's own, besides what a node prints, would grow for months.
         self._ros_arguments.append("--disable-external-lib-logs")
         self.hold = "starting"
+        self.may_run = ""
+        self._held_since = time.monotonic()
+        self._met = False
         self._known: dict[str, _Node] = {}
         self._silence_s = silence_s
         self._restarts = restarts
         self._stop_drive = stop_drive
         self._stopper = ThreadPoolExecutor(1)
-        self._stopping: Future[str] | None = None
+        self._stopping: Future[tuple[bool, str]] | None = None
         self._on_incident = on_incident
         self._permit = Permit()
 
@@ -128,12 +138,22 @@ class LiveSupervisor(NodeProcesses):
         names = self.nodes.keys()
         self.end(names & {PUMP})
         if self._stop_drive is not None and PUMP in names:
-            how = self.nodes[PUMP].how_it_ended()
-            if self.nodes[PUMP].process.returncode != EXIT_DONE:
-                self._note(PUMP, f"did not end by itself ({how})", self._stop_drive())
+            self._see_drive_off(self._stop_drive)
         self.end(names - {PUMP, RECORDER})
         self.end(names & {RECORDER})
         self._permit.close()
+
+    def _see_drive_off(self, stop_drive: Callable[[], tuple[bool, str]]) -> None:
+        """Stop the drive at the end, and note it where the pump node did not end well, or fails."""
+        if self._stopping is not None:
+            self._stopping.result()  # two at once would be in each other's way
+        stands, said = stop_drive()
+        self.may_run = "" if stands else said
+        pump = self.nodes[PUMP]
+        if pump.process.returncode != EXIT_DONE:
+            self._note(PUMP, f"did not end well ({pump.how_it_ended()})", said)
+        elif not stands:
+            self._note(PUMP, "ended", said)
 
     def add(self, node: str, module: str, *arguments: str) -> None:
         """Start a node, now and whenever it has failed; see :meth:`NodeProcesses.start`."""
@@ -142,7 +162,7 @@ class LiveSupervisor(NodeProcesses):
 
     def _start(self, name: str) -> None:
         known = self._known[name]
-        known.starts_again = None
+        known.started, known.starts_again = time.monotonic(), None
         pipes = self._permit.open() if name == PUMP else {}
         self.start(name, known.module, *known.arguments, pipes=pipes)
 
@@ -164,6 +184,9 @@ class LiveSupervisor(NodeProcesses):
             known.was_ready |= self._is_ready(name)
             how = node.how_it_ended()
             limit = self._silence_s if node.spoke else max(self._silence_s, _START_LIMIT_S)
+            if name == PUMP and node.spoke and not self._says_it_stands():
+                limit = _SILENT_S
+            disobeys = self._disobeys(now) if name == PUMP else ""
             if how is not None:
                 self.read_all(name)
                 self._failed(name, self._why_ended(name, how), now)
@@ -171,16 +194,50 @@ class LiveSupervisor(NodeProcesses):
                 stopped = " (stopped)" if node.is_stopped else ""
                 node.kill()
                 self._failed(name, f"had not answered for {limit:g} s{stopped}: killed", now)
+            elif disobeys:
+                node.kill()
+                self._failed(name, f"{disobeys}: killed", now)
         if self._stopping is not None and self._stopping.done():
-            self._note(PUMP, "could not stop the drive", self._stopping.result())
+            self._note(PUMP, "could not stop the drive", self._stopping.result()[1])
             self._stopping = None
-        self.hold = self._reason_to_hold(now)
+        held, self.hold = self.hold, self._reason_to_hold(now)
+        if self.hold and not held:
+            self._held_since, self._met = now, False
         self._permit.tell(self.hold)
+
+    def _pump_state(self) -> str:
+        """Return the state of the pump that its node said last; empty before it said one."""
+        return str(self.last.get(PUMP, {}).get("pump", "")).partition(":")[0]
+
+    def _says_it_stands(self) -> bool:
+        """Whether the pump node said last that the pump is off, and that nothing flows."""
+        flow = self.last.get(PUMP, {}).get("flow")
+        return self._pump_state() in ("off", "held", "fault") and not flow
+
+    def _disobeys(self, now: float) -> str:
+        """Return what the pump node does although it may not; empty where it does nothing such.
+
+        A pump that turns although the node says that it is told to stop is met once while the pump
+        is held: the node is right perhaps, and another stop no use.
+        """
+        if not self.hold or self._says_it_stands():
+            return ""
+        passed = now - max(self._held_since, self._known[PUMP].started, self.awake_since)
+        state = self._pump_state()
+        if passed > _OBEYS_S and state in ("running", "starting"):
+            return f"ran the pump for {_OBEYS_S:g} s after it was forbidden ({self.hold})"
+        if passed > _OBEYS_S + _RAMP_S and state and not self._met:
+            self._met = True
+            return f"did not stop the pump within {_OBEYS_S + _RAMP_S:g} s ({self.hold})"
+        return ""
 
     @property
     def all_ready(self) -> bool:
-        """Whether every node runs and has all that it needs."""
-        return all(self._is_ready(name) for name in self._known)
+        """Whether every node runs and has all that it needs, but for a recorder that failed."""
+        return all(
+            self._is_ready(name) for name, known in self._known.items()
+            if name != RECORDER or not known.restarts
+        )
 
     def _is_ready(self, name: str) -> bool:
         return self.last.get(name, {}).get("state") == READY
@@ -198,18 +255,21 @@ class LiveSupervisor(NodeProcesses):
         known, code = self._known[name], self.nodes[name].process.returncode
         while known.restarts and now - known.restarts[0] > _WINDOW_S:
             known.restarts.popleft()
-        if not known.was_ready and code in (EXIT_USAGE, EXIT_OCCUPIED):
+        too_often = len(known.restarts) >= self._restarts
+        needed = name != RECORDER
+        if needed and not known.was_ready and code in (EXIT_USAGE, EXIT_OCCUPIED):
             raise NodeFailed(f"node {name} {what}", self.quoted(name), code, [name], what)
-        if len(known.restarts) >= self._restarts:
+        if needed and too_often:
             raise NodeFailed(
                 f"node {name} {what}; it was restarted {len(known.restarts)} times in the last "
                 f"{_WINDOW_S / 60:g} minutes, and is given up",
                 self.quoted(name), EXIT_FAILED, [name], what,
             )
-        wait = min(2.0 ** len(known.restarts), _LONGEST_WAIT_S)
+        wait = _WINDOW_S if too_often else min(2.0 ** len(known.restarts), _LONGEST_WAIT_S)
         known.restarts.append(now)
         known.starts_again = now + wait
-        self._note(name, what, f"starts again in {wait:g} s")
+        unrecorded = "; nothing is recorded until then" if name == RECORDER else ""
+        self._note(name, what, f"starts again in {wait:g} s{unrecorded}")
         if name == PUMP and self._stop_drive is not None:
             self._stopping = self._stopper.submit(self._stop_drive)
 

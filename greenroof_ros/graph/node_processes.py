@@ -17,11 +17,13 @@ from pathlib import Path
 from typing import Any
 
 from greenroof_ros.common.processes import end_with_parent
-from greenroof_ros.graph.states import REPORT_PIPE
+from greenroof_ros.graph.states import PUMP, REPORT_PIPE
 
-# How long to wait for a process that was asked to end, before the next, harder signal (s). Not
-# SIGINT: what a shell starts in its background ignores it, and so would a node that just begins.
-_ENDING_S = {signal.SIGTERM: 5.0, signal.SIGKILL: 5.0}
+# How long to wait for a process that was asked to end, before the kernel ends it (s); and the pump
+# node, which waits until the pump stands: as long as the speed falls.
+_ENDING_S, _PUMP_ENDING_S = 5.0, 40.0
+# How long the kernel may take (s).
+_KILLING_S = 5.0
 _LAST_LINES = 15
 # Size at which a node's log becomes its .log.1 in place of the one before it: a live site runs for
 # months.
@@ -35,6 +37,7 @@ class NodeFailed(Exception):
 
     Attributes:
         reason: the message without these lines.
+        last_lines: these.
         code: what the exit code should be.
         nodes: which; of those that hang the ones that were stopped, where any was.
         how: they ended, in a few words.
@@ -45,6 +48,7 @@ class NodeFailed(Exception):
     ) -> None:
         super().__init__(f"{reason}\n{last_lines}")
         self.reason = reason
+        self.last_lines = last_lines
         self.code = code
         self.nodes = nodes
         self.how = how
@@ -109,6 +113,7 @@ class NodeProcesses:
     Attributes:
         nodes: those that were started, by name.
         last: the last report of each node that has said something.
+        awake_since: when this process itself last stood still (steady clock, s), or began.
     """
 
     def __init__(self, logs: Path, parameters: Sequence[Path], namespace: str) -> None:
@@ -129,7 +134,7 @@ class NodeProcesses:
             self._ros_arguments += ["-r", f"__ns:={namespace}"]
         self._pipes = selectors.DefaultSelector()
         self._reports: list[tuple[str, dict[str, Any]]] = []
-        self._looked = time.monotonic()
+        self._looked = self.awake_since = time.monotonic()
 
     def start(
         self, node: str, module: str, *arguments: str, ros_arguments: Sequence[str] = (),
@@ -180,6 +185,7 @@ class NodeProcesses:
         self._read_pipes(0.1)  # which, where this process was stopped in it, may find nothing
         now = time.monotonic()
         if now - self._looked > _PAUSE_S:
+            self.awake_since = now
             for node in self.nodes.values():
                 node.heard = now
         self._looked = now
@@ -234,14 +240,27 @@ class NodeProcesses:
         return "\n".join([f"last lines of {node}:", *quoted])
 
     def end(self, nodes: Collection[str]) -> None:
-        """Ask these nodes to end, and after a while have the kernel end them."""
-        processes = [self.nodes[node].process for node in nodes]
-        for number, limit in _ENDING_S.items():
-            running = [process for process in processes if process.poll() is None]
-            for process in running:
-                process.send_signal(number)
-            until = time.monotonic() + limit
-            for process in running:
-                while process.poll() is None and time.monotonic() < until:
-                    self._read_pipes(0.02)
+        """Ask these nodes to end, and after a while have the kernel end them.
+
+        Not by SIGINT: what a shell starts in its background ignores it, and so would a node that
+        just begins.
+        """
+        asked = time.monotonic()
+        limits = {
+            node: _PUMP_ENDING_S if node == PUMP else _ENDING_S
+            for node in nodes if self.nodes[node].process.poll() is None
+        }
+        for node in limits:
+            self.nodes[node].process.send_signal(signal.SIGTERM)
+        killed = set()
+        while limits:
+            self._read_pipes(0.02)
+            passed = time.monotonic() - asked
+            for node, limit in list(limits.items()):
+                process = self.nodes[node].process
+                if process.poll() is not None or passed > limit + _KILLING_S:
+                    del limits[node]
+                elif passed > limit and node not in killed:
+                    killed.add(node)
+                    process.kill()
         self._read_pipes(0.0)

@@ -26,15 +26,17 @@ _SAME_SILENCE_S = 0.5
 class Supervisor(NodeProcesses):
     """The node processes of one run. Leaving its ``with`` block ends them all.
 
-    Where the pump node dies, it cannot stop the drive any more: that is then done from here.
+    Where the pump node dies, it cannot stop the drive any more: that is then done from here; and at
+    the end, whatever the pump node says.
 
     Attributes:
         permit: for the pump node, where there is one.
+        may_run: that the pump may run after the end, and what protects; empty where it stands.
     """
 
     def __init__(
         self, logs: Path, parameters: Sequence[Path], namespace: str,
-        stop_drive: Callable[[], str] | None,
+        stop_drive: Callable[[], tuple[bool, str]] | None,
     ) -> None:
         """Make the directory for what the nodes print, one file each.
 
@@ -42,11 +44,12 @@ class Supervisor(NodeProcesses):
             logs: that directory.
             parameters: ROS 2 parameter files of all nodes; what a later one says counts.
             namespace: of all nodes, such as ``/site1``; empty for none.
-            stop_drive: stops the drive without the pump node, and returns what came of it, within
-                seconds; None where there is none.
+            stop_drive: stops the drive without the pump node, and returns whether it stands and
+                what came of it, in words; None where there is none.
         """
         super().__init__(logs, parameters, namespace)
         self.permit = Permit()
+        self.may_run = ""
         self._stop_drive = stop_drive
         self._commands: dict[str, tuple[str, ...]] = {}  # module and its arguments
         self._again: set[str] = set()  # nodes that were started again
@@ -71,8 +74,8 @@ class Supervisor(NodeProcesses):
         for group in (self.nodes.keys() - {RECORDER}, self.nodes.keys() & {RECORDER}):
             self.end(group)
         self.permit.close()
-        if PUMP in self.nodes and self.nodes[PUMP].process.returncode != EXIT_DONE:
-            self._see_drive_off()
+        if PUMP in self.nodes:
+            self._see_drive_off(said=self.nodes[PUMP].process.returncode != EXIT_DONE)
         # A recorder whose middleware locked up (SIGALRM) had closed its bag before, or logged why
         # it could not.
         recorder = self.nodes.get(RECORDER)
@@ -100,7 +103,7 @@ class Supervisor(NodeProcesses):
         """
         self.nodes[node].kill()
         if node == PUMP:
-            self._see_drive_off()
+            self._see_drive_off(said=True)
         self._again.add(node)
         self._start(node, *ros_arguments)
 
@@ -112,9 +115,14 @@ class Supervisor(NodeProcesses):
         pipes = self.permit.open() if node == PUMP else {}
         self.start(node, *self._commands[node], ros_arguments=ros_arguments, pipes=pipes)
 
-    def _see_drive_off(self) -> None:
-        if self._stop_drive is not None:
-            print(self._stop_drive(), file=sys.stderr)
+    def _see_drive_off(self, *, said: bool) -> None:
+        """Stop the drive, and print what came of it where that is wanted, or the pump may run."""
+        if self._stop_drive is None:
+            return
+        stands, what = self._stop_drive()
+        self.may_run = "" if stands else what
+        if said or not stands:
+            print(what, file=sys.stderr)
 
     def check(self, limit: float) -> None:
         """Look whether all nodes live and speak.

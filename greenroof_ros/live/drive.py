@@ -14,6 +14,11 @@ from greenroof_ros.drives.address import parse_address
 from greenroof_ros.drives.drive_file import find_drive_file, read_drive_file
 from greenroof_ros.pumping.ledger import state_directory
 
+_MAY_RUN = (
+    "THE PUMP MAY BE RUNNING: only the drive's own communication timeout stops it now, if that is "
+    "on; look at the pump, and stop it at the drive's panel or its switch"
+)
+
 
 @dataclass(frozen=True)
 class DriveChoice:
@@ -63,27 +68,29 @@ class DriveChoice:
             "autostart": True,
         }
 
-    def stopper(self) -> Callable[[], str]:
-        """Return what stops the drive without the pump node, and says what came of it.
+    def stopper(self) -> Callable[[], tuple[bool, str]]:
+        """Return what stops the drive without the pump node.
+
+        It returns whether the drive says that the pump stands, and what came of it, in words.
 
         Raises:
             ConfigurationError: the file or the address is wrong, or pymodbus is not installed.
         """
         try:
             from greenroof_ros.drives.exchange import stop_drive
-            from greenroof_ros.drives.modbus_line import DriveError
         except ModuleNotFoundError as error:
             raise ConfigurationError(
                 f"a drive needs pymodbus: pip install 'greenroof_ros[pump]' ({error})"
             ) from error
         file, address = read_drive_file(self.file), parse_address(self.at)
 
-        def stop() -> str:
+        def stop() -> tuple[bool, str]:
             try:
-                said = stop_drive(file, address)
-                return f"bringup told the drive to stop, which said then: {said}"
-            except DriveError as error:
-                return f"bringup could not stop the drive, whose own timeout has to: {error}"
+                status = stop_drive(file, address)
+            except Exception as error:  # whatever it is, somebody must look at the pump
+                return False, f"bringup could not stop the drive: {error}; {_MAY_RUN}"
+            said = f"bringup told the drive to stop, which said then: {status}"
+            return (True, said) if status.stands else (False, f"{said}; {_MAY_RUN}")
 
         return stop
 

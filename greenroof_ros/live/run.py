@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import fcntl
+import json
 import os
 import shutil
+import tempfile
 import time
 from collections import deque
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import asdict, replace
 from datetime import datetime, timezone
 from pathlib import Path
@@ -16,7 +18,7 @@ from typing import Any
 
 import yaml
 
-from greenroof_ros.common.command_line import EXIT_DONE
+from greenroof_ros.common.command_line import EXIT_DONE, EXIT_FAILED
 from greenroof_ros.common.errors import ConfigurationError, OccupiedError
 from greenroof_ros.common.signals import InterruptedRun, Signals
 from greenroof_ros.common.systemd import notify
@@ -39,13 +41,15 @@ _STILL_STARTING = "EXTEND_TIMEOUT_USEC=30000000"
 _INCIDENTS = 200
 # Size of one file of the bag (MB), where the whole may be ten times that.
 _BAG_FILE_MB = 100.0
+# Files that are in memory (Linux).
+_IN_MEMORY = "/dev/shm"
 
 
 def run_live(site: LiveSite, signals: Signals) -> int:
     """Start the nodes of a live site and keep them up until a signal comes.
 
     Returns:
-        The exit code: 0 where it was asked to stop.
+        The exit code: 0 where it was asked to stop, and the pump stands.
 
     Raises:
         ConfigurationError: there is a graph already, no ROS 2, or the directory cannot be made.
@@ -54,10 +58,11 @@ def run_live(site: LiveSite, signals: Signals) -> int:
     with only_bringup(site.namespace), _state_directory(site.state) as state:
         names = {name for name, *_ in _nodes(site)} | {"plant", *controller_names()}
         refuse_other_nodes(site.namespace, names, signals.check)
-        with Status() as status:
+        with Status() as status, tempfile.TemporaryDirectory(dir=_IN_MEMORY) as memory:
             record = _Record(site, state, status)
+            record.say_last_end()
             supervisor = LiveSupervisor(
-                state / "log", _write_configuration(site, state), site.namespace,
+                state / "log", _configuration(site, state, Path(memory), status), site.namespace,
                 silence_s=site.silence_s,
                 restarts=site.restarts,
                 stop_drive=site.drive.stopper() if site.drive is not None else None,
@@ -68,19 +73,28 @@ def run_live(site: LiveSite, signals: Signals) -> int:
                 with supervisor:
                     for node in _nodes(site):
                         supervisor.add(*node)
-                    _keep_up(supervisor, status, signals)
+                    _keep_up(supervisor, status, signals, pump=site.drive is not None)
             except InterruptedRun as error:
                 signals.ignore()
-                record.write(summary.DONE, str(error))
-                status.say(f"{error}: the pump and the nodes are stopped")
-                return EXIT_DONE
+                if not supervisor.may_run:
+                    record.write(summary.DONE, str(error))
+                    status.say(f"{error}: the pump and the nodes are stopped")
+                    return EXIT_DONE
+                _fail(record, status, f"{error}; {supervisor.may_run}")
+                return EXIT_FAILED
             except NodeFailed as error:
                 signals.ignore()
-                record.write(summary.FAILED, error.reason)
-                notify(f"STATUS={error.reason}")
-                status.say(f"error: {error}")
-                return error.code
+                reason = "; ".join(filter(None, (error.reason, supervisor.may_run)))
+                _fail(record, status, reason, error.last_lines)
+                return EXIT_FAILED if supervisor.may_run else error.code
     raise AssertionError("a live site ends by a signal or a failure")
+
+
+def _fail(record: _Record, status: Status, reason: str, *last_lines: str) -> None:
+    """Keep and say why the site ended, so that somebody looks at it."""
+    record.write(summary.FAILED, reason)
+    notify(f"STATUS={reason}")
+    status.say("\n".join([f"error: {reason}", *last_lines]))
 
 
 class _Record:
@@ -94,6 +108,7 @@ class _Record:
         self._count = 0
         self._what = summary.RUNNING
         self._reason: str | None = None
+        self._last_time = _last_time(state)
         self._setting = {
             "controller": site.controller.name,
             "parameters": summary.finite(site.parameters),
@@ -104,6 +119,17 @@ class _Record:
             "drive_at": site.drive.at if site.drive else None,
             "versions": versions(),
         }
+
+    def say_last_end(self) -> None:
+        """Say how the site ended the last time, unless it was asked to."""
+        before = self._last_time
+        if before is None or before["status"] == summary.DONE:
+            return
+        if before["status"] == summary.RUNNING:
+            how = "bringup was killed, or the power failed"
+        else:
+            how = f"bringup ended at {before['ended']}: {before['reason']}"
+        self._status.say(f"the last time, since {before['began']}, {how}")
 
     def add(self, incident: Incident) -> None:
         """Say and keep that something went wrong."""
@@ -123,6 +149,7 @@ class _Record:
             "reason": self._reason,
             "began": self._began,
             "ended": None if self._what == summary.RUNNING else _now(),
+            "last_time": self._last_time,
             "incident_count": self._count,
             "incidents": [asdict(incident) for incident in self._incidents],
             **self._setting,
@@ -133,11 +160,21 @@ class _Record:
             self._status.say(f"warning: {error.filename or self._state}: {error.strerror}")
 
 
+def _last_time(state: Path) -> dict[str, Any] | None:
+    """Return when and how the site was started and ended before; None where that is not known."""
+    with suppress(OSError, ValueError, KeyError, TypeError):
+        before = json.loads((state / summary.SUMMARY).read_text(encoding="utf-8"))
+        return {key: before[key] for key in ("status", "reason", "began", "ended")}
+    return None
+
+
 def _now() -> str:
     return datetime.now(timezone.utc).isoformat(timespec="milliseconds")
 
 
-def _keep_up(supervisor: LiveSupervisor, status: Status, signals: Signals) -> None:
+def _keep_up(
+    supervisor: LiveSupervisor, status: Status, signals: Signals, *, pump: bool
+) -> None:
     """Watch the nodes for ever.
 
     Raises:
@@ -154,7 +191,7 @@ def _keep_up(supervisor: LiveSupervisor, status: Status, signals: Signals) -> No
             status.update(supervisor.last, supervisor.hold)
             if not ready and supervisor.all_ready:
                 ready = True
-                status.say("all nodes are here")
+                status.all_are_here()
                 notify("READY=1")
             now = time.monotonic()
             if now - notified >= _NOTIFY_S:
@@ -163,6 +200,8 @@ def _keep_up(supervisor: LiveSupervisor, status: Status, signals: Signals) -> No
                 notify("WATCHDOG=1", f"STATUS={how}", *([] if ready else [_STILL_STARTING]))
     finally:
         notify("STOPPING=1")
+        if pump:
+            status.say("waiting for the pump to stand")
 
 
 def _nodes(site: LiveSite) -> Iterator[tuple[str, ...]]:
@@ -190,7 +229,6 @@ def _state_directory(path: Path) -> Iterator[Path]:
     """
     try:
         (path / "log").mkdir(parents=True, exist_ok=True)
-        (path / "configuration").mkdir(exist_ok=True)
         number = os.open(path, os.O_RDONLY)
     except OSError as error:
         raise ConfigurationError(
@@ -208,43 +246,79 @@ def _state_directory(path: Path) -> Iterator[Path]:
         os.close(number)
 
 
-def _write_configuration(site: LiveSite, state: Path) -> list[Path]:
-    """Keep what the site was started with, and write the parameters of its nodes.
+def _configuration(site: LiveSite, state: Path, memory: Path, status: Status) -> list[Path]:
+    """Keep what the site was started with; in memory, and with a warning, on a full disk.
 
-    A node that is started again reads the same files as before, whatever was edited meanwhile; but
-    the forecast is read where it lies, since it is replaced there.
+    After a power cut nobody is there to make room, and the plants need water.
+
+    Args:
+        site: as asked for.
+        state: its directory.
+        memory: a directory that is on no disk, for as long as the site runs.
+        status: where the warning is said.
 
     Returns:
         The ROS 2 parameter files that all nodes read, bringup's and the user's.
 
     Raises:
-        ConfigurationError: it cannot be written.
+        OSError: it cannot be written there, either.
     """
-    configuration = state / "configuration"
-    kept: dict[str, str] = {}
+    place, part, old = (state / f"configuration{end}" for end in ("", ".part", ".old"))
+    for left in (part, old):
+        shutil.rmtree(left, ignore_errors=True)
     try:
-        for name, file in (
-            ("site", site.site_file),
-            ("sensors", site.sensors),
-            ("drive", site.drive.file if site.drive is not None else None),
-            ("nodes", site.node_parameters),
-        ):
-            if file is not None:
-                place = configuration / name
-                shutil.rmtree(place, ignore_errors=True)
-                place.mkdir()
-                kept[name] = str(shutil.copyfile(file, place / file.name))
-        path = configuration / "parameters.yaml"
-        parameters = {
-            f"/**/{name}": {"ros__parameters": values}
-            for name, values in _parameters(site, state, kept).items()
-        }
-        path.write_text(yaml.safe_dump(parameters, sort_keys=False), encoding="utf-8")
+        files = _write_configuration(site, state, part, place)
+        if place.exists():
+            place.rename(old)
+        part.rename(place)
     except OSError as error:
-        raise ConfigurationError(
-            f"cannot be written: {error.strerror}", key="--state", value=str(state)
-        ) from error
-    return [path, *(Path(kept[name]) for name in kept if name == "nodes")]
+        shutil.rmtree(part, ignore_errors=True)
+        status.say(f"warning: {place}: {error.strerror}; the new configuration is in memory only")
+        return _write_configuration(site, state, memory, memory)
+    shutil.rmtree(old, ignore_errors=True)
+    return files
+
+
+def _write_configuration(
+    site: LiveSite, state: Path, directory: Path, place: Path
+) -> list[Path]:
+    """Copy what the site was started with, and write the parameters of its nodes.
+
+    A node that is started again reads the same files as before, whatever was edited meanwhile; but
+    the forecast is read where it lies, since it is replaced there.
+
+    Args:
+        site: as asked for.
+        state: its directory.
+        directory: to write to; made where it is missing.
+        place: where that will be.
+
+    Returns:
+        The ROS 2 parameter files that all nodes read, bringup's and the user's, in their place.
+
+    Raises:
+        OSError: it cannot be written.
+    """
+    directory.mkdir(exist_ok=True)
+    kept: dict[str, str] = {}
+    for name, file in (
+        ("site", site.site_file),
+        ("sensors", site.sensors),
+        ("drive", site.drive.file if site.drive is not None else None),
+        ("nodes", site.node_parameters),
+    ):
+        if file is not None:
+            (directory / name).mkdir()
+            shutil.copyfile(file, directory / name / file.name)
+            kept[name] = str(place / name / file.name)
+    parameters = {
+        f"/**/{name}": {"ros__parameters": values}
+        for name, values in _parameters(site, state, kept).items()
+    }
+    (directory / "parameters.yaml").write_text(
+        yaml.safe_dump(parameters, sort_keys=False), encoding="utf-8"
+    )
+    return [place / "parameters.yaml", *(Path(kept[name]) for name in kept if name == "nodes")]
 
 
 def _parameters(

@@ -17,6 +17,9 @@ _INTERVAL_S = 0.25
 # How long a text must stand before it is a line of a log (s): on the way to being well, or not, a
 # node says one thing after the other.
 _SETTLED_S = 3.0
+# How long what is not well is what is waited for (s): after the start, and after all nodes are
+# there, since inputs count after 10 s by default. How long such a text must stand (s).
+_START_S, _INPUTS_S, _WAITED_S = 60.0, 20.0, 1.0
 # What the pump node says of the hold that bringup tells it.
 _OF_BRINGUP = "supervisor"
 
@@ -26,6 +29,7 @@ class Status:
 
     On a terminal levels, command, pump and what is not well stand in one line, which is redrawn;
     elsewhere, as in systemd's journal, what is not well is a line when it begins and when it ends.
+    At the start much is not well that will be in a moment; then a line says what is waited for.
     """
 
     def __init__(self) -> None:
@@ -33,6 +37,9 @@ class Status:
         self._console = Console(stderr=True, soft_wrap=True)
         self._live: Live | None = None
         self._shown = 0.0
+        self._starts_until = time.monotonic() + _START_S
+        self._starting = True
+        self._waits, self._waits_since, self._said_waits = "", 0.0, ""
         # By node and part: what stands; and what was seen, since when, and not said yet.
         self._troubles: dict[tuple[str, str], str] = {}
         self._changes: dict[tuple[str, str], tuple[str, float]] = {}
@@ -70,10 +77,36 @@ class Status:
             return
         self._shown = now
         troubles = troubles_of(reports, hold)
-        self._say_changes(troubles, reports.keys(), now)
+        if self._starting:
+            self._say_start(reports, hold, troubles, now)
+        else:
+            self._say_changes(troubles, reports.keys(), now)
         if self._live is not None:
             line = "; ".join([values_of(reports), *troubles.values()])
             self._live.update(Text(line, no_wrap=True, overflow="ellipsis"), refresh=True)
+
+    def all_are_here(self) -> None:
+        """Say that all nodes are there; what they wait for then comes soon."""
+        self.say("all nodes are here")
+        self._starts_until = time.monotonic() + _INPUTS_S
+
+    def _say_start(
+        self, reports: Mapping[str, Mapping[str, Any]], hold: str,
+        troubles: Mapping[tuple[str, str], str], now: float,
+    ) -> None:
+        """Print what is waited for; that the start is over, when all is well or it took long."""
+        if not troubles or now > self._starts_until:
+            self._starting = False
+            if not hold:
+                self.say(f"running: {values_of(reports)}")
+            return
+        nodes = sorted({node for node, _ in troubles if node})
+        waits = hold or f"what {', '.join(nodes)} read must be good for a while (recovery_time)"
+        if waits != self._waits:
+            self._waits, self._waits_since = waits, now
+        elif waits != self._said_waits and now - self._waits_since > _WAITED_S:
+            self._said_waits = waits
+            self.say(f"waiting: {waits}")
 
     def _say_changes(
         self, troubles: Mapping[tuple[str, str], str], nodes: Collection[str], now: float

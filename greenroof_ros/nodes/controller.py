@@ -7,6 +7,7 @@ class as ``package.module:Class``; the node is named after it.
 from __future__ import annotations
 
 import math
+from collections import deque
 from functools import partial
 from typing import Any
 
@@ -46,6 +47,8 @@ _NEEDED = (
     "/weather/frost",
 )
 _FLOW, _GAUGE = "/pump/flow", "/gauge/precipitation"
+# So many changes of parameters a live node keeps, the newest; all are counted.
+_LIVE_CHANGES = 20
 LIVE_PARAMETERS = [*live_parameters([*_NEEDED, _FLOW, _GAUGE]), *LEVEL_PARAMETERS]
 
 
@@ -92,7 +95,11 @@ class ControllerNode(LinkedNode):
             one.name: values[one.name] for one in choice.kind.parameters if one.may_change
         }
         self._tick = 0
-        self._parameter_changes: list[dict[str, Any]] = []
+        # A live site runs for months.
+        self._parameter_changes: deque[dict[str, Any]] = deque(
+            maxlen=_LIVE_CHANGES if self.live else None
+        )
+        self._parameter_change_count = 0
         self._shown: dict[str, float | None] = {}
         cistern_rule, roof_rule = (
             LevelRule(speeds, live[FROZEN_MOVEMENT.name], live[JUMP_TOLERANCE.name])
@@ -181,7 +188,8 @@ class ControllerNode(LinkedNode):
 
     def progress(self) -> dict[str, Any]:
         """Return the parameters that changed and, live, what bringup shows."""
-        return {"parameter_changes": self._parameter_changes, **self._shown}
+        count = {"parameter_change_count": self._parameter_change_count} if self.live else {}
+        return {"parameter_changes": list(self._parameter_changes), **count, **self._shown}
 
     def summary(self) -> dict[str, Any]:
         """Return the solver's figures."""
@@ -197,6 +205,7 @@ class ControllerNode(LinkedNode):
             before = self._may_change[parameter.name]
             self._may_change[parameter.name] = parameter.value
             setattr(self._controller, parameter.name, parameter.value)
+            self._parameter_change_count += 1
             self._parameter_changes.append({
                 "tick": self._tick, "parameter": parameter.name,
                 "before": _finite(before), "value": _finite(parameter.value),

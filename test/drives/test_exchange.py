@@ -705,7 +705,7 @@ def test_a_thread_that_ends_says_so() -> None:
 
 def test_stop_drive(file: DriveFile, drive: Registers, wire: Wire) -> None:
     drive.values.update({0: 0x047F, 1: 20000, 3: 0x1337, 4: 20000})
-    assert stop_drive(file, parse_address(wire.at)) == "speed 0.0%, off"
+    assert str(stop_drive(file, parse_address(wire.at))) == "speed 0.0%, off"
     assert drive.written[0] == OFF and RUN not in drive.written
 
 
@@ -715,7 +715,8 @@ def test_stop_drive_says_what_a_drive_that_turns_on_says(
     drive.values.update({3: 0x1137, 4: 20000})
     drive.on_write = lambda _address, _word: None
     began = time.monotonic()
-    assert stop_drive(file, parse_address(wire.at)) == "speed 100.0%, running, local control"
+    status = stop_drive(file, parse_address(wire.at))
+    assert str(status) == "speed 100.0%, running, local control" and not status.stands
     assert time.monotonic() - began < 4.0
 
 

@@ -34,7 +34,9 @@ def main() -> None:
         sys.exit(1)
     permits = os.environ.get("GREENROOF_ROS_PERMIT_PIPE")
     while True:
-        report("starting" if (marks / f"{kind}-waits").exists() else "ready")
+        says = marks / f"{kind}-says"
+        said = {"pump": says.read_text()} if says.exists() else {}
+        report("starting" if (marks / f"{kind}-waits").exists() else "ready", **said)
         if permits is not None:
             os.set_blocking(int(permits), False)
             try:

@@ -17,6 +17,7 @@ import pytest
 from graphs import alive, wait_for
 from places import CHECKOUT
 
+from greenroof_ros.graph import live_supervisor
 from greenroof_ros.graph.live_supervisor import Incident, LiveSupervisor
 from greenroof_ros.graph.node_processes import NodeFailed
 
@@ -72,9 +73,9 @@ def site(
     incidents: list[Incident] = []
     stops: list[float] = []
 
-    def stop_drive() -> str:
+    def stop_drive() -> tuple[bool, str]:
         stops.append(time.monotonic())
-        return "the drive stands"
+        return True, "the drive stands"
 
     supervisor = LiveSupervisor(
         tmp_path, [], "", silence_s=silence_s, restarts=restarts,
@@ -153,7 +154,30 @@ def test_the_drive_is_stopped_for_a_pump_node_that_cannot(
         assert stopped < here.starts("pump")[1][1]
         assert [i.done for i in incidents] == ["starts again in 1 s", "the drive stands"]
         here.until(lambda: here.supervisor.all_ready)
-    assert len(stops) == 1  # at the end the pump node stopped it
+    assert len(stops) == 2 and len(incidents) == 2  # at the end, whatever the pump node says
+
+
+def test_a_pump_that_turns_on_is_stopped_once_more(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Longer than any ramp after it was forbidden; once, since the node may be right."""
+    monkeypatch.setattr(live_supervisor, "_RAMP_S", 1.0)
+    with site(tmp_path, monkeypatch, silence_s=9.0) as (here, incidents, stops):
+        here.add("weather", "pump")
+        here.until(lambda: here.supervisor.all_ready and not here.supervisor.hold)
+        (here.marks / "pump-says").write_text("stopping: the weather is missing")
+        ended = time.monotonic() + 5
+        here.until(lambda: time.monotonic() > ended)
+        assert not incidents  # it is allowed
+        (here.marks / "weather-waits").touch()
+        here.until(lambda: len(here.starts("pump")) == 2)
+        ended = time.monotonic() + 5
+        here.until(lambda: time.monotonic() > ended)
+        assert [(i.node, i.what) for i in incidents] == [
+            ("pump", "did not stop the pump within 3 s (weather is starting): killed"),
+            ("pump", "could not stop the drive"),
+        ]
+        assert len(stops) == 1 and len(here.starts("pump")) == 2
 
 
 def test_a_pump_node_that_does_not_end_by_itself(
@@ -166,7 +190,7 @@ def test_a_pump_node_that_does_not_end_by_itself(
         os.kill(here.pid("pump"), signal.SIGKILL)
         time.sleep(0.2)
     assert len(stops) == 1
-    assert str(incidents[-1]) == "pump did not end by itself (SIGKILL); the drive stands"
+    assert str(incidents[-1]) == "pump did not end well (SIGKILL); the drive stands"
 
 
 def test_a_node_that_fails_again_and_again_is_given_up(
@@ -185,6 +209,19 @@ def test_a_node_that_fails_again_and_again_is_given_up(
     assert "fails was started" in str(failed.value)
     assert [i.done for i in incidents] == ["starts again in 1 s", "starts again in 2 s"]
     assert not alive(here.starts("weather")[0][0])
+
+
+def test_a_recorder_ends_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """It is tried again, ever more seldom; the others go on, and the pump with them."""
+    with site(tmp_path, monkeypatch, restarts=1) as (here, incidents, _):
+        here.add("weather", "pump")
+        here.supervisor.add("recorder", "small_node", "wrong", str(here.marks))
+        here.until(lambda: len(incidents) == 2)
+        here.until(lambda: here.supervisor.all_ready and not here.supervisor.hold)
+    assert [(i.node, i.what, i.done) for i in incidents] == [
+        ("recorder", "ended (exit code 2): parameter x must be a number",
+         f"starts again in {wait} s; nothing is recorded until then") for wait in (1, 600)
+    ]
 
 
 def test_a_wrong_parameter_is_not_tried_again(

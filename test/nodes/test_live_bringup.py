@@ -3,17 +3,20 @@
 from __future__ import annotations
 
 import asyncio
+import json
 import os
 import re
 import signal
 import socket
+import subprocess
 import threading
 import time
-from collections.abc import Iterator
-from contextlib import contextmanager
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
 from datetime import timedelta
 from itertools import pairwise
 from pathlib import Path
+from typing import Any
 
 import pytest
 from graphs import Process, alive, bring_up, summary_of, wait_for
@@ -22,8 +25,12 @@ from rosbags.highlevel import AnyReader
 
 rclpy = pytest.importorskip("rclpy", reason="nodes need ROS 2")
 
-from std_msgs.msg import String  # noqa: E402
+from diagnostic_msgs.msg import DiagnosticArray  # noqa: E402
+from rcl_interfaces.srv import SetParameters  # noqa: E402
+from rclpy.parameter import Parameter  # noqa: E402
+from std_msgs.msg import Float64, String  # noqa: E402
 from test_live import Site, observer, site, write_forecast  # noqa: E402, F401
+from test_nodes import qos  # noqa: E402
 
 from greenroof_ros.drives.address import parse_address  # noqa: E402
 from greenroof_ros.drives.workbench import Workbench  # noqa: E402
@@ -63,15 +70,15 @@ class Systemd:
 
 
 @contextmanager
-def live(domain: int, cwd: Path, *arguments: str) -> Iterator[Process]:
-    """Bring a site up; it must end well when it is asked to, with all of its nodes."""
+def live(domain: int, cwd: Path, *arguments: str, code: int = 0) -> Iterator[Process]:
+    """Bring a site up; it must end as it should when it is asked to, with all of its nodes."""
     process = Process(
         domain, "bringup", "--plant", "external", "--state", "run", *arguments, cwd=cwd
     )
     yield process
     nodes = process.nodes().values()
     process.process.send_signal(signal.SIGTERM)
-    assert process.wait(20) == 0, process.stderr()
+    assert process.wait(60) == code, process.stderr()
     assert not any(map(alive, nodes))
     assert "Traceback" not in process.stderr()
 
@@ -85,7 +92,7 @@ def test_a_site_is_kept_up_and_systemd_told(
     commands = site.listen("/pump/command")
     with live(domain, tmp_path, *NOBODY, "--bag-limit", "50") as process:
         site.until(lambda: systemd.times("EXTEND_TIMEOUT_USEC=30000000"), 20, "the start")
-        site.until(lambda: "held: mpc waits for" in process.stderr(), 20, "what it waits for")
+        site.until(lambda: "waiting: mpc waits for" in process.stderr(), 50, "what it waits for")
         assert "READY=1" not in systemd.lines()
         assert not any(value for _, value in commands)
         site.values = dict(DRY)
@@ -96,6 +103,9 @@ def test_a_site_is_kept_up_and_systemd_told(
         site.until(
             lambda: commands[-1][0] > killed + 1 and commands[-1][1] > 0, 40, "a command again"
         )
+        kept = change_weight(site, 25)
+        assert kept() == {"parameter_changes": [6.0 + number for number in range(20)],
+                          "parameter_change_count": 25}
         site.during(2)
         beats = systemd.times("WATCHDOG=1")
         assert max(b - a for a, b in pairwise(beats)) < 3
@@ -109,6 +119,8 @@ def test_a_site_is_kept_up_and_systemd_told(
         "mpc", "ended (SIGKILL)", "starts again in 1 s"
     )
     assert "all nodes are here" in process.stderr()
+    # A start at which nothing is wrong has no warning.
+    assert "warning" not in process.stderr().partition("mpc ended")[0]
     with AnyReader([tmp_path / "run" / "bag"]) as reader:
         counts = {c.topic: c.msgcount for c in reader.connections if c.msgcount}
         stamps = [stamp / 1e9 for _, stamp, _ in reader.messages()]
@@ -117,6 +129,28 @@ def test_a_site_is_kept_up_and_systemd_told(
     assert counts["/pump/command"] == pytest.approx(len(commands), abs=5)
     assert stamps == sorted(stamps)
     assert abs(stamps[-1] - time.time()) < 30
+
+
+def change_weight(site: Site, count: int) -> Callable[[], dict[str, Any]]:  # noqa: F811
+    """Change a parameter of mpc so often; return what it says of that."""
+    said: dict[str, Any] = {}
+
+    def note(array: DiagnosticArray) -> None:
+        for status in array.status:
+            if status.name == "/mpc":
+                values = {entry.key: json.loads(entry.value) for entry in status.values}
+                said["parameter_changes"] = [one["value"] for one in values["parameter_changes"]]
+                said["parameter_change_count"] = values["parameter_change_count"]
+
+    site.node.create_subscription(DiagnosticArray, "/diagnostics", note, qos("/diagnostics"))
+    client = site.node.create_client(SetParameters, "/mpc/set_parameters")
+    site.until(client.service_is_ready, 10, "the service")
+    for number in range(count):
+        weight = Parameter("weight", value=1.0 + number).to_parameter_msg()
+        answer = client.call_async(SetParameters.Request(parameters=[weight]))
+        site.until(answer.done, 10, "an answer")
+    site.until(lambda: said.get("parameter_change_count") == count, 10, "the changes")
+    return lambda: said
 
 
 class Hardware:
@@ -157,6 +191,29 @@ class Hardware:
 
         return asyncio.run(asked())
 
+    def inject(self, fault: str) -> None:
+        """Let something go wrong at the drive."""
+
+        async def asked() -> None:
+            bench = Workbench(parse_address(self._bench))
+            try:
+                await bench.inject(fault)
+            finally:
+                bench.close()
+
+        asyncio.run(asked())
+
+
+# Makes a pump node deaf to its permit while there is a file of that name.
+DEAF = """
+import sys
+if "greenroof_ros.nodes.pump" in sys.orig_argv:
+    from pathlib import Path
+    from greenroof_ros.graph.permit import PermitReader
+    obeyed = PermitReader.hold
+    PermitReader.hold = lambda self, now: "" if Path("deaf").exists() else obeyed(self, now)
+"""
+
 
 def _addresses(simulator: Process) -> list[str]:
     """Return what a simulator says when it is ready."""
@@ -173,39 +230,105 @@ def _free_ports(count: int) -> list[int]:
 
 
 def test_a_live_site_with_drive_and_sensors(
-    domain: int, tmp_path: Path, site: Site,  # noqa: F811
+    domain: int, tmp_path: Path, site: Site, monkeypatch: pytest.MonkeyPatch,  # noqa: F811
 ) -> None:
-    """The controller pumps and the roof rises; whatever is killed, the pump stops, and goes on."""
+    """The controller pumps and the roof rises; whatever fails, the pump stops, and goes on.
+
+    In a namespace; and the drive's own timeout is off, so that it stops nothing here.
+    """
     hardware = Hardware(domain, tmp_path)
+    hardware.inject("timeout_off")
     hardware.add_tanks()
     write_forecast(tmp_path / "forecast.csv", timedelta(minutes=5), 0.0, 12.0)
     (tmp_path / "nodes.yaml").write_text(
         "/**:\n  ros__parameters:\n    recovery_time: 1.0\n    least_off: 1.0\n"
+        "    activate_without_drive_timeout: true\n"
     )
-    levels, states = site.listen("/roof/level"), site.listen("/pump/state", String)
+    (tmp_path / "sitecustomize.py").write_text(DEAF)
+    monkeypatch.setenv("PYTHONPATH", str(tmp_path))
+    deaf = tmp_path / "deaf"
+    levels: list[float] = []
+    states: list[tuple[float, str]] = []
+    site.node.create_subscription(
+        Float64, "/site1/roof/level", lambda message: levels.append(message.data),
+        qos("/roof/level"),
+    )
+    site.node.create_subscription(
+        String, "/site1/pump/state",
+        lambda message: states.append((time.monotonic(), message.data)), qos("/pump/state"),
+    )
     with live(
         domain, tmp_path, "--controller", "onoff", "--sensors", "sensors.yaml",
         "--forecast", "forecast.csv", "--drive", hardware.file, "--drive-at", hardware.drive,
         "--node-parameters", "nodes.yaml",
     ) as process:
-        site.until(lambda: hardware.speed() > 0.9, 40, "the pump")
-        site.until(lambda: levels[-1][1] > levels[0][1] + 0.0005, 20, "a roof that rises")
-        for victim, limit in (("controller", 2.5), ("pump", 6.0)):
-            killed = time.monotonic()
-            os.kill(process.nodes()[victim], signal.SIGKILL)
-            site.until(lambda: hardware.speed() == 0, limit, f"the pump's stop without {victim}")
-            site.until(lambda: hardware.speed() > 0.9, 40, f"the pump after {victim}")
-            said = [text for at, text in states if at > killed]
-            if victim == "controller":
-                assert any("onoff is missing" in text for text in said), said
-    assert hardware.speed() == 0
-    incidents = summary_of(tmp_path / "run")["incidents"]
+        site.until(lambda: hardware.speed() > 0.9, 60, "the pump")
+        site.until(lambda: levels[-1] > levels[0] + 0.0005, 20, "a roof that rises")
+        killed = time.monotonic()
+        os.kill(process.nodes()["controller"], signal.SIGKILL)
+        site.until(lambda: hardware.speed() == 0, 5, "the pump's stop without a controller")
+        site.until(lambda: hardware.speed() > 0.9, 60, "the pump after that")
+        said = [text for at, text in states if at > killed]
+        assert any("onoff is missing" in text for text in said), said
+        # A pump node that hangs: it keeps the drive running, and nobody but bringup stops it.
+        os.kill(process.nodes()["pump"], signal.SIGSTOP)
+        site.until(lambda: hardware.speed() == 0, 8, "the stop of a pump node's that hangs")
+        site.until(lambda: hardware.speed() > 0.9, 60, "the pump after that")
+        # One that lives, and does not obey: the weather is silent, which holds the pump.
+        weather = process.nodes()["weather"]
+        deaf.touch()
+        os.kill(weather, signal.SIGSTOP)
+        site.until(lambda: hardware.speed() == 0, 15, "the stop of a pump node's that is deaf")
+        deaf.unlink()
+        os.kill(weather, signal.SIGCONT)
+        site.until(lambda: hardware.speed() > 0.9, 60, "the pump after that")
+        hardware.inject("refused")
+    assert hardware.speed() > 0.9
+    said = process.stderr()
+    assert "waiting for the pump to stand" in said
+    assert "error: interrupted by SIGTERM; bringup could not stop the drive: " in said
+    assert "THE PUMP MAY BE RUNNING" in said
+    summary = summary_of(tmp_path / "run")
+    assert summary["status"] == "failed" and "THE PUMP MAY BE RUNNING" in summary["reason"]
+    incidents = summary["incidents"][:5]
     assert [(incident["node"], incident["what"]) for incident in incidents] == [
-        ("onoff", "ended (SIGKILL)"), ("pump", "ended (SIGKILL)"),
+        ("onoff", "ended (SIGKILL)"),
+        ("pump", "had not answered for 2 s (stopped): killed"),
+        ("pump", "could not stop the drive"),
+        ("pump", "ran the pump for 2 s after it was forbidden (weather is silent): killed"),
         ("pump", "could not stop the drive"),
     ]
-    assert "bringup told the drive to stop" in incidents[-1]["done"]
+    for stop in (incidents[2], incidents[4]):
+        assert "bringup told the drive to stop, which said then: speed 0.0%" in stop["done"]
     assert (tmp_path / "run" / "pump.json").is_file()
+
+
+def test_a_full_disk_keeps_no_site_from_starting(domain: int, tmp_path: Path) -> None:
+    """After a power cut nobody is there to make room; what was written before is not removed."""
+    disk = tmp_path / "run"
+    old = disk / "configuration" / "site" / "old.yaml"
+    disk.mkdir()
+    mounted = subprocess.run(
+        ["mount", "-t", "tmpfs", "-o", "size=64k", "tmpfs", str(disk)],
+        capture_output=True, check=False,
+    )
+    if mounted.returncode:
+        pytest.skip("only root can mount a small disk")
+    try:
+        (disk / "log").mkdir()
+        old.parent.mkdir(parents=True)
+        old.write_text("of before")
+        with (disk / "other").open("wb", buffering=0) as stream, suppress(OSError):
+            while True:
+                stream.write(bytes(4096))
+        with live(domain, tmp_path, *NOBODY) as process:
+            wait_for(lambda: "waiting: mpc waits for" in process.stderr(), 50, "the controller")
+            assert process.nodes().keys() == {"controller", "live_recorder"}
+        assert old.read_text() == "of before"
+        said = process.stderr()
+        assert "No space left on device; the new configuration is in memory only" in said
+    finally:
+        subprocess.run(["umount", "-l", str(disk)], check=True)
 
 
 def test_a_drive_in_the_loop(domain: int, tmp_path: Path) -> None:
@@ -289,6 +412,8 @@ def test_a_killed_bringup_leaves_no_node(domain: int, tmp_path: Path) -> None:
             domain, "bringup", "--plant", "external", "--state", "run", *NOBODY, cwd=tmp_path
         )
         wait_for((tmp_path / "run" / "bag" / "bag_1.mcap").exists, 20, "its next file")
+        assert "bringup was killed, or the power failed" in again.stderr()
+        assert summary_of(tmp_path / "run")["last_time"]["status"] == "running"
         process.process = again.process
     with AnyReader([tmp_path / "run" / "bag"]) as reader:
         assert reader.message_count > 0
