@@ -97,11 +97,11 @@ def test_example_passes_and_broken_drivers_fail_for_what_is_broken(
             assert re.search(problem, found[next(iter(found))]), found
         assert codes == {"example": 0, **dict.fromkeys(BROKEN, 1)}
         # The check is gone, and so is the controller: a driver ends its run in good order.
-        assert drivers["example"].wait(10) == 0
+        assert drivers["example"].wait(60) == 0
     finally:
         for driver in drivers.values():
             driver.terminate()
-            driver.wait(10)
+            driver.wait(60)
 
 
 def test_without_a_driver_or_beside_a_graph_it_says_what_to_do(
@@ -112,10 +112,10 @@ def test_without_a_driver_or_beside_a_graph_it_says_what_to_do(
     driver = start(domain, tmp_path, "taken", changed(EXAMPLE, "\nwatchdog = ", "\n" + other))
     try:
         taken = check(domain, tmp_path, "taken")
-        assert absent.wait(20) == 2
+        assert absent.wait(60) == 2
         assert "no node pumpe publishes /pump/flow" in absent.stderr()
-        assert taken.wait(20) == 3
+        assert taken.wait(60) == 3
         assert "/taken/pump/command has a publisher already, node pump" in taken.stderr()
     finally:
         driver.terminate()
-        assert driver.wait(10) == 0  # no traceback, and no failure, at SIGTERM
+        assert driver.wait(60) == 0  # no traceback, and no failure, at SIGTERM

@@ -834,9 +834,7 @@ def test_pumps_that_start_too_often(starts: int, warned: bool, tmp_path: Path) -
     site_bag(tmp_path / "bag", pump_flow=(
         seconds, [0.001 * (minute % 2 and minute < 2 * starts) for minute in range(60)]
     ))
-    done = command("bag", "--output", "report", cwd=tmp_path)
-    assert done.returncode == 0, done.stderr
-    text = (tmp_path / "report" / "report.html").read_text()
+    text = page_of(tmp_path / "bag")
     assert ("The pumps started more than 20 times in an hour" in text) is warned
 
 
@@ -1157,7 +1155,7 @@ def test_refused_flows_act_as_zero(domain: int, tmp_path: Path) -> None:
             domain, tmp_path, "--hours", str(120 / 3600), "--controller", "onoff",
             "--pump", "external",
         )
-        assert driver.wait(10) == 0
+        assert driver.wait(60) == 0
     finally:
         driver.kill()
         driver.wait()

@@ -4,18 +4,21 @@ from __future__ import annotations
 
 import re
 import shutil
-import subprocess
-import sys
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-from graphs import environment
 from test_report import SEEDED, START, ended_run, seeded_rows, simulate, write_study
 
 from greenroof_ros.recording.trajectory import Trajectory
+from greenroof_ros.report.assessment import Assumptions
+from greenroof_ros.report.figures import make_figures
+from greenroof_ros.report.page import render
+from greenroof_ros.report.results import Report, result
+from greenroof_ros.report.runs import find_runs
+from greenroof_ros.report.seeds import split_by_seeds
 
 playwright = pytest.importorskip("playwright.sync_api", reason="the browser is driven by it")
 CHROMIUM = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))),
@@ -138,15 +141,14 @@ def run_file(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def reported(directory: Path, *paths: str) -> Path:
-    """Make the report on a study, or on runs."""
-    done = subprocess.run(
-        [sys.executable, "-m", "greenroof_ros.report", *(paths or ["study"]), "--output",
-         "report"],
-        cwd=directory, env=environment(0), capture_output=True, text=True, timeout=300,
-        check=False,
-    )
-    assert done.returncode == 0, done.stderr
-    return directory / "report" / "report.html"
+    """Write the page on a study, or on runs, without the figures' own files."""
+    sources = find_runs([directory / path for path in paths or ["study"]], None)
+    single, seeded = split_by_seeds(sources.runs)
+    report = Report([result(entry, Assumptions()) for entry in single], seeded)
+    figures = [make() for make in make_figures(report, None)]
+    file = directory / "report.html"
+    file.write_text(render(report, figures, sources, Assumptions()))
+    return file
 
 
 @pytest.fixture(scope="module")

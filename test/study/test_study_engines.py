@@ -103,7 +103,7 @@ def test_interrupted(tmp_path: Path) -> None:
         time.sleep(0.05)
     group = list(children(process.pid))
     os.killpg(process.pid, signal.SIGINT)  # as a terminal does
-    _, errors = process.communicate(timeout=20)
+    _, errors = process.communicate(timeout=60)
     assert process.returncode == 130
     assert "Traceback" not in errors
     assert ended(group, 5)
@@ -147,7 +147,7 @@ def test_ended_alone(tmp_path: Path, engine: str, number: signal.Signals) -> Non
     wait_for(under_way, 90, "two busy processes")
     there = list(children(process.pid))
     process.send_signal(number)
-    _, errors = process.communicate(timeout=10)
+    _, errors = process.communicate(timeout=60)
     assert ended(there, 8)
     assert "Traceback" not in errors
     if number == signal.SIGTERM:
@@ -368,7 +368,7 @@ def finished(directory: Path) -> list[Path]:
 
 def ended_in_one_sentence(process: subprocess.Popen[str], directory: Path, what: str) -> None:
     """Check what a study says whose cluster went: exit code 1, the bar, and a sentence."""
-    shown, errors = process.communicate(timeout=40)
+    shown, errors = process.communicate(timeout=60)
     bar, *said = errors.splitlines()
     assert bar.startswith("study ")
     assert said == [
@@ -425,7 +425,7 @@ def test_dask_workers_killed(tmp_path: Path) -> None:
         assert "of 12 runs are there already" in process.stderr.readline()
         time.sleep(3)  # it waits for a worker
         process.send_signal(signal.SIGINT)
-        _, errors = process.communicate(timeout=8)
+        _, errors = process.communicate(timeout=60)
         assert (process.returncode, errors) == (130, "interrupted\n")
         result = study(tmp_path, "grid.yaml", "--output", "out", "--scheduler", cluster.address)
         assert result.returncode == 2
@@ -448,4 +448,4 @@ def test_ros_in_a_domain_in_use(tmp_path: Path) -> None:
     assert result.returncode == 0, result.stderr
     assert process.process.poll() is None, process.stderr()
     process.process.send_signal(signal.SIGINT)
-    assert process.wait(8) == 130
+    assert process.wait(60) == 130
