@@ -325,16 +325,17 @@ def test_a_node_that_is_killed_may_come_again_but_not_twice(
     site.values = {name: site.values[name] for name in ("/cistern/level", "/roof/level")}
     given = {"forecast": file, "recovery_time": 0.5}
     good = site.says("/onoff: inputs", OK)
+
+    def publishers() -> list[Any]:
+        return site.node.get_publishers_info_by_topic("/weather/frost")
+
     started = [start_live(domain, tmp_path, "weather", **given)]
     try:
         with live_node(domain, tmp_path, "controller --controller onoff", recovery_time=0.5):
-            site.until(lambda: newest(commands), LATE, "a command")
+            site.until(lambda: newest(commands) and len(publishers()) == 1, LATE, "a command")
             started[0].kill()
             started.append(start_live(domain, tmp_path, "weather", **given))
-            site.until(
-                lambda: len(site.node.get_publishers_info_by_topic("/weather/frost")) == 2, LATE,
-                "the second beside the dead one",
-            )
+            site.until(lambda: len(publishers()) == 2, LATE, "the second beside the dead one")
             site.during(1)
             site.until(lambda: good() and newest(commands) > 0, LATE, "recovery")
 

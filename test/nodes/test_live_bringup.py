@@ -145,7 +145,7 @@ class Hardware:
         _addresses(tanks)
 
     def speed(self) -> float:
-        """Return the pump's true speed, share of the rated one."""
+        """Return the pump's true speed, share of the rated one; each call takes 0.1 s."""
 
         async def asked() -> float:
             bench = Workbench(parse_address(self._bench))
@@ -154,6 +154,7 @@ class Hardware:
             finally:
                 bench.close()
 
+        time.sleep(0.1)
         return asyncio.run(asked())
 
 

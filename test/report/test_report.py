@@ -1289,9 +1289,12 @@ def test_one_run_alone(tmp_path: Path) -> None:
     assert len(both.windows) == 1  # their sites are equal, each with its own copy
 
 
-def test_force_replaces_a_report_and_nothing_else(tmp_path: Path) -> None:
+def test_force_replaces_a_report_and_nothing_else(
+    tmp_path: Path, simulated: list[Simulated]
+) -> None:
     """Refused with how; then page and figures are new, and those of before gone."""
-    ended_run(tmp_path / "run", "done")
+    rows = seeded_rows(simulated[0].row)[:50]  # three figures are drawn of them
+    write_study(tmp_path / "run", [(row, None) for row in rows], SEEDED)
     report = tmp_path / "run" / "report"
     assert command("run", "--force", cwd=tmp_path).returncode == 0
     first = (report / "report.html").read_text()
