@@ -145,7 +145,7 @@ class Process:
             assert self.process.poll() is None, self.stderr()
             return False
 
-        wait_for(grown, 60, "a growing bag")
+        wait_for(grown, 120, "a growing bag")
 
     def wait(self, seconds: float) -> int:
         """Wait for the end and return the exit code."""

@@ -64,9 +64,9 @@ def assert_ended_early(process: Process, status: str, reason: str) -> None:
     commands = [line for line in process.stderr().splitlines() if line.startswith("  python")]
     if (run / "bag" / "metadata.yaml").exists():
         ticks = readable_ticks(run)
-        # The last tick was begun; it is in the bag if all its messages were there, and so is the
-        # one before unless its controller was killed between the command and what it says beside.
-        assert ticks - 1 <= summary["last_tick"] <= ticks + 1
+        # The last tick was begun. The recorder may be behind, by as much as the plant's messages
+        # are kept for it; a busy machine shows that.
+        assert ticks - 1 <= summary["last_tick"] <= ticks + 64
         assert f"ticks in {run / 'bag'}: {ticks};" in process.stderr()
         assert f"  ros2 bag info {run / 'bag'}\n" in process.stderr()
         assert commands == [f"  python -m greenroof_ros.report {run}"]

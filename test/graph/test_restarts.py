@@ -57,7 +57,7 @@ class Run:
                 count += sum(1 for _ in read_ticks(file, count))
             return count >= ticks
 
-        wait_for(reached, 60, f"{ticks} ticks")
+        wait_for(reached, 120, f"{ticks} ticks")
 
     def pid(self, node: str) -> int:
         """Wait until a node's process is there."""

@@ -149,7 +149,7 @@ def test_full_disk(domain: int, tmp_path: Path) -> None:
         pytest.skip("only root can mount a small disk")
     try:
         process = Process(domain, "bringup", "--output", str(disk / "run"), cwd=tmp_path)
-        assert process.wait(60) == 1
+        assert process.wait(120) == 1
         assert "node recorder ended" in process.stderr()
         assert "No space left on device" in process.stderr()
         assert "Traceback" not in process.stderr()

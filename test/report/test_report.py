@@ -125,10 +125,7 @@ def drawn(report: Report, name: str) -> Figure:
 
 def command(*arguments: str, cwd: Path) -> subprocess.CompletedProcess[str]:
     """Run the report as a user would."""
-    return subprocess.run(
-        [sys.executable, "-m", "greenroof_ros.report", *arguments],
-        cwd=cwd, env=environment(0), capture_output=True, text=True, timeout=120, check=False,
-    )
+    return run_command("report", *arguments, cwd=cwd, env=environment(0))
 
 
 @pytest.fixture(scope="module")

@@ -271,7 +271,9 @@ def test_table_sorts(page: Any) -> None:
 def settle(page: Any) -> None:
     """Wait until every figure has taken what was done to it."""
     page.wait_for_timeout(300)
-    page.evaluate("Promise.all([...window.reportViews.values()].map((view) => view.runAsync()))")
+    page.evaluate(
+        "Promise.all([...window.reportViews.values()].map((view) => view.runAsync())).then(() => 0)"
+    )
 
 
 def click_legend(page: Any, panel: str, text: str) -> None:

@@ -94,7 +94,7 @@ def test_interrupted(tmp_path: Path) -> None:
         preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),
     )
     runs = tmp_path / "out" / "runs"
-    wait_for(lambda: len(finished(tmp_path)) >= 2, 120, "two runs")
+    wait_for(lambda: len(finished(tmp_path)) >= 4, 120, "four runs")
     group = list(children(process.pid))
     os.killpg(process.pid, signal.SIGINT)  # as a terminal does
     _, errors = process.communicate(timeout=60)
@@ -103,7 +103,7 @@ def test_interrupted(tmp_path: Path) -> None:
     assert ended(group, 60)
     assert not list(scratch.iterdir())
     status = [row["status"] for row in rows_of(runs.parent / "results.csv")]
-    assert status.count("done") >= 2
+    assert status.count("done") >= 2  # what each of two workers has just stored may be missing
     assert status.count("done") + status.count("not run") == 12
 
 
@@ -239,7 +239,7 @@ def test_forecasts_by_both_engines(tmp_path: Path) -> None:
 WITH_ERRORS = """
 sensor_pump_errors:
   - {}
-  - {roof_noise: 0.0005, roof_offset: [-1.0e-5, 0.002], noise_seed: [1, 2], minimum_on: 60,
+  - {roof_noise: 0.0005, roof_offset: [-1.0e-5, 0.002], noise_seed: 1, minimum_on: 60,
      minimum_off: 90}
 """
 
@@ -257,14 +257,12 @@ def test_sensor_and_pump_errors_by_both_engines(tmp_path: Path) -> None:
     assert [tuple(float(row[name]) for name in names) for row in rows] == [
         (0, 0, 0, 0, 0),
         (0.0005, -1e-5, 1, 60, 90),
-        (0.0005, -1e-5, 2, 60, 90),
         (0.0005, 0.002, 1, 60, 90),
-        (0.0005, 0.002, 2, 60, 90),
     ]
     header = list(rows[0])
     first = header.index("forecast_members") + 1
     assert header[first : header.index("controller")] == names
-    assert len({row["run"] for row in rows}) == 5
+    assert len({row["run"] for row in rows}) == 3
     # A sensor that reads too little is overruled by Eq. (3a); one that reads too much is believed.
     assert len({row["final_roof_m3"] for row in rows}) == 3
     assert len({row["bound_m3"] for row in rows}) == 1
@@ -282,7 +280,7 @@ def test_sensor_and_pump_errors_by_both_engines(tmp_path: Path) -> None:
 
     plain = read_grid(tmp_path / grid(tmp_path, PLANNED))
     erring = read_grid(tmp_path / grid(tmp_path, PLANNED + WITH_ERRORS))
-    assert len({case.identity for case in (*plain, *erring)}) == 6
+    assert len({case.identity for case in (*plain, *erring)}) == 4
     assert not set(names) & plain[0].columns().keys()
 
 
