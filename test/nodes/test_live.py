@@ -219,8 +219,7 @@ def test_each_rule_of_an_input_stops_the_pump(domain: int, tmp_path: Path, site:
         site.during(0.5)
 
         # 0.5 of the pumps' flow is 0.16 mm/s of the cistern: 0.3 mm in 1.8 s.
-        frozen = good["/cistern/level"](time.monotonic())
-        site.values["/cistern/level"] = frozen
+        site.values["/cistern/level"] = good["/cistern/level"](time.monotonic())
         expect_stop("/cistern/level is frozen")
         site.during(2)
         assert newest(commands) == 0.0
@@ -242,7 +241,7 @@ def test_each_rule_of_an_input_stops_the_pump(domain: int, tmp_path: Path, site:
         site.values["/pump/flow"] = 0.0
         site.during(2)
         site.said.clear()
-        site.values["/cistern/level"] = frozen
+        site.values["/cistern/level"] = good["/cistern/level"](time.monotonic())
         site.during(4)
         expect_none("frozen")
         # A tick is a tick: none twice, and none left out but where the machine is busy.
