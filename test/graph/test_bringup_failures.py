@@ -300,7 +300,7 @@ def test_node_that_was_never_started(domain: int, tmp_path: Path) -> None:
             ],
             cwd=tmp_path, env=environ, capture_output=True, text=True, timeout=60, check=False,
         )
-        assert weather.wait(60) == 1
+        assert weather.wait(60) in (1, -signal.SIGALRM)  # the latter on a busy machine
     finally:
         weather.kill()
         weather.wait()
