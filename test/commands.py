@@ -1,4 +1,4 @@
-"""Commands that are to be refused, in processes that need not import anything first.
+"""Commands in processes that need not import anything first, most of them to be refused.
 
 A process of Python's own takes a second to import what the commands need, and two hundred tests of
 wrong options and files need nothing else of it. Here one process has imported it, and forks itself
@@ -21,7 +21,7 @@ from functools import cache
 from pathlib import Path
 
 _ROOMS = ("common", "controllers", "experiment", "report", "study")
-_LIMIT_S = 60
+_LIMIT_S = 300
 
 
 def run_command(

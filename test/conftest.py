@@ -17,6 +17,12 @@ from studies import study
 settings.register_profile("greenroof_ros", deadline=None, derandomize=True)
 settings.load_profile("greenroof_ros")
 
+# What takes longest starts first, so that the workers end together: names of tests and files.
+LONGEST = (
+    "test_same_bits_as_simulate[mpc]", "test_report_page.py", "test_report.py", "test_faults.py",
+    "test_packaging.py", "test_planning.py",
+)
+
 # What a shell starts in its background ignores Ctrl-C, and so would the commands of the tests.
 signal.signal(signal.SIGINT, signal.default_int_handler)
 
@@ -33,7 +39,15 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
             item.add_marker(pytest.mark.graph)
         elif item.path.parent.name != "study":
             item.add_marker(pytest.mark.xdist_group(item.path.name))
-    items.sort(key=lambda item: item.get_closest_marker("xdist_group") is not None)
+    items.sort(key=_place)
+
+
+def _place(item: pytest.Item) -> int:
+    """Return which tests come first: the longest, then those one by one, then those by file."""
+    for place, name in enumerate(LONGEST):
+        if name in (item.name, item.path.name):
+            return place
+    return len(LONGEST) + (item.get_closest_marker("xdist_group") is not None)
 
 
 @pytest.fixture(scope="session")

@@ -118,7 +118,7 @@ class Process:
         for process in cls.started:
             if process.process.poll() is None:
                 process.process.send_signal(signal.SIGINT)
-                process.wait(15)
+                process.wait(60)
         cls.started.clear()
 
     def nodes(self) -> dict[str, int]:
@@ -145,7 +145,7 @@ class Process:
             assert self.process.poll() is None, self.stderr()
             return False
 
-        wait_for(grown, 60, "a growing bag")
+        wait_for(grown, 120, "a growing bag")
 
     def wait(self, seconds: float) -> int:
         """Wait for the end and return the exit code."""
@@ -175,7 +175,7 @@ def bag_file(run: Path) -> Path:
 
 
 def bring_up(
-    domain: int, cwd: Path, *arguments: str, output: str = "run", seconds: float = 120
+    domain: int, cwd: Path, *arguments: str, output: str = "run", seconds: float = 300
 ) -> dict[str, Any]:
     """Run bringup to its good end and return the summary; the bag has as much of each topic."""
     process = Process(domain, "bringup", "--output", output, *arguments, cwd=cwd)

@@ -27,7 +27,7 @@ controllers:
 """
 
 
-def study(directory: Path, *options: str, timeout: float = 300) -> subprocess.CompletedProcess[str]:
+def study(directory: Path, *options: str, timeout: float = 600) -> subprocess.CompletedProcess[str]:
     """Run the command to its end."""
     return subprocess.run(
         [sys.executable, "-m", "greenroof_ros.study", *options],

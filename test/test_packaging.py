@@ -261,7 +261,7 @@ def test_ros2_lines_work_as_printed(page, ros2_checkout, domain):
         with contextlib.suppress(subprocess.TimeoutExpired):
             return process.communicate(timeout=seconds)[0]
         os.killpg(process.pid, signal.SIGINT)
-        return process.communicate(timeout=20)[0]
+        return process.communicate(timeout=60)[0]
 
     graph = start("exec python -m greenroof_ros.bringup --controller mpc --speed 20 --no-record")
     try:

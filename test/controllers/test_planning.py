@@ -355,10 +355,11 @@ def test_anticipating_onoff_comes_near(window: str) -> None:
 @pytest.mark.parametrize(
     ("options", "share"),
     [
-        ("--controller planning_mpc", 0.01),
+        ("--controller planning_mpc --hours 6", 0.01),
         # Noise decides when a pump starts, which alone makes 2 % from one run to the next.
         (
-            "--controller scenario_mpc --forecast ensemble --forecast-seed 3 --roof-noise 0.002",
+            "--controller scenario_mpc --forecast ensemble --forecast-seed 3 --roof-noise 0.002 "
+            "--hours 6",
             0.03,
         ),
     ],

@@ -34,7 +34,7 @@ BROKEN = {
     ),
     "answers_twice": (
         "    publisher.publish(flow)\n", "    publisher.publish(flow)\n" * 2,
-        "exactly one flow", r"2 flows where 1 must come",
+        "exactly one flow", r"[2-9] flows where 1 must come",
     ),
     "volatile": (
         "QoSProfile(depth=64, durability=DurabilityPolicy.TRANSIENT_LOCAL)", "QoSProfile(depth=64)",
@@ -78,30 +78,51 @@ def failures(output: str) -> dict[str, str]:
     return {check: result for check, result in filter(None, rows) if result != "right"}
 
 
-def test_example_passes_and_broken_drivers_fail_for_what_is_broken(
-    domain: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setenv("COLUMNS", "400")  # one line for a row
-    drivers = {"example": start(domain, tmp_path, "example", EXAMPLE)}
-    for name, (old, new, _, _) in BROKEN.items():
-        drivers[name] = start(domain, tmp_path, name, changed(EXAMPLE, old, new))
+def problem_of(name: str, code: int, output: str) -> str:
+    """Return how a verdict differs from the right one; empty where it does not."""
+    found = failures(output)
+    if name == "example":
+        right = not found and code == 0 and "12 of 12 checks passed" in output
+    else:
+        _, _, title, problem = BROKEN[name]
+        right = code == 1 and len(found) == 1 and all(
+            title in check and re.search(problem, result) for check, result in found.items()
+        )
+    return "" if right else f"{name}: exit code {code}, {found}"
+
+
+def verdicts(domain: int, directory: Path, names: list[str]) -> dict[str, str]:
+    """Check drivers side by side, and return what was wrong with which verdict."""
+    directory.mkdir()
+    sources = {name: changed(EXAMPLE, old, new) for name, (old, new, _, _) in BROKEN.items()}
+    drivers = {
+        name: start(domain, directory, name, sources.get(name, EXAMPLE)) for name in names
+    }
     try:
-        checks = {name: check(domain, tmp_path, name) for name in drivers}
-        codes = {name: process.wait(90) for name, process in checks.items()}
-        assert failures(checks["example"].stdout()) == {}, checks["example"].stderr()
-        assert "12 of 12 checks passed" in checks["example"].stdout()
-        for name, (_, _, title, problem) in BROKEN.items():
-            found = failures(checks[name].stdout())
-            assert len(found) == 1, (name, found, checks[name].stderr())
-            assert title in next(iter(found))
-            assert re.search(problem, found[next(iter(found))]), found
-        assert codes == {"example": 0, **dict.fromkeys(BROKEN, 1)}
-        # The check is gone, and so is the controller: a driver ends its run in good order.
-        assert drivers["example"].wait(10) == 0
+        checks = {name: check(domain, directory, name) for name in drivers}
+        codes = {name: process.wait(180) for name, process in checks.items()}
+        found = {name: problem_of(name, codes[name], checks[name].stdout()) for name in names}
+        if not found.get("example", "another one"):
+            # The check is gone, and so is the controller: a driver ends its run in good order.
+            assert drivers["example"].wait(60) == 0
     finally:
         for driver in drivers.values():
             driver.terminate()
-            driver.wait(10)
+            driver.wait(60)
+    return {name: problem for name, problem in found.items() if problem}
+
+
+def test_example_passes_and_broken_drivers_fail_for_what_is_broken(
+    domain: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A driver is checked in real time: where the machine stood still, it is checked again."""
+    monkeypatch.setenv("COLUMNS", "400")  # one line for a row
+    wrong = dict.fromkeys(["example", *BROKEN], "not checked")
+    for attempt in range(3):
+        wrong = verdicts(domain, tmp_path / str(attempt), list(wrong))
+        if not wrong:
+            break
+    assert not wrong
 
 
 def test_without_a_driver_or_beside_a_graph_it_says_what_to_do(
@@ -112,10 +133,10 @@ def test_without_a_driver_or_beside_a_graph_it_says_what_to_do(
     driver = start(domain, tmp_path, "taken", changed(EXAMPLE, "\nwatchdog = ", "\n" + other))
     try:
         taken = check(domain, tmp_path, "taken")
-        assert absent.wait(20) == 2
+        assert absent.wait(60) == 2
         assert "no node pumpe publishes /pump/flow" in absent.stderr()
-        assert taken.wait(20) == 3
+        assert taken.wait(60) == 3
         assert "/taken/pump/command has a publisher already, node pump" in taken.stderr()
     finally:
         driver.terminate()
-        assert driver.wait(10) == 0  # no traceback, and no failure, at SIGTERM
+        assert driver.wait(60) == 0  # no traceback, and no failure, at SIGTERM

@@ -57,27 +57,27 @@ class Run:
                 count += sum(1 for _ in read_ticks(file, count))
             return count >= ticks
 
-        wait_for(reached, 60, f"{ticks} ticks")
+        wait_for(reached, 120, f"{ticks} ticks")
 
     def pid(self, node: str) -> int:
         """Wait until a node's process is there."""
-        pid: int = wait_for(lambda: self.process.nodes().get(MODULES.get(node, node)), 20, node)
+        pid: int = wait_for(lambda: self.process.nodes().get(MODULES.get(node, node)), 60, node)
         return pid
 
     def kill(self, node: str, number: signal.Signals = signal.SIGKILL) -> int:
         """Kill a node and wait until there is another process in its place."""
         before = self.pid(node)
         os.kill(before, number)
-        wait_for(lambda: self.pid(node) != before, 20, f"another {node}")
+        wait_for(lambda: self.pid(node) != before, 60, f"another {node}")
         return before
 
     def goes_on(self, count: int) -> None:
         """Wait until so many nodes have gone on."""
-        wait_for(lambda: self.process.stderr().count("goes on") >= count, 30, f"restart {count}")
+        wait_for(lambda: self.process.stderr().count("goes on") >= count, 60, f"restart {count}")
 
-    def end(self, seconds: float = 90) -> dict[str, Any]:
+    def end(self) -> dict[str, Any]:
         """Wait for the good end and return the summary."""
-        code = self.process.wait(seconds)
+        code = self.process.wait(120)
         assert code == 0, self.process.stderr()
         assert "Traceback" not in self.process.stderr()
         return summary_of(self.directory)
@@ -163,7 +163,7 @@ def test_killed_one_after_another(domain: int, tmp_path: Path) -> None:
     assert sorted(set(ticks)) == ticks
     for one in summary["incidents"]:
         assert one["how"] == "SIGKILL"
-        assert 0 < one["restarted_after_s"] < 30
+        assert one["restarted_after_s"] > 0
     assert_as_expected(run, hours, summary)
     # It is not for nothing that the controllers are fresh ones.
     assert expected(hours, {ticks[1], ticks[3]}) != expected(hours, set())
@@ -194,7 +194,7 @@ def test_killed_at_the_start_and_together(domain: int, tmp_path: Path) -> None:
     """
     hours = 0.3
     bring_up(domain, tmp_path, "--hours", repr(hours), "--controller", "onoff", output="whole")
-    run = Run(domain, tmp_path, "--hours", repr(hours), "--controller", "onoff", "--speed", "200")
+    run = Run(domain, tmp_path, "--hours", repr(hours), "--controller", "onoff", "--speed", "100")
     for node in ("weather", "mpc", "recorder", "recorder"):
         run.kill(node)  # the recorder's second process before it can have gone on
     run.goes_on(3)
@@ -228,16 +228,17 @@ def test_killed_in_a_pause(
 ) -> None:
     """One tick lasts 1 s: nodes end long after they have answered, and answer no tick twice.
 
-    The weather hangs, is killed by bringup after its limit, and is replaced likewise.
+    The weather hangs, is killed by bringup after its limit, and is replaced likewise. The run is
+    long enough for slow machines.
     """
     (tmp_path / "watched.py").write_text(WATCHED)
     monkeypatch.syspath_prepend(tmp_path)
-    hours, controller = 18 / 3600, "watched:Watched"
+    hours, controller = 24 / 3600, "watched:Watched"
     run = Run(
-        domain, tmp_path, "--hours", repr(hours), "--speed", "1", "--peer-limit", "2",
+        domain, tmp_path, "--hours", repr(hours), "--speed", "1", "--peer-limit", "5",
         "--controller", controller,
     )
-    wait_for((tmp_path / "decided").exists, 30, "the first tick")
+    wait_for((tmp_path / "decided").exists, 60, "the first tick")
     time.sleep(1.5)
     run.kill("watched")
     run.goes_on(1)
@@ -248,10 +249,10 @@ def test_killed_in_a_pause(
     summary = run.end()
     controllers, recorders, weathers = summary["incidents"]
     assert [one["node"] for one in summary["incidents"]] == ["watched", "recorder", "weather"]
-    assert weathers["how"] == "stopped, silent for 2 s"
+    assert weathers["how"] == "stopped, silent for 5 s"
     # Not one whole chunk was written, but what a node that was killed has said is safe. A weather
     # that comes after the recorder may have to say again what the recorder lacks.
-    assert 0 < controllers["tick"] <= recorders["tick"] <= weathers["tick"] <= 18
+    assert 0 < controllers["tick"] <= recorders["tick"] <= weathers["tick"] <= 24
     assert_as_expected(run, hours, summary, controller)
 
 
@@ -364,7 +365,7 @@ def test_end_of_the_plant_ends_the_run(domain: int, tmp_path: Path) -> None:
     run.reach(100)
     nodes = run.process.nodes()
     os.kill(nodes["plant"], signal.SIGKILL)
-    assert run.process.wait(8) == 1
+    assert run.process.wait(60) == 1
     summary = summary_of(run.directory)
     assert (summary["reason"], summary["incidents"]) == ("node plant ended (SIGKILL)", [])
     assert not [name for name, pid in nodes.items() if alive(pid)]
@@ -376,7 +377,7 @@ def test_no_node_is_started_again_for_ever(domain: int, tmp_path: Path) -> None:
     for _ in range(5):
         run.kill("weather")
     os.kill(run.pid("weather"), signal.SIGKILL)
-    assert run.process.wait(10) == 1
+    assert run.process.wait(60) == 1
     summary = summary_of(run.directory)
     assert summary["reason"] == "node weather ended (SIGKILL)"
     assert [one["node"] for one in summary["incidents"]] == ["weather"] * 5
@@ -388,7 +389,7 @@ def test_what_says_why_it_ends_is_not_started_again(domain: int, tmp_path: Path)
     os.environ["DIES"] = "never"
     try:
         run = Run(domain, tmp_path, "--controller", "fragile:Fragile")
-        assert run.process.wait(30) != 0
+        assert run.process.wait(60) != 0
     finally:
         del os.environ["DIES"]
     summary = summary_of(run.directory)

@@ -81,32 +81,32 @@ def test_levels_of_a_simulated_site(
         assert site.stdout is not None
         found = re.search(r"workbench (\S+),", site.stdout.readline())
         assert found
-        observer.until(lambda: levels["cistern"] and levels["roof"], 20, "levels")
+        observer.until(lambda: levels["cistern"] and levels["roof"], 60, "levels")
         # 50 m3 on 25 m2, 2 m3 on 68.8 m2, of which a dry night takes next to nothing.
         assert levels["cistern"][-1] == pytest.approx(2.0, abs=2e-3)
         assert levels["roof"][-1] == pytest.approx(2 / 68.8, abs=1e-3)
         began = time.monotonic()
-        observer.until(lambda: time.monotonic() > began + 0.5, 5, "what was published before")
+        observer.until(lambda: time.monotonic() > began + 0.5, 60, "what was published before")
         began, before = time.monotonic(), len(levels["roof"])
-        observer.until(lambda: time.monotonic() > began + 2, 5, "two seconds")
-        assert 7 <= len(levels["roof"]) - before <= 15  # 10, give or take what waits
+        observer.until(lambda: len(levels["roof"]) >= before + 30, 60, "30 levels")
+        assert time.monotonic() - began > 2.5  # 6 s, but for what may have waited
         for fault in ("roof_silent", "roof_absurd"):
             inject(found[1], fault)
             observer.until(
-                lambda: statuses.get("/roof_sensor: sensor", (b"",))[0] == b"\x02", 6, fault
+                lambda: statuses.get("/roof_sensor: sensor", (b"",))[0] == b"\x02", 60, fault
             )
             before, other = len(levels["roof"]), len(levels["cistern"])
-            observer.until(lambda: len(levels["cistern"]) > other + 3, 5, "the other's levels")  # noqa: B023
+            observer.until(lambda: len(levels["cistern"]) > other + 3, 60, "the other's levels")  # noqa: B023
             assert len(levels["roof"]) == before
             assert sensors["roof"]["address"] in statuses["/roof_sensor: sensor"][2]
             inject(found[1], "none")
-            observer.until(lambda: len(levels["roof"]) > before, 6, "a level again")  # noqa: B023
-        observer.until(lambda: statuses["/roof_sensor: sensor"][0] == b"\x00", 3, "all is well")
+            observer.until(lambda: len(levels["roof"]) > before, 60, "a level again")  # noqa: B023
+        observer.until(lambda: statuses["/roof_sensor: sensor"][0] == b"\x00", 60, "all is well")
     finally:
         for process in (*nodes, site):
             process.terminate()
-        codes = [process.wait(10) for process in nodes]
-        site.wait(10)
+        codes = [process.wait(60) for process in nodes]
+        site.wait(60)
     assert codes == [0, 0]
 
 

@@ -38,7 +38,7 @@ def first_seen(watcher: Observer, profile: QoSProfile) -> int:
     subscription = watcher.node.create_subscription(
         Clock, "/clock", lambda message: seen.append(message.clock.sec), profile
     )
-    watcher.until(lambda: seen, 20, "a message")
+    watcher.until(lambda: seen, 60, "a message")
     watcher.node.destroy_subscription(subscription)
     return seen[0]
 
@@ -49,11 +49,11 @@ def test_echo_as_printed_shows_the_present(
     """The first message is not older than the newest when the subscription was made."""
     (durability,) = printed_durabilities()
     newest = [0]
-    process = Process(domain, "bringup", "--no-record", "--speed", "50", cwd=tmp_path)
+    process = Process(domain, "bringup", "--no-record", "--speed", "10", cwd=tmp_path)
     observer.node.create_subscription(
         Clock, "/clock", lambda message: newest.__setitem__(0, message.clock.sec), qos("/clock")
     )
-    observer.until(lambda: newest[0] >= START + 100, 40, "100 ticks")
+    observer.until(lambda: newest[0] >= START + 20, 60, "20 ticks")
     # As ros2 topic echo subscribes once one policy is given: the others are a sensor's.
     as_printed = QoSProfile(
         depth=5, reliability=ReliabilityPolicy.BEST_EFFORT,
@@ -62,7 +62,12 @@ def test_echo_as_printed_shows_the_present(
     for _ in range(3):
         before = newest[0]
         assert before <= first_seen(observer, as_printed)
-    # The history is there, for nodes that join late.
-    assert first_seen(observer, qos("/clock")) <= newest[0] - 50
+    # The history is there for nodes that join late: of 64 ticks, 6 s, which joining may take.
+    for _ in range(5):
+        before = newest[0]
+        if first_seen(observer, qos("/clock")) < before:
+            break
+    else:
+        pytest.fail("a late subscriber sees nothing older than the newest of before")
     process.process.terminate()
-    assert process.wait(15) == 130
+    assert process.wait(60) == 130

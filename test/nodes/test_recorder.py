@@ -108,7 +108,7 @@ def test_killed_recorder_costs_at_most_32_ticks(domain: int, tmp_path: Path) -> 
         while not stamps:
             executor.spin_once(timeout_sec=0.1)
         os.kill(process.nodes()["recorder"], signal.SIGKILL)
-        assert process.wait(10) == 1
+        assert process.wait(60) == 1
         until = time.monotonic() + 1
         while time.monotonic() < until:
             executor.spin_once(timeout_sec=0.1)
@@ -149,7 +149,7 @@ def test_full_disk(domain: int, tmp_path: Path) -> None:
         pytest.skip("only root can mount a small disk")
     try:
         process = Process(domain, "bringup", "--output", str(disk / "run"), cwd=tmp_path)
-        assert process.wait(60) == 1
+        assert process.wait(120) == 1
         assert "node recorder ended" in process.stderr()
         assert "No space left on device" in process.stderr()
         assert "Traceback" not in process.stderr()

@@ -56,17 +56,14 @@ def workers(process: int) -> list[int]:
 
 def test_a_killed_worker_fails_its_run_alone(tmp_path: Path) -> None:
     """The others go on; the failure is in the table; the next call makes it good."""
-    text = GRID.replace("hours: 0.25", "hours: 24").replace("[low-low, ", "[")
+    text = GRID.replace("hours: 0.25", "hours: 12").replace("[low-low, ", "[")
     text = text.replace("[published, fao56]", "fao56")
     process = subprocess.Popen(
         [sys.executable, "-m", "greenroof_ros.study", grid(tmp_path, text), "--output", "out",
          "--jobs", "2"],
         cwd=tmp_path, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True,
     )
-    until = time.monotonic() + 30
-    while not (found := workers(process.pid)):
-        assert time.monotonic() < until
-        time.sleep(0.05)
+    found = wait_for(lambda: workers(process.pid), 120, "a worker on a run")
     os.kill(found[0], signal.SIGKILL)
     _, errors = process.communicate(timeout=200)
     assert process.returncode == 1
@@ -89,7 +86,7 @@ def test_interrupted(tmp_path: Path) -> None:
     scratch = tmp_path / "scratch"
     scratch.mkdir()
     process = subprocess.Popen(
-        [sys.executable, "-m", "greenroof_ros.study", grid(tmp_path, edited("0.25", "6")),
+        [sys.executable, "-m", "greenroof_ros.study", grid(tmp_path, edited("0.25", "3")),
          "--output", "out"],
         cwd=tmp_path, env={**os.environ, "TMPDIR": str(scratch)},
         stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True, start_new_session=True,
@@ -97,19 +94,16 @@ def test_interrupted(tmp_path: Path) -> None:
         preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),
     )
     runs = tmp_path / "out" / "runs"
-    until = time.monotonic() + 60
-    while sum(run.suffix != ".part" for run in runs.glob("*")) < 2:  # whole ones
-        assert time.monotonic() < until
-        time.sleep(0.05)
+    wait_for(lambda: len(finished(tmp_path)) >= 4, 120, "four runs")
     group = list(children(process.pid))
     os.killpg(process.pid, signal.SIGINT)  # as a terminal does
-    _, errors = process.communicate(timeout=20)
+    _, errors = process.communicate(timeout=60)
     assert process.returncode == 130
     assert "Traceback" not in errors
-    assert ended(group, 5)
+    assert ended(group, 60)
     assert not list(scratch.iterdir())
     status = [row["status"] for row in rows_of(runs.parent / "results.csv")]
-    assert status.count("done") >= 2
+    assert status.count("done") >= 2  # what each of two workers has just stored may be missing
     assert status.count("done") + status.count("not run") == 12
 
 
@@ -123,8 +117,9 @@ def ended(processes: list[int], seconds: float) -> bool:
     return True
 
 
-@pytest.mark.parametrize("engine", ["inprocess", "ros"])
-@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGKILL])
+@pytest.mark.parametrize(
+    ("engine", "number"), [("inprocess", signal.SIGTERM), ("ros", signal.SIGKILL)]
+)
 def test_ended_alone(tmp_path: Path, engine: str, number: signal.Signals) -> None:
     """A signal to the study's process only: all others end with it, long before their runs do."""
     # Not in tmp_path: the path of the fork server's socket may have 107 characters.
@@ -141,14 +136,14 @@ def test_ended_alone(tmp_path: Path, engine: str, number: signal.Signals) -> Non
 
     def under_way() -> bool:
         assert process.poll() is None
-        busy = [child for child in children(process.pid) if processor_s(child) > 2]
+        busy = [child for child in children(process.pid) if processor_s(child) > 1]
         return len(busy) >= 2
 
-    wait_for(under_way, 90, "two busy processes")
+    wait_for(under_way, 120, "two busy processes")
     there = list(children(process.pid))
     process.send_signal(number)
-    _, errors = process.communicate(timeout=10)
-    assert ended(there, 8)
+    _, errors = process.communicate(timeout=60)
+    assert ended(there, 60)
     assert "Traceback" not in errors
     if number == signal.SIGTERM:
         assert process.returncode == 130
@@ -244,7 +239,7 @@ def test_forecasts_by_both_engines(tmp_path: Path) -> None:
 WITH_ERRORS = """
 sensor_pump_errors:
   - {}
-  - {roof_noise: 0.0005, roof_offset: [-1.0e-5, 0.002], noise_seed: [1, 2], minimum_on: 60,
+  - {roof_noise: 0.0005, roof_offset: [-1.0e-5, 0.002], noise_seed: 1, minimum_on: 60,
      minimum_off: 90}
 """
 
@@ -262,16 +257,14 @@ def test_sensor_and_pump_errors_by_both_engines(tmp_path: Path) -> None:
     assert [tuple(float(row[name]) for name in names) for row in rows] == [
         (0, 0, 0, 0, 0),
         (0.0005, -1e-5, 1, 60, 90),
-        (0.0005, -1e-5, 2, 60, 90),
         (0.0005, 0.002, 1, 60, 90),
-        (0.0005, 0.002, 2, 60, 90),
     ]
     header = list(rows[0])
     first = header.index("forecast_members") + 1
     assert header[first : header.index("controller")] == names
-    assert len({row["run"] for row in rows}) == 5
+    assert len({row["run"] for row in rows}) == 3
     # A sensor that reads too little is overruled by Eq. (3a); one that reads too much is believed.
-    assert len({row["final_roof_m3"] for row in rows}) == 3
+    assert len({row["final_roof_m3"] for row in rows}) == 2
     assert len({row["bound_m3"] for row in rows}) == 1
     assert all(int(row["pump_starts"]) >= 1 for row in rows)
     assert all(float(row["hydraulic_energy_kwh"]) > 0 for row in rows)
@@ -287,7 +280,7 @@ def test_sensor_and_pump_errors_by_both_engines(tmp_path: Path) -> None:
 
     plain = read_grid(tmp_path / grid(tmp_path, PLANNED))
     erring = read_grid(tmp_path / grid(tmp_path, PLANNED + WITH_ERRORS))
-    assert len({case.identity for case in (*plain, *erring)}) == 6
+    assert len({case.identity for case in (*plain, *erring)}) == 4
     assert not set(names) & plain[0].columns().keys()
 
 
@@ -347,7 +340,7 @@ class DaskCluster:
 def study_on(cluster: DaskCluster, directory: Path, stored: int) -> subprocess.Popen[str]:
     """Begin a study of 12 runs on a cluster, and wait until so many are stored."""
     process = subprocess.Popen(
-        [sys.executable, "-m", "greenroof_ros.study", grid(directory, edited("0.25", "6")),
+        [sys.executable, "-m", "greenroof_ros.study", grid(directory, edited("0.25", "3")),
          "--output", "out", "--scheduler", cluster.address],
         cwd=directory, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
         preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),
@@ -357,7 +350,7 @@ def study_on(cluster: DaskCluster, directory: Path, stored: int) -> subprocess.P
         assert process.poll() is None, process.communicate()
         return len(finished(directory)) >= stored
 
-    wait_for(under_way, 90, f"{stored} finished runs")
+    wait_for(under_way, 120, f"{stored} finished runs")
     return process
 
 
@@ -368,7 +361,7 @@ def finished(directory: Path) -> list[Path]:
 
 def ended_in_one_sentence(process: subprocess.Popen[str], directory: Path, what: str) -> None:
     """Check what a study says whose cluster went: exit code 1, the bar, and a sentence."""
-    shown, errors = process.communicate(timeout=40)
+    shown, errors = process.communicate(timeout=60)
     bar, *said = errors.splitlines()
     assert bar.startswith("study ")
     assert said == [
@@ -425,7 +418,7 @@ def test_dask_workers_killed(tmp_path: Path) -> None:
         assert "of 12 runs are there already" in process.stderr.readline()
         time.sleep(3)  # it waits for a worker
         process.send_signal(signal.SIGINT)
-        _, errors = process.communicate(timeout=8)
+        _, errors = process.communicate(timeout=60)
         assert (process.returncode, errors) == (130, "interrupted\n")
         result = study(tmp_path, "grid.yaml", "--output", "out", "--scheduler", cluster.address)
         assert result.returncode == 2
@@ -448,4 +441,4 @@ def test_ros_in_a_domain_in_use(tmp_path: Path) -> None:
     assert result.returncode == 0, result.stderr
     assert process.process.poll() is None, process.stderr()
     process.process.send_signal(signal.SIGINT)
-    assert process.wait(8) == 130
+    assert process.wait(60) == 130
