@@ -12,8 +12,6 @@ import random
 import threading
 import time
 
-from greenroof_ros.drives.address import Address
-
 _HEADER = 6  # transaction, protocol, length
 _WRITES = (5, 6, 15, 16)
 _SLOW_S, _LATE_S, _BYTE_S = 0.2, 1.5, 0.005
@@ -39,10 +37,6 @@ class Line:
         self._ended = asyncio.Event()
         self._thread = threading.Thread(target=self._work, daemon=True)
         self._thread.start()
-
-    @property
-    def address(self) -> str:
-        return str(Address(host="127.0.0.1", port=self._port))
 
     def inject(self, fault: str) -> None:
         """Let a fault stand; connections that there are meet it, too."""

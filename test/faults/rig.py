@@ -198,12 +198,11 @@ class Rig:
             domain, directory, "drive_simulator", "--drive", str(self.drive_file), "--ramp", "1",
             "--boot", "2", *place, "--workbench", str(bench), "--site", str(self.site_file),
         )
-        self.drive_at = f"tcp://127.0.0.1:{drive_port}"
-        if self.serial:
-            self.drive_at = self.drive.ready.split()[2].rstrip(",")
-        elif self.drive_refuses:
-            self.lines["drive"] = Line(next(self._ports), drive_port)
-            self.drive_at = self.lines["drive"].address
+        self.drive_at = self.drive.ready.split()[2].rstrip(",")
+        if self.drive_refuses:
+            port = next(self._ports)
+            self.lines["drive"] = Line(port, drive_port)
+            self.drive_at = self.drive_at.replace(str(drive_port), str(port))
         self._bench = f"tcp://127.0.0.1:{bench}"
         self.site_simulator: Simulator | None = None
         self.main: Process
@@ -328,17 +327,18 @@ class SiteRig(Rig):
 
     def __init__(self, directory: Path, domain: int, drive: str) -> None:
         super().__init__(directory, domain, drive)
-        sensors = yaml.safe_load((CONFIG / "sensors.yaml").read_text())
+        sensors, by_line = (
+            yaml.safe_load((CONFIG / "sensors.yaml").read_text()) for _ in range(2)
+        )
         for tank in ("cistern", "roof"):
-            port = next(self._ports)
-            sensors[tank]["address"] = f"tcp://127.0.0.1:{port}"
-            self.lines[tank] = Line(next(self._ports), port)
+            port, behind = next(self._ports), next(self._ports)
+            sensors[tank]["address"] = f"tcp://127.0.0.1:{behind}"
+            self.lines[tank] = Line(port, behind)
+            by_line[tank]["address"] = f"tcp://127.0.0.1:{port}"
         file = directory / "sensors.yaml"
         file.write_text(yaml.safe_dump(sensors))
-        for tank in ("cistern", "roof"):
-            sensors[tank]["address"] = self.lines[tank].address
-        by_line = directory / "sensors-by-line.yaml"
-        by_line.write_text(yaml.safe_dump(sensors))
+        read = directory / "sensors-read.yaml"
+        read.write_text(yaml.safe_dump(by_line))
         bench = next(self._ports)
         self.levels = directory / "levels.csv"
         self.site_simulator = Simulator(
@@ -352,7 +352,7 @@ class SiteRig(Rig):
         self.state = directory / "state"
         self._options = (
             "--plant", "external", "--controller", CONTROLLER, "--site", str(self.site_file),
-            "--sensors", str(by_line), "--forecast", str(self.forecast),
+            "--sensors", str(read), "--forecast", str(self.forecast),
             "--drive", str(self.drive_file), "--drive-at", self.drive_at,
             "--state", str(self.state), "--restarts", "1000",
             "--node-parameters", str(self.parameters),
