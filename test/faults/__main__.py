@@ -218,10 +218,12 @@ def main() -> int:
     ]
     for thread in lanes:
         thread.start()
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, signal.default_int_handler)
     try:
         for thread in lanes:
             thread.join()
-    except KeyboardInterrupt:  # the workers hear it, too
+    except KeyboardInterrupt:  # the workers end with this process
         print("interrupted: what is done is kept, and not done again")
         sys.stdout.flush()
         os._exit(130)

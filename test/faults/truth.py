@@ -85,13 +85,13 @@ class Truth:
     def runs(self) -> bool:
         """Whether the pump turns, and has for the last half second."""
         recent = self._from(time.monotonic() - 0.5)
-        return len(recent) >= 5 and min(speed for _, speed in recent) > TURNS
+        return len(recent) >= 3 and min(speed for _, speed in recent) > TURNS
 
     def steady_for(self) -> float:
         """Return for how long the pump has turned without a break (s), as far as is known."""
         now = since = time.monotonic()
         for at, speed in self._newest_first():
-            if speed <= TURNS or since - at > 1.0 or now - at > _LOOK_BACK_S:
+            if speed <= TURNS or since - at > 2.0 or now - at > _LOOK_BACK_S:
                 break
             since = at
         return now - since
