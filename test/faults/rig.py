@@ -32,7 +32,10 @@ START_S = 60.0
 # What the campaign sets other than its default, so that a pump that was stopped runs again soon.
 # None of these is in a bound.
 SHORTENED = {"recovery_time": 1.0}
-PUMP_SHORTENED = {**SHORTENED, "least_on": 1.0, "least_off": 1.0, "starts_per_hour": 3600.0}
+PUMP_SHORTENED = {
+    **SHORTENED, "least_on": 1.0, "least_off": 1.0, "starts_per_hour": 3600.0,
+    "local_settings_stop_the_pump": True,  # as the simulated Grundfos is set
+}
 # The paper's site, but for a roof that takes an hour to fill: ten times its target.
 _TARGET = 0.45
 _CISTERN_M3, _ROOF_M3 = 73.0, 0.5
@@ -173,7 +176,7 @@ class Rig:
         lines: to what is on Modbus, where they can go bad; by ``drive``, ``cistern``, ``roof``.
     """
 
-    pump_parameters: Mapping[str, float] = PUMP_SHORTENED
+    pump_parameters: Mapping[str, float | bool] = PUMP_SHORTENED
     as_shipped = False
     serial = False
     drive_refuses = False
@@ -534,7 +537,7 @@ class LoopRig(Rig):
             domain, "bringup", "--controller", CONTROLLER, "--site", str(self.site_file),
             "--cistern", str(_CISTERN_M3), "--roof", str(_ROOF_M3), "--hours", "2",
             "--drive", str(self.drive_file), "--drive-at", self.drive_at,
-            "--output", str(directory / "run"),
+            "--output", str(directory / "run"), "--state", str(directory / "state"),
             "--node-parameters", str(self.parameters), cwd=directory,
         )
 
