@@ -73,6 +73,7 @@ def begin(rig: Rig, case: Case, rng: random.Random) -> Undo:
         return nothing
     if case.fault == "power cycle, then kill":
         rig.truth.inject_drive("power_cycle")
+        rig.drive.powered_at = time.monotonic()
         wait(lambda: rig.truth.speed <= STANDS, 10, "a drive that loses power")
         wait(rig.runs, 90, "a pump that runs again")
         rig.main.process.kill()
@@ -176,6 +177,8 @@ def _drive(rig: Rig, case: Case) -> Undo:
 
         return replace
     rig.truth.inject_drive(case.target)
+    if case.target == "power_cycle":
+        rig.drive.powered_at = time.monotonic()
     return lambda: rig.truth.inject_drive("none")
 
 

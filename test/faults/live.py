@@ -59,6 +59,8 @@ def run_case(rig: Rig, case: Case, rng: random.Random, outcome: Outcome) -> None
     """
     # What the case before left may show once more: a level that came just before its sensor died
     # becomes too old after its limit.
+    if case.expected.stops is not False:
+        rig.until_guarded()
     rig.until_running(steady_s=_STEADY_S if case.expected.stops is False else 0.0)
     rig.others.clear()
     time.sleep(rng.uniform(0.0, 1.0))  # of the ticks, which are a second
