@@ -175,7 +175,7 @@ def _sensors(repeats: int) -> Iterator[Case]:
             for fault, expected, parameter in (
                 ("silent", Expected(bound="level", alarm=rf"/{tank}/level|{tank}_sensor"), None),
                 ("absurd", Expected(bound="level", alarm=rf"/{tank}/level|{tank}_sensor"), None),
-                ("noisy", Expected(bound="level", alarm=rf"/{tank}/level jumped"), 1000),
+                ("noisy", Expected(bound="noisy", alarm=rf"/{tank}/level jumped"), 1000),
                 ("frozen", Expected(bound=f"{tank} frozen", alarm=rf"/{tank}/level is frozen"),
                  None),
                 ("drifting", Expected(bound="drift", alarm=rf"/{tank}/level jumped"), 500),
