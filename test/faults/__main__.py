@@ -103,8 +103,10 @@ def batches(cases: list[Case], seed: int) -> list[list[Case]]:
                 case.expected.recovery == "ends", case.expected.stops is not False
             ))
         found += parts
-    # Long ones first, so that the lanes end together.
-    return sorted(found, key=_expected_s, reverse=True)
+    # What is done one at a time, then long ones first, so that the lanes end together.
+    return sorted(
+        found, key=lambda part: (part[0].rig in _ALONE, _expected_s(part)), reverse=True
+    )
 
 
 def _expected_s(batch: list[Case]) -> float:
