@@ -11,27 +11,31 @@ from __future__ import annotations
 import argparse
 import json
 import os
+import random
 import shutil
 import signal
 import subprocess
 import sys
 import tempfile
 import threading
+import time
 import traceback
 from pathlib import Path
 
 HERE = Path(__file__).resolve().parent
 sys.path[:0] = [str(HERE), str(HERE.parent), str(HERE.parent.parent)]
 
-from cases import Case, all_cases  # noqa: E402
+from cases import Case, all_cases, sample  # noqa: E402
 from graphs import Process, environment  # noqa: E402
 
 from greenroof_ros.common.processes import end_with_parent  # noqa: E402
 
 SEED = 1
 # So many cases a worker does: what a rig gathers ends with it.
-_BATCH = {"simulated": 8, "restarting": 8, "readers": 60}
+_BATCH = {"simulated": 10, "restarting": 9, "readers": 3}
 _USUAL_BATCH = 40
+# What keeps the processors busy, or lasts: of each only one lane does it at a time.
+_ALONE = {"simulated": "simulated", "restarting": "simulated", "readers": "readers"}
 # A worker that takes longer for a case hangs (s).
 _CASE_LIMIT_S = 300.0
 
@@ -49,14 +53,18 @@ def _parser() -> argparse.ArgumentParser:
         "--seed", type=int, default=SEED, help="of all that is random (default: %(default)s)"
     )
     parser.add_argument(
-        "--lanes", type=int, default=2, help="rigs side by side (default: %(default)s)"
+        "--lanes", type=int, default=6,
+        help="rigs side by side, which mostly wait (default: %(default)s)",
     )
     parser.add_argument(
         "--results", type=Path, default=Path("runs/faults"), metavar="DIR",
         help="where the results are, and what the rigs leave (default: %(default)s)",
     )
     parser.add_argument("--list", action="store_true", help="list the cases, and do none")
-    parser.add_argument("--every", type=int, default=1, metavar="N", help="only each N-th case")
+    parser.add_argument(
+        "--every", type=int, default=1, metavar="N",
+        help="only one in N cases, of each kind of fault in each way at least one",
+    )
     parser.add_argument(
         "--table", type=Path, nargs="?", const=Path("-"), metavar="FILE",
         help="print the table of the results that are there, or put it between its markers in FILE",
@@ -75,7 +83,7 @@ def read_results(file: Path) -> dict[str, dict[str, object]]:
     return results
 
 
-def batches(cases: list[Case]) -> list[list[Case]]:
+def batches(cases: list[Case], seed: int) -> list[list[Case]]:
     """Return cases of one rig together, few enough for one worker."""
     by_rig: dict[str, list[Case]] = {}
     for case in cases:
@@ -83,11 +91,45 @@ def batches(cases: list[Case]) -> list[list[Case]]:
     found = []
     for rig, those in by_rig.items():
         size = _BATCH.get(rig, _USUAL_BATCH)
-        # What ends a rig comes last, so that the others share one.
-        those.sort(key=lambda case: case.expected.recovery == "ends")
-        found += [those[at:at + size] for at in range(0, len(those), size)]
-    # Long ones first, so that the lanes end together.
-    return sorted(found, key=len, reverse=True)
+        if rig == "readers":
+            those.sort(key=lambda case: case.number)
+        else:  # a node that is killed again soon waits longer for its next start
+            random.Random(seed).shuffle(those)
+        # What stops nothing begins when the pump has run for a while, so the next can follow at
+        # once; what ends a rig comes last, so that the others share one.
+        parts = [those[at:at + size] for at in range(0, len(those), size)]
+        for part in parts if rig != "readers" else ():
+            part.sort(key=lambda case: (
+                case.expected.recovery == "ends", case.expected.stops is not False
+            ))
+        found += parts
+    # What is done one at a time, then long ones first, so that the lanes end together.
+    return sorted(
+        found, key=lambda part: (part[0].rig in _ALONE, _expected_s(part)), reverse=True
+    )
+
+
+def _expected_s(batch: list[Case]) -> float:
+    """Return about how long a batch takes (s)."""
+    if batch[0].rig == "readers":
+        return 400.0
+    alone = batch[0].rig in _ALONE
+    return sum(
+        25.0 if not alone and case.expected.recovery == "ends"
+        else {"cistern frozen": 40.0, "roof frozen": 100.0, "drift": 110.0, "undelivered": 100.0,
+              "frost": 65.0, "gauge": 65.0}.get(case.expected.bound, 9.0)
+        for case in batch
+    )
+
+
+def take(queue: list[list[Case]], running: list[str]) -> list[Case] | None:
+    """Return the next batch that may run beside those that do; None where there is none now."""
+    for number, batch in enumerate(queue):
+        kind = _ALONE.get(batch[0].rig, "")
+        if not kind or kind not in running:
+            running.append(kind)
+            return queue.pop(number)
+    return None
 
 
 def _work(arguments: argparse.Namespace) -> None:
@@ -108,13 +150,18 @@ def _work(arguments: argparse.Namespace) -> None:
         os._exit(0)  # the middleware may hang in taking itself down
 
 
-def lane(queue: list[list[Case]], lock: threading.Lock, arguments: argparse.Namespace) -> None:
+def lane(
+    queue: list[list[Case]], running: list[str], lock: threading.Lock,
+    arguments: argparse.Namespace,
+) -> None:
     """Give batches to workers, one after the other."""
-    while True:
+    while queue:
         with lock:
-            if not queue:
-                return
-            batch = queue.pop(0)
+            batch = take(queue, running)
+        if batch is None:
+            time.sleep(0.5)
+            continue
+        with lock:
             place = Path(tempfile.mkdtemp(prefix="batch-", dir=arguments.results))
         names = place / "cases.json"
         names.write_text(json.dumps([case.id for case in batch]))
@@ -125,10 +172,12 @@ def lane(queue: list[list[Case]], lock: threading.Lock, arguments: argparse.Name
             env=environ, stderr=(place / "worker.err").open("w"), preexec_fn=end_with_parent,
         )
         try:
-            worker.wait(_CASE_LIMIT_S * len(batch))
+            worker.wait(_CASE_LIMIT_S * (len(batch) + 2))
         except subprocess.TimeoutExpired:
             print(f"FAILED a worker hangs: {place}", flush=True)
             worker.kill()
+        with lock:
+            running.remove(_ALONE.get(batch[0].rig, ""))
         results = read_results(arguments.results / "results.jsonl")
         if all(not results.get(case.id, {"wrong": "x"})["wrong"] for case in batch):
             shutil.rmtree(place, ignore_errors=True)
@@ -155,7 +204,7 @@ def main() -> int:
             put_table(table(results.values()), arguments.table)
         return 0
     cases = [case for case in all_cases() if _is_wanted(case.id, arguments.only)]
-    cases = cases[::arguments.every]
+    cases = sample(cases, arguments.every, arguments.seed)
     if arguments.list:
         print(*(case.id for case in cases), sep="\n")
         return 0
@@ -163,17 +212,20 @@ def main() -> int:
     todo = [case for case in cases if again or case.id not in results]
     print(f"{len(todo)} of {len(cases)} cases to do", flush=True)
     arguments.results.mkdir(parents=True, exist_ok=True)
-    queue, lock = batches(todo), threading.Lock()
+    queue, lock = batches(todo, arguments.seed), threading.Lock()
+    running: list[str] = []
     lanes = [
-        threading.Thread(target=lane, args=(queue, lock, arguments))
+        threading.Thread(target=lane, args=(queue, running, lock, arguments))
         for _ in range(min(arguments.lanes, len(queue)))
     ]
     for thread in lanes:
         thread.start()
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, signal.default_int_handler)
     try:
         for thread in lanes:
             thread.join()
-    except KeyboardInterrupt:  # the workers hear it, too
+    except KeyboardInterrupt:  # the workers end with this process
         print("interrupted: what is done is kept, and not done again")
         sys.stdout.flush()
         os._exit(130)

@@ -10,12 +10,16 @@ from greenroof_ros.graph.live import LIMITS
 from greenroof_ros.model.pump_speed import flow_at
 from greenroof_ros.model.site import Site
 from greenroof_ros.nodes.pump import parameters as parameters_of_pump
+from greenroof_ros.recording.live_bag import FLUSH_S
 
 # Of the simulated drive, as the campaign starts it: from rated speed to rest, and its own timeout.
 RAMP_S = 1.0
 DRIVE_TIMEOUT_S = 5.0
 # How long bringup hears nothing of a node before it kills it: its default.
 SILENCE_S = 5.0
+# For how long the pump may run where a case is about the limit of a run or of a day, instead of the
+# default.
+LIMIT_S = 10.0
 # What a busy machine may add to any of these, and what measuring adds.
 SLACK_S = 1.0
 
@@ -48,8 +52,6 @@ def bounds(site: Site) -> dict[str, float]:
         "filtered": 3.0 + site.tau + step,
         "command": _limit("/pump/command") + step,
         "level": _limit("/cistern/level") + site.tau + step,
-        # What a second node needs until it is there at all.
-        "start": 8.0 + step,
         # The same, of what comes and goes: it is there for 2 s first.
         "intermittent": 2.0 + _limit("/cistern/level") + site.tau + step,
         "frost": _limit("/weather/frost") + step,
@@ -64,6 +66,15 @@ def bounds(site: Site) -> dict[str, float]:
         "cistern frozen": frozen * site.a1 / flow + _limit("/cistern/level") + step,
         "roof frozen": frozen * site.a2 / flow + _limit("/roof/level") + step,
         # The delivery check: the volume that may be missing, and the averaging that comes on top.
+        # A gauge only counts less; that it is silent must be said.
+        "gauge": _limit("/gauge/precipitation") + step,
+        # Two connections are tried on which nothing can be written.
+        "refusing": DRIVE_TIMEOUT_S + 5.0 + end,
+        "intermittent drive": 2.0 + DRIVE_TIMEOUT_S + end,
+        "full disk": FLUSH_S + 5.0 + step,
+        "limit": LIMIT_S + step,
         "undelivered": tolerance * site.a2 / (delivery * flow) + 2 * averaging + step,
+        # By chance: two medians of five readings must be farther apart than the tolerance.
+        "noisy": 4 * _limit("/cistern/level") + step,
         "drift": jump / 2e-4 + step,
     }

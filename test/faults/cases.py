@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+import random
 from collections.abc import Iterator
 from dataclasses import dataclass
 
 SIMULATED, LOOP, LIVE = "simulated", "hardware in the loop", "live"
+WAYS = (SIMULATED, LOOP, LIVE)
+# How often the four foreign readers are stopped in one case.
+ROUNDS = 50
 DRIVES = ("danfoss_fc202", "abb_acs880", "grundfos_cim500", "schneider_atv630")
 
 
@@ -85,15 +89,21 @@ def _process(node: str, fault: str) -> Expected:
 
 def _processes(repeats: int) -> Iterator[Case]:
     for number in range(repeats):
+        rig = f"site:{DRIVES[number % 4]}"
         for fault in ("kill", "term", "stop short", "stop long"):
             for node in (*NODES, "bringup"):
-                yield Case(f"site:{DRIVES[0]}", fault, node, number, _process(node, fault))
-    for number in range(repeats // 2):
+                yield Case(rig, fault, node, number, _process(node, fault))
+    for number, drive in enumerate(DRIVES):
+        rig = f"site:{drive}"
         for fault in ("kill", "stop long"):
-            yield Case(f"site:{DRIVES[0]}", fault, "drive_simulator", number, Expected(
-                stops=None, bound="drive", alarm=r"no connection to the drive|the drive"))
-            yield Case(f"site:{DRIVES[0]}", fault, "site_simulator", number, Expected(
+            yield Case(rig, fault, "drive_simulator", number, Expected(
+                stops=None, bound="drive", alarm=_LOST))
+            yield Case(rig, fault, "site_simulator", number, Expected(
                 bound="level", alarm=r"/(cistern|roof)/level|sensor"))
+        for again in range(2):
+            # Only the drive's own timeout is left.
+            yield Case(rig, "kill both", "pump and bringup", number + 4 * again, Expected(
+                bound="drive", recovery="ends"))
 
 
 # --- the drive ------------------------------------------------------------------------------------
@@ -117,49 +127,75 @@ _DRIVE: dict[str, Expected] = {
     "power_cycle": Expected(bound="drive", alarm=_LOST, recovery="either"),
     "timeout_off": Expected(bound="drive", alarm=r"communication timeout"),
     "local": Expected(bound="drive", alarm=r"local control"),
+    # PX4's: silent for 7 s of 9.
+    "intermittent": Expected(bound="intermittent drive", alarm=_LOST),
 }
+# What there is of it on a serial line, where nothing connects; the line of a simulator that is
+# started again would have another name.
+_SERIAL = tuple(name for name in _DRIVE if name not in ("refused", "timeout_off", "local"))
 # The motor does not stop, whatever it is told: there must be an alarm, and the fault latches.
 _UNSTOPPABLE = ("speed_stays", "stuck_running", "contactor")
 
 
-def _drive(way: str, drives: tuple[str, ...], repeats: int) -> Iterator[Case]:
-    for drive in drives:
-        for number in range(repeats):
-            for fault, expected in _DRIVE.items():
+def _drive(kind: str, faults: tuple[str, ...], first: int, repeats: int) -> Iterator[Case]:
+    for drive in DRIVES:
+        for number in range(first, first + repeats):
+            for fault in faults:
                 if not (fault == "local" and drive == "grundfos_cim500"):
-                    yield Case(f"{way}:{drive}", "drive", fault, number, expected)
-            for fault in _UNSTOPPABLE:
-                yield Case(f"{way}:{drive}", "unstoppable", fault, number, Expected(
+                    yield Case(f"{kind}:{drive}", "drive", fault, number, _DRIVE[fault])
+            for fault in _UNSTOPPABLE if len(faults) == len(_DRIVE) else ():
+                yield Case(f"{kind}:{drive}", "unstoppable", fault, number, Expected(
                     bound="follow", alarm=r"told to stop|contactor", recovery="latches"))
 
+
+def _drive_alone(repeats: int) -> Iterator[Case]:
+    """Return what needs a rig of its own, each with a pump node alone."""
+    for number in range(repeats):
+        for drive in DRIVES:
+            # It refuses what is written, and takes every request for a sign of life.
+            yield Case(f"refusing:{drive}", "drive", "refuses writes", number, Expected(
+                bound="refusing", alarm=_LOST))
+            # For some time after power-up some drives guard nothing.
+            yield Case(f"guarded:{drive}", "power cycle, then kill", "drive", number, Expected(
+                bound="drive", recovery="ends"))
+
+
+# What may go wrong on a line to a sensor; all but the last is done by `line.Line`.
+WIRE = ("refused", "dropped", "half_open", "silence", "slow", "late", "split", "garbage",
+        "wrong_unit", "wrong_function", "wrong_length", "exception", "intermittent")
+_RUNS_ON = Expected(stops=False)
 
 # --- sensors and weather --------------------------------------------------------------------------
 
 
 def _sensors(repeats: int) -> Iterator[Case]:
     for number in range(repeats):
+        rig = f"site:{DRIVES[number % 4]}"
         for tank in ("cistern", "roof"):
             for fault, expected, parameter in (
                 ("silent", Expected(bound="level", alarm=rf"/{tank}/level|{tank}_sensor"), None),
                 ("absurd", Expected(bound="level", alarm=rf"/{tank}/level|{tank}_sensor"), None),
-                ("noisy", Expected(bound="level", alarm=rf"/{tank}/level jumped"), 1000),
+                ("noisy", Expected(bound="noisy", alarm=rf"/{tank}/level jumped"), 1000),
                 ("frozen", Expected(bound=f"{tank} frozen", alarm=rf"/{tank}/level is frozen"),
                  None),
                 ("drifting", Expected(bound="drift", alarm=rf"/{tank}/level jumped"), 500),
             ):
-                if fault in ("frozen", "drifting") and number >= (repeats + 1) // 2:
+                if fault in ("frozen", "drifting") and number >= 2:
                     continue
-                yield Case(f"site:{DRIVES[0]}", "sensor", f"{tank}_{fault}", number, expected,
-                           parameter)
+                yield Case(rig, "sensor", f"{tank}_{fault}", number, expected, parameter)
+            for fault in WIRE:
+                expected = _RUNS_ON if fault in ("slow", "split") else Expected(
+                    bound="intermittent" if fault == "intermittent" else "level",
+                    alarm=rf"/{tank}/level|{tank}_sensor")
+                yield Case(rig, "sensor line", f"{tank}_{fault}", number, expected)
         for file in ("broken", "missing"):
-            yield Case(f"site:{DRIVES[0]}", "forecast file", file, number, Expected(
+            yield Case(rig, "forecast file", file, number, Expected(
                 stops=False, alarm=r"forecast"))
-        yield Case(f"site:{DRIVES[0]}", "forecast file", "old", number, Expected(
+        yield Case(rig, "forecast file", "old", number, Expected(
             bound="command", alarm=r"forecast|frost"))
-    for number in range(max(1, repeats // 3)):
-        for fault, parameter in (("burst_pipe", None), ("leak", 20000)):
-            yield Case(f"site:{DRIVES[0]}", "site", fault, number, Expected(
-                bound="undelivered", alarm=r"delivery|jumped", recovery="either"), parameter)
+    for fault, parameter in (("burst_pipe", None), ("leak", 20000)):
+        yield Case(f"site:{DRIVES[0]}", "site", fault, 0, Expected(
+            bound="undelivered", alarm=r"delivery|jumped", recovery="either"), parameter)
 
 
 def _dry(repeats: int) -> Iterator[Case]:
@@ -168,10 +204,27 @@ def _dry(repeats: int) -> Iterator[Case]:
             bound="filtered", alarm=r"the cistern is at .* below", recovery="stays"))
 
 
+def _limits(repeats: int) -> Iterator[Case]:
+    """A command that says the same for ever."""
+    for number in range(repeats):
+        for limit, recovery in (("greatest_run", "heals"), ("greatest_run_per_day", "stays"),
+                                ("greatest_volume_per_day", "stays")):
+            alarm = r"in this day" if "day" in limit else r"without a break"
+            yield Case(f"{limit}:{DRIVES[number % 4]}", "stuck for ever", "/pump/command", number,
+                       Expected(bound="limit", alarm=alarm, recovery=recovery))
+
+
+def _full_disk(repeats: int) -> Iterator[Case]:
+    for number in range(repeats):
+        yield Case(f"full disk:{DRIVES[number % 4]}", "full disk", "recorder", number, Expected(
+            stops=False, bound="full disk", alarm=r"nothing is recorded|No space left", watch=5.0))
+        yield Case("simulated", "full disk", "recorder", number, Expected(
+            stops=None, bound="supervised", alarm="No space left", recovery="ends"))
+
+
 # --- topics ---------------------------------------------------------------------------------------
 
-MODES = ("off", "stuck", "garbage", "wrong", "slow", "delayed", "intermittent")
-_RUNS_ON = Expected(stops=False)
+MODES = ("ok", "off", "stuck", "garbage", "wrong", "slow", "delayed", "intermittent")
 
 
 def _topic(topic: str, mode: str, rig: str) -> Expected:
@@ -199,30 +252,48 @@ def _topic(topic: str, mode: str, rig: str) -> Expected:
             "slow": Expected(bound="command", alarm="no command has come"),
             "intermittent": Expected(bound="intermittent", alarm="no command has come"),
         }.get(mode, _RUNS_ON)
+    if topic == "/pump/meter":
+        return {
+            # A meter that says that nothing flows, while a level falls: one of both is wrong.
+            "wrong": Expected(bound="undelivered", alarm="cistern|delivery", recovery="latches"),
+        }.get(mode, _RUNS_ON)
+    if topic == "/pump/flow":
+        return _RUNS_ON  # the controller takes what it commands itself
+    if topic in GAUGES:
+        if (topic, mode) == ("/gauge/temperature", "wrong"):
+            return Expected(bound="command", alarm="there is frost")
+        # The forecast counts instead.
+        said = Expected(stops=False, bound="gauge", alarm=topic)
+        return {"off": said, "garbage": said}.get(mode, _RUNS_ON)
     return {"garbage": Expected(bound="command", alarm=name)}.get(mode, _RUNS_ON)
 
 
-_LEVELS = ("/cistern/level", "/roof/level", "/weather/frost")
-_PLAYED = (*_LEVELS, "/forecast/precipitation", "/forecast/evapotranspiration")
+LEVELS = ("/cistern/level", "/roof/level", "/weather/frost")
+PLAYED = (*LEVELS, "/forecast/precipitation", "/forecast/evapotranspiration")
+GAUGES = ("/gauge/precipitation", "/gauge/temperature")
+# By rig, what is played there.
+_ON = {
+    "pump": ("/pump/command", *LEVELS), "played": PLAYED, "gauged": GAUGES,
+    "metered": ("/pump/meter",), "flow": ("/pump/flow",),
+}
 
 
 def _topics(repeats: int) -> Iterator[Case]:
-    for rig, topics in (("pump", ("/pump/command", *_LEVELS)), ("played", _PLAYED)):
+    for rig, topics in _ON.items():
         for number in range(repeats):
             for topic in topics:
                 for mode in MODES:
-                    slow = mode == "stuck" and topic in _LEVELS[:2]
-                    slow |= mode == "off" and topic == "/weather/frost"
-                    if slow and number >= (repeats + 2) // 3:
+                    # These take a minute and more.
+                    slow = mode == "stuck" and topic in LEVELS[:2]
+                    slow |= mode == "off" and topic in ("/weather/frost", *GAUGES)
+                    slow |= mode == "wrong" and topic == "/pump/meter"
+                    if number >= (1 if mode == "ok" else 2 if slow else repeats):
                         continue
                     yield Case(f"{rig}:{DRIVES[number % 4]}", mode, topic, number,
                                _topic(topic, mode, rig))
                 yield Case(f"{rig}:{DRIVES[number % 4]}", "10000 hostile", topic, number, Expected(
-                    stops=None, alarm=topic, bound="command"))
-    for number in range(repeats):
-        for topic in ("/gauge/precipitation", "/gauge/temperature"):
-            yield Case(f"site:{DRIVES[0]}", "10000 hostile", topic, number, Expected(
-                stops=None, alarm=r"gauge|thermometer|frost"))
+                    stops=None, bound="gauge" if rig == "gauged" else "command",
+                    alarm="" if topic in ("/pump/meter", "/pump/flow") else topic))
 
 
 # --- intruders ------------------------------------------------------------------------------------
@@ -234,21 +305,40 @@ _HEARD = ("/weather/precipitation", "/weather/evapotranspiration", "/pump/flow",
           "/pump/meter", "/controller/cost", "/diagnostics")
 
 
+# A drive that another node has.
+_TAKEN = r"(?i:already|in use|locked|has this drive|another (process|node))"
+
+
 def _intruders(repeats: int) -> Iterator[Case]:
     for number in range(repeats):
+        rig = f"site:{DRIVES[number % 4]}"
         for topic in _OBEYED:
-            yield Case(f"site:{DRIVES[0]}", "intruder", topic, number, Expected(
+            yield Case(rig, "intruder", topic, number, Expected(
                 bound="command", alarm=rf"{topic}.* publishers"))
         for topic in _HEARD:
-            yield Case(f"site:{DRIVES[0]}", "intruder", topic, number, Expected(stops=None))
-        yield Case(f"site:{DRIVES[0]}", "second pump node", "pump", number, Expected(
-            bound="start", alarm=r"/pump/flow has 2 publishers"))
-        yield Case(f"site:{DRIVES[0]}", "second controller", "onoff", number, Expected(
+            yield Case(rig, "intruder", topic, number, Expected(stops=None))
+        # Every topic that any live node hears, whoever publishes it: 10,000 more.
+        for topic in (*_OBEYED, *_HEARD, *GAUGES):
+            alarm = rf"{topic}.* publishers" if topic in _OBEYED else ""
+            yield Case(rig, "10000 hostile", topic, number, Expected(
+                stops=None, bound="command", alarm=alarm))
+        yield Case(rig, "second pump node", "pump", number, Expected(
+            stops=None, bound="command", watch=5.0,
+            alarm=rf"/pump/flow has 2 publishers|{_TAKEN}"))
+        yield Case(f"pump:{DRIVES[number % 4]}", "second pump node", "in another domain", number,
+                   Expected(stops=False, bound="command", watch=5.0, alarm=_TAKEN))
+        yield Case(rig, "second controller", "onoff", number, Expected(
             bound="command", alarm=r"/pump/command.* publishers"))
-        yield Case(f"site:{DRIVES[0]}", "second graph", "bringup", number, Expected(stops=False))
+        yield Case(rig, "second graph", "bringup", number, Expected(stops=False))
 
 
 # --- hardware in the loop, simulated --------------------------------------------------------------
+
+
+def _doubled(topic: str) -> str:
+    """Return how a graph in lockstep says that somebody else publishes a topic, too."""
+    return rf"publisher of {topic}|{topic} (has 2 publishers|came twice|is at tick)"
+
 
 _LOOP_NODES = ("plant", "weather", "controller", "pump", "recorder", "bringup")
 
@@ -269,9 +359,12 @@ def _loop(repeats: int) -> Iterator[Case]:
                 yield Case(f"loop:{DRIVES[number % 4]}", fault, node, number, Expected(
                     bound=bound, alarm=alarm, recovery=recovery))
         for topic in ("/clock", *_OBEYED, "/weather/precipitation", "/pump/flow"):
-            yield Case(f"loop:{DRIVES[number % 4]}", "intruder", topic, number, Expected(
-                bound="supervised", recovery="ends",
-                alarm=rf"publisher of {topic}|{topic} has 2 publishers"))
+            for fault in ("intruder", "10000 hostile")[:1 if number else 2]:
+                yield Case(f"loop:{DRIVES[number % 4]}", fault, topic, number, Expected(
+                    bound="supervised", recovery="ends",
+                    alarm=_doubled(topic)))
+        yield Case(f"loop:{DRIVES[number % 4]}", "kill both", "pump and bringup", number, Expected(
+            bound="drive", recovery="ends"))
 
 
 def _called(node: str) -> str:
@@ -295,9 +388,10 @@ def _simulated(repeats: int) -> Iterator[Case]:
                     stops=None, bound="supervised", alarm="" if recovery == "same" else alarm,
                     recovery=recovery))
         for topic in ("/clock", *_OBEYED, "/weather/precipitation", "/weather/evapotranspiration"):
-            yield Case("simulated", "intruder", topic, number, Expected(
-                stops=None, bound="supervised", recovery="ends",
-                alarm=f"publisher of {topic}|{topic} has 2 publishers"))
+            for fault in ("intruder", "10000 hostile")[:1 if number else 2]:
+                yield Case("simulated", fault, topic, number, Expected(
+                    stops=None, bound="supervised", recovery="ends",
+                    alarm=_doubled(topic)))
         for topic in ("/cistern/outflow", "/roof/drainage"):
             yield Case("simulated", "intruder", topic, number, Expected(
                 stops=None, bound="supervised", recovery="either"))
@@ -314,28 +408,57 @@ def _restarting(repeats: int) -> Iterator[Case]:
                     stops=None, bound="supervised", recovery="goes on"))
 
 
-def _readers(stops: int) -> Iterator[Case]:
+def _readers(blocks: int) -> Iterator[Case]:
     """Four readers of /roof/level, stopped for 6.5 s and continued, in all three ways at once."""
-    for number in range(stops):
+    for number in range(blocks):
         for way in ("simulated", "loop", "live"):
-            yield Case("readers", "four readers stopped", way, number, Expected(
+            yield Case("readers", f"four readers stopped {ROUNDS} times", way, number, Expected(
                 stops=False, recovery="same"))
 
 
 def all_cases() -> list[Case]:
-    """Return the whole campaign, in the order in which it is worked through."""
+    """Return the whole campaign."""
+    every = tuple(_DRIVE)
     cases = [
-        *_simulated(8),
-        *_processes(6),
-        *_drive("site", DRIVES, 4),
-        *_drive("loop", DRIVES, 1),
-        *_sensors(4),
+        *_simulated(4),
+        *_restarting(2),
+        *_full_disk(2),
+        *_processes(4),
+        *_drive("site", every, 0, 1),
+        *_drive("pump", every, 1, 2),
+        *_drive("loop", every, 0, 1),
+        *_drive("rtu", _SERIAL, 0, 1),
+        *_drive_alone(1),
+        *_sensors(2),
         *_dry(4),
-        *_topics(4),
-        *_intruders(4),
-        *_loop(4),
-        *_restarting(4),
-        *_readers(200),
+        *_limits(2),
+        *_topics(3),
+        *_intruders(2),
+        *_loop(2),
+        *_readers(4),
     ]
     assert len({case.id for case in cases}) == len(cases)
     return cases
+
+
+def sample(cases: list[Case], every: int, seed: int) -> list[Case]:
+    """Return one in so many cases of each kind of fault in each way, and at least one.
+
+    Every target of a kind comes before one comes again; which are first follows from the seed.
+    """
+    kinds: dict[tuple[str, str], dict[str, list[Case]]] = {}
+    for case in cases:
+        kinds.setdefault((case.way, case.fault), {}).setdefault(case.target, []).append(case)
+    chosen = set()
+    rng = random.Random(seed)
+    for targets in kinds.values():
+        names = list(targets)
+        rng.shuffle(names)
+        for those in targets.values():
+            rng.shuffle(those)
+        rounds = [
+            targets[name][again] for again in range(max(map(len, targets.values())))
+            for name in names if again < len(targets[name])
+        ]
+        chosen.update(rounds[:-(-len(rounds) // every)])
+    return [case for case in cases if case in chosen]

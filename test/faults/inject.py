@@ -5,22 +5,36 @@ from __future__ import annotations
 import os
 import random
 import signal
-import subprocess
-import sys
+import threading
 import time
 from collections.abc import Callable
+from contextlib import ExitStack
 from datetime import datetime, timedelta, timezone
 
 from cases import Case
-from graphs import Process, environment
+from graphs import Process, own_domain
+from line import OFF_S, ON_S
 from players import HOSTILE, HUGE
-from rig import PlayedRig, PumpRig, Rig, Simulator, SiteRig, wait, write_forecast
+from rig import (
+    FullDiskRig,
+    GaugedRig,
+    PlayedRig,
+    PumpRig,
+    Rig,
+    Simulator,
+    SiteRig,
+    pump_node,
+    wait,
+    write_forecast,
+)
+from truth import STANDS
 
 from greenroof_ros.common.interface import read_topics
 from greenroof_ros.drives.faults import DEFAULT
 
 Undo = Callable[[], None]
 _SIGNALS = {"kill": signal.SIGKILL, "term": signal.SIGTERM}
+PLAYED_RIGS = (PlayedRig, PumpRig, GaugedRig)
 # Shorter than every limit, and longer than every one.
 SHORT_S, LONG_S = (0.2, 0.6), 8.0
 
@@ -53,8 +67,29 @@ def begin(rig: Rig, case: Case, rng: random.Random) -> Undo:
     """Begin the fault of a case, and return what ends it."""
     if case.fault in ("kill", "term", "stop short", "stop long"):
         return _process(rig, case, rng)
+    if case.fault == "kill both":
+        for name in ("pump", "bringup"):
+            os.kill(rig.pids()[name], signal.SIGKILL)
+        return nothing
+    if case.fault == "power cycle, then kill":
+        rig.truth.inject_drive("power_cycle")
+        rig.drive.powered_at = time.monotonic()
+        wait(lambda: rig.truth.speed <= STANDS, 10, "a drive that loses power")
+        wait(rig.runs, 90, "a pump that runs again")
+        rig.main.process.kill()
+        return nothing
     if case.fault == "drive":
         return _drive(rig, case)
+    if case.fault == "sensor line":
+        tank, _, fault = case.target.partition("_")
+        rig.lines[tank].inject(fault)
+        return lambda: rig.lines[tank].inject("none")
+    if case.fault == "full disk":
+        assert isinstance(rig, FullDiskRig)
+        rig.fill()
+        return nothing
+    if case.fault == "stuck for ever":
+        return nothing  # it says the same from the start on
     if case.fault in ("sensor", "site"):
         rig.truth.inject_site(case.target, DEFAULT if case.parameter is None else case.parameter)
         return lambda: rig.truth.inject_site("none")
@@ -67,18 +102,18 @@ def begin(rig: Rig, case: Case, rng: random.Random) -> Undo:
     if case.fault in ("intruder", "10000 hostile") and case.target not in _played(rig):
         return _intruder(rig, case, rng)
     if case.fault == "10000 hostile":
-        assert isinstance(rig, (PlayedRig, PumpRig))
+        assert isinstance(rig, PLAYED_RIGS)
         rig.players.burst(case.target, 10_000, rng)
         return nothing
     if case.fault.startswith("second"):
         return _second(rig, case)
-    assert isinstance(rig, (PlayedRig, PumpRig))
+    assert isinstance(rig, PLAYED_RIGS)
     rig.players.set(case.target, case.fault, rng)
     return lambda: rig.players.set(case.target, "ok", rng)
 
 
 def _played(rig: Rig) -> set[str]:
-    return rig.players.topics if isinstance(rig, (PlayedRig, PumpRig)) else set()
+    return rig.players.topics if isinstance(rig, PLAYED_RIGS) else set()
 
 
 def _process(rig: Rig, case: Case, rng: random.Random) -> Undo:
@@ -100,7 +135,32 @@ def _process(rig: Rig, case: Case, rng: random.Random) -> Undo:
     return signal_process(rig.pids()[name], case.fault, rng)
 
 
+def _come_and_go(rig: Rig) -> Undo:
+    """Have the drive silent for some time, again and again."""
+    ended = threading.Event()
+
+    def work() -> None:
+        while not ended.wait(ON_S):
+            rig.truth.inject_drive("silence")
+            ended.wait(OFF_S)
+            rig.truth.inject_drive("none")
+
+    thread = threading.Thread(target=work, daemon=True)
+    thread.start()
+
+    def end() -> None:
+        ended.set()
+        thread.join()
+
+    return end
+
+
 def _drive(rig: Rig, case: Case) -> Undo:
+    if case.target == "intermittent":
+        return _come_and_go(rig)
+    if case.target == "refuses writes":
+        rig.lines["drive"].inject(case.target)
+        return lambda: rig.lines["drive"].inject("none")
     if case.target == "local":
         rig.truth.take_over(True)
         return lambda: rig.truth.take_over(False)
@@ -117,6 +177,8 @@ def _drive(rig: Rig, case: Case) -> Undo:
 
         return replace
     rig.truth.inject_drive(case.target)
+    if case.target == "power_cycle":
+        rig.drive.powered_at = time.monotonic()
     return lambda: rig.truth.inject_drive("none")
 
 
@@ -162,21 +224,32 @@ def _second(rig: Rig, case: Case) -> Undo:
         if code != 3 or "already" not in text:
             raise AssertionError(f"a second graph ended with exit code {code}: {text}")
         return nothing
-    if case.fault == "second controller":
-        command = ["-m", "greenroof_ros.nodes.controller", "--controller", "mpc", "--ros-args",
-                   "-p", "live:=true"]
-    else:
-        command = ["-m", "greenroof_ros.nodes.pump", "--ros-args", "-p", "live:=true", "-p",
-                   f"drive:={rig.drive_name}", "-p", f"address:={rig.drive_at}", "-p",
-                   "autostart:=true", "-p", f"state_file:={rig.directory / 'second.json'}"]
-    second_node = subprocess.Popen(
-        [sys.executable, *command], cwd=rig.directory, env=environment(rig.domain),
-        stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
-    )
-    time.sleep(3.0)
+    with ExitStack() as stack:
+        elsewhere = case.target == "in another domain"
+        domain = stack.enter_context(own_domain()) if elsewhere else rig.domain
+        if case.fault == "second controller":
+            topic = "/pump/command"
+            second_node = Process(
+                domain, "nodes.controller", "--controller", "mpc", "--ros-args", "-p",
+                "live:=true", cwd=rig.directory,
+            )
+        else:
+            topic = "/pump/flow"
+            second_node = pump_node(rig, domain=domain)
+        stack.callback(_end_of(second_node))
+        rig.others.append(second_node)
+        wait(
+            lambda: rig.watcher.publishers(topic) > 1 or second_node.process.poll() is not None
+            or (elsewhere and second_node.stderr()), 30, "no second node",
+        )
+        return stack.pop_all().close
+
+
+def _end_of(process: Process) -> Undo:
+    """Return what ends a process."""
 
     def end() -> None:
-        second_node.terminate()
-        second_node.wait(10)
+        process.process.terminate()
+        process.process.wait(15)
 
     return end

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import random
+import subprocess
 import time
 from dataclasses import dataclass
 
@@ -17,6 +18,8 @@ from rig import BrokenError, Rig, SiteRig
 _LONGER_S = 10.0
 # What a node that was killed needs until the pump runs again: back-off, start, recovery (s).
 _RECOVERY_S = 75.0
+# Within which bringup ends once the pump stands (s).
+_END_S = 25.0
 _LEAST_SPEED = 0.05
 _STEADY_S = 6.0
 # How far below the suction level the cistern may be pumped: five seconds at full flow (m).
@@ -56,8 +59,11 @@ def run_case(rig: Rig, case: Case, rng: random.Random, outcome: Outcome) -> None
     """
     # What the case before left may show once more: a level that came just before its sensor died
     # becomes too old after its limit.
+    if case.expected.stops is not False:
+        rig.until_guarded()
     rig.until_running(steady_s=_STEADY_S if case.expected.stops is False else 0.0)
-    time.sleep(rng.uniform(0.0, 2.0))
+    rig.others.clear()
+    time.sleep(rng.uniform(0.0, 1.0))  # of the ticks, which are a second
     if not rig.runs():
         rig.until_running()
     outcome.bound = bounds(rig.site)[case.expected.bound]
@@ -67,7 +73,6 @@ def run_case(rig: Rig, case: Case, rng: random.Random, outcome: Outcome) -> None
         _fault(rig, case, rng, outcome)
     if rig.truth.greatest > 1.001:
         outcome.fail(f"the pump turned at {rig.truth.greatest:.3f} of its rated speed")
-        rig.truth.greatest = 0.0
     if isinstance(rig, SiteRig) and rig.cistern_level() < rig.site.suction_level - _DRY_M:
         outcome.fail("the pump ran dry")
 
@@ -78,23 +83,20 @@ def _fault(rig: Rig, case: Case, rng: random.Random, outcome: Outcome) -> None:
     recorded = newest_file(rig.state / "bag") if isinstance(rig, SiteRig) else None
     clock = time.time()
     undo = begin(rig, case, rng)
-    if case.fault == "dry":
+    if case.fault in ("dry", "power cycle, then kill") or case.fault.startswith("second"):
         began = time.monotonic()  # it took its time to become so
     try:
         if expected.stops:
             _until_it_stands(rig, case, began, outcome)
-        elif expected.stops is False:
-            time.sleep(max(0.0, began + expected.watch - time.monotonic()))
-            if rig.truth.least(began, time.monotonic()) < _LEAST_SPEED:
-                outcome.fail(f"the pump stopped, and should run on: {_said(rig, began)}")
         else:
             time.sleep(max(0.0, began + expected.watch - time.monotonic()))
         _alarm(rig, case, began, printed, outcome)
+        if expected.stops is False and rig.truth.least(began, time.monotonic()) < _LEAST_SPEED:
+            outcome.fail(f"the pump stopped, and should run on: {_said(rig, began)}")
     finally:
         undo()
     _recover(rig, case, outcome)
-    if case.target == "recorder" and case.fault != "stop short":
-        assert recorded is not None
+    if recorded and case.target == "recorder" and case.fault in ("kill", "term", "stop long"):
         outcome.lost = max(0.0, clock - last_message(recorded))
         if outcome.lost > BOUND_S:
             outcome.fail(f"{outcome.lost:.1f} s before the fault are not in the bag")
@@ -116,7 +118,10 @@ def _until_it_stands(rig: Rig, case: Case, began: float, outcome: Outcome) -> No
         return
     outcome.to_safe = stood - began
     if outcome.to_safe > outcome.bound:
-        outcome.fail(f"the pump stopped after {outcome.to_safe:.2f} s, bound {outcome.bound:.2f} s")
+        outcome.fail(
+            f"the pump stopped after {outcome.to_safe:.2f} s, bound {outcome.bound:.2f} s; "
+            f"{_said(rig, began)}"
+        )
 
 
 def _alarm(rig: Rig, case: Case, began: float, printed: int, outcome: Outcome) -> None:
@@ -124,6 +129,8 @@ def _alarm(rig: Rig, case: Case, began: float, printed: int, outcome: Outcome) -
         return
     assert outcome.bound is not None
     until = max(began + outcome.bound, time.monotonic() + 2.0)
+    if case.expected.recovery == "ends":
+        until += _END_S  # bringup says why when the nodes have ended
     while not outcome.alarm and time.monotonic() < until:
         outcome.alarm = rig.said(case.expected.alarm, began, printed)[:300]
         time.sleep(0.05)
@@ -179,16 +186,19 @@ def _recover(rig: Rig, case: Case, outcome: Outcome) -> None:
     except BrokenError as error:
         outcome.fail(f"did not run after ~/reset ({answer}): {error}")
 
+
 def _ends(rig: Rig, case: Case, outcome: Outcome) -> None:
     """See that bringup ends by name, and everything with it."""
     pids = set(rig.pids().values()) | rig.started
     try:
-        code = rig.main.process.wait(25)
-    except Exception:
-        outcome.fail("bringup did not end within 25 s")
+        code = rig.main.process.wait(_END_S)
+    except subprocess.TimeoutExpired:
+        outcome.fail(f"bringup did not end within {_END_S:.0f} s")
         return
     expected = {"kill": -9, "term": 0 if isinstance(rig, SiteRig) else 130}.get(
         case.fault if case.target == "bringup" else "", 1)
+    if case.fault in ("kill both", "power cycle, then kill"):
+        expected = -9
     if code != expected:
         outcome.fail(f"bringup ended with exit code {code}, not {expected}")
     until = time.monotonic() + 12

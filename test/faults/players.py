@@ -9,6 +9,7 @@ import time
 from collections import deque
 from collections.abc import Callable, Sequence
 
+from line import OFF_S, ON_S
 from truth import Truth
 from watcher import Watcher
 
@@ -28,30 +29,37 @@ _WRONG: dict[str, Callable[[float], float]] = {
     "/pump/command": lambda command: -0.5,
     "/forecast/precipitation": lambda rain: 1e-4,
     "/forecast/evapotranspiration": lambda loss: 1e-3,
+    "/pump/flow": lambda flow: 0.5 * flow,
+    "/pump/meter": lambda flow: 0.0,
+    "/gauge/precipitation": lambda rain: 1e-6,
+    "/gauge/temperature": lambda degrees: -5.0,
 }
-# How an intermittent topic comes and goes, and how late a delayed one is (s).
-_ON_S, _OFF_S, _DELAY_S, _SLOW = 2.0, 7.0, 2.0, 4.0
+# How late a delayed topic is (s), and how much slower a slow one.
+_DELAY_S, _SLOW = 2.0, 4.0
 
 
 class Players:
     """Publishes each topic once a second; levels follow from what the drive really does."""
 
     def __init__(
-        self, watcher: Watcher, truth: Truth, site: Site, *, command: bool = False
+        self, watcher: Watcher, truth: Truth, site: Site, topics: Sequence[str]
     ) -> None:
         self.cistern, self.roof = 2.9, 0.01
         self.mode: dict[str, str] = {}
         self._watcher, self._truth, self._site = watcher, truth, site
-        self._values: dict[str, Callable[[], Value]] = {
+        good: dict[str, Callable[[], Value]] = {
             "/cistern/level": lambda: self.cistern,
             "/roof/level": lambda: self.roof,
             "/weather/frost": lambda: 0.0,
+            "/pump/command": lambda: 1.0,
+            "/pump/flow": self._flow,
+            "/pump/meter": self._flow,
+            "/forecast/precipitation": lambda: [0.0] * site.M,
+            "/forecast/evapotranspiration": lambda: [1e-7] * site.M,
+            "/gauge/precipitation": lambda: 0.0,
+            "/gauge/temperature": lambda: 15.0,
         }
-        if command:
-            self._values["/pump/command"] = lambda: 1.0
-        else:
-            self._values["/forecast/precipitation"] = lambda: [0.0] * site.M
-            self._values["/forecast/evapotranspiration"] = lambda: [1e-7] * site.M
+        self._values = {topic: good[topic] for topic in topics}
         self._sent: dict[str, deque[tuple[float, Value]]] = {
             topic: deque(maxlen=20) for topic in self._values
         }
@@ -77,12 +85,15 @@ class Players:
         self._began[topic] = time.monotonic()
         self.mode[topic] = mode
 
+    def _flow(self) -> float:
+        return flow_at(self._site, self._truth.speed, self.cistern)
+
     def _play(self) -> None:
         at = time.monotonic()
         while not self._ended:
             time.sleep(0.02)
             before, at = at, time.monotonic()
-            pumped = flow_at(self._site, self._truth.speed, self.cistern) * (at - before)
+            pumped = self._flow() * (at - before)
             self.cistern -= pumped / self._site.a1
             self.roof += pumped / self._site.a2
             for topic, value in self._values.items():
@@ -93,7 +104,7 @@ class Players:
     def _publish(self, topic: str, value: Value, now: float) -> None:
         mode, sent = self.mode.get(topic, "ok"), self._sent[topic]
         since = now - self._began.get(topic, now)
-        if mode == "off" or (mode == "intermittent" and since % (_ON_S + _OFF_S) > _ON_S):
+        if mode == "off" or (mode == "intermittent" and since % (ON_S + OFF_S) > ON_S):
             return
         if mode == "slow":
             self._next[topic] = now + _SLOW * PERIOD_S
@@ -115,14 +126,13 @@ class Players:
 
     def _garbage(self, topic: str, value: Value) -> Value:
         hostile = HOSTILE if topic == "/pump/command" else HOSTILE + HUGE
+        if topic == "/gauge/temperature":
+            hostile = tuple(one for one in hostile if not -90 <= one <= 60)
         if isinstance(value, float):
             return self._random.choice(hostile)
-        kind = self._random.randrange(3)
-        if kind == 0:
-            return []
-        if kind == 1:
-            return list(value[:-3])
-        return [self._random.choice(hostile) for _ in value]
+        # A controller that needs no forecast takes one of another length, but none that cannot be.
+        count = self._random.choice((len(value), len(value) - 3, 1))
+        return [self._random.choice(hostile) for _ in range(count)]
 
     def burst(self, topic: str, count: int, rng: random.Random) -> None:
         """Publish so many hostile values as fast as it goes, then in fits and starts."""

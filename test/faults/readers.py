@@ -15,32 +15,49 @@ import time
 from collections.abc import Iterator
 from pathlib import Path
 
-from cases import Case
+from cases import ROUNDS, Case
 from graphs import Process, bag_file, environment, own_domain
 from live import Outcome
 from rig import BrokenError, LoopRig, Rig, SiteRig
 from simulated import digest
 
+from greenroof_ros.common.processes import end_with_parent
 from greenroof_ros.recording.bag_reader import count_ticks
 
 READERS, STOPPED_S = 4, 6.5
-_PAUSE_S = (0.3, 1.2)
+# How long all read on before they are stopped again, and how far their stops are apart at most.
+_PAUSE_S, _APART_S = (0.1, 0.5), 0.4
 # Simulated per wall time, so that the run lasts for all stops.
 _SPEED = 20.0
 _LEAST_SPEED = 0.05
 
 
 class _Readers:
-    def __init__(self, domain: int, directory: Path) -> None:
-        environ = environment(domain)
+    """Four of them in each domain."""
+
+    def __init__(self, domains: list[int], directory: Path) -> None:
         self._processes = [
             subprocess.Popen(
-                [sys.executable, str(Path(__file__).with_name("reader.py"))], env=environ,
-                cwd=directory, start_new_session=True,
+                [sys.executable, str(Path(__file__).with_name("reader.py"))],
+                env=environment(domain), cwd=directory, start_new_session=True,
                 stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
+                preexec_fn=end_with_parent,
             )
-            for _ in range(READERS)
+            for domain in domains for _ in range(READERS)
         ]
+
+    def stop_and_continue(self, rng: random.Random) -> None:
+        """Stop each for `STOPPED_S`, at a moment of its own; all are stopped most of the time."""
+        began = time.monotonic()
+        moments = []
+        for process in self._processes:
+            at = began + rng.uniform(0.0, _APART_S)
+            moments += [(at, process, signal.SIGSTOP), (at + STOPPED_S, process, signal.SIGCONT)]
+        for at, process, number in sorted(moments, key=lambda one: one[0]):
+            time.sleep(max(0.0, at - time.monotonic()))
+            process.send_signal(number)
+            if process.poll() is not None:
+                raise BrokenError(f"a reader ended by itself: exit code {process.returncode}")
 
     def signal(self, number: signal.Signals) -> None:
         for process in self._processes:
@@ -57,54 +74,45 @@ class _Readers:
 
 
 def run_cases(cases: list[Case], directory: Path, seed: int) -> Iterator[tuple[Case, Outcome]]:
-    """Do all stops of a batch with the same three graphs, and yield what came of each."""
+    """Do the three cases of a block, each in its own graph, and yield what came of each."""
     directory.mkdir(parents=True, exist_ok=True)
-    rounds = sorted({case.number for case in cases})
-    rng = random.Random(f"{seed} {cases[0].id}")
-    outcomes = {case: Outcome(recovery="ran on") for case in cases}
-    hours = (len(rounds) + 4) * (STOPPED_S + _PAUSE_S[1]) * _SPEED / 3600
+    rng = random.Random(f"{seed} {cases[0].number}")
+    outcomes = {case: Outcome(recovery=f"{ROUNDS} times, ran on") for case in cases}
+    round_s = STOPPED_S + _PAUSE_S[1] + _APART_S
+    hours = (ROUNDS * round_s + 30.0) * _SPEED / 3600
     with contextlib.ExitStack() as stack:
         domains = [stack.enter_context(own_domain()) for _ in range(3)]
         place = directory / "simulated"
         place.mkdir()
-        simulation = Process(
-            domains[0], "bringup", "--controller", "onoff", "--hours", f"{hours:.2f}", "--speed",
-            f"{_SPEED:g}", "--output", "run", cwd=place,
-        )
         rigs: dict[str, Rig] = {
             "loop": LoopRig(directory / "loop", domains[1], "danfoss_fc202"),
             "live": SiteRig(directory / "live", domains[2], "danfoss_fc202"),
         }
-        readers = [
-            _Readers(domain, where)
-            for domain, where in zip(
-                domains, (place, directory / "loop", directory / "live"), strict=True
-            )
-        ]
+        readers = _Readers(domains, directory)
+        simulation: Process | None = None
         try:
             for rig in rigs.values():
                 rig.until_running(steady_s=6.0)
+            simulation = Process(
+                domains[0], "bringup", "--controller", "onoff", "--hours", f"{hours:.2f}",
+                "--speed", f"{_SPEED:g}", "--output", "run", cwd=place,
+            )
             simulation.wait_for_ticks(1000)
-            for number in rounds:
+            for number in range(ROUNDS):
                 began = time.monotonic()
                 time.sleep(rng.uniform(*_PAUSE_S))
-                for each in readers:
-                    each.signal(signal.SIGSTOP)
-                time.sleep(STOPPED_S)
-                for each in readers:
-                    each.signal(signal.SIGCONT)
+                readers.stop_and_continue(rng)
                 for case, outcome in outcomes.items():
-                    if case.number == number:
-                        _look(case, outcome, rigs, simulation, began)
+                    _look(case, outcome, rigs, simulation, began, number)
         except BrokenError as error:
             for outcome in outcomes.values():
                 outcome.fail(f"rig: {error}")
         finally:
-            for each in readers:
-                each.end()
+            readers.end()
             for rig in rigs.values():
                 rig.__exit__()
-        _compare(simulation, domains[0], directory, hours, outcomes)
+        if simulation is not None:
+            _compare(simulation, domains[0], directory, hours, outcomes)
     for case, outcome in outcomes.items():
         for what in (rigs[case.target].ended_badly if case.target in rigs else []):
             outcome.fail(f"at the end of the rig: {what}")
@@ -112,18 +120,20 @@ def run_cases(cases: list[Case], directory: Path, seed: int) -> Iterator[tuple[C
 
 
 def _look(
-    case: Case, outcome: Outcome, rigs: dict[str, Rig], simulation: Process, began: float
+    case: Case, outcome: Outcome, rigs: dict[str, Rig], simulation: Process, began: float,
+    number: int,
 ) -> None:
+    """See after a round that nothing came of it."""
     if case.target == "simulated":
-        if simulation.process.poll() is not None:
-            outcome.fail(f"the run ended: {simulation.stderr()[:400]}")
+        if simulation.process.poll() is not None and not outcome.wrong:
+            outcome.fail(f"the run ended in round {number}: {simulation.stderr()[:400]}")
         return
     rig = rigs[case.target]
     if rig.main.process.poll() is not None:
-        outcome.fail(f"the run ended: {rig.main.stderr()[-400:]}")
-    elif rig.truth.least(began, time.monotonic()) < _LEAST_SPEED:
+        raise BrokenError(f"{case.target} ended in round {number}: {rig.main.stderr()[-400:]}")
+    if rig.truth.least(began, time.monotonic()) < _LEAST_SPEED:
         said = [text for at, _, text in rig.watcher.said if at >= began]
-        outcome.fail(f"the pump stopped: {said[:8]}")
+        outcome.fail(f"the pump stopped in round {number}: {said[:8]}")
         rig.until_running(steady_s=6.0)
 
 
@@ -150,7 +160,7 @@ def _compare(
     for case, outcome in outcomes.items():
         if case.target == "simulated":
             outcome.lost = 0.0
-            outcome.recovery = "ran on, every byte as undisturbed"
+            outcome.recovery += ", every byte as undisturbed"
             if wrong:
                 outcome.fail(wrong)
         elif case.target == "loop" and not count_ticks(directory / "loop" / "run" / "bag"):

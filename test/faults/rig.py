@@ -8,28 +8,37 @@ import signal
 import socket
 import subprocess
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import ExitStack, contextmanager, suppress
 from datetime import datetime, timedelta, timezone
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 import yaml
-from bounds import RAMP_S
+from bounds import LIMIT_S, RAMP_S
+from cases import GAUGES, LEVELS, PLAYED
 from graphs import Process, alive
+from line import Line
 from places import CONFIG
 from players import Players
 from truth import STANDS, Truth
 from watcher import Watcher
 
 from greenroof_ros.drives.address import parse_address
+from greenroof_ros.drives.control_profiles import AbbDrives
+from greenroof_ros.model.pump_speed import flow_at
 from greenroof_ros.model.site import Site, read_site
 
 START_S = 60.0
+# What the simulated drive needs from power-up until it answers (s).
+BOOT_S = 2.0
 # What the campaign sets other than its default, so that a pump that was stopped runs again soon.
 # None of these is in a bound.
 SHORTENED = {"recovery_time": 1.0}
-PUMP_SHORTENED = {**SHORTENED, "least_on": 1.0, "least_off": 1.0, "starts_per_hour": 3600.0,
-                  "local_settings_stop_the_pump": True}  # as the simulated Grundfos is set
+PUMP_SHORTENED = {
+    **SHORTENED, "least_on": 1.0, "least_off": 1.0, "starts_per_hour": 3600.0,
+    "local_settings_stop_the_pump": True,  # as the simulated Grundfos is set
+}
 # The paper's site, but for a roof that takes an hour to fill: ten times its target.
 _TARGET = 0.45
 _CISTERN_M3, _ROOF_M3 = 73.0, 0.5
@@ -38,6 +47,10 @@ CONTROLLER = "onoff"
 
 class BrokenError(Exception):
     """The rig cannot be used any more."""
+
+
+class SkippedError(Exception):
+    """This machine cannot do it; the message says why."""
 
 
 def wait(condition: Callable[[], Any], seconds: float, what: str) -> None:
@@ -53,10 +66,16 @@ def wait(condition: Callable[[], Any], seconds: float, what: str) -> None:
         time.sleep(0.02)
 
 
-def free_port() -> int:
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        return int(probe.getsockname()[1])
+def ports_of(domain: int) -> Iterator[int]:
+    """Yield free ports of a domain's own, below those that the system gives to connections."""
+    for port in range(20_000 + 100 * domain, 20_100 + 100 * domain):
+        with socket.socket() as probe:
+            probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+            try:
+                probe.bind(("127.0.0.1", port))
+            except OSError:
+                continue
+        yield port
 
 
 def site_file(directory: Path, **changes: float) -> Path:
@@ -69,6 +88,39 @@ def site_file(directory: Path, **changes: float) -> Path:
     path = directory / "site.yaml"
     path.write_text(text)
     return path
+
+
+def drive_file(directory: Path, drive: str, *, as_shipped: bool) -> Path:
+    """Copy the drive file of a make, without the wait of the node after power-up unless asked for.
+
+    The wait, where a drive guards nothing at first, would come with each new connection.
+    """
+    text = (CONFIG / "drives" / f"{drive}.yaml").read_text()
+    if not as_shipped:
+        text = re.sub(r"(\bunguarded_after_power_up_s: *)[\d.]+", r"\g<1>0", text)
+    path = directory / f"{drive}.yaml"
+    path.write_text(text)
+    return path
+
+
+@contextmanager
+def small_disk(place: Path, size: str) -> Iterator[None]:
+    """Have a small disk at a place.
+
+    Raises:
+        SkippedError: this machine does not let one mount it.
+    """
+    place.mkdir(parents=True, exist_ok=True)
+    mounted = subprocess.run(
+        ["mount", "-t", "tmpfs", "-o", f"size={size}", "tmpfs", str(place)],
+        capture_output=True, check=False,
+    )
+    if mounted.returncode:
+        raise SkippedError("skipped: only root can mount a small disk")
+    try:
+        yield
+    finally:
+        subprocess.run(["umount", "--lazy", str(place)], check=True)
 
 
 def write_forecast(path: Path, *, issued: datetime | None = None, text: str | None = None) -> None:
@@ -99,6 +151,7 @@ class Simulator:
         self.start()
 
     def start(self) -> None:
+        """Start it, or start it again; ``powered_at`` is when (s, `time.monotonic`)."""
         domain, directory, module, options = self._start
         self.process = Process(domain, module, *options, cwd=directory)
         wait(
@@ -108,6 +161,7 @@ class Simulator:
         self.ready = self.process.stdout().partition("\n")[0]
         if not self.ready.startswith("ready:"):
             raise BrokenError(f"{module}: {self.process.stderr()}")
+        self.powered_at = time.monotonic()
 
     def end(self) -> None:
         popen = self.process.process
@@ -123,30 +177,47 @@ class Rig:
     Attributes:
         watcher: the campaign's node in the graph.
         truth: what the drive really does.
+        others: nodes of others that a case has started.
+        lines: to what is on Modbus, where they can go bad; by ``drive``, ``cistern``, ``roof``.
     """
+
+    pump_parameters: Mapping[str, float | bool] = PUMP_SHORTENED
+    as_shipped = False
+    serial = False
+    drive_refuses = False
 
     def __init__(self, directory: Path, domain: int, drive: str) -> None:
         self.directory, self.domain, self.drive_name = directory, domain, drive
         directory.mkdir(parents=True, exist_ok=True)
         self.site_file = site_file(directory)
         self.site: Site = read_site(self.site_file)
-        self._parameters = directory / "nodes.yaml"
-        self._parameters.write_text(yaml.safe_dump({
-            "/**/pump": {"ros__parameters": PUMP_SHORTENED},
+        self.parameters = directory / "nodes.yaml"
+        self.parameters.write_text(yaml.safe_dump({
+            "/**/pump": {"ros__parameters": dict(self.pump_parameters)},
             f"/**/{CONTROLLER}": {"ros__parameters": SHORTENED},
             "/**/weather": {"ros__parameters": dict(SHORTENED)},
         }))
-        drive_port, bench = free_port(), free_port()
+        self.lines: dict[str, Line] = {}
+        self.drive_file = drive_file(directory, drive, as_shipped=self.as_shipped)
+        self._ports = ports_of(domain)
+        drive_port, bench = next(self._ports), next(self._ports)
+        place = ("--serial", "pty") if self.serial else ("--port", str(drive_port))
         self.drive = Simulator(
-            domain, directory, "drive_simulator", "--drive", drive, "--ramp", "1", "--boot", "2",
-            "--port", str(drive_port), "--workbench", str(bench), "--site", str(self.site_file),
+            domain, directory, "drive_simulator", "--drive", str(self.drive_file), "--ramp", "1",
+            "--boot", f"{BOOT_S:g}", *place, "--workbench", str(bench),
+            "--site", str(self.site_file),
         )
         self.drive_at = self.drive.ready.split()[2].rstrip(",")
+        if self.drive_refuses:
+            port = next(self._ports)
+            self.lines["drive"] = Line(port, drive_port)
+            self.drive_at = self.drive_at.replace(str(drive_port), str(port))
         self._bench = f"tcp://127.0.0.1:{bench}"
         self.site_simulator: Simulator | None = None
         self.main: Process
         self.started: set[int] = set()
         self.ended_badly: list[str] = []
+        self.others: list[Process] = []
 
     def _watch(self, site_bench: str | None = None) -> None:
         site = None if site_bench is None else parse_address(site_bench)
@@ -180,6 +251,16 @@ class Rig:
         """Whether the pump runs, truly and by its node."""
         return self.truth.runs() and self.watcher.state in ("running", "starting")
 
+    def until_guarded(self) -> None:
+        """Wait until the drive's own timeout counts, which it may not at once after power-up.
+
+        The node's own wait for that is off, but in cases about it.
+        """
+        if self.as_shipped or self.drive_name != "abb_acs880":
+            return
+        until = self.drive.powered_at + BOOT_S + AbbDrives.UNGUARDED_S
+        time.sleep(max(0.0, until - time.monotonic()))
+
     def until_running(self, seconds: float = START_S, steady_s: float = 0.0) -> None:
         """Wait until the pump runs, and has for so long without a break.
 
@@ -187,10 +268,7 @@ class Rig:
             BrokenError: it does not.
         """
         until = time.monotonic() + seconds
-        since = time.monotonic()
-        while not self.runs() or time.monotonic() - since < steady_s:
-            if not self.runs():
-                since = time.monotonic()
+        while not self.runs() or self.truth.steady_for() < steady_s:
             if self.main.process.poll() is not None:
                 raise BrokenError(f"bringup ended: {self.main.stderr()[-600:]}")
             if time.monotonic() > until:
@@ -209,6 +287,9 @@ class Rig:
             text = self.main.stderr()[printed:]
             line = next((one for one in text.splitlines() if re.search(pattern, one)), "")
             found = f"bringup: {line}" if line else ""
+        for other in self.others[-1:] if not found else ():
+            line = next((o for o in other.stderr().splitlines() if re.search(pattern, o)), "")
+            found = f"the other node: {line}" if line else ""
         return found
 
     def __enter__(self) -> Rig:
@@ -221,6 +302,8 @@ class Rig:
         self.drive.end()
         if self.site_simulator is not None:
             self.site_simulator.end()
+        for line in self.lines.values():
+            line.close()
 
     def _end_main(self) -> list[str]:
         """End what is under test, and return what is wrong with how it ended."""
@@ -263,12 +346,19 @@ class SiteRig(Rig):
 
     def __init__(self, directory: Path, domain: int, drive: str) -> None:
         super().__init__(directory, domain, drive)
-        sensors = yaml.safe_load((CONFIG / "sensors.yaml").read_text())
+        sensors, by_line = (
+            yaml.safe_load((CONFIG / "sensors.yaml").read_text()) for _ in range(2)
+        )
         for tank in ("cistern", "roof"):
-            sensors[tank]["address"] = f"tcp://127.0.0.1:{free_port()}"
+            port, behind = next(self._ports), next(self._ports)
+            sensors[tank]["address"] = f"tcp://127.0.0.1:{behind}"
+            self.lines[tank] = Line(port, behind)
+            by_line[tank]["address"] = f"tcp://127.0.0.1:{port}"
         file = directory / "sensors.yaml"
         file.write_text(yaml.safe_dump(sensors))
-        bench = free_port()
+        read = directory / "sensors-read.yaml"
+        read.write_text(yaml.safe_dump(by_line))
+        bench = next(self._ports)
         self.levels = directory / "levels.csv"
         self.site_simulator = Simulator(
             domain, directory, "site_simulator", "--sensors", str(file), "--drive-at", self._bench,
@@ -281,9 +371,10 @@ class SiteRig(Rig):
         self.state = directory / "state"
         self._options = (
             "--plant", "external", "--controller", CONTROLLER, "--site", str(self.site_file),
-            "--sensors", str(file), "--forecast", str(self.forecast), "--drive", drive,
-            "--drive-at", self.drive_at, "--state", str(self.state), "--restarts", "1000",
-            "--node-parameters", str(self._parameters),
+            "--sensors", str(read), "--forecast", str(self.forecast),
+            "--drive", str(self.drive_file), "--drive-at", self.drive_at,
+            "--state", str(self.state), "--restarts", "1000",
+            "--node-parameters", str(self.parameters),
         )
         self._watch(f"tcp://127.0.0.1:{bench}")
         self.bring_up()
@@ -305,45 +396,151 @@ class DryRig(SiteRig):
     cistern_m3 = 19.0
 
 
+class GaugedRig(SiteRig):
+    """The same with a weather station, which the campaign plays."""
+
+    def bring_up(self) -> None:
+        self.players = Players(self.watcher, self.truth, self.site, GAUGES)
+        super().bring_up()
+
+    def __exit__(self, *failure: object) -> None:
+        self.players.close()
+        super().__exit__(*failure)
+
+
+class FullDiskRig(SiteRig):
+    """The same, its bag on a small disk that can be filled."""
+
+    def bring_up(self) -> None:
+        self._disk = ExitStack()
+        self._disk.enter_context(small_disk(self.state / "bag", "2m"))
+        super().bring_up()
+
+    def fill(self) -> None:
+        """Fill the disk to its last byte."""
+        other = self.state / "bag" / "other"
+        with other.open("wb", buffering=0) as stream, suppress(OSError):
+            while True:
+                stream.write(bytes(4096))
+
+    def __exit__(self, *failure: object) -> None:
+        super().__exit__(*failure)
+        self._disk.close()
+
+
 class PlayedRig(Rig):
     """The same with levels and weather from nodes of somebody else's, whom the campaign plays."""
+
+    topics = PLAYED
 
     def __init__(self, directory: Path, domain: int, drive: str) -> None:
         super().__init__(directory, domain, drive)
         self._watch()
-        self.players = Players(self.watcher, self.truth, self.site)
+        self.players = Players(self.watcher, self.truth, self.site, self.topics)
         self.main = Process(
             domain, "bringup", "--plant", "external", "--controller", CONTROLLER,
             "--site", str(self.site_file), "--sensors", "external", "--weather", "external",
-            "--drive", drive, "--drive-at", self.drive_at, "--state", str(directory / "state"),
-            "--restarts", "1000", "--node-parameters", str(self._parameters), cwd=directory,
+            *self._pump(), "--state", str(directory / "state"),
+            "--restarts", "1000", "--node-parameters", str(self.parameters), cwd=directory,
         )
+
+    def _pump(self) -> tuple[str, ...]:
+        return ("--drive", str(self.drive_file), "--drive-at", self.drive_at)
 
     def __exit__(self, *failure: object) -> None:
         super().__exit__(*failure)
         self.players.close()
+
+
+class FlowRig(PlayedRig):
+    """The same, and what the pump node says of the flow is the campaign's, too."""
+
+    topics = (*PLAYED, "/pump/flow")
+
+    def _pump(self) -> tuple[str, ...]:
+        self.pump = pump_node(self, "-r", "/pump/flow:=/true/flow")
+        return ("--pump", "external")
+
+    def __exit__(self, *failure: object) -> None:
+        super().__exit__(*failure)
+        self.pump.process.terminate()
+        self.pump.process.wait(15)
+
+
+def pump_node(rig: Rig, *more: str, domain: int | None = None) -> Process:
+    """Start a pump node at the drive of a rig, by itself."""
+    options = {
+        "live": "true", "site_file": rig.site_file, "drive": rig.drive_file,
+        "address": rig.drive_at, "autostart": "true",
+        "state_file": rig.directory / f"pump-{len(more)}-{domain}.json",
+    }
+    return Process(
+        rig.domain if domain is None else domain, "nodes.pump", "--ros-args",
+        "--params-file", str(rig.parameters),
+        *(word for name, value in options.items() for word in ("-p", f"{name}:={value}")), *more,
+        cwd=rig.directory,
+    )
 
 
 class PumpRig(Rig):
     """The pump node alone: no supervisor, and the campaign is controller, sensors and weather."""
 
+    topics: tuple[str, ...] = ("/pump/command", *LEVELS)
+
     def __init__(self, directory: Path, domain: int, drive: str) -> None:
         super().__init__(directory, domain, drive)
         self._watch()
-        self.players = Players(self.watcher, self.truth, self.site, command=True)
-        options = {
-            "live": "true", "site_file": self.site_file, "drive": drive, "address": self.drive_at,
-            "autostart": "true", "state_file": directory / "pump.json",
-        }
-        self.main = Process(
-            domain, "nodes.pump", "--ros-args", "--params-file", str(self._parameters),
-            *(word for name, value in options.items() for word in ("-p", f"{name}:={value}")),
-            cwd=directory,
-        )
+        self.players = Players(self.watcher, self.truth, self.site, self.topics)
+        self.main = pump_node(self)
 
     def __exit__(self, *failure: object) -> None:
         super().__exit__(*failure)
         self.players.close()
+
+
+class MeteredRig(PumpRig):
+    """The same with a flow meter."""
+
+    topics = (*PumpRig.topics, "/pump/meter")
+
+
+class SerialRig(PumpRig):
+    """The same on a serial line: two pseudo-terminals."""
+
+    serial = True
+
+
+class RefusingRig(PumpRig):
+    """The same with a drive that can refuse to be written to."""
+
+    drive_refuses = True
+
+
+class GuardedRig(PumpRig):
+    """The same with the drive file as it is shipped."""
+
+    as_shipped = True
+
+
+class RunRig(PumpRig):
+    """The same with a pump that may run for a few seconds without a break."""
+
+    pump_parameters: ClassVar = {**PUMP_SHORTENED, "greatest_run": LIMIT_S}
+
+
+class RunPerDayRig(PumpRig):
+    """The same with a pump that may run for a few seconds in a day."""
+
+    pump_parameters: ClassVar = {**PUMP_SHORTENED, "greatest_run_per_day": LIMIT_S}
+
+
+class VolumePerDayRig(PumpRig):
+    """The same with a pump that may pump for a few seconds in a day, by volume."""
+
+    pump_parameters: ClassVar = {
+        **PUMP_SHORTENED,
+        "greatest_volume_per_day": LIMIT_S * flow_at(read_site(CONFIG / "site.yaml"), 1.0, 2.9),
+    }
 
 
 class LoopRig(Rig):
@@ -355,12 +552,16 @@ class LoopRig(Rig):
         self.main = Process(
             domain, "bringup", "--controller", CONTROLLER, "--site", str(self.site_file),
             "--cistern", str(_CISTERN_M3), "--roof", str(_ROOF_M3), "--hours", "2",
-            "--drive", drive, "--drive-at", self.drive_at, "--output", str(directory / "run"),
-            "--state", str(directory / "state"),
-            "--node-parameters", str(self._parameters), cwd=directory,
+            "--drive", str(self.drive_file), "--drive-at", self.drive_at,
+            "--output", str(directory / "run"), "--state", str(directory / "state"),
+            "--node-parameters", str(self.parameters), cwd=directory,
         )
 
 
 RIGS: dict[str, type[Rig]] = {
-    "site": SiteRig, "dry": DryRig, "played": PlayedRig, "pump": PumpRig, "loop": LoopRig,
+    "site": SiteRig, "dry": DryRig, "gauged": GaugedRig, "full disk": FullDiskRig,
+    "played": PlayedRig, "flow": FlowRig, "pump": PumpRig, "metered": MeteredRig,
+    "rtu": SerialRig, "refusing": RefusingRig, "guarded": GuardedRig, "greatest_run": RunRig,
+    "greatest_run_per_day": RunPerDayRig, "greatest_volume_per_day": VolumePerDayRig,
+    "loop": LoopRig,
 }

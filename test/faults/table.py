@@ -6,7 +6,43 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
+from cases import SIMULATED, WAYS
+
 _BEGIN, _END = "<!-- measured: make faults -->\n", "<!-- end of table -->"
+# What a reader looks for, by the beginning of a fault's name, or of rig and fault; the first fits.
+_KINDS = {
+    "kill both": "pump node and bringup killed together",
+    "kill": "a process killed (`kill -9`)",
+    "term": "a process ended (SIGTERM)",
+    "stop short": "a process stopped for 0.2 to 0.6 s",
+    "stop long": "a process stopped for longer",
+    "rtu/drive": "the drive, on a serial line",
+    "refusing/drive": "a drive that refuses all writes and counts them as life",
+    "power cycle": "the drive loses power, then the pump node is killed",
+    "drive": "the drive and its line",
+    "unstoppable": "a motor that cannot be stopped (time to the alarm)",
+    "sensor line": "the line of a level sensor",
+    "sensor": "a level sensor",
+    "forecast file": "the forecast file",
+    "site": "a burst pipe, a leak",
+    "dry": "a cistern that runs empty",
+    "stuck for ever": "a command that never changes",
+    "full disk": "a full disk",
+    "10000 hostile": "10,000 hostile messages on a topic",
+    "intruder": "a second publisher of a topic",
+    "second pump": "a second pump node",
+    "second controller": "a second controller",
+    "second graph": "a second bringup",
+    "four readers": "four readers stopped for 6.5 s, 50 times",
+    "ok": "a topic: *ok*",
+    "off": "a topic: *off*",
+    "stuck": "a topic: *stuck*",
+    "garbage": "a topic: *garbage*",
+    "wrong": "a topic: *wrong*",
+    "slow": "a topic: *slow*",
+    "delayed": "a topic: *delayed*",
+    "intermittent": "a topic: *intermittent*",
+}
 
 
 def put_table(text: str, file: Path) -> None:
@@ -17,48 +53,89 @@ def put_table(text: str, file: Path) -> None:
     file.write_text(f"{before}{begin}\n{text}\n\n{end}{after}")
 
 
+def _kind(result: dict[str, Any]) -> str:
+    """Return the beginning by which a result's row is known."""
+    rig = result["id"].partition("/")[0].partition(":")[0]
+    if rig == "restarting":
+        return "restarting"
+    fault = result["fault"]
+    return next(
+        kind for kind in _KINDS
+        if (f"{rig}/{fault}" if "/" in kind else fault).startswith(kind)
+    )
+
+
 def _percentile(values: list[float], share: float) -> float:
     ordered = sorted(values)
-    return ordered[min(len(ordered) - 1, round(share * len(ordered)))]
+    return ordered[min(len(ordered) - 1, int(share * len(ordered)))]
 
 
 def table(results: Iterable[dict[str, Any]]) -> str:
-    """Return the results in Markdown: a row for each fault and way."""
+    """Return the results in Markdown: a row for each kind of fault in each way."""
     groups: dict[tuple[str, str], list[dict[str, Any]]] = {}
     for result in results:
-        groups.setdefault((_name(result), result["way"]), []).append(result)
+        groups.setdefault((result["way"], _kind(result)), []).append(result)
+    kinds = [*_KINDS, "restarting"]
     lines = [
-        "| fault | way | cases | time to safe, worst (s) | 99 % (s) | bound (s) | lost, worst "
+        "| way | fault | cases | worst (s) | 99 % (s) | nearest to its bound | lost, worst "
         "| outcome |",
         "|---|---|---|---|---|---|---|---|",
     ]
-    for (name, way), those in sorted(groups.items()):
-        times = [one["to_safe"] for one in those if one["to_safe"] is not None]
-        bounds = [one["bound"] for one in those if one["to_safe"] is not None]
-        lost = [one["lost"] for one in those if one["lost"] is not None]
-        failed = sum(bool(one["wrong"]) for one in those)
-        unit = "ticks" if way == "simulated" else "s"
-        lines.append(
-            f"| {name} | {way} | {len(those)} | "
-            + (f"{max(times):.1f} | {_percentile(times, 0.99):.1f} | {max(bounds):.1f}"
-               if times else "runs on | | ")
-            + f" | {f'{max(lost):.3g} {unit}' if lost else ''} | "
-            + (f"{failed} failed" if failed else _outcome(those)) + " |"
-        )
-    total = len([one for those in groups.values() for one in those])
-    failed = len([one for those in groups.values() for one in those if one["wrong"]])
-    return "\n".join([*lines, "", f"{total} cases, {failed} failed."])
+    for way, kind in sorted(groups, key=lambda one: (WAYS.index(one[0]), kinds.index(one[1]))):
+        name = _KINDS.get(kind, "a node killed, ended, stopped, and replaced")
+        lines.append(f"| {way} | {name} | {_row(way, groups[way, kind])} |")
+    every = [one for those in groups.values() for one in those]
+    failed = sum(bool(one["wrong"]) for one in every)
+    skipped = sum(one["recovery"].startswith("skipped") for one in every)
+    minutes = sum(one["wall_s"] for one in every) / 60
+    return "\n".join([
+        *lines, "", f"{len(every)} cases, {failed} failed, {skipped} skipped; together "
+        f"{minutes:.0f} minutes, in lanes side by side.",
+    ])
 
 
-def _name(result: dict[str, Any]) -> str:
-    kind = result["id"].partition("/")[0].partition(":")[0]
-    where = {"pump": "pump node alone: "}.get(kind, "")
-    return f"{where}{result['fault']}, {result['target']}"
+def _row(way: str, those: list[dict[str, Any]]) -> str:
+    safe = [one for one in those if one["to_safe"] is not None]
+    times = [one["to_safe"] for one in safe]
+    near = [f"{one['to_safe']:.1f} of {one['bound']:.1f} s" for one in sorted(
+        (one for one in safe if one["bound"]), key=lambda one: one["to_safe"] / one["bound"]
+    )]
+    lost = [one["lost"] for one in those if one["lost"] is not None]
+    failed = sum(bool(one["wrong"]) for one in those)
+    unit = "ticks" if way == SIMULATED else "s"
+    return " | ".join([
+        str(len(those)),
+        f"{max(times):.1f}" if times else "",
+        f"{_percentile(times, 0.99):.1f}" if times else "",
+        near[-1] if near else "",
+        f"{max(lost):.3g} {unit}" if lost else "",
+        f"**{failed} failed**" if failed else _outcome(those),
+    ])
+
+
+# What a recovery begins with, and what the table says of it; in this order.
+_OUTCOMES = {
+    "ran again after ~/reset": "latched until `~/reset`",
+    "ran again": "ran again by itself",
+    "ran on": "ran on",
+    "50 times, ran on": "ran on",
+    "ran to its end": "every byte as undisturbed",
+    "went on": "every number as undisturbed",
+    "ended": "ended by name",
+    "stayed off": "stayed off",
+    "skipped": "skipped",
+}
 
 
 def _outcome(those: list[dict[str, Any]]) -> str:
-    words = {one["recovery"].split(" after")[0].split(":")[0] for one in those if one["recovery"]}
-    reset = any("~/reset" in one["recovery"] for one in those)
-    if reset:
-        return "latched until `~/reset`"
-    return "; ".join(sorted(words)) or "as specified"
+    """Return how most went on, then the others."""
+    counts: dict[str, int] = {}
+    for one in those:
+        recovery = str(one["recovery"])
+        if one["to_safe"] is None and recovery.startswith("ran again after 0."):
+            recovery = "ran on"
+        for begin, said in _OUTCOMES.items():
+            if recovery.startswith(begin):
+                counts[said] = counts.get(said, 0) + 1
+                break
+    return ", ".join(sorted(counts, key=lambda said: -counts[said])) or "as specified"

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import asyncio
+import itertools
 import threading
 import time
 from collections import deque
-from collections.abc import Coroutine
+from collections.abc import Coroutine, Iterator
 from typing import Any
 
 from greenroof_ros.drives.address import Address
@@ -15,8 +16,14 @@ from greenroof_ros.drives.modbus_line import DriveError
 from greenroof_ros.drives.workbench import Workbench
 
 _PERIOD_S = 0.05
+# Six minutes, longer than the longest case.
+_KEPT = 7200
+# How far back a pump without a break is looked for (s).
+_LOOK_BACK_S = 15.0
 # Below it the motor stands (share of rated speed).
 STANDS = 0.005
+# Above it it runs.
+TURNS = 0.1
 
 
 class Truth:
@@ -24,7 +31,7 @@ class Truth:
 
     def __init__(self, drive: Address, site: Address | None = None) -> None:
         self.greatest = 0.0
-        self.samples: deque[tuple[float, float]] = deque(maxlen=72_000)  # time (s), speed
+        self.samples: deque[tuple[float, float]] = deque(maxlen=_KEPT)  # time (s), speed
         self._drive_at, self._site_at = drive, site
         self._loop = asyncio.new_event_loop()
         self._ended = False
@@ -77,20 +84,36 @@ class Truth:
 
     def runs(self) -> bool:
         """Whether the pump turns, and has for the last half second."""
-        now = time.monotonic()
-        recent = [speed for at, speed in list(self.samples)[-20:] if now - at < 0.5]
-        return len(recent) >= 5 and min(recent) > 0.1
+        recent = self._from(time.monotonic() - 0.5)
+        return len(recent) >= 3 and min(speed for _, speed in recent) > TURNS
+
+    def steady_for(self) -> float:
+        """Return for how long the pump has turned without a break (s), as far as is known."""
+        now = since = time.monotonic()
+        for at, speed in self._newest_first():
+            if speed <= TURNS or since - at > 2.0 or now - at > _LOOK_BACK_S:
+                break
+            since = at
+        return now - since
 
     def stood_at(self, since: float) -> float | None:
         """Return when the pump first stood after a time; None if it has not."""
-        return next(
-            (at for at, speed in list(self.samples) if at >= since and speed <= STANDS), None
-        )
+        return next((at for at, speed in self._from(since) if speed <= STANDS), None)
 
     def turned(self, since: float, until: float) -> float:
         """Return the greatest speed between two times."""
-        return max((v for at, v in list(self.samples) if since <= at <= until), default=0.0)
+        return max((v for at, v in self._from(since) if at <= until), default=0.0)
 
     def least(self, since: float, until: float) -> float:
         """Return the least speed between two times."""
-        return min((v for at, v in list(self.samples) if since <= at <= until), default=0.0)
+        return min((v for at, v in self._from(since) if at <= until), default=0.0)
+
+    def _newest_first(self) -> Iterator[tuple[float, float]]:
+        """Yield the samples while others are being added, which an iterator does not bear."""
+        for number in range(1, len(self.samples)):
+            yield self.samples[-number]
+
+    def _from(self, since: float) -> list[tuple[float, float]]:
+        """Return the samples after a time, in order."""
+        found = list(itertools.takewhile(lambda one: one[0] >= since, self._newest_first()))
+        return found[::-1]

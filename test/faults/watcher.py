@@ -109,6 +109,10 @@ class Watcher:
                 return f"{who}: {text}"
         return ""
 
+    def publishers(self, topic: str) -> int:
+        """Return how many publishers of a topic are known."""
+        return self.node.count_publishers(topic)
+
     # --- publishing -----------------------------------------------------------------------------
 
     def publish(self, topic: str, value: float | Sequence[float] | str) -> None:

@@ -14,8 +14,7 @@ import simulated
 from cases import Case, all_cases
 from graphs import own_domain
 from live import Outcome, run_case
-from places import guarding
-from rig import RIGS, BrokenError, Rig
+from rig import RIGS, BrokenError, Rig, SkippedError
 
 
 def work(ids: Path, directory: Path, results: Path, seed: int) -> None:
@@ -75,14 +74,16 @@ def _live(
             try:
                 if rig is None:
                     domain = stack.enter_context(own_domain())
-                    place = directory / str(number)
-                    rig = stack.enter_context(RIGS[kind](place, domain, guarding(drive, place)))
+                    rig = stack.enter_context(RIGS[kind](directory / str(number), domain, drive))
                 run_case(rig, case, _random(seed, case), outcome)
             except BrokenError as error:
                 outcome.fail(f"rig: {error}")
+            except SkippedError as error:
+                outcome.recovery = str(error)
             except Exception as error:  # whatever it is, the next case needs a new rig
                 outcome.fail(f"{type(error).__name__}: {error}")
-            last = case.expected.recovery == "ends" or number == len(cases) - 1
+            last = case.expected.recovery in ("ends", "stays") or number == len(cases) - 1
+            last |= case.fault == "full disk"
             if outcome.wrong or last:
                 try:
                     stack.close()
