@@ -118,7 +118,10 @@ def _until_it_stands(rig: Rig, case: Case, began: float, outcome: Outcome) -> No
         return
     outcome.to_safe = stood - began
     if outcome.to_safe > outcome.bound:
-        outcome.fail(f"the pump stopped after {outcome.to_safe:.2f} s, bound {outcome.bound:.2f} s")
+        outcome.fail(
+            f"the pump stopped after {outcome.to_safe:.2f} s, bound {outcome.bound:.2f} s; "
+            f"{_said(rig, began)}"
+        )
 
 
 def _alarm(rig: Rig, case: Case, began: float, printed: int, outcome: Outcome) -> None:

@@ -130,12 +130,9 @@ class Players:
             hostile = tuple(one for one in hostile if not -90 <= one <= 60)
         if isinstance(value, float):
             return self._random.choice(hostile)
-        kind = self._random.randrange(3)
-        if kind == 0:
-            return []
-        if kind == 1:
-            return list(value[:-3])
-        return [self._random.choice(hostile) for _ in value]
+        # A controller that needs no forecast takes one of another length, but none that cannot be.
+        count = self._random.choice((len(value), len(value) - 3, 1))
+        return [self._random.choice(hostile) for _ in range(count)]
 
     def burst(self, topic: str, count: int, rng: random.Random) -> None:
         """Publish so many hostile values as fast as it goes, then in fits and starts."""
