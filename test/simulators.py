@@ -134,7 +134,7 @@ class Bus:
         self.close()
 
 
-def until(condition: Callable[[], bool], seconds: float = 3.0) -> float:
+def until(condition: Callable[[], bool], seconds: float = 60.0) -> float:
     """Wait until a condition holds and return how long that took (s)."""
     began = time.monotonic()
     while not condition():

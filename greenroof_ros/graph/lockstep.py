@@ -273,8 +273,10 @@ class Lockstep:
         handshake = self._handshake
         first = cast(int, handshake.first_of(role))
         handshake.agree(role)
-        for name, taken in handshake.taken[handshake.nodes[role]].items():
-            if not self.joining or first > taken:
+        told = handshake.taken[handshake.nodes[role]]
+        # What is said again first: the recorder writes a tick as soon as it is whole.
+        for name in sorted(told, key=self._node.taken, reverse=True):
+            if not self.joining or first > told[name]:
                 self._node.take_again(name, first)
                 self._arrivals[name].next = max(first, self._arrivals[name].next or 0)
             self._arrivals[name].first = first

@@ -18,8 +18,8 @@ from greenroof_ros.graph.errors import LockstepError
 from greenroof_ros.graph.link import LinkedNode
 from greenroof_ros.graph.transport import choose_transport
 
-# How long the middleware may take to go (s); it is a fraction of a second.
-_TAKING_DOWN_S = 3
+# How long the middleware may take to go (s); it is a fraction of a second, but on a busy machine.
+_TAKING_DOWN_S = 6
 
 
 def make_executor() -> Any:

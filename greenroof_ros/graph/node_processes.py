@@ -21,7 +21,7 @@ from greenroof_ros.graph.states import PUMP, REPORT_PIPE
 
 # How long to wait for a process that was asked to end, before the kernel ends it (s); and the pump
 # node, which waits until the pump stands: as long as the speed falls.
-_ENDING_S, _PUMP_ENDING_S = 5.0, 40.0
+_ENDING_S, _PUMP_ENDING_S = 8.0, 40.0
 # How long the kernel may take (s).
 _KILLING_S = 5.0
 _LAST_LINES = 15

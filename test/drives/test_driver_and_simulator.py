@@ -149,7 +149,8 @@ ANY_MESSAGE = ("abb_acs880", "grundfos_cim500", "schneider_atv630")
 def test_a_drive_for_which_a_refused_order_is_a_sign_of_life_stops_by_itself(
     make: str, fault: str
 ) -> None:
-    """Exception 6, busy, to all; the drive's own timeout of 2 s needs 2 s of silence to fall."""
+    """Exception 6, busy, to all; the drive's own timeout needs as much silence to fall."""
+    timeout = 5 if make == "grundfos_cim500" else 2  # the one of a Grundfos cannot be set
     with Simulator(
         "drive_simulator", "--drive", make, *FREE, "--ramp", "0.4", "--timeout", "2"
     ) as drive:
@@ -159,12 +160,12 @@ def test_a_drive_for_which_a_refused_order_is_a_sign_of_life_stops_by_itself(
         with driver(make, drive) as exchange:
             reach(exchange, drive, 0.6)
             drive.inject(fault, 6)
-            keep_asking(exchange, 0.6, lambda: drive.speed() == 0, 12)
-            assert "so nothing is sent for 3 s" in exchange.snapshot.problem
+            keep_asking(exchange, 0.6, lambda: drive.speed() == 0, 60)
+            assert f"so nothing is sent for {timeout + 1} s" in exchange.snapshot.problem
             assert exchange.snapshot.status is None
             drive.inject("none")
-            keep_asking(exchange, 0.6, lambda: drive.speed() > 0.5, 20)
-    assert "communication timeout: nothing for 2 s" in drive.said
+            keep_asking(exchange, 0.6, lambda: drive.speed() > 0.5, 60)
+    assert f"communication timeout: nothing for {timeout} s" in drive.said
 
 
 def test_the_same_over_a_serial_line() -> None:
@@ -314,7 +315,7 @@ def test_a_timeout_that_is_turned_off_at_the_panel_is_noticed(
         drive.inject("timeout_off")
         keep_asking(exchange, 0.6, lambda: exchange.snapshot.timeout_s is None, 5)
         assert exchange.snapshot.timeout_known
-        assert "is 0: Off; the pump would run on" in exchange.snapshot.timeout_note
+        assert "is 0: Off; the pump might run on" in exchange.snapshot.timeout_note
 
 
 def test_a_pump_that_turns_backwards_is_a_fault_and_noise_at_rest_is_none() -> None:
