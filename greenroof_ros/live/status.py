@@ -19,7 +19,7 @@ _INTERVAL_S = 0.25
 _SETTLED_S = 3.0
 # How long what is not well is what is waited for (s): after the start, and after all nodes are
 # there, since inputs count after 10 s by default. How long such a text must stand (s).
-_START_S, _INPUTS_S, _WAITED_S = 60.0, 20.0, 1.0
+_START_S, _INPUTS_S, _WAITED_S = 60.0, 30.0, 1.0
 # What the pump node says of the hold that bringup tells it.
 _OF_BRINGUP = "supervisor"
 
@@ -38,7 +38,7 @@ class Status:
         self._live: Live | None = None
         self._shown = 0.0
         self._starts_until = time.monotonic() + _START_S
-        self._starting = True
+        self._starting, self._all_here = True, False
         self._waits, self._waits_since, self._said_waits = "", 0.0, ""
         # By node and part: what stands; and what was seen, since when, and not said yet.
         self._troubles: dict[tuple[str, str], str] = {}
@@ -88,6 +88,7 @@ class Status:
     def all_are_here(self) -> None:
         """Say that all nodes are there; what they wait for then comes soon."""
         self.say("all nodes are here")
+        self._all_here = True
         self._starts_until = time.monotonic() + _INPUTS_S
 
     def _say_start(
@@ -95,10 +96,12 @@ class Status:
         troubles: Mapping[tuple[str, str], str], now: float,
     ) -> None:
         """Print what is waited for; that the start is over, when all is well or it took long."""
-        if not troubles or now > self._starts_until:
+        if (self._all_here and not troubles) or now > self._starts_until:
             self._starting = False
             if not hold:
                 self.say(f"running: {values_of(reports)}")
+            return
+        if not troubles:
             return
         nodes = sorted({node for node, _ in troubles if node})
         waits = hold or f"what {', '.join(nodes)} read must be good for a while (recovery_time)"

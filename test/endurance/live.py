@@ -21,6 +21,7 @@ from processes import (
     EVAPOTRANSPIRATION,
     RAIN,
     START_S,
+    drive_address,
     free_ports,
     simulate,
     simulator,
@@ -64,7 +65,6 @@ class LiveRun:
     def __init__(self, directory: Path, domain: int, plan: Plan, stack: ExitStack) -> None:
         self.directory, self.domain, self.plan = directory, domain, plan
         drive, bench, site_bench = free_ports(3)
-        self._drive_at = f"tcp://127.0.0.1:{drive}"
         write_sensors(directory / "sensors.yaml")
         write_forecast(directory / "forecast.csv", _hour())
         self._disk = directory / "state"
@@ -83,6 +83,7 @@ class LiveRun:
                 "--output", "levels.csv",
             )),
         }
+        self._drive_at = drive_address(self.programs["drive_simulator"])
         self.figures = Figures()
         self.killed: list[str] = []
         self.incidents: list[dict[str, Any]] = []

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from graphs import Process
-from processes import free_ports, simulate, simulator
+from processes import drive_address, free_ports, simulate, simulator
 
 from greenroof_ros.model.plant import Plant
 from greenroof_ros.model.site import read_site
@@ -42,10 +42,9 @@ def in_the_loop(
         domain, directory, "drive_simulator", "--drive", drive, "--speed", str(speed), *where,
         "--workbench", str(bench),
     ) as program:
-        ready = program.stdout()
-        at = f"tcp://127.0.0.1:{port}" if line == "tcp" else ready.split()[1].rstrip(",;")
         run = Process(
-            domain, "bringup", *options, "--speed", str(speed), "--drive", drive, "--drive-at", at,
+            domain, "bringup", *options, "--speed", str(speed), "--drive", drive,
+            "--drive-at", drive_address(program),
             "--state", str(directory / "state"), "--output", "run", cwd=directory,
         )
         code = run.process.wait()

@@ -31,6 +31,11 @@ def free_ports(number: int) -> list[int]:
         return [int(each.getsockname()[1]) for each in sockets]
 
 
+def drive_address(program: Process) -> str:
+    """Return where a drive simulator says that its drive is."""
+    return program.stdout().split()[2].rstrip(",;")
+
+
 @contextmanager
 def simulator(domain: int, directory: Path, module: str, *options: str) -> Iterator[Process]:
     """Run a simulated drive or site."""
