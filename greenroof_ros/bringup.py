@@ -48,6 +48,8 @@ from greenroof_ros.recording.bag_reader import count_ticks
 _NODES = "greenroof_ros.nodes"
 # From the start of the processes to all being ready (s): imports on a busy machine take seconds.
 _START_LIMIT_S = 30.0
+# How long a drive may take until it may run (s); an ABB's timeout guards 30 s after power-up only.
+_DRIVE_LIMIT_S = 60.0
 
 
 def _parser() -> argparse.ArgumentParser:
@@ -255,7 +257,7 @@ def _wait_for_drive(
         NodeFailed: it ended, or something speaks against the drive for too long.
         InterruptedRun: a signal came.
     """
-    until = time.monotonic() + _START_LIMIT_S
+    until = time.monotonic() + _DRIVE_LIMIT_S
     with RunProgress(run.steps, run.site.tau) as progress:
         while not supervisor.last.get(PUMP, {}).get("active"):
             signals.check()
@@ -269,7 +271,7 @@ def _wait_for_drive(
             progress.waiting(f"waiting for the drive: {trouble or 'the pump node starts'}")
             supervisor.check(_START_LIMIT_S)
             if time.monotonic() > until:
-                reason = f"the drive cannot be run, after {_START_LIMIT_S:g} s: {trouble}"
+                reason = f"the drive cannot be run, after {_DRIVE_LIMIT_S:g} s: {trouble}"
                 raise NodeFailed(reason, supervisor.quoted(PUMP), EXIT_FAILED, [PUMP], "no drive")
     latched = supervisor.last[PUMP]["latched"]
     if latched:

@@ -474,7 +474,7 @@ class PumpNode(Lifecycle, LinkedNode):
         """Return what bringup shows, and waits for."""
         return {
             "pump": self._state, "flow": self._decision.flow,
-            "active": self.lifecycle_state == ACTIVE,
+            "active": self.lifecycle_state == ACTIVE and not self._drive.snapshot.hold,
             "latched": self._ledger.record.fault or self._ledger.record.held,
         }
 
