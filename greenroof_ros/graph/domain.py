@@ -84,7 +84,11 @@ def refuse_other_nodes(namespace: str, names: Collection[str], check: Callable[[
         raise no_ros(error) from error
     choose_transport()
     context = rclpy.Context()
-    rclpy.init(args=[], context=context, signal_handler_options=SignalHandlerOptions.NO)
+    rclpy.init(
+        # Its log file would need a home directory, which a service may not have.
+        args=["--ros-args", "--disable-external-lib-logs"], context=context,
+        signal_handler_options=SignalHandlerOptions.NO,
+    )
     node = Node("bringup", context=context, start_parameter_services=False, enable_rosout=False)
     try:
         until = time.monotonic() + _LISTEN_S

@@ -33,8 +33,9 @@ _LONG_H, _SHORT_H = "12", "1"
 _SHORT_SPEED = "400"
 # From the fault to the end of bringup: silence is noticed, and all nodes are ended.
 _BOUND_S = 2 * SILENCE_S + SLACK_S
-# Ticks that may be missing in a restored bag: what the plant may run ahead of the recorder.
-_LOST_TICKS = 32
+# Ticks that may be missing in a restored bag: what the plant may run ahead of the recorder, and the
+# one under way.
+_LOST_TICKS = 33
 
 
 def run_case(case: Case, directory: Path, domain: int, rng: random.Random) -> Outcome:

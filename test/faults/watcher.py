@@ -8,11 +8,12 @@ import threading
 import time
 from array import array
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from typing import Any
 
 import rclpy
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+from rclpy.exceptions import InvalidHandle
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
@@ -74,7 +75,9 @@ class Watcher:
 
     def _spin(self) -> None:
         while not self._ended:
-            self._executor.spin_once(timeout_sec=0.05)
+            # A publisher of an intruder's may go while the executor looks at it.
+            with suppress(InvalidHandle):
+                self._executor.spin_once(timeout_sec=0.05)
 
     def close(self) -> None:
         self._ended = True
