@@ -364,7 +364,7 @@ def test_a_fault_of_an_earlier_run_in_the_loop(domain: int, tmp_path: Path) -> N
     hardware = Hardware(domain, tmp_path, "20")
     ledger = Ledger(state_of(hardware), time.time)
     ledger.fault("the drive reports: overload")
-    assert ledger.kept() == ""
+    assert ledger.close() == ""
     run = ("--initial", "high-low", "--controller", "onoff", "--hours", "0.01", "--drive",
            "abb_acs880", "--drive-at", hardware.drive, "--speed", "20")
     held = Process(domain, "bringup", "--output", "held", *run, cwd=tmp_path)
