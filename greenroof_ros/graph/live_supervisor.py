@@ -23,7 +23,7 @@ from greenroof_ros.graph.permit import Permit
 from greenroof_ros.graph.states import PUMP, READY, RECORDER
 
 # A node that says nothing for so long (s) holds the pump; reports come four times a second. A pump
-# node that said that the pump turns is killed then.
+# node that did not say that the pump stands is killed then.
 _SILENT_S = 2.0
 # How long after the permit was withdrawn the pump node may say that it runs the pump (s), and how
 # much longer the pump may turn: the longest ramp of a drive.
@@ -210,9 +210,8 @@ class LiveSupervisor(NodeProcesses):
         return str(self.last.get(PUMP, {}).get("pump", "")).partition(":")[0]
 
     def _says_it_stands(self) -> bool:
-        """Whether the pump node said last that the pump is off, and that nothing flows."""
-        flow = self.last.get(PUMP, {}).get("flow")
-        return self._pump_state() in ("off", "held", "fault") and not flow
+        """Whether the pump node said last that the pump stands: it was seen to, or must by now."""
+        return self.last.get(PUMP, {}).get("stands") is True
 
     def _disobeys(self, now: float) -> str:
         """Return what the pump node does although it may not; empty where it does nothing such.

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import math
 import re
+import threading
 import time
 from pathlib import Path
 from typing import Any, cast
@@ -71,10 +72,12 @@ _NEEDED = ("/pump/command", "/cistern/level", "/roof/level", "/weather/frost")
 _METER = "/pump/meter"
 # Without a call for so long the drive's thread stops the drive: this node hangs (s).
 _DEAD_MAN_S = 1.0
-# How long *configure* waits for the drive, longer than between two attempts, and how old what it
-# said may be (s). Nothing is known of it during a start, of some seconds; a lost connection is
-# noticed by the exchange, sooner.
-_CONNECT_S, _DRIVE_AGE_S = 7.0, 10.0
+# How long *configure* and *cleanup* wait for the drive at most: no command is answered meanwhile,
+# and who watches this node takes a longer silence for a failure (s).
+_WAIT_S = 1.0
+# How old what the drive said may be (s). Nothing is known of it during a start, of some seconds; a
+# lost connection is noticed by the exchange, sooner.
+_DRIVE_AGE_S = 10.0
 # How long a pump needs to stand once its drive has noticed that nobody talks to it (s).
 _RAMP_S = 5.0
 # A pause of this process itself (s), after which what waited for it is no command of now.
@@ -147,6 +150,7 @@ class _Drive:
         self.without_timeout = values["activate_without_drive_timeout"]
         self._stops_locally = values["local_settings_stop_the_pump"]
         self._exchange: DriveExchange | None = None
+        self._leaving: threading.Thread | None = None
 
     @property
     def snapshot(self) -> Snapshot:
@@ -154,7 +158,9 @@ class _Drive:
         return Snapshot() if self._exchange is None else self._exchange.snapshot
 
     def connect(self) -> None:
-        """Begin to keep it stopped."""
+        """Begin to keep it stopped, once it is let go of."""
+        if self._leaving is not None and not self._leaving.is_alive():
+            self._exchange = self._leaving = None
         if self._exchange is None:
             self._exchange = DriveExchange(
                 self.file, self._address, self._period, _DEAD_MAN_S, device_id=self._device_id,
@@ -162,17 +168,25 @@ class _Drive:
             )
             self._exchange.start()
 
-    def let_go(self) -> str:
-        """Stop it, and return what it says then; takes half a minute at most.
+    def let_go(self, within: float | None = None) -> str:
+        """Stop it, and return what it says then.
+
+        Args:
+            within: how long to wait for that at most (s); without it half a minute.
 
         Raises:
+            RefusedError: it takes longer, and goes on.
             OSError: it was not heard at the end, or does not stand.
         """
         if self._exchange is None:
             return ""
-        self._exchange.demand(None)
-        self._exchange.close()
-        snapshot, self._exchange = self._exchange.snapshot, None
+        if self._leaving is None:
+            self._leaving = threading.Thread(target=self._exchange.close, daemon=True)
+            self._leaving.start()
+        self._leaving.join(within)
+        if self._leaving.is_alive():
+            raise RefusedError("the drive is still slowing down, or not heard; ask again")
+        snapshot, self._exchange, self._leaving = self._exchange.snapshot, None, None
         status = snapshot.status
         # A thread that still talks to it has not read that it stands.
         if status is not None and status.stands and not snapshot.connected:
@@ -205,6 +219,8 @@ class _Drive:
 
     def absence(self, now: float) -> str:
         """Return why it cannot be heard; empty where it can."""
+        if self._leaving is not None:
+            return "no connection to the drive: it is being let go of; clean up first"
         if self.status(now) is not None:
             return ""
         return f"no connection to the drive: {self.snapshot.problem}"
@@ -251,23 +267,18 @@ class PumpNode(Lifecycle, LinkedNode):
         given = {one.name: values[one.name] for one in pump_parameters(site)}
         given["least_speed"] = max(given["least_speed"], self._drive.file.least_speed)
         settings = PumpSettings(**given)
-        state_file = self._state_file(values)
-        self._ledger = Ledger(state_file, time.time)
+        self._settings, self._state_file = settings, self._place_of_state(values)
         drive_stops_after = values["drive_timeout_limit"] + _RAMP_S
         if self._drive.without_timeout:
             drive_stops_after = math.inf
-        self._control = PumpControl(site, settings, self._ledger, drive_stops_after)
-        kept = self._ledger.record
-        if kept.fault or kept.held:
-            self.get_logger().warning(
-                f"{state_file} keeps the pump off: {kept.fault or kept.held}"
-            )
+        self._drive_stops_after = drive_stops_after
+        self._begin_with(Ledger(self._state_file, time.time))
         self._permit = PermitReader()
         self._command_limit = self._checked_command_limit(values)
         self._autostart: bool = values["autostart"]
         self._without_timeout = self._drive.without_timeout
         self._resetting_until = 0.0
-        self._decision = Decision(None, "off", "not started", 0.0, "", "", 0.0)
+        self._decision = Decision(None, "off", "not started", 0.0, "", "", 0.0, False)
         self._state = self._logged = ""
         self._reasons: tuple[object, ...] = ()
         now = time.monotonic()
@@ -299,7 +310,38 @@ class PumpNode(Lifecycle, LinkedNode):
         self.create_service(Trigger, "~/reset", self._on_reset_request)
         self._step(now, 0.0)
 
-    def _state_file(self, values: dict[str, Any]) -> Path:
+    def _begin_with(self, ledger: Ledger) -> None:
+        """Control the pump with what a ledger knows of before."""
+        self._ledger = ledger
+        self._control = PumpControl(
+            self._site, self._settings, ledger, self._drive_stops_after
+        )
+        kept = ledger.record
+        if kept.fault or kept.held:
+            self.get_logger().warning(
+                f"{self._state_file} keeps the pump off: {kept.fault or kept.held}"
+            )
+
+    def _take_state(self) -> None:
+        """Take the state file over, as it is by now, if another had it or it could not be made.
+
+        What was stopped or found here meanwhile counts on.
+        """
+        mine = self._ledger
+        if mine.writes:
+            return
+        ledger = Ledger(self._state_file, time.time)
+        if not ledger.writes:
+            return
+        held, fault = mine.record.held, mine.record.fault
+        self._begin_with(ledger)
+        self._reasons = ()  # decide anew
+        if held != mine.found.held:
+            ledger.hold(held or ledger.record.held)
+        if fault != mine.found.fault:
+            ledger.fault(fault or ledger.record.fault)
+
+    def _place_of_state(self, values: dict[str, Any]) -> Path:
         if values["state_file"]:
             return Path(values["state_file"])
         name = self.get_fully_qualified_name().strip("/").replace("/", "-")
@@ -325,11 +367,13 @@ class PumpNode(Lifecycle, LinkedNode):
     def configure(self) -> None:
         """Connect to the drive, and read what it is."""
         self._drive.connect()
-        until = time.monotonic() + _CONNECT_S
+        until = time.monotonic() + _WAIT_S
         while self._drive.absence(time.monotonic()):
             if time.monotonic() > until:
                 # It is tried on: a drive that comes is stopped.
-                raise RefusedError(f"not configured: {self._drive.absence(until)}")
+                raise RefusedError(
+                    f"not configured: {self._drive.absence(until)}; it is tried on, ask again"
+                )
             time.sleep(0.02)
         self.reports.hardware = self._drive.snapshot.identity
 
@@ -341,6 +385,7 @@ class PumpNode(Lifecycle, LinkedNode):
         problem = self._drive.timeout_problem()
         if problem and not self._without_timeout:
             raise RefusedError(f"not activated: {problem}")
+        self._take_state()
         problem = self._ledger.kept()
         if problem:
             raise RefusedError(f"not activated: {problem}")
@@ -359,9 +404,13 @@ class PumpNode(Lifecycle, LinkedNode):
         """Stop the drive, read that it stands, and let go of it.
 
         Raises:
+            RefusedError: it does not stand yet; it is gone on with.
             OSError: that could not be read.
         """
-        said = self._drive.let_go()
+        self._let_go(_WAIT_S)
+
+    def _let_go(self, within: float | None) -> None:
+        said = self._drive.let_go(within)
         if said:
             self.get_logger().info(said)
 
@@ -376,9 +425,9 @@ class PumpNode(Lifecycle, LinkedNode):
             OSError: it could not be read; the node's exit code says so, too.
         """
         try:
-            self.clean_up()
+            self._let_go(None)
         finally:
-            problem = self._ledger.kept()
+            problem = self._ledger.close()
             if problem:
                 self.get_logger().error(problem)
 
@@ -400,6 +449,7 @@ class PumpNode(Lifecycle, LinkedNode):
     def _on_stop_request(
         self, request: SetBool.Request, response: SetBool.Response
     ) -> SetBool.Response:
+        self._take_state()
         self._control.hold(request.data)
         self._step(time.monotonic(), 0.0)
         problem = self._ledger.kept()
@@ -410,6 +460,7 @@ class PumpNode(Lifecycle, LinkedNode):
     def _on_reset_request(
         self, request: Trigger.Request, response: Trigger.Response
     ) -> Trigger.Response:
+        self._take_state()
         cleared = self._control.reset()
         self._drive.reset()
         self._resetting_until = time.monotonic() + _RESET_S
@@ -457,6 +508,8 @@ class PumpNode(Lifecycle, LinkedNode):
         reasons = (
             self._problem(now), _fault(status),
             status is not None and status.stands,
+            # Once a second, whether a drive that is not heard must stand by now.
+            status is None and not self._decision.stands and now // 1,
         )
         if reasons != self._reasons:
             self._reasons = reasons
@@ -467,13 +520,14 @@ class PumpNode(Lifecycle, LinkedNode):
             self._start_by_itself(now)
         if now - self._looked_at > _LOOK_S:
             self._looked_at = now
+            self._take_state()
             self._diagnose(now)
         return LISTEN_S
 
     def progress(self) -> dict[str, Any]:
         """Return what bringup shows, and waits for."""
         return {
-            "pump": self._state, "flow": self._decision.flow,
+            "pump": self._state, "flow": self._decision.flow, "stands": self._decision.stands,
             "active": self.lifecycle_state == ACTIVE and not self._drive.snapshot.hold,
             "latched": self._ledger.record.fault or self._ledger.record.held,
         }
@@ -481,23 +535,26 @@ class PumpNode(Lifecycle, LinkedNode):
     # --- the pump -------------------------------------------------------------------------------
 
     def _problem(self, now: float) -> str:
-        """Return the first reason of this node to have the pump off; empty where there is none."""
+        """Return the reasons of this node to have the pump off; empty where there is none."""
+        status, absence = self._drive.status(now), self._drive.absence(now)
         if self.lifecycle_state != ACTIVE:
-            return self.refusal or "the node is not active"
-        status = self._drive.status(now)
-        if status is None:
-            return self._drive.absence(now)
-        if not status.remote:
-            return "the drive is in local control: hand it over to the bus at its panel"
-        return (
-            (not self._without_timeout and self._drive.timeout_problem())
-            or self._drive.snapshot.hold
-            or self._permit.hold(now)
-            or self._two_publishers(now)
+            refusal = self.refusal or "the node is not active"
+            return refusal if absence in refusal else f"{refusal}; {absence}"
+        reasons = [absence]
+        if status is not None:
+            if not status.remote:
+                reasons.append(
+                    "the drive is in local control: hand it over to the bus at its panel"
+                )
+            if not self._without_timeout:
+                reasons.append(self._drive.timeout_problem())
+            reasons.append(self._drive.snapshot.hold)
+        reasons += [self._permit.hold(now), self._two_publishers(now)]
+        if self.live:
             # Another pump node may have the same drive: neither runs it then.
-            or (self.live and self._rival(now))
-            or self._silence(now)
-        )
+            reasons.append(self._rival(now))
+        reasons.append(self._silence(now))
+        return "; ".join(filter(None, reasons))
 
     def _two_publishers(self, now: float) -> str:
         publishers = cast(LivePublishers, self.inputs.publishers["/pump/command"])

@@ -6,7 +6,8 @@ same (not one that never writes in place: btrfs, zfs). Each line begins with its
 page long, which a kill does not tear; a power cut may. Then the other line is whole, but the torn
 one may have been a stop or a fault: the pump is held until somebody releases it.
 
-A thread of its own writes: a slow disk keeps the pump's control from nothing.
+A thread of its own writes: a slow disk keeps the pump's control from nothing. A lock, on a file
+beside, lets only one ledger write: another one's record would erase a stop or a fault.
 
 The day is 24 h of the ledger's clock, which begins with its first step and counts the time of the
 site: of the steady clock, or simulated. Time for which the node was down counts by the system
@@ -15,7 +16,9 @@ clock, if that did not go back.
 
 from __future__ import annotations
 
+import contextlib
 import errno
+import fcntl
 import json
 import math
 import os
@@ -26,18 +29,19 @@ import zlib
 from collections.abc import Callable
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import IO, Any
 
 from greenroof_ros.pumping.settings import DAY_S
 
 # Length of a line (bytes): a page, a block of most disks.
 _LINE = 4096
-# So much of a text, and so many starts, have room in it.
+# So much of a text (bytes), and so many starts, have room in it, whatever is in the text.
 _TEXT, _STARTS = 350, 100
 # At most so much of the use is not on the disk while the pump is on (s).
 SAVE_EVERY_S = 10.0
-# A disk that needs longer is an alarm (s).
-_PATIENCE_S = 2.0
+# A disk that needs longer is an alarm (s); so long a service waits for it, well below the time
+# after which a node that says nothing is killed (s).
+_PATIENCE_S, _WAIT_S = 2.0, 0.5
 
 
 @dataclass(frozen=True)
@@ -81,11 +85,12 @@ class Ledger:
 
     A missing file is a fresh record, and is made at once. A broken one holds the pump until
     somebody releases it: what it said, be it a fault, is not known. It is kept beside, as
-    ``.broken``.
+    ``.broken``. The first ledger of a file has it, until it is closed or its process ends; another
+    one knows what was in it when it was made, and writes nothing.
 
     Attributes:
         record: the present one.
-        problem: why the file could not be written; empty where it could. Control goes on.
+        found: what was in the file.
     """
 
     def __init__(self, file: Path | None, system_clock: Callable[[], float]) -> None:
@@ -104,11 +109,17 @@ class Ledger:
         self._writing_since = 0.0
         self._sequence = 0
         self._unseen = 0.0
-        self.problem = ""
-        self.record = Record()
+        self._problem = ""
+        self._only: IO[str] | None = None
+        self.record = self.found = Record()
         if file is None:
             return
+        try:
+            self._only = _take(file)
+        except (OSError, ValueError) as error:
+            self._problem = _why(file, error)
         self.record, self._sequence, whole = _read(file)
+        self.found = self.record
         down = system_clock() - self.record.written_at
         known = self.record.written_at > 0 and down > 0
         if self.record.on:
@@ -117,6 +128,19 @@ class Ledger:
             self._pass(down)
         if not whole:
             self._save()
+
+    @property
+    def writes(self) -> bool:
+        """Whether what changes is written: nobody else has the file, or there is none."""
+        return self._file is None or self._only is not None
+
+    @property
+    def problem(self) -> str:
+        """Why the file could not be written; empty where it could. Control goes on."""
+        slow = time.monotonic() - self._writing_since > _PATIENCE_S
+        if self._writer is not None and slow:
+            return f"{self._file} could not be written within {_PATIENCE_S:g} s"
+        return self._problem
 
     def hold(self, reason: str) -> None:
         """Hold the pump, or release it (empty)."""
@@ -146,11 +170,8 @@ class Ledger:
         # While nothing is used nothing needs to be written, but for a file that could not be.
         if run or volume or self.problem:
             self._unsaved += dt
-        if self._writer is None:
-            if self._unsaved >= SAVE_EVERY_S:
-                self._save()
-        elif time.monotonic() - self._writing_since > _PATIENCE_S:
-            self.problem = self._too_slow()
+        if self._writer is None and self._unsaved >= SAVE_EVERY_S:
+            self._save()
 
     def count_unseen(self, most: float, flow: float) -> None:
         """Count what the pump may have done at worst since a node did not live to see it off.
@@ -164,15 +185,27 @@ class Ledger:
             self.count(0.0, run, run * flow)
             self.switch(False)
 
-    def kept(self) -> str:
-        """Write the record, and return why that cannot be done; takes two seconds at most."""
+    def kept(self, within: float = _WAIT_S) -> str:
+        """Write the record, and return why it is not kept; it is written on, if that is late.
+
+        Args:
+            within: how long to wait for the disk at most (s).
+        """
         self._save()
         writer = self._writer
         if writer is not None:
-            writer.join(_PATIENCE_S)
+            writer.join(within)
             if writer.is_alive():
-                self.problem = self._too_slow()
+                return self.problem or f"{self._file} is not yet on the disk; it is written on"
         return self.problem
+
+    def close(self) -> str:
+        """Write the record, let go of the file, and return why the record is not kept."""
+        problem = self.kept(_PATIENCE_S)
+        if self._only is not None and self._writer is None:
+            self._only.close()
+            self._only = None
+        return problem
 
     def _pass(self, elapsed: float) -> None:
         before, now = self.record.elapsed, self.record.elapsed + elapsed
@@ -183,7 +216,7 @@ class Ledger:
     def _save(self) -> None:
         """Have the record written, after the one that is being written."""
         self._unsaved = 0.0
-        if self._file is None:
+        if self._file is None or self._only is None:
             return
         with self._lock:
             self._to_write = replace(self.record, written_at=self._clock())
@@ -197,7 +230,7 @@ class Ledger:
                     writer.start()
                 except RuntimeError as error:
                     self._writer = None
-                    self.problem = f"{self._file} cannot be written: {error}"
+                    self._problem = _why(self._file, error)
 
     def _write_all(self, file: Path) -> None:
         while True:
@@ -217,22 +250,56 @@ class Ledger:
             else:
                 _overwrite(file, self._sequence + 1, record)
                 self._sequence += 1
-            self.problem = ""
-        except OSError as error:
-            self.problem = (
-                f"{file} cannot be written: {error.strerror}; a restart would not know of a stop, "
-                "a fault, and how much was pumped"
-            )
+            self._problem = ""
+        except Exception as error:  # whatever it is, the next record is tried again
+            self._problem = _why(file, error)
 
-    def _too_slow(self) -> str:
-        return f"{self._file} could not be written within {_PATIENCE_S:g} s"
+
+def _why(file: Path, error: Exception) -> str:
+    """Return why a file is not written, in words."""
+    if isinstance(error, BlockingIOError):
+        return (
+            f"{file} cannot be written: process {error.strerror} has it already; end that one, and "
+            "this one goes on by itself, or give this one another file (--state, state_file)"
+        )
+    why = getattr(error, "strerror", None) or repr(error)
+    return (
+        f"{file} cannot be written: {why}; a restart would not know of a stop, a fault, and how "
+        "much was pumped"
+    )
+
+
+def _take(file: Path) -> IO[str]:
+    """Return the lock of a file; it is held until it is closed, however the process ends.
+
+    Raises:
+        BlockingIOError: another has it; the text is its process.
+        OSError: it cannot be made.
+    """
+    file.parent.mkdir(parents=True, exist_ok=True)
+    # Not the file itself, in whose place another is put where it is broken or was removed.
+    lock = file.with_name(file.name + ".lock").open("a+")
+    try:
+        fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError as error:
+        with lock:
+            lock.seek(0)
+            raise BlockingIOError(error.errno, lock.read(32).strip() or "unknown") from None
+    except OSError:
+        lock.close()
+        raise
+    with contextlib.suppress(OSError):  # a full disk: the lock holds, without a name
+        lock.truncate(0)
+        os.write(lock.fileno(), f"{os.getpid()}\n".encode())
+    return lock
 
 
 def _line(sequence: int, record: Record) -> bytes:
     """Return a record as a line of the file."""
 
     def short(text: str) -> str:
-        return "".join(one if one.isprintable() else " " for one in text[:_TEXT])
+        printable = "".join(one if one.isprintable() else " " for one in text[:_TEXT])
+        return printable.encode()[:_TEXT].decode(errors="ignore")
 
     record = replace(record, held=short(record.held), fault=short(record.fault))
     content = {"sequence": sequence, **asdict(record)}

@@ -64,6 +64,7 @@ class Decision:
         source: how the flow is known.
         warning: what an operator should know although it stops nothing; empty where nothing.
         owed: commanded less delivered (m3).
+        stands: whether the pump was seen to stand, or must by the drive's own timeout by now.
     """
 
     speed: float | None
@@ -73,6 +74,7 @@ class Decision:
     source: str
     warning: str
     owed: float
+    stands: bool
 
 
 class PumpControl:
@@ -137,7 +139,7 @@ class PumpControl:
                 simulated faster than that; None where both are one.
         """
         drive_dt = dt if drive_dt is None else drive_dt
-        backwards, seen = _backwards(seen), _believable(seen)
+        heard, backwards, seen = seen.speed is not None, _backwards(seen), _believable(seen)
         self._switch.begin(now)
         warnings: list[str] = []
         flow, source = self._flow(seen, warnings)
@@ -153,13 +155,15 @@ class PumpControl:
         record = self._ledger.record
         held = [record.held] if record.held else []
         held += self._limits.reasons(command, seen.cistern_level, seen.roof_level, seen.frost)
-        trouble = seen.problem or refusal or _trouble(seen)
+        # One that turns backwards is a fault, and its speed is known.
+        trouble = seen.problem or refusal or ("" if backwards else _trouble(seen))
 
         asked = None
+        against = [one for one in (record.fault, *held, trouble) if one]
         if record.fault:
-            state, why = "fault", "; ".join([record.fault, *held])
+            state, why = "fault", "; ".join(against)
         elif held:
-            state, why = "held", "; ".join(held)
+            state, why = "held", "; ".join(against)
         elif trouble:
             state, why = "off", trouble
         else:
@@ -169,7 +173,7 @@ class PumpControl:
             full = seen.roof_level >= self._site.z_veg
             asked, why = self._follow(now, dt, command, full, seen.cistern_level, warnings)
             state = "off" if asked is None else "running"
-        if record.fault or held or trouble:
+        if against:
             self._pulses.drop()
         self._switch_to(now, asked)
 
@@ -180,7 +184,16 @@ class PumpControl:
             state = "stopping"
         elif state in ("fault", "held") and turning:
             why += f"; the pump still turns, at {seen.speed:.2f} of its speed"
-        return Decision(asked, state, why, flow, source, "; ".join(warnings), self._pulses.owed)
+        if seen.speed is None:
+            # One that is heard, and says what cannot be, is not silent enough for its own timeout.
+            stands = not heard and self._must_stand()
+            if not stands and not backwards:
+                why += "; whether the pump stands is not known"
+        else:
+            stands = asked is None and not turning
+        return Decision(
+            asked, state, why, flow, source, "; ".join(warnings), self._pulses.owed, stands
+        )
 
     def _flow(self, seen: Observation, warnings: list[str]) -> tuple[float, str]:
         """Return the present flow (m3/s), and how it is known."""
@@ -203,11 +216,14 @@ class PumpControl:
 
     def _unseen_flow(self, seen: Observation) -> float:
         """Return what flows at worst (m3/s) where the drive is not heard; 0 once it must stand."""
-        stopped = self._turned <= _STANDS or self._unknown_for > self._drive_stops_after
-        if seen.speed is not None or stopped:
+        if seen.speed is not None or self._must_stand():
             return 0.0
         level = self._site.z_o if seen.cistern_level is None else seen.cistern_level
         return flow_at(self._site, min(1.0, self._turned), level)
+
+    def _must_stand(self) -> bool:
+        """Whether a pump whose speed is unknown stood before, or does by the drive's timeout."""
+        return self._turned <= _STANDS or self._unknown_for > self._drive_stops_after
 
     def _account(self, dt: float, speed: float | None, most: float, flow: float) -> None:
         """Count what the last step's decision made of the time since."""

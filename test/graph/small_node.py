@@ -14,7 +14,7 @@ import time
 from pathlib import Path
 
 
-def report(state: str, **values: str) -> None:
+def report(state: str, **values: object) -> None:
     os.write(
         int(os.environ["GREENROOF_ROS_REPORT_PIPE"]),
         (json.dumps({"state": state, **values}) + "\n").encode(),
@@ -35,7 +35,9 @@ def main() -> None:
     permits = os.environ.get("GREENROOF_ROS_PERMIT_PIPE")
     while True:
         says = marks / f"{kind}-says"
-        said = {"pump": says.read_text()} if says.exists() else {}
+        said: dict[str, object] = {"pump": says.read_text()} if says.exists() else {}
+        if (marks / f"{kind}-stands").exists():
+            said["stands"] = json.loads((marks / f"{kind}-stands").read_text())
         report("starting" if (marks / f"{kind}-waits").exists() else "ready", **said)
         if permits is not None:
             os.set_blocking(int(permits), False)

@@ -178,6 +178,22 @@ def test_a_pump_that_turns_on_is_stopped_once_more(
         assert len(stops) == 1 and len(here.starts("pump")) == 2
 
 
+@pytest.mark.parametrize("stands", [True, False])
+def test_a_silent_pump_node_whose_pump_may_turn_is_killed_sooner(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, stands: bool
+) -> None:
+    """By what it says of the pump, not by the words of its state: an *off* may not be heard."""
+    with site(tmp_path, monkeypatch, silence_s=6.0) as (here, incidents, _):
+        (here.marks / "pump-says").write_text("off: no connection to the drive")
+        (here.marks / "pump-stands").write_text(json.dumps(stands))
+        here.add("pump")
+        here.until(lambda: here.supervisor.last.get("pump", {}).get("stands") is stands)
+        os.kill(here.pid("pump"), signal.SIGSTOP)
+        here.until(lambda: incidents)
+        limit = 6 if stands else 2
+        assert incidents[0].what == f"had not answered for {limit} s (stopped): killed"
+
+
 def test_a_pump_node_that_does_not_end_by_itself(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -367,7 +367,7 @@ from pathlib import Path
 from greenroof_ros.pumping.ledger import Ledger
 ledger = Ledger(Path(sys.argv[1]), time.time)
 ledger.fault("the drive reports: overload")
-assert ledger.kept() == ""
+assert ledger.close() == ""
 """
 
 

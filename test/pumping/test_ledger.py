@@ -10,6 +10,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Iterator
+from fractions import Fraction
 from pathlib import Path
 from typing import Any
 
@@ -18,7 +19,7 @@ from graphs import wait_for
 from paper import PAPER_SITE
 from pump_rig import Rig
 
-from greenroof_ros.pumping.ledger import Ledger, state_directory
+from greenroof_ros.pumping.ledger import Ledger, Record, state_directory
 from greenroof_ros.pumping.settings import settings_for
 
 
@@ -69,6 +70,11 @@ def written(file: Path) -> dict[str, Any]:
     return wait_for(newest, 20, "the file")  # type: ignore[no-any-return]
 
 
+def read(file: Path, clock: Clock) -> Record:
+    """Return what a new ledger finds, and leave the file to others."""
+    return Ledger(file, clock).record
+
+
 def test_a_missing_file_is_a_fresh_record_and_is_made(tmp_path: Path, clock: Clock) -> None:
     """With its directory, at the size that it keeps."""
     file = tmp_path / "state" / "pump.json"
@@ -85,7 +91,7 @@ def test_a_missing_file_is_a_fresh_record_and_is_made(tmp_path: Path, clock: Clo
 
 
 def test_held_and_fault_are_written_at_once(tmp_path: Path, clock: Clock) -> None:
-    """And nothing else is left in the directory."""
+    """And nothing but the lock is left beside."""
     file = tmp_path / "state" / "pump.json"
     ledger = Ledger(file, clock)
     ledger.hold("an operator stopped it")
@@ -94,12 +100,69 @@ def test_held_and_fault_are_written_at_once(tmp_path: Path, clock: Clock) -> Non
     again = Ledger(file, clock)
     assert again.record.held == "an operator stopped it"
     assert again.record.fault == "the drive reports: overload"
+    ledger.close()
+    again = Ledger(file, clock)
     again.hold("")
     again.fault("")
     again.kept()
     last = Ledger(file, clock).record
     assert (last.held, last.fault) == ("", "")
-    assert [one.name for one in file.parent.iterdir()] == ["pump.json"]
+    assert {one.name for one in file.parent.iterdir()} == {"pump.json", "pump.json.lock"}
+
+
+def test_a_second_ledger_erases_nothing(tmp_path: Path, clock: Clock) -> None:
+    """It is told who has the file; when that one is gone, a new one finds what that one wrote."""
+    file = tmp_path / "pump.json"
+    first = Ledger(file, clock)
+    first.switch(True)
+    assert first.kept() == ""
+    second = Ledger(file, clock)
+    assert not second.writes
+    second.count_unseen(25.0, 0.001)
+    first.fault("burst pipe")
+    first.hold("an operator stopped it")
+    first.switch(False)
+    assert first.kept() == ""
+    problem = second.kept()
+    assert problem.startswith(
+        f"{file} cannot be written: process {os.getpid()} has it already; end that one"
+    )
+    assert "--state, state_file" in problem
+    second.hold("")
+    second.count(100.0, 10.0, 1.0)
+    assert second.close() == problem
+    assert first.close() == ""
+    found = Ledger(file, clock)
+    assert found.writes
+    assert (found.record.fault, found.record.held) == ("burst pipe", "an operator stopped it")
+    assert found.record.day_volume == 0
+
+
+@pytest.mark.parametrize("first", ["\U0001f4a7" * 400, '"' * 400, "\ud800\x00" * 400])
+def test_whatever_is_in_a_text_has_room(first: str, tmp_path: Path, clock: Clock) -> None:
+    """Beside a hundred starts in the third year."""
+    file = tmp_path / "pump.json"
+    ledger = Ledger(file, clock)
+    ledger.count(1e8 + 0.5, 0.0, 0.0)
+    for _ in range(100):
+        ledger.switch(True)
+    ledger.fault(first)
+    ledger.hold(first)
+    assert ledger.kept(20.0) == ""
+    assert (len(read(file, clock).starts), file.stat().st_size) == (100, 8192)
+
+
+def test_an_error_that_nobody_foresaw_ends_no_saving(tmp_path: Path, clock: Clock) -> None:
+    """A clock that gives what JSON has not: it is said, and the next record is written."""
+    file = tmp_path / "pump.json"
+    ledger = Ledger(file, clock)
+    assert ledger.kept(20.0) == ""
+    clock.now = Fraction(1_800_000_000)  # type: ignore[assignment]
+    ledger.hold("an operator stopped it")
+    assert ledger.kept(20.0).startswith(f"{file} cannot be written: TypeError")
+    clock.now = 1_800_000_000.0
+    assert ledger.kept(20.0) == ""
+    assert read(file, clock).held == "an operator stopped it"
 
 
 def test_use_of_the_day(tmp_path: Path, clock: Clock) -> None:
@@ -149,14 +212,14 @@ def test_what_nobody_saw_counts_at_worst(
     file = tmp_path / "pump.json"
     ledger = Ledger(file, clock)
     ledger.switch(True)
-    ledger.kept()
+    ledger.close()
     clock.now += down
     site = PAPER_SITE
     flow = site.b * math.sqrt(site.z_o + site.c_hat - site.d)
     for attempt in range(2):  # once, and no second time
         ledger = Ledger(file, clock)
         ledger.count_unseen(25.0, flow)
-        ledger.kept()
+        ledger.close()
         assert ledger.record.day_run == pytest.approx(run), attempt
         assert ledger.record.day_volume == pytest.approx(run * flow), attempt
 
@@ -168,7 +231,7 @@ def test_a_broken_line_holds_the_pump(tmp_path: Path, clock: Clock) -> None:
         ledger = Ledger(file, clock)
         ledger.hold("")
         ledger.count(1.0, 1.0, 0.5)
-        ledger.kept()
+        ledger.close()
         before = ledger.record
         content = bytearray(file.read_bytes())
         content[4096 * torn + 100] ^= 1
@@ -181,7 +244,7 @@ def test_a_broken_line_holds_the_pump(tmp_path: Path, clock: Clock) -> None:
         assert again.kept() == ""
         assert Ledger(file, clock).record.held == again.record.held
         again.hold("")
-        again.kept()
+        again.close()
         assert Ledger(file, clock).record.held == ""
         file.unlink()
 
@@ -278,7 +341,7 @@ def test_fault_and_stop_survive_the_pump(tmp_path: Path) -> None:
     rig.change = {"drive_fault": "overload"}
     rig.step(1.0)
     rig.control.hold(True)
-    rig.ledger.kept()
+    rig.ledger.close()
     again = Rig(file=file)
     decision = again.run(30, 1.0)
     assert (decision.speed, decision.state) == (None, "fault")
@@ -296,7 +359,7 @@ def test_the_days_volume_survives_the_pump(tmp_path: Path) -> None:
     rig = Rig(file=file, settings=limits)
     rig.run(45, 1.0)
     rig.run(10, 0.0)
-    rig.ledger.kept()
+    rig.ledger.close()
     again = Rig(file=file, settings=limits)
     again.run(200, 1.0)
     assert again.decisions[-1].state == "held"
@@ -315,6 +378,7 @@ def test_starts_survive_the_pump(tmp_path: Path) -> None:
         wait_for(lambda: len(written(file)["starts"]) == starts, 5, "the start")  # noqa: B023
         if number < 3:
             assert decision.state == "running"
+            rig.ledger.close()
     assert decision.state == "off"
     assert "it starts at most 3 times in an hour" in decision.why
     rig.run(3600, 1.0, until=lambda one: one.speed is not None)
@@ -322,17 +386,21 @@ def test_starts_survive_the_pump(tmp_path: Path) -> None:
 
 
 def test_a_slow_disk_stops_nothing(tmp_path: Path) -> None:
-    """A pipe that nobody reads, where the file should be: it is said after two seconds."""
+    """A pipe that nobody reads, where the file should be: it is said soon, and an alarm later."""
     os.mkfifo(tmp_path / "pump.json.new")
     rig = Rig(file=tmp_path / "pump.json")
     rig.run(30, 1.0)
     assert rig.decisions[-1].state == "running"
     began = time.monotonic()
-    assert rig.ledger.kept() == f"{tmp_path}/pump.json could not be written within 2 s"
-    assert time.monotonic() - began < 4
-    rig.ledger.problem = ""
-    rig.step(1.0)
-    assert rig.ledger.problem.endswith("could not be written within 2 s")
+    assert rig.ledger.kept() in (
+        f"{tmp_path}/pump.json is not yet on the disk; it is written on",
+        f"{tmp_path}/pump.json could not be written within 2 s",  # where the machine is busy
+    )
+    assert time.monotonic() - began < 1.5
+    wait_for(
+        lambda: rig.ledger.problem == f"{tmp_path}/pump.json could not be written within 2 s", 20,
+        "the alarm",
+    )
     (tmp_path / "pump.json.new").open().close()
 
 

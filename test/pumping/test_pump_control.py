@@ -90,7 +90,8 @@ def test_commands_above_one() -> None:
     [
         ({"problem": "no answer from 10.0.0.7:502"}, "no answer from 10.0.0.7:502"),
         ({"drive_ready": False}, "the drive is not ready"),
-        ({"speed": None}, "the speed of the drive is unknown"),
+        ({"speed": None},
+         "the speed of the drive is unknown; whether the pump stands is not known"),
     ],
 )
 def test_trouble_heals(change: dict[str, object], why: str) -> None:
@@ -199,6 +200,43 @@ def test_hold_and_release() -> None:
     assert rig.run(600, 0.5).why == "an operator stopped it"
     rig.control.hold(False)
     assert rig.step(0.5).speed is not None
+
+
+def test_a_stop_hides_no_trouble() -> None:
+    """An operator who stops a pump is told that its drive is not heard."""
+    rig = Rig()
+    rig.run(15, 0.5)
+    rig.change = {"speed": None, "problem": "no connection to the drive"}
+    rig.control.hold(True)
+    decision = rig.step(0.5)
+    assert (decision.speed, decision.state, decision.stands) == (None, "held", False)
+    assert decision.why == (
+        "an operator stopped it; no connection to the drive; whether the pump stands is not known"
+    )
+    rig.ledger.fault("burst pipe")
+    assert rig.step(0.5).why.startswith("burst pipe; an operator stopped it; no connection to")
+
+
+def test_whether_the_pump_stands() -> None:
+    """Seen to, or not heard for the 15 s of its own timeout; what says nonsense is heard."""
+    rig = Rig()
+    assert rig.step(0.0).stands
+    rig.run(30, 0.5)
+    assert not rig.decisions[-1].stands
+    rig.change = {"speed": None, "problem": "connection lost"}
+    rig.run(14, 0.5)
+    assert {(one.state, one.flow, one.stands) for one in rig.decisions[-14:]} == {
+        ("off", 0.0, False)
+    }
+    assert rig.decisions[-1].why.endswith("; whether the pump stands is not known")
+    decision = rig.run(3, 0.5)
+    assert (decision.stands, decision.why) == (True, "connection lost")
+    rig.change = {"speed": 5.0}
+    rig.run(60, 0.5)
+    assert not rig.decisions[-1].stands
+    rig.change = {}
+    decision = rig.run(20, 0.0)
+    assert (decision.state, decision.stands) == ("off", True)
 
 
 def test_a_fault_is_shown_over_a_stop() -> None:
