@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import re
-from dataclasses import dataclass
+import socket
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated
 
@@ -39,19 +40,22 @@ class Address:
         port: of Modbus TCP; None for the one that the device's file names.
         line: the serial line's device, such as ``/dev/ttyUSB0``; empty for TCP.
         gateway: host and port are those of a gateway to the device's serial port.
+        device_id: unit identifier or slave address; None for the one that the device's file names.
     """
 
     host: str = ""
     port: int | None = None
     line: str = ""
     gateway: bool = False
+    device_id: int | None = None
 
     def __str__(self) -> str:
+        device = "" if self.device_id is None else f",{self.device_id}"
         if self.line:
-            return self.line
+            return self.line + device
         scheme = "gateway" if self.gateway else "tcp"
         host = f"[{self.host}]" if ":" in self.host else self.host
-        return f"{scheme}://{host}" + (f":{self.port}" if self.port is not None else "")
+        return f"{scheme}://{host}" + (f":{self.port}" if self.port is not None else "") + device
 
     @property
     def interface(self) -> str:
@@ -61,6 +65,25 @@ class Address:
         drive has a communication timeout for each, and only that of the one in use guards.
         """
         return "serial" if self.line or self.gateway else "tcp"
+
+    def place(self, port: int) -> str:
+        """Return where it leads, by the same name for each way to write it, but for the device.
+
+        May wait for the name of a host to be looked up.
+
+        Args:
+            port: the TCP port, unless the address has one.
+
+        Raises:
+            OSError: there is no such host, or nobody who knows it answers.
+        """
+        if self.line:
+            return str(Path(self.line).resolve())
+        try:
+            found = socket.getaddrinfo(self.host, None)
+        except UnicodeError as error:  # no name that a host can have
+            raise OSError(None, str(error)) from error
+        return f"{min(str(each[4][0]) for each in found)}-{self.port or port}"
 
 
 def parse_address(text: str, key: str = "address") -> Address:
@@ -86,3 +109,26 @@ def parse_address(text: str, key: str = "address") -> Address:
         "/dev/ttyUSB0",
         key=key, value=text,
     )
+
+
+def parse_drive_address(text: str, key: str) -> Address:
+    """Return the address of a drive that a user wrote: as any, and perhaps its device id.
+
+    Args:
+        text: see `parse_address`; after a comma the unit identifier or slave address, where that is
+            not the one of the drive's file.
+        key: the option or parameter, for messages.
+
+    Raises:
+        ConfigurationError: it is none of these.
+    """
+    place, comma, device_id = text.rpartition(",")
+    if not comma:
+        return parse_address(text, key)
+    address = parse_address(place, key)
+    low, high = (0, 255) if address.interface == "tcp" else (1, 247)
+    if not re.fullmatch(r"[0-9]{1,3}", device_id) or not low <= int(device_id) <= high:
+        raise ConfigurationError(
+            f"after the comma must be the drive's device id, {low} to {high}", key=key, value=text
+        )
+    return replace(address, device_id=int(device_id))

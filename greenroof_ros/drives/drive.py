@@ -79,7 +79,6 @@ class Drive:
         self,
         file: DriveFile,
         address: Address,
-        device_id: int | None = None,
         timeout_s: float = 0.5,
     ) -> None:
         """Prepare it; nothing is opened yet.
@@ -87,17 +86,14 @@ class Drive:
         Args:
             file: what the drive is like.
             address: where it is.
-            device_id: unit identifier or slave address; None for that of the file.
             timeout_s: longest wait for a connection, and for each answer (s).
         """
         self.file = file
         self.timeout_note = ""
         self.stopped: bool | None = None
         self._timeout, self._interface = file.timeout.over(address), address.interface
-        if device_id is None:
-            device_id = (file.tcp if self._interface == "tcp" else file.serial).device_id
         self._line = ModbusLine(
-            address, port=file.tcp.port, device_id=device_id, serial=file.serial,
+            address, port=file.tcp.port, device_id=file.device_id_at(address), serial=file.serial,
             timeout_s=timeout_s,
         )
         self._full_scale: dict[str, float] = {}

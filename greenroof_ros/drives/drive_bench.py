@@ -63,7 +63,7 @@ class DriveBench:
             file, settings, time.monotonic(), lambda speed: flow_at(site, speed, self._level), say,
             interface,
         )
-        self.device_id = (file.tcp if interface == "tcp" else file.serial).device_id
+        self.device_id = file.device_id_at(replace(address, gateway=self._gateway))
         self._wire = Wire(
             deaf=lambda: not self._answers(), heard=lambda: self.drive.heard(time.monotonic())
         )

@@ -280,6 +280,16 @@ class DriveFile:
         """How options name it."""
         return self.path.stem
 
+    def device_id_at(self, address: Address) -> int:
+        """Return the drive's unit identifier or slave address at an address.
+
+        It is the address's own where that has one, else that of the interface that is reached:
+        behind a gateway it is the slave address.
+        """
+        if address.device_id is not None:
+            return address.device_id
+        return (self.tcp if address.interface == "tcp" else self.serial).device_id
+
     @property
     def unverified_and_vital(self) -> tuple[str, ...]:
         """Those unverified keys by which a pump may run when it must not."""

@@ -13,7 +13,7 @@ from typing import Any
 from greenroof_ros.drives.address import Address
 from greenroof_ros.drives.drive import Drive, DriveStatus
 from greenroof_ros.drives.drive_file import DriveFile
-from greenroof_ros.drives.lock import DriveLock
+from greenroof_ros.drives.lock import DriveLock, HeldError
 from greenroof_ros.drives.modbus_line import DriveError, check_installed
 
 # Waits between two attempts to connect (s): the first, and the longest.
@@ -21,13 +21,16 @@ FIRST_WAIT_S, LONGEST_WAIT_S = 0.25, 5.0
 # How long the speed of a drive that was told to stop may stay as it is before it is taken for one
 # that does not stop (s), and what counts as slower (share of rated speed).
 STILL_S, SLOWER = 3.0, 0.005
-# How long a drive is given to come to rest, at most (s), by its driver and by the supervisor: both,
-# one after the other, must fit into the 30 s that a service of systemd has to end.
+# How long a drive is given to come to rest, at most (s), by its driver and by the supervisor. The
+# first must fit into the 40 s that bringup gives the pump node to end, and both, one after the
+# other, into the 120 s that examples/greenroof.service has.
 LEAVE_S, STOP_S = 20.0, 8.0
 # After a drive did not come to run, how long it is left off before the next attempt (s).
 PAUSE_S = 2.0
 # The same after the last sign that somebody else writes to it: longer than a slow writer's period.
 INTRUDER_PAUSE_S = 10.0
+# How long the drive has to acknowledge its fault before the fault counts again (s).
+RESET_S = 5.0
 # How often the drive's settings on which safety rests are read again (s).
 SETTINGS_S = 30.0
 # By how much a silence is longer than the drive's own communication timeout (s).
@@ -87,7 +90,6 @@ class DriveExchange:
         period_s: float = 0.25,
         dead_man_s: float = 1.0,
         *,
-        device_id: int | None = None,
         timeout_s: float = 0.5,
         timeout_limit_s: float = 10.0,
     ) -> None:
@@ -98,7 +100,6 @@ class DriveExchange:
             address: where it is.
             period_s: between two rounds of requests (s).
             dead_man_s: the drive is stopped when `demand` was not called for so long (s).
-            device_id: unit identifier or slave address; None for that of the file.
             timeout_s: longest wait for each answer (s).
             timeout_limit_s: what the drive's own communication timeout is taken for while it is
                 unknown, or off (s).
@@ -107,16 +108,15 @@ class DriveExchange:
             ConfigurationError: there is no Modbus library.
         """
         check_installed()
-        if device_id is None:
-            device_id = file.serial.device_id if address.line else file.tcp.device_id
-        self._drive = (file, address, device_id, timeout_s)
-        self._only = DriveLock(address, file.tcp.port, device_id)
+        self._drive = (file, address, timeout_s)
+        self._only = DriveLock(file, address)
         self._period_s, self._dead_man_s, self._timeout_s = period_s, dead_man_s, timeout_s
         self._timeout_limit_s = timeout_limit_s
         self._snapshot, self._lock = Snapshot(), threading.Lock()
         # Written and read whole, so that no lock is needed.
         self._demand: tuple[float | None, float] = (None, -math.inf)
-        self._reset_wanted = False
+        # Until then a fault is to be acknowledged.
+        self._reset_until = -math.inf
         self._closing = False
         self._leave_by = math.inf
         self._paused_until = -math.inf
@@ -174,8 +174,12 @@ class DriveExchange:
             self._rouse()
 
     def reset(self) -> None:
-        """Have a fault acknowledged; the drive is stopped for it."""
-        self._reset_wanted = True
+        """Have a fault acknowledged; the drive is stopped for it.
+
+        It is for the faults that can be seen now: without a connection, or when it could not be
+        done for `RESET_S`, nothing comes of it.
+        """
+        self._reset_until = time.monotonic() + RESET_S
         self._rouse()
 
     # --- in the thread ----------------------------------------------------------------------------
@@ -322,6 +326,7 @@ class DriveExchange:
                 raise
             identity = self._snapshot.identity or "unknown"
         await self._read_settings(drive)
+        self._reset_until = -math.inf
         self._update(
             status=status, read_at=time.monotonic(), connected=True, problem="",
             identity=identity, hold=self._hold(),
@@ -395,8 +400,8 @@ class DriveExchange:
                 raise DriveError(
                     "drive", f"{intruder}; stopped until {pause_s:g} s after the last such word"
                 )
-            if self._reset_wanted:
-                self._reset_wanted = False
+            if time.monotonic() < self._reset_until:
+                self._reset_until = -math.inf
                 self._paused_until = -math.inf
                 await drive.reset()
             speed = self._wanted()
@@ -432,28 +437,45 @@ async def _stand(drive: Drive, until: float) -> DriveStatus:
 
 
 def stop_drive(
-    file: DriveFile, address: Address, *, device_id: int | None = None, timeout_s: float = 0.5
+    file: DriveFile, address: Address, *, driver: int | None = None, timeout_s: float = 0.5
 ) -> DriveStatus:
     """Stop a drive whose driver has died; blocks while its speed falls, `STOP_S` at most.
 
-    It needs no lock: it only stops, which must work while a driver that hangs still has it.
+    The lock keeps others off meanwhile, but is not needed: a driver that hangs still has it, and
+    where it cannot be had, or its holder not be known, to stop is safe.
+
+    Args:
+        file: what the drive is like.
+        address: where it is.
+        driver: the process of that driver, which may have the lock; None where there is none.
+        timeout_s: longest wait for each answer (s).
 
     Returns:
         What the drive said when it was stopped, which may be that it does not stand.
 
     Raises:
+        HeldError: another process runs it, and nothing was sent.
         DriveError: it could not be told to in three attempts; the message says why.
     """
-    return asyncio.run(_stop(file, address, device_id, timeout_s))
+    only = DriveLock(file, address)
+    try:
+        only.take()
+    except HeldError as error:
+        if error.holder not in (None, driver):
+            raise
+    except DriveError:
+        pass
+    try:
+        return asyncio.run(_stop(file, address, timeout_s))
+    finally:
+        only.release()
 
 
-async def _stop(
-    file: DriveFile, address: Address, device_id: int | None, timeout_s: float
-) -> DriveStatus:
+async def _stop(file: DriveFile, address: Address, timeout_s: float) -> DriveStatus:
     asyncio.get_running_loop().set_exception_handler(lambda _loop, _context: None)
     attempts = 3
     while True:
-        drive = Drive(file, address, device_id, timeout_s)
+        drive = Drive(file, address, timeout_s)
         try:
             await drive.connect()
             return await _stand(drive, time.monotonic() + STOP_S)

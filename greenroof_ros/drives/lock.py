@@ -6,40 +6,47 @@ import contextlib
 import fcntl
 import os
 import re
-import socket
 import stat
 from pathlib import Path
 
 from greenroof_ros.drives.address import Address
+from greenroof_ros.drives.drive_file import DriveFile
 from greenroof_ros.drives.modbus_line import DriveError
 
 _DIRECTORIES = (Path("/run/lock"), Path("/tmp"))
 _FLAGS = os.O_RDWR | os.O_NOFOLLOW | os.O_CLOEXEC
 
 
+class HeldError(DriveError):
+    """Another process has the lock.
+
+    Attributes:
+        holder: its number; None where it could not write it, on a full disk.
+    """
+
+    def __init__(self, message: str, holder: int | None) -> None:
+        super().__init__("drive", message)
+        self.holder = holder
+
+
 class DriveLock:
     """Held by one process at a time; the kernel frees it, however that process ends.
 
-    Who only stops a drive needs no lock. A driver on another computer, or in a container with a
-    file system of its own, is not kept off by it.
+    A serial line is one driver's, whatever devices are connected to it. A driver on another
+    computer, or in a container with a file system of its own, is not kept off by it.
     """
 
-    def __init__(self, address: Address, port: int, device_id: int) -> None:
-        """Take nothing yet.
-
-        Args:
-            address: of the drive.
-            port: the TCP port, unless the address has one.
-            device_id: of the drive. A serial line is one driver's, whatever is connected to it.
-        """
-        self._address, self._port, self._device_id = address, port, device_id
+    def __init__(self, file: DriveFile, address: Address) -> None:
+        """Take nothing yet."""
+        self._file, self._address = file, address
         self._open: tuple[int, Path] | None = None
 
     def take(self) -> None:
         """Take it; may wait for the name of a host to be looked up.
 
         Raises:
-            DriveError: another process has it, or its file cannot be opened.
+            HeldError: another process has it.
+            DriveError: its file cannot be opened, or the host is not known.
         """
         path = self._path()
         try:
@@ -48,12 +55,13 @@ class DriveLock:
                 try:
                     fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
                 except BlockingIOError:
-                    holder = os.read(lock, 32).decode("ascii", "replace").strip() or "unknown"
+                    text = os.read(lock, 32).decode("ascii", "replace").strip()
                     os.close(lock)
-                    raise DriveError(
-                        "drive",
-                        f"{self._address}: process {holder} of this machine runs this drive "
-                        f"already (lock {path}); end that one, and this one goes on by itself",
+                    raise HeldError(
+                        f"{self._address}: process {text or 'unknown'} of this machine runs this "
+                        f"drive already (lock {path}); end that one, and this one goes on by "
+                        "itself",
+                        int(text) if text.isdecimal() else None,
                     ) from None
                 # Who had it may have removed the file between our opening and locking it.
                 if path.exists() and path.stat().st_ino == os.fstat(lock).st_ino:
@@ -80,16 +88,20 @@ class DriveLock:
             self._open = None
 
     def _path(self) -> Path:
-        """Return the file, by the same name for each way to write the address."""
+        """Return the file, by the same name for each way to write the address.
+
+        Raises:
+            DriveError: the host is not known.
+        """
         address = self._address
-        if address.line:
-            name = str(Path(address.line).resolve())
-        else:
-            try:
-                host = socket.gethostbyname(address.host)
-            except OSError:
-                host = address.host.lower()
-            name = f"{host}-{address.port or self._port}-{self._device_id}"
+        try:
+            name = address.place(self._file.tcp.port)
+        except OSError as error:
+            raise DriveError(
+                "connection", f"{address}: cannot connect: the host is not found ({error.strerror})"
+            ) from error
+        if not address.line:
+            name += f"-{self._file.device_id_at(address)}"
         # Where not everybody may write, two users would each take another directory.
         shared = [each for each in _DIRECTORIES
                   if each.is_dir() and each.stat().st_mode & stat.S_IWOTH]

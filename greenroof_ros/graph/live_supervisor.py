@@ -90,7 +90,7 @@ class LiveSupervisor(NodeProcesses):
         *,
         silence_s: float,
         restarts: int,
-        stop_drive: Callable[[], tuple[bool, str]] | None,
+        stop_drive: Callable[[int], tuple[bool, str]] | None,
         on_incident: Callable[[Incident], None],
     ) -> None:
         """Start nothing yet.
@@ -101,8 +101,9 @@ class LiveSupervisor(NodeProcesses):
             namespace: of all nodes, such as ``/site1``; empty for none.
             silence_s: how long a node may say nothing before it is killed (s).
             restarts: of one node within ten minutes; one more, and the site is stopped.
-            stop_drive: stops the drive without the pump node, and returns whether it stands and
-                what came of it, in words; None where the pump is somebody else's.
+            stop_drive: stops the drive without the pump node, whose process it is told, and returns
+                whether it stands and what came of it, in words; None where the pump is somebody
+                else's.
             on_incident: called with each.
         """
         super().__init__(logs, parameters, namespace)
@@ -143,13 +144,13 @@ class LiveSupervisor(NodeProcesses):
         self.end(names & {RECORDER})
         self._permit.close()
 
-    def _see_drive_off(self, stop_drive: Callable[[], tuple[bool, str]]) -> None:
+    def _see_drive_off(self, stop_drive: Callable[[int], tuple[bool, str]]) -> None:
         """Stop the drive at the end, and note it where the pump node did not end well, or fails."""
         if self._stopping is not None:
             self._stopping.result()  # two at once would be in each other's way
-        stands, said = stop_drive()
-        self.may_run = "" if stands else said
         pump = self.nodes[PUMP]
+        stands, said = stop_drive(pump.process.pid)
+        self.may_run = "" if stands else said
         if pump.process.returncode != EXIT_DONE:
             self._note(PUMP, f"did not end well ({pump.how_it_ended()})", said)
         elif not stands:
@@ -270,7 +271,7 @@ class LiveSupervisor(NodeProcesses):
         unrecorded = "; nothing is recorded until then" if name == RECORDER else ""
         self._note(name, what, f"starts again in {wait:g} s{unrecorded}")
         if name == PUMP and self._stop_drive is not None:
-            self._stopping = self._stopper.submit(self._stop_drive)
+            self._stopping = self._stopper.submit(self._stop_drive, self.nodes[name].process.pid)
 
     def _note(self, node: str, what: str, done: str) -> None:
         time_utc = datetime.now(timezone.utc).isoformat(timespec="milliseconds")

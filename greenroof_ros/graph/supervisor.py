@@ -36,7 +36,7 @@ class Supervisor(NodeProcesses):
 
     def __init__(
         self, logs: Path, parameters: Sequence[Path], namespace: str,
-        stop_drive: Callable[[], tuple[bool, str]] | None,
+        stop_drive: Callable[[int], tuple[bool, str]] | None,
     ) -> None:
         """Make the directory for what the nodes print, one file each.
 
@@ -44,8 +44,8 @@ class Supervisor(NodeProcesses):
             logs: that directory.
             parameters: ROS 2 parameter files of all nodes; what a later one says counts.
             namespace: of all nodes, such as ``/site1``; empty for none.
-            stop_drive: stops the drive without the pump node, and returns whether it stands and
-                what came of it, in words; None where there is none.
+            stop_drive: stops the drive without the pump node, whose process it is told, and returns
+                whether it stands and what came of it, in words; None where there is none.
         """
         super().__init__(logs, parameters, namespace)
         self.permit = Permit()
@@ -119,7 +119,7 @@ class Supervisor(NodeProcesses):
         """Stop the drive, and print what came of it where that is wanted, or the pump may run."""
         if self._stop_drive is None:
             return
-        stands, what = self._stop_drive()
+        stands, what = self._stop_drive(self.nodes[PUMP].process.pid)
         self.may_run = "" if stands else what
         if said or not stands:
             print(what, file=sys.stderr)

@@ -10,14 +10,23 @@ from pathlib import Path
 from typing import Any
 
 from greenroof_ros.common.errors import ConfigurationError
-from greenroof_ros.drives.address import parse_address
-from greenroof_ros.drives.drive_file import find_drive_file, read_drive_file
+from greenroof_ros.common.files import YamlMapping, read_yaml
+from greenroof_ros.drives.address import Address, parse_drive_address
+from greenroof_ros.drives.drive_file import DriveFile, find_drive_file, read_drive_file
+from greenroof_ros.graph.states import PUMP
 from greenroof_ros.pumping.ledger import state_directory
 
 _MAY_RUN = (
     "THE PUMP MAY BE RUNNING: only the drive's own communication timeout stops it now, if that is "
     "on; look at the pump, and stop it at the drive's panel or its switch"
 )
+# Parameters of the pump node that bringup alone decides, and its options for them.
+_OF_BRINGUP = {
+    "drive": "--drive",
+    "address": "--drive-at",
+    "device_id": "--drive-at, after a comma (such as gateway://HOST:PORT,17),",
+    "state_file": "--state",
+}
 
 
 @dataclass(frozen=True)
@@ -26,22 +35,36 @@ class DriveChoice:
 
     Attributes:
         file: says what it is like.
-        at: its address.
+        at: its address, as the user wrote it.
     """
 
     file: Path
     at: str
 
-    def state_file(self) -> Path:
-        """Return where a stop or a fault of this drive is kept unless ``--state`` says otherwise.
-
-        It is the drive's, not a run's, so that a fault outlives the run that found it.
+    def read(self) -> tuple[DriveFile, Address]:
+        """Return what the drive is like, and its address.
 
         Raises:
             ConfigurationError: the file or the address is wrong.
         """
-        address, port = parse_address(self.at, "--drive-at"), read_drive_file(self.file).tcp.port
-        where = address.line or f"{address.host}-{address.port or port}"
+        return read_drive_file(self.file), parse_drive_address(self.at, "--drive-at")
+
+    def state_file(self) -> Path:
+        """Return where a stop or a fault of this drive is kept unless ``--state`` says otherwise.
+
+        It is the drive's, not a run's, so that a fault outlives the run that found it; and the same
+        for each way to write the address.
+
+        Raises:
+            ConfigurationError: the file or the address is wrong, or the host is not known.
+        """
+        file, address = self.read()
+        try:
+            where = f"{address.place(file.tcp.port).strip('/')}-{file.device_id_at(address)}"
+        except OSError as error:
+            raise ConfigurationError(
+                f"the host is not found ({error.strerror})", key="--drive-at", value=self.at
+            ) from error
         name = re.sub(r"[^A-Za-z0-9._]+", "-", f"{self.file.stem}-{where}")
         return state_directory() / f"{name}.json"
 
@@ -68,25 +91,29 @@ class DriveChoice:
             "autostart": True,
         }
 
-    def stopper(self) -> Callable[[], tuple[bool, str]]:
-        """Return what stops the drive without the pump node.
+    def stopper(self) -> Callable[[int], tuple[bool, str]]:
+        """Return what stops the drive without the pump node, of which it is told the process.
 
-        It returns whether the drive says that the pump stands, and what came of it, in words.
+        It returns whether the drive says that the pump stands, and what came of it, in words. A
+        drive that another program runs is left to that, and no business of this one's.
 
         Raises:
             ConfigurationError: the file or the address is wrong, or pymodbus is not installed.
         """
         try:
             from greenroof_ros.drives.exchange import stop_drive
+            from greenroof_ros.drives.lock import HeldError
         except ModuleNotFoundError as error:
             raise ConfigurationError(
                 f"a drive needs pymodbus: pip install 'greenroof_ros[pump]' ({error})"
             ) from error
-        file, address = read_drive_file(self.file), parse_address(self.at)
+        file, address = self.read()
 
-        def stop() -> tuple[bool, str]:
+        def stop(pump_node: int) -> tuple[bool, str]:
             try:
-                status = stop_drive(file, address)
+                status = stop_drive(file, address, driver=pump_node)
+            except HeldError as error:
+                return True, f"another program (process {error.holder}) runs the drive: left to it"
             except Exception as error:  # whatever it is, somebody must look at the pump
                 return False, f"bringup could not stop the drive: {error}; {_MAY_RUN}"
             said = f"bringup told the drive to stop, which said then: {status}"
@@ -110,7 +137,8 @@ def add_drive_arguments(parser: argparse.ArgumentParser) -> None:
         "--drive-at", metavar="ADDRESS",
         help="where it is: tcp://HOST:PORT where it has an Ethernet port of its own, "
         "gateway://HOST:PORT of a gateway to its serial port, or a serial line such as "
-        "/dev/ttyUSB0",
+        "/dev/ttyUSB0; after a comma its device id, where that is not its file's, such as "
+        "gateway://HOST:PORT,17",
     )
     group.add_argument(
         "--state", type=Path, metavar="DIR",
@@ -121,7 +149,8 @@ def add_drive_arguments(parser: argparse.ArgumentParser) -> None:
     group.add_argument(
         "--node-parameters", type=Path, metavar="FILE",
         help="ROS 2 parameter file for what bringup does not decide, such as the pump node's "
-        "limits; each node's --help says what it has",
+        "limits; each node's --help says what it has. Which drive there is and where, and where "
+        "its state is kept, --drive, --drive-at and --state alone say",
     )
 
 
@@ -155,11 +184,40 @@ def own_parameters(arguments: argparse.Namespace) -> Path | None:
     """Return the parameter file of a user's own, if there is one.
 
     Raises:
-        ConfigurationError: it is not there.
+        ConfigurationError: it is not there, or says something else of the drive than bringup, which
+            would then stop another drive than the pump node runs.
     """
     file: Path | None = arguments.node_parameters
-    if file is not None and not file.is_file():
+    if file is None:
+        return None
+    if not file.is_file():
         raise ConfigurationError(
             "must be a file that is there", key="--node-parameters", value=str(file)
         )
+    _refuse_drive(file, read_yaml(file), "")
     return file
+
+
+def _refuse_drive(file: Path, content: YamlMapping, node: str) -> None:
+    """Refuse what only bringup says of the drive, in a parameter file or a part of it.
+
+    Args:
+        file: for the message.
+        content: of the file, or of what it says of a node or a namespace.
+        node: that name, with ``/`` between its parts; the last may be a wildcard.
+
+    Raises:
+        ConfigurationError: it is there.
+    """
+    for name, part in content.items():
+        if not isinstance(part, YamlMapping):
+            continue
+        if name != "ros__parameters":
+            _refuse_drive(file, part, f"{node}/{name}" if node else name)
+        elif node.rpartition("/")[2] in (PUMP, "*", "**"):
+            for key in _OF_BRINGUP.keys() & part.keys():
+                raise ConfigurationError(
+                    f"must not be given to the node {PUMP} here: under bringup "
+                    f"{_OF_BRINGUP[key]} says it",
+                    file=file, line=part.lines[key], key=f"{node}: {key}", value=part[key],
+                )

@@ -20,10 +20,10 @@ from std_srvs.srv import SetBool, Trigger
 
 from greenroof_ros.common.command_line import EXIT_DONE, command
 from greenroof_ros.common.errors import ConfigurationError
-from greenroof_ros.drives.address import parse_address
+from greenroof_ros.drives.address import parse_drive_address
 from greenroof_ros.drives.drive import DriveStatus
 from greenroof_ros.drives.drive_file import find_drive_file, read_drive_file
-from greenroof_ros.drives.exchange import DriveExchange, Snapshot
+from greenroof_ros.drives.exchange import RESET_S, DriveExchange, Snapshot
 from greenroof_ros.graph.lifecycle import (
     ACTIVATE,
     ACTIVE,
@@ -82,8 +82,6 @@ _DRIVE_AGE_S = 10.0
 _RAMP_S = 5.0
 # A pause of this process itself (s), after which what waited for it is no command of now.
 _PAUSE_S = 1.0
-# How long the drive has to acknowledge its fault before that counts again (s).
-_RESET_S = 5.0
 # How often a node that is to start by itself tries to, and how often the drive is looked at (s).
 _AGAIN_S, _LOOK_S = 0.5, 0.2
 
@@ -91,10 +89,8 @@ _OWN = (
     NodeParameter("drive", "", "make of drive, a file of config/drives, or a file's path"),
     NodeParameter(
         "address", "", "of the drive: tcp://HOST:PORT where it has an Ethernet port of its own, "
-        "gateway://HOST:PORT of a gateway to its serial port, or /dev/tty... of a serial line",
-    ),
-    NodeParameter(
-        "device_id", 0, "unit identifier or slave address of the drive; 0 for its file's", 0, 247
+        "gateway://HOST:PORT of a gateway to its serial port, or /dev/tty... of a serial line; "
+        "after a comma its device id, where that is not its file's, such as gateway://HOST:PORT,17",
     ),
     NodeParameter(
         "exchange_period", 0.1, "time between two rounds of requests to the drive (s)", 0.02, 1.0
@@ -143,8 +139,7 @@ class _Drive:
                 "or the path of a file of one's own", key=key.format("drive"),
             )
         self.file = read_drive_file(find_drive_file(values["drive"]))
-        self._address = parse_address(values["address"], key.format("address"))
-        self._device_id = values["device_id"] or None
+        self._address = parse_drive_address(values["address"], key.format("address"))
         self._period = values["exchange_period"]
         self._limit = values["drive_timeout_limit"]
         self.without_timeout = values["activate_without_drive_timeout"]
@@ -163,7 +158,7 @@ class _Drive:
             self._exchange = self._leaving = None
         if self._exchange is None:
             self._exchange = DriveExchange(
-                self.file, self._address, self._period, _DEAD_MAN_S, device_id=self._device_id,
+                self.file, self._address, self._period, _DEAD_MAN_S,
                 timeout_limit_s=self._limit,
             )
             self._exchange.start()
@@ -463,7 +458,7 @@ class PumpNode(Lifecycle, LinkedNode):
         self._take_state()
         cleared = self._control.reset()
         self._drive.reset()
-        self._resetting_until = time.monotonic() + _RESET_S
+        self._resetting_until = time.monotonic() + RESET_S
         response.message = f"cleared: {cleared}" if cleared else "there was no fault"
         problem = self._ledger.kept()
         response.success = not problem

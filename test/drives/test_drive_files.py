@@ -11,7 +11,7 @@ import pytest
 
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.files import shared_directory
-from greenroof_ros.drives.address import Address, parse_address
+from greenroof_ros.drives.address import Address, parse_address, parse_drive_address
 from greenroof_ros.drives.drive import decode
 from greenroof_ros.drives.drive_file import Register, find_drive_file, read_drive_file
 
@@ -219,6 +219,48 @@ def test_a_file_of_ones_own(tmp_path: Path) -> None:
 def test_addresses(text: str, address: Address) -> None:
     assert parse_address(text) == address
     assert str(address) == text
+
+
+@pytest.mark.parametrize(
+    ("text", "address"),
+    [
+        ("tcp://10.0.0.7,0", Address(host="10.0.0.7", device_id=0)),
+        ("tcp://[::1]:502", Address(host="::1", port=502)),
+        ("gateway://10.0.0.7:4001,17", Address("10.0.0.7", 4001, gateway=True, device_id=17)),
+        ("/dev/ttyUSB0,247", Address(line="/dev/ttyUSB0", device_id=247)),
+    ],
+)
+def test_addresses_with_a_device_id(text: str, address: Address) -> None:
+    assert parse_drive_address(text, "at") == address
+    assert str(address) == text
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("tcp://10.0.0.7,256", "must be the drive's device id, 0 to 255"),
+        ("tcp://10.0.0.7,", "must be the drive's device id, 0 to 255"),
+        ("gateway://10.0.0.7,0", "must be the drive's device id, 1 to 247"),
+        ("/dev/ttyUSB0,248", "must be the drive's device id, 1 to 247"),
+        ("/dev/ttyUSB0,x", "must be the drive's device id, 1 to 247"),
+        ("somewhere,17", "must be tcp://HOST"),
+    ],
+)
+def test_no_device_ids(text: str, message: str) -> None:
+    with pytest.raises(ConfigurationError, match=message):
+        parse_drive_address(text, "at")
+
+
+def test_one_place_has_one_name(tmp_path: Path) -> None:
+    (tmp_path / "by-id").symlink_to(tmp_path / "ttyUSB0")
+    for one, other in (
+        ("tcp://localhost", "gateway://127.0.0.1:502"), ("tcp://[0::1]:502", "tcp://[::1]"),
+        (f"{tmp_path}/by-id", f"{tmp_path}/ttyUSB0"),
+    ):
+        assert parse_address(one).place(502) == parse_address(other).place(502)
+    for host in ("no-such-host.invalid", "a..b"):
+        with pytest.raises(OSError, match=r"\w"):
+            Address(host).place(502)
 
 
 @pytest.mark.parametrize(

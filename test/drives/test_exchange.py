@@ -18,11 +18,11 @@ from modbus_wire import Registers, SerialWire, Wire, acs880, over_serial
 from places import CHECKOUT
 from simulators import free_ports
 
-from greenroof_ros.drives.address import Address, parse_address
+from greenroof_ros.drives.address import parse_address, parse_drive_address
 from greenroof_ros.drives.drive import Drive
 from greenroof_ros.drives.drive_file import DriveFile, Timeouts, find_drive_file, read_drive_file
 from greenroof_ros.drives.exchange import DriveExchange, stop_drive
-from greenroof_ros.drives.lock import DriveLock
+from greenroof_ros.drives.lock import DriveLock, HeldError
 from greenroof_ros.drives.modbus_line import DriveError
 
 PERIOD, DEAD_MAN, TIMEOUT = 0.05, 0.3, 0.2
@@ -379,6 +379,55 @@ def test_fault_and_reset(exchange: DriveExchange, drive: Registers, hand: Hand) 
     assert exchange.snapshot.problem == ""
 
 
+def test_a_reset_without_a_connection_acknowledges_nothing(
+    exchange: DriveExchange, drive: Registers, wire: Wire
+) -> None:
+    """Nobody has seen that fault: neither before the first connection, nor between two."""
+    drive.values.update({3: 0x1238, 400: 0x1234})
+    exchange.reset()
+    exchange.start()
+    for _ in range(2):
+        wait(lambda: exchange.snapshot.connected)
+        drive.written.clear()
+        wait(lambda: len(drive.written) > 20)  # ten rounds, which stop it
+        assert (0, 0x04FE) not in drive.written
+        assert exchange.snapshot.status is not None and exchange.snapshot.status.fault
+        wire.answer = lambda _request: None
+        wire.drop()
+        wait(lambda: not exchange.snapshot.connected)
+        exchange.reset()
+        wire.answer = drive
+    wait(lambda: exchange.snapshot.connected)
+    exchange.reset()
+    wait(lambda: exchange.snapshot.status and not exchange.snapshot.status.fault)
+    assert (0, 0x04FE) in drive.written
+
+
+def test_a_reset_that_could_not_be_done_in_time_is_forgotten(
+    exchange: DriveExchange, drive: Registers, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """While somebody else's control word stands the drive is stopped, and nothing else."""
+    monkeypatch.setattr("greenroof_ros.drives.exchange.RESET_S", 0.3)
+    drive.values.update({3: 0x1238, 400: 0x1234})
+    exchange.start()
+    wait(lambda: exchange.snapshot.connected and len(drive.written) > 5)
+
+    def overwrite(address: int, _word: int) -> None:
+        if address == 0:
+            drive.values[0] = 0x0001
+
+    drive.on_write = overwrite
+    wait(lambda: "somebody else writes to the drive" in exchange.snapshot.problem)
+    exchange.reset()
+    time.sleep(0.6)
+    drive.on_write = lambda _address, _word: None
+    drive.values[0] = 0x047E
+    drive.written.clear()
+    wait(lambda: len(drive.written) > 20)
+    assert (0, 0x04FE) not in drive.written
+    assert exchange.snapshot.status is not None and exchange.snapshot.status.fault
+
+
 def test_a_drive_that_does_not_start_is_left_off_for_a_while(
     exchange: DriveExchange, drive: Registers, hand: Hand
 ) -> None:
@@ -580,8 +629,12 @@ def test_a_second_driver_on_the_same_machine_keeps_off(
         time.sleep(1.5)
         assert wire.connections == 1 and RUN not in drive.written
         assert not exchange.snapshot.connected and exchange.snapshot.errors == 1
-        # The supervisor's stop needs no lock.
-        assert str(stop_drive(file, parse_address(wire.at))) == "speed 0.0%, off"
+        # The supervisor's stop goes by, where that one is its own.
+        with pytest.raises(HeldError, match=f"process {first.pid} of this machine"):
+            stop_drive(file, parse_address(wire.at), driver=os.getpid())
+        assert wire.connections == 1
+        stopped = stop_drive(file, parse_address(wire.at), driver=first.pid)
+        assert str(stopped) == "speed 0.0%, off"
         first.kill()
         wait(lambda: drive.values[4] == 10000, within=5)
     finally:
@@ -620,17 +673,17 @@ def test_a_serial_line_is_one_drivers_by_whatever_name(
 
 
 @pytest.mark.skipif(os.geteuid() != 0, reason="only root can be another user")
-def test_a_lock_holds_between_users() -> None:
+def test_a_lock_holds_between_users(file: DriveFile) -> None:
     """Nobody's process has it, so that its file is nobody's; then root takes it over."""
     port = free_ports(1)[0]
-    lock = DriveLock(Address("127.0.0.1"), port, 1)
+    lock = DriveLock(file, parse_address(f"tcp://localhost:{port}"))
     ours, theirs = os.pipe()
     ready, said = os.pipe()
     child = os.fork()
     if child == 0:
         try:
             os.setuid(65534)
-            DriveLock(Address("127.0.0.1", port), 502, 1).take()
+            DriveLock(file, parse_address(f"gateway://127.0.0.1:{port}")).take()
             os.write(said, b"x")
             os.read(ours, 1)
         finally:
@@ -727,3 +780,46 @@ def test_stop_drive_of_nobody(file: DriveFile, wire: Wire) -> None:
         stop_drive(file, parse_address(wire.at), timeout_s=TIMEOUT)
     assert time.monotonic() - began < 2.0
     assert wire.connections == 3
+
+
+def units(wire: Wire) -> set[int]:
+    """Return which devices were asked: byte 6 of a Modbus TCP frame."""
+    return {request[6] for request in wire.seen}
+
+
+@pytest.mark.parametrize(
+    ("scheme", "device", "asked"),
+    [("gateway", "", 17), ("tcp", "", 3), ("gateway", ",200", 200), ("tcp", ",0", 0)],
+)
+def test_driver_and_stop_ask_the_same_device(
+    file: DriveFile, drive: Registers, wire: Wire, scheme: str, device: str, asked: int
+) -> None:
+    """Behind a gateway the slave address, of the file or of the address."""
+    two = replace(
+        file, serial=replace(file.serial, device_id=17), tcp=replace(file.tcp, device_id=3)
+    )
+    at = parse_drive_address(f"{scheme}://127.0.0.1:{wire.port}{device}", "at")
+    exchange = DriveExchange(two, at, PERIOD, DEAD_MAN, timeout_s=TIMEOUT)
+    try:
+        exchange.start()
+        wait(lambda: exchange.snapshot.connected)
+        assert units(wire) == {asked}
+    finally:
+        exchange.close()
+    wire.seen.clear()
+    assert stop_drive(two, at).stands
+    assert units(wire) == {asked}
+
+
+def test_stop_drive_keeps_drivers_off_meanwhile(
+    exchange: DriveExchange, file: DriveFile, drive: Registers, wire: Wire
+) -> None:
+    drive.values.update({0: 0x047F, 1: 20000, 3: 0x1337, 4: 20000})
+    drive.on_write = lambda _address, _word: None  # it runs on, which is seen after 3 s
+    stop = threading.Thread(target=stop_drive, args=(file, parse_address(wire.gateway)))
+    stop.start()
+    wait(lambda: wire.seen)
+    exchange.start()
+    wait(lambda: "runs this drive already" in exchange.snapshot.problem)
+    stop.join()
+    wait(lambda: exchange.snapshot.connected)

@@ -17,7 +17,7 @@ from typing import Any
 import pytest
 from modbus_wire import Answer, SerialWire, Wire, crc, frame, script
 
-from greenroof_ros.drives.address import parse_address
+from greenroof_ros.drives.address import parse_drive_address
 from greenroof_ros.drives.drive import Drive
 from greenroof_ros.drives.drive_file import find_drive_file, read_drive_file
 from greenroof_ros.drives.modbus_line import DriveError
@@ -30,7 +30,7 @@ def talk(name: str, wire: str, task: Task, **options: Any) -> Any:
 
     async def go() -> Any:
         drive = Drive(
-            read_drive_file(find_drive_file(name)), parse_address(wire),
+            read_drive_file(find_drive_file(name)), parse_drive_address(wire, "at"),
             **{"timeout_s": 0.3, **options},
         )
         await drive.connect()
@@ -828,7 +828,7 @@ def test_another_device_id() -> None:
 """)
     wire = Wire(answer)
     try:
-        talk("abb_acs880", wire.at, lambda drive: drive.stop(), device_id=17)
+        talk("abb_acs880", f"{wire.at},17", lambda drive: drive.stop())
     finally:
         wire.close()
     assert wire.seen == requests

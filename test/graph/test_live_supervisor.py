@@ -74,7 +74,7 @@ def site(
     incidents: list[Incident] = []
     stops: list[float] = []
 
-    def stop_drive() -> tuple[bool, str]:
+    def stop_drive(_pump_node: int) -> tuple[bool, str]:
         stops.append(time.monotonic())
         return True, "the drive stands"
 

@@ -8,7 +8,13 @@ from pathlib import Path
 
 import pytest
 from commands import run_command
-from graphs import environment
+from graphs import environment, wait_for
+from modbus_wire import Wire, acs880
+
+from greenroof_ros.common.errors import ConfigurationError
+from greenroof_ros.drives.drive_file import find_drive_file
+from greenroof_ros.drives.exchange import DriveExchange
+from greenroof_ros.live.drive import DriveChoice
 
 LIVE = ("--plant", "external")
 NOBODY = ("--sensors", "external", "--pump", "external", "--weather", "external")
@@ -127,6 +133,80 @@ def test_what_is_wrong_is_said(tmp_path: Path, case: str) -> None:
     assert message in done.stderr
     assert "Traceback" not in done.stderr
     assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize(
+    ("section", "line", "value"),
+    [
+        ("/**/pump", "drive", "danfoss_fc202"), ("/**", "address", "tcp://127.0.0.1:2"),
+        ("pump", "device_id", 17), ("/site1/pump", "state_file", "mine.json"),
+    ],
+)
+@pytest.mark.parametrize("live", [(), (*LIVE, *NOBODY[:2], *NOBODY[4:])], ids=["loop", "live"])
+def test_what_bringup_alone_says_of_the_drive(
+    tmp_path: Path, section: str, line: str, value: object, live: tuple[str, ...]
+) -> None:
+    """Else the node would run one drive, and bringup stop another."""
+    file = tmp_path / "nodes.yaml"
+    file.write_text(
+        "weather_station:\n  ros__parameters:\n    address: its own\n"
+        f"{section}:\n  ros__parameters:\n    least_off: 1.0\n    {line}: {value}\n"
+    )
+    done = bringup(
+        tmp_path, *live, "--drive", "abb_acs880", "--drive-at", "gateway://127.0.0.1:1",
+        "--node-parameters", str(file),
+    )
+    assert done.returncode == 2
+    assert done.stderr.startswith(
+        f"error: {file}, line 7: {section}: {line} = {value!r}: must not be given to the node pump"
+    )
+    assert [each.name for each in tmp_path.iterdir()] == ["nodes.yaml"]
+
+
+def test_a_state_file_is_a_drives_however_its_address_is_written(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path))
+    (tmp_path / "by-id").symlink_to("/dev/ttyUSB0")
+    file = find_drive_file("abb_acs880")
+
+    def name(at: str) -> str:
+        return DriveChoice(file, at).state_file().name
+
+    local = "abb_acs880-127.0.0.1-502-1.json"
+    assert name("gateway://localhost") == name("gateway://127.0.0.1:502,1") == local
+    assert name("gateway://127.0.0.1:502,2") == "abb_acs880-127.0.0.1-502-2.json"
+    assert name(f"{tmp_path}/by-id") == name("/dev/ttyUSB0,1") == "abb_acs880-dev-ttyUSB0-1.json"
+    with pytest.raises(ConfigurationError, match=r"--drive-at = .*: the host is not found"):
+        name("tcp://no-such-host.invalid")
+
+
+def test_a_drive_of_another_program_is_left_to_it(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As at the end of a second bringup that was started at the same drive by mistake."""
+    drive = acs880()
+    wire = Wire(drive)
+    choice = DriveChoice(find_drive_file("abb_acs880"), wire.gateway)
+    exchange = DriveExchange(*choice.read())
+    ours = subprocess.Popen(["sleep", "60"])
+    try:
+        exchange.start()
+        wait_for(lambda: exchange.snapshot.connected, 20, "the drive")
+        stop = choice.stopper()
+        assert stop(ours.pid) == (
+            True, f"another program (process {os.getpid()}) runs the drive: left to it"
+        )
+        assert wire.connections == 1
+        assert stop(os.getpid())[1].startswith("bringup told the drive to stop")
+        assert wire.connections == 2
+        exchange.close()
+        assert stop(ours.pid)[1].startswith("bringup told the drive to stop")
+    finally:
+        exchange.close()
+        wire.close()
+        ours.kill()
+        ours.wait()
 
 
 def test_a_directory_in_use(tmp_path: Path) -> None:

@@ -601,7 +601,6 @@ def test_wrong_parameters_end_it_in_one_line(domain: int, tmp_path: Path, rig: P
     """Exit code 2: who supervises it need not start it again."""
     wrong = {
         "drive": (None, "parameter drive of pump: must be given"),
-        "device_id": (300, "parameter device_id of pump"),
         "address": ("127.0.0.1:502", "parameter address of pump = '127.0.0.1:502': must be tcp://"),
         "least_on": ("soon", "parameter least_on of pump"),
         "site_file": ("no_such.yaml", "no_such.yaml"),
