@@ -124,14 +124,13 @@ class ModbusLine:
         """
         try:
             opened = await self._client.connect()
+            if opened and (plug := self._socket()) is not None:
+                for level, option, value in _KEEP_ALIVE:
+                    plug.setsockopt(level, option, value)  # fails where it was closed meanwhile
         except self._errors as error:
             raise DriveError("connection", f"{self.where}: cannot connect: {error}") from error
         if not opened:
             raise DriveError("connection", f"{self.where}: cannot connect")
-        plug = self._socket()
-        if plug is not None:
-            for level, option, value in _KEEP_ALIVE:
-                plug.setsockopt(level, option, value)
 
     def close(self) -> None:
         """Close the connection.

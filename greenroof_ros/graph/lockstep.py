@@ -112,6 +112,7 @@ class Lockstep:
         self._all = 0
         self._tick = 0  # on which it acts next
         self._again: dict[str, int] = {}  # how many messages that it has had come again
+        self._without_report: set[str] = set()  # inputs that came from who had said nothing yet
         self.joining = node.role != PLANT  # the others wait for the plant
         self._arrivals: dict[str, Arrivals] = {}
         self._receivers: dict[str, Callable[[bytes], None]] = {}
@@ -276,7 +277,10 @@ class Lockstep:
         told = handshake.taken[handshake.nodes[role]]
         # What is said again first: the recorder writes a tick as soon as it is whole.
         for name in sorted(told, key=self._node.taken, reverse=True):
-            if not self.joining or first > told[name]:
+            # Of a first process all is its own, though its report came later than its messages.
+            own = first == 0 and name in self._without_report
+            self._without_report.discard(name)
+            if not own and (not self.joining or first > told[name]):
                 self._node.take_again(name, first)
                 self._arrivals[name].next = max(first, self._arrivals[name].next or 0)
             self._arrivals[name].first = first
@@ -311,6 +315,7 @@ class Lockstep:
         for name, arrivals in self._arrivals.items():
             if arrivals.first is None and self._handshake.is_foreign(self._publisher_of(name)):
                 arrivals.first = 0
+                self._without_report.add(name)
             arrivals.sort()
             if name not in self._bits:
                 while arrivals.due:

@@ -5,6 +5,7 @@ doc/explanation/pump-safety.md and doc/explanation/live.md state the same figure
 
 from __future__ import annotations
 
+from greenroof_ros.drives.exchange import FIRST_WAIT_S
 from greenroof_ros.graph import live_supervisor, permit
 from greenroof_ros.graph.live import LIMITS
 from greenroof_ros.model.pump_speed import flow_at
@@ -68,6 +69,9 @@ def bounds(site: Site) -> dict[str, float]:
         # The delivery check: the volume that may be missing, and the averaging that comes on top.
         # A gauge only counts less; that it is silent must be said.
         "gauge": _limit("/gauge/precipitation") + step,
+        # The same, where each request is answered by an exception and counts as life: two
+        # connections are tried first, after the first wait and twice that.
+        "refused": DRIVE_TIMEOUT_S + exchange + 3 * FIRST_WAIT_S + end,
         # Two connections are tried on which nothing can be written.
         "refusing": DRIVE_TIMEOUT_S + 5.0 + end,
         "intermittent drive": 2.0 + DRIVE_TIMEOUT_S + end,

@@ -122,7 +122,7 @@ _DRIVE: dict[str, Expected] = {
     "wrong_function": Expected(bound="drive", alarm=_LOST),
     "wrong_length": Expected(bound="drive", alarm=_LOST),
     "absurd_value": Expected(bound="follow", alarm=r"the speed|the drive: ", recovery="either"),
-    "exception": Expected(bound="drive", alarm=_LOST),
+    "exception": Expected(bound="refused", alarm=_LOST),
     "drive_fault": Expected(bound="drive", alarm=r"the drive reports", recovery="latches"),
     "power_cycle": Expected(bound="drive", alarm=_LOST, recovery="either"),
     "timeout_off": Expected(bound="drive", alarm=r"communication timeout"),

@@ -7,7 +7,7 @@ import subprocess
 import time
 from dataclasses import dataclass
 
-from bounds import bounds
+from bounds import RAMP_S, bounds
 from cases import Case
 from graphs import alive
 from inject import begin
@@ -97,7 +97,7 @@ def _fault(rig: Rig, case: Case, rng: random.Random, outcome: Outcome) -> None:
         undo()
     _recover(rig, case, outcome)
     if recorded and case.target == "recorder" and case.fault in ("kill", "term", "stop long"):
-        outcome.lost = max(0.0, clock - last_message(recorded))
+        outcome.lost = max(0.0, clock - (last_message(recorded) or recorded.stat().st_mtime))
         if outcome.lost > BOUND_S:
             outcome.fail(f"{outcome.lost:.1f} s before the fault are not in the bag")
 
@@ -169,7 +169,7 @@ def _recover(rig: Rig, case: Case, outcome: Outcome) -> None:
                 outcome.fail("the fault did not latch: the pump ran again by itself")
             return
         if rig.watcher.state == "fault" and expected != "heals":
-            time.sleep(1.0)
+            time.sleep(RAMP_S + 1.0)  # it may have latched while the pump turned
             break
         time.sleep(0.05)
     if expected == "heals":
