@@ -140,20 +140,20 @@ class LivePublishers:
 
     def names(self) -> list[str]:
         """Return the names of the publishers' nodes, as far as they are known."""
-        found = self._node.get_publishers_info_by_topic(self._topic.graph_name)
-        return sorted({info.node_name for info in found})
+        return sorted({info.node_name for info in self._known()})
 
     def problem(self, now: float) -> str:
         """Say that there are two, if there are.
 
         One that was killed is known for 20 s more where the topic has no lease. It does not count
         if its node was started again since, and alone reports: another process of that name, beside
-        a node that lived all the time, is a second one.
+        a node that lived all the time, is a second one. A count of two where one is known is the
+        middleware's mistake, after a lease that ran out on a busy machine.
 
         Args:
             now: of the steady clock (s).
         """
-        if self.count < 2:
+        if self.count < 2 or len(self._known()) < 2:
             return ""
         names = [
             "a node that does not say its name" if name == UNKNOWN_NAME else name
@@ -165,6 +165,9 @@ class LivePublishers:
             f"has {self.count} publishers ({', '.join(names)}), and must have one: end the other, "
             "or take another ROS_DOMAIN_ID or namespace"
         )
+
+    def _known(self) -> list[Any]:
+        return list(self._node.get_publishers_info_by_topic(self._topic.graph_name))
 
     def _on_liveliness(self, event: Any) -> None:
         self.count = event.alive_count

@@ -264,7 +264,7 @@ def test_a_live_site_with_drive_and_sensors(
     with live(
         domain, tmp_path, "--controller", "onoff", "--sensors", "sensors.yaml",
         "--forecast", "forecast.csv", "--drive", hardware.file, "--drive-at", hardware.drive,
-        "--node-parameters", "nodes.yaml",
+        "--node-parameters", "nodes.yaml", "--namespace", "site1", "--peer-limit", "60", code=1,
     ) as process:
         site.until(lambda: hardware.speed() > 0.9, 60, "the pump")
         site.until(lambda: levels[-1] > levels[0] + 0.0005, 60, "a roof that rises")
@@ -356,9 +356,9 @@ def test_a_drive_in_the_loop(domain: int, tmp_path: Path) -> None:
 
 
 def state_of_drive() -> Path:
-    """Return where the state of the one drive is kept, to which nobody gave a place."""
-    (path,) = (Path(os.environ["XDG_STATE_HOME"]) / "greenroof_ros").glob("*.json")
-    return path
+    """Return where the state of the newest drive is kept to which nobody gave a place."""
+    states = (Path(os.environ["XDG_STATE_HOME"]) / "greenroof_ros").glob("*.json")
+    return max(states, key=lambda path: path.stat().st_mtime)
 
 
 LATCH = """
