@@ -577,7 +577,7 @@ def test_live(domain: int, tmp_path: Path, rig: PumpRig, drive: SimulatedDrive) 
     ):
         fewer = {name: value for name, value in good.items() if name != missing}
         play(
-            fewer, lambda: drive.speed() == 0.0 and words in rig.state, 60,
+            fewer, lambda words=words: drive.speed() == 0.0 and words in rig.state, 60,
             f"a stop without {missing}",
         )
         runs(good)
