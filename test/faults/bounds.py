@@ -20,7 +20,7 @@ DRIVE_TIMEOUT_S = 5.0
 SILENCE_S = 5.0
 # For how long the pump may run where a case is about the limit of a run or of a day, instead of the
 # default.
-LIMIT_S = 10.0
+LIMIT_S = 20.0
 # What a busy machine may add to any of these, and what measuring adds.
 SLACK_S = 1.0
 

@@ -462,9 +462,9 @@ class FlowRig(PlayedRig):
         return ("--pump", "external")
 
     def __exit__(self, *failure: object) -> None:
-        super().__exit__(*failure)
         self.pump.process.terminate()
-        self.pump.process.wait(15)
+        self.pump.process.wait(45)
+        super().__exit__(*failure)
 
 
 def pump_node(rig: Rig, *more: str, domain: int | None = None) -> Process:
