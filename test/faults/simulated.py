@@ -24,6 +24,7 @@ from rig import SkippedError, small_disk
 from rosbags.highlevel import AnyReader
 from watcher import Watcher
 
+from greenroof_ros.graph.node_processes import _ENDING_S
 from greenroof_ros.recording.bag_reader import count_ticks
 from greenroof_ros.recording.damaged_bag import recovered_bag
 
@@ -32,7 +33,7 @@ _LONG_H, _SHORT_H = "12", "1"
 # Simulated per wall time of the short one: slow enough that it lasts for what is done to it.
 _SHORT_SPEED = "400"
 # From the fault to the end of bringup: silence is noticed, and all nodes are ended.
-_BOUND_S = 2 * SILENCE_S + SLACK_S
+_BOUND_S = SILENCE_S + _ENDING_S + 2 * SLACK_S
 # Ticks that may be missing in a restored bag: what the plant may run ahead of the recorder, and the
 # one under way.
 _LOST_TICKS = 33
