@@ -195,7 +195,7 @@ def _sensors(repeats: int) -> Iterator[Case]:
             bound="command", alarm=r"forecast|frost"))
     for fault, parameter in (("burst_pipe", None), ("leak", 20000)):
         yield Case(f"site:{DRIVES[0]}", "site", fault, 0, Expected(
-            bound="undelivered", alarm=r"delivery|jumped", recovery="either"), parameter)
+            bound="undelivered", alarm=r"delivery|jumped|frozen", recovery="either"), parameter)
 
 
 def _dry(repeats: int) -> Iterator[Case]:
