@@ -114,8 +114,9 @@ class Process:
 
     @classmethod
     def end_all(cls) -> None:
-        """End what a test that failed left running."""
+        """End what a test that failed left running, and say what each said: pytest shows it."""
         for process in cls.started:
+            print(f"{Path(process._err.name).name}: {process.stderr()[-2000:]}")
             if process.process.poll() is None:
                 process.process.send_signal(signal.SIGINT)
                 process.wait(60)

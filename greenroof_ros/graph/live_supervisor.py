@@ -10,7 +10,6 @@ from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass, field
 from datetime import datetime, timezone
 from pathlib import Path
-from types import TracebackType
 
 from greenroof_ros.common.command_line import (
     EXIT_DONE,
@@ -126,12 +125,7 @@ class LiveSupervisor(NodeProcesses):
         """Nothing runs yet."""
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        traceback: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         """End all: the pump node first, the recorder last; and see that the drive is off."""
         for node in self.nodes.values():
             if node.process.poll() is None:

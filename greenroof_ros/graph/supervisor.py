@@ -7,7 +7,6 @@ import sys
 import time
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from types import TracebackType
 
 from greenroof_ros.common.command_line import (
     EXIT_DONE,
@@ -60,12 +59,7 @@ class Supervisor(NodeProcesses):
         """Nothing runs yet."""
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        traceback: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         """End all processes, and see that the drive is off."""
         # A stopped process hears nothing else, and the others' last words wait for it.
         for node in self.nodes.values():
