@@ -59,7 +59,7 @@ class Supervisor(NodeProcesses):
         """Nothing runs yet."""
         return self
 
-    def __exit__(self, *_: object) -> None:
+    def __exit__(self, _kind: object, error: object, _traceback: object) -> None:
         """End all processes, and see that the drive is off."""
         # A stopped process hears nothing else, and the others' last words wait for it.
         for node in self.nodes.values():

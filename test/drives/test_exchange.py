@@ -94,6 +94,13 @@ def hand(exchange: DriveExchange) -> Iterator[Hand]:
     made.end()
 
 
+def run_at_half(exchange: DriveExchange, drive: Registers, hand: Hand) -> None:
+    """Start, and wait until the drive runs at half of its speed."""
+    exchange.start()
+    hand.speed = 0.5
+    wait(lambda: drive.values[4] == 10000)
+
+
 def test_it_stops_the_drive_first_and_reads_what_it_is(
     exchange: DriveExchange, drive: Registers, wire: Wire
 ) -> None:
@@ -139,9 +146,7 @@ def test_dead_man(exchange: DriveExchange, drive: Registers, hand: Hand) -> None
 def test_nonsense_is_off(
     exchange: DriveExchange, drive: Registers, hand: Hand, nonsense: float
 ) -> None:
-    exchange.start()
-    hand.speed = 0.5
-    wait(lambda: drive.values[4] == 10000)
+    run_at_half(exchange, drive, hand)
     hand.speed = nonsense
     wait(lambda: drive.values[0] == 0x047E)
     assert exchange.snapshot.errors > 0
@@ -152,9 +157,7 @@ def test_nonsense_is_off(
 def test_close_stops_and_reads_back(
     exchange: DriveExchange, drive: Registers, hand: Hand
 ) -> None:
-    exchange.start()
-    hand.speed = 0.5
-    wait(lambda: drive.values[4] == 10000)
+    run_at_half(exchange, drive, hand)
     began = time.monotonic()
     exchange.close()
     assert time.monotonic() - began < 1.0
@@ -168,9 +171,7 @@ def test_close_stops_and_reads_back(
 def test_half_open_connection_is_noticed_and_heals(
     exchange: DriveExchange, drive: Registers, hand: Hand
 ) -> None:
-    exchange.start()
-    hand.speed = 0.5
-    wait(lambda: drive.values[4] == 10000)
+    run_at_half(exchange, drive, hand)
     drive.silent = True
     bound = exchange.lost_after_s + PERIOD
     assert bound == pytest.approx(2 * (TIMEOUT + PERIOD) + PERIOD)
@@ -187,9 +188,7 @@ def test_half_open_connection_is_noticed_and_heals(
 def test_dropped_connection_heals(
     exchange: DriveExchange, drive: Registers, wire: Wire, hand: Hand
 ) -> None:
-    exchange.start()
-    hand.speed = 0.5
-    wait(lambda: drive.values[4] == 10000)
+    run_at_half(exchange, drive, hand)
     drive.written.clear()
     wire.drop()
     wait(lambda: exchange.snapshot.errors > 0)
@@ -201,9 +200,7 @@ def test_dropped_connection_heals(
 def test_one_lost_answer_does_not_stop_the_pump(
     exchange: DriveExchange, drive: Registers, wire: Wire, hand: Hand
 ) -> None:
-    exchange.start()
-    hand.speed = 0.5
-    wait(lambda: drive.values[4] == 10000)
+    run_at_half(exchange, drive, hand)
     drive.written.clear()
     lost = iter([True])
     wire.answer = lambda request: [] if next(lost, False) else drive(request)
@@ -216,9 +213,7 @@ def test_one_lost_answer_does_not_stop_the_pump(
 def test_close_of_a_lost_drive_ends_in_time(
     exchange: DriveExchange, drive: Registers, hand: Hand
 ) -> None:
-    exchange.start()
-    hand.speed = 0.5
-    wait(lambda: drive.values[4] == 10000)
+    run_at_half(exchange, drive, hand)
     drive.silent = True
     began = time.monotonic()
     exchange.close()
@@ -228,9 +223,7 @@ def test_close_of_a_lost_drive_ends_in_time(
 def test_close_connects_once_more_to_stop(
     exchange: DriveExchange, drive: Registers, wire: Wire, hand: Hand
 ) -> None:
-    exchange.start()
-    hand.speed = 0.5
-    wait(lambda: drive.values[4] == 10000)
+    run_at_half(exchange, drive, hand)
     wire.answer = lambda _request: None
     wire.drop()
     wait(lambda: not exchange.snapshot.connected)
@@ -360,9 +353,7 @@ def test_the_trip_of_a_lost_connection_is_acknowledged(
 
 
 def test_fault_and_reset(exchange: DriveExchange, drive: Registers, hand: Hand) -> None:
-    exchange.start()
-    hand.speed = 0.5
-    wait(lambda: drive.values[4] == 10000)
+    run_at_half(exchange, drive, hand)
     drive.values.update({3: 0x1238, 4: 0, 400: 0x1234})
     wait(lambda: exchange.snapshot.status and exchange.snapshot.status.fault)
     assert exchange.snapshot.status is not None
@@ -490,9 +481,7 @@ def test_a_drive_that_refuses_to_stop_is_left_in_silence(
     """Its own timeout, 58.16, is 1.5 s; a margin of 1 s makes 2.5 s."""
     drive.values[5815] = 15
     times: list[float] = []
-    exchange.start()
-    hand.speed = 0.5
-    wait(lambda: drive.values[4] == 10000)
+    run_at_half(exchange, drive, hand)
     drive.written.clear()
     wire.answer = refusing(drive, times)
     wait(lambda: "so nothing is sent for 2.5 s" in exchange.snapshot.problem)
@@ -706,9 +695,7 @@ def test_a_connection_that_cannot_even_be_closed_is_made_again(
     exchange: DriveExchange, drive: Registers, wire: Wire, hand: Hand,
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    exchange.start()
-    hand.speed = 0.5
-    wait(lambda: drive.values[4] == 10000)
+    run_at_half(exchange, drive, hand)
     close = Drive.close
     broken = iter([True])
 

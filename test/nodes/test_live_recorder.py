@@ -12,6 +12,7 @@ from pathlib import Path
 
 import pytest
 from graphs import environment
+from places import small_disk
 from rosbags.highlevel import AnyReader
 
 rclpy = pytest.importorskip("rclpy", reason="nodes need ROS 2")
@@ -65,14 +66,7 @@ def test_a_full_disk_is_an_alarm_and_no_end(
     domain: int, tmp_path: Path, site: Site,  # noqa: F811
 ) -> None:
     disk = tmp_path / "disk"
-    disk.mkdir()
-    mounted = subprocess.run(
-        ["mount", "-t", "tmpfs", "-o", "size=16k", "tmpfs", str(disk)],
-        capture_output=True, check=False,
-    )
-    if mounted.returncode:
-        pytest.skip("only root can mount a small disk")
-    try:
+    with small_disk(disk, "16k"):
         (disk / "other").write_bytes(bytes(16384))
         with recorder(domain, disk / "bag") as process:
             full = site.says(
@@ -81,5 +75,3 @@ def test_a_full_disk_is_an_alarm_and_no_end(
             site.until(full, 60, "the alarm")
             site.during(2)
             assert full() and process.poll() is None
-    finally:
-        subprocess.run(["umount", str(disk)], check=True)

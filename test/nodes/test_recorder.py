@@ -15,7 +15,7 @@ import yaml
 from bag_topics import MPC_TOPICS
 from graphs import Process, bag_file, bring_up, environment, summary_of
 from mcap.reader import make_reader
-from places import Once
+from places import Once, small_disk
 from rosbags.highlevel import AnyReader
 
 from greenroof_ros.report.runs import find_runs
@@ -140,14 +140,7 @@ def test_recovering_a_whole_bag_changes_nothing(recorded: Path, tmp_path: Path) 
 def test_full_disk(domain: int, tmp_path: Path) -> None:
     """A disk that fills up is an error that says so, and the bag can be recovered."""
     disk = tmp_path / "disk"
-    disk.mkdir()
-    mounted = subprocess.run(
-        ["mount", "-t", "tmpfs", "-o", "size=300k", "tmpfs", str(disk)],
-        capture_output=True, check=False,
-    )
-    if mounted.returncode:
-        pytest.skip("only root can mount a small disk")
-    try:
+    with small_disk(disk, "300k"):
         process = Process(domain, "bringup", "--output", str(disk / "run"), cwd=tmp_path)
         assert process.wait(120) == 1
         assert "node recorder ended" in process.stderr()
@@ -172,5 +165,3 @@ def test_full_disk(domain: int, tmp_path: Path) -> None:
             (ticks,) = {connection.msgcount for connection in reader.connections}
         assert ticks == int(reason[1]) > 300
         assert ticks <= summary["last_tick"] <= ticks + 64
-    finally:
-        subprocess.run(["umount", str(disk)], check=True)

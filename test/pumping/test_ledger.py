@@ -17,6 +17,7 @@ from typing import Any
 import pytest
 from graphs import wait_for
 from paper import PAPER_SITE
+from places import small_disk
 from pump_rig import Rig
 
 from greenroof_ros.pumping.ledger import Ledger, Record, state_directory
@@ -38,16 +39,10 @@ def clock() -> Clock:
 
 
 @pytest.fixture
-def small_disk(tmp_path: Path) -> Iterator[Path]:
+def disk(tmp_path: Path) -> Iterator[Path]:
     """A disk of 64 KiB."""
-    directory = tmp_path / "disk"
-    directory.mkdir()
-    mount = ["mount", "-t", "tmpfs", "-o", "size=64k", "tmpfs", str(directory)]
-    done = subprocess.run(mount, capture_output=True, text=True, check=False)
-    if done.returncode:
-        pytest.skip(f"a disk of 64 KiB needs root: {done.stderr.strip()}")
-    yield directory
-    subprocess.run(["umount", "-l", str(directory)], check=True)
+    with small_disk(tmp_path / "disk", "64k"):
+        yield tmp_path / "disk"
 
 
 def fill(disk: Path) -> None:
@@ -278,12 +273,12 @@ def test_what_is_no_file_holds_the_pump_and_stays(tmp_path: Path, clock: Clock) 
     assert tmp_path.is_dir()
 
 
-def test_a_full_disk_takes_a_stop(small_disk: Path, clock: Clock) -> None:
+def test_a_full_disk_takes_a_stop(disk: Path, clock: Clock) -> None:
     """The room for it was taken when the file was made."""
-    file = small_disk / "pump.json"
+    file = disk / "pump.json"
     ledger = Ledger(file, clock)
     assert ledger.kept() == ""
-    fill(small_disk)
+    fill(disk)
     for number in range(3):
         ledger.hold(f"stop {number}")
         ledger.fault(f"fault {number}")
@@ -292,10 +287,10 @@ def test_a_full_disk_takes_a_stop(small_disk: Path, clock: Clock) -> None:
         assert (again.held, again.fault) == (f"stop {number}", f"fault {number}")
 
 
-def test_a_disk_that_was_full_before(small_disk: Path) -> None:
+def test_a_disk_that_was_full_before(disk: Path) -> None:
     """It is said, the control goes on, and the file is made once there is room."""
-    fill(small_disk)
-    file = small_disk / "pump.json"
+    fill(disk)
+    file = disk / "pump.json"
     rig = Rig(file=file)
     rig.control.hold(True)
     assert rig.step(1.0).state == "held"
@@ -304,7 +299,7 @@ def test_a_disk_that_was_full_before(small_disk: Path) -> None:
         f"{file} cannot be written: No space left on device; a restart would not know"
     )
     assert rig.run(30, 1.0).state == "running"
-    (small_disk / "rubbish").unlink()
+    (disk / "rubbish").unlink()
     rig.run(30, 1.0)
     wait_for(lambda: rig.ledger.problem == "", 5, "the file")
     assert Ledger(file, time.time).record.starts
