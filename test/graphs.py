@@ -73,6 +73,15 @@ def udp_addresses_of(pid: int) -> list[str]:
     return addresses
 
 
+def free_ports(number: int) -> list[int]:
+    """Return TCP ports that were free a moment ago."""
+    sockets = [socket.create_server(("127.0.0.1", 0)) for _ in range(number)]
+    ports = [each.getsockname()[1] for each in sockets]
+    for each in sockets:
+        each.close()
+    return ports
+
+
 def wait_for(condition: Callable[[], Any], seconds: float, what: str) -> Any:
     """Wait until a condition holds and return its value."""
     until = time.monotonic() + seconds
@@ -116,7 +125,7 @@ class Process:
     def end_all(cls) -> None:
         """End what a test that failed left running, and say what each said: pytest shows it."""
         for process in cls.started:
-            print(f"{Path(process._err.name).name}: {process.stderr()[-2000:]}")
+            print(f"{process.process.args}: {process._last_said()}")
             if process.process.poll() is None:
                 process.process.send_signal(signal.SIGINT)
                 process.wait(60)
@@ -156,6 +165,12 @@ class Process:
             for pid in [*self.nodes().values(), self.process.pid]:
                 os.kill(pid, signal.SIGKILL)  # nodes first: one that is stopped hears nothing else
             raise AssertionError(f"still running after {seconds:g} s; {self.stderr()}") from None
+
+    def _last_said(self) -> str:
+        """Return the end of its standard error, wherever its directory is by now."""
+        number = self._err.fileno()
+        said = os.pread(number, 2000, max(0, os.fstat(number).st_size - 2000))
+        return said.decode(errors="replace")
 
     def stdout(self) -> str:
         return Path(self._out.name).read_text()

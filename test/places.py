@@ -3,32 +3,12 @@
 from __future__ import annotations
 
 import re
-import subprocess
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from pathlib import Path
-
-import pytest
 
 CHECKOUT = Path(__file__).resolve().parent.parent
 CONFIG = CHECKOUT / "config"
 DATA = CHECKOUT / "test" / "data"
-
-@contextmanager
-def small_disk(place: Path, size: str) -> Iterator[None]:
-    """Mount a small disk of its own, of a size such as ``64k``, or skip the test."""
-    place.mkdir()
-    mounted = subprocess.run(
-        ["mount", "-t", "tmpfs", "-o", f"size={size}", "tmpfs", str(place)],
-        capture_output=True, check=False,
-    )
-    if mounted.returncode:
-        pytest.skip("only root can mount a small disk")
-    try:
-        yield
-    finally:
-        subprocess.run(["umount", "--lazy", str(place)], check=True)
-
 
 def guarding(make: str, directory: Path) -> str:
     """Copy a make's drive file, but for the time after power-up in which it guards nothing.

@@ -141,12 +141,3 @@ def until(condition: Callable[[], bool], seconds: float = 60.0) -> float:
         assert time.monotonic() - began < seconds, "did not come to be so"
         time.sleep(0.01)
     return time.monotonic() - began
-
-
-def free_ports(number: int) -> list[int]:
-    """Return TCP ports that were free a moment ago."""
-    sockets = [socket.create_server(("127.0.0.1", 0)) for _ in range(number)]
-    ports = [each.getsockname()[1] for each in sockets]
-    for each in sockets:
-        each.close()
-    return ports

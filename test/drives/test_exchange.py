@@ -14,9 +14,9 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from graphs import free_ports
 from modbus_wire import Registers, SerialWire, Wire, acs880, over_serial
 from places import CHECKOUT
-from simulators import free_ports
 
 from greenroof_ros.drives.address import parse_address, parse_drive_address
 from greenroof_ros.drives.drive import Drive

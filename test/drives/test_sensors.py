@@ -8,9 +8,10 @@ import time
 from pathlib import Path
 
 import pytest
+from graphs import free_ports
 from modbus_wire import Answer, Wire
 from places import CONFIG
-from simulators import free_ports, until
+from simulators import until
 
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.drives.level_sensor import LevelSensor, SensorExchange

@@ -13,8 +13,9 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import pytest
+from graphs import free_ports
 from places import CHECKOUT
-from simulators import Bus, Simulator, free_ports, until
+from simulators import Bus, Simulator, until
 
 from greenroof_ros.drives.drive_file import find_drive_file, read_drive_file
 from greenroof_ros.drives.simulated_drive import DriveSettings, SimulatedDrive

@@ -11,8 +11,9 @@ from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
+from graphs import free_ports
 from places import CHECKOUT, CONFIG
-from simulators import Bus, Simulator, free_ports, until
+from simulators import Bus, Simulator, until
 
 # The cistern just up to its outlet of 3 m, the roof at 5 cm; nothing falls, nothing evaporates.
 STILL = ("--cistern", "75", "--roof", "3.44", "--rain", "0", "--constant-evapotranspiration", "0")

@@ -14,6 +14,7 @@ from itertools import cycle
 from pathlib import Path
 from typing import Any
 
+from disks import disk_if_allowed
 from figures import Figures
 from graphs import Process, wait_for
 from places import CONFIG
@@ -25,7 +26,6 @@ from processes import (
     free_ports,
     simulate,
     simulator,
-    small_disk,
     write_forecast,
     write_sensors,
     write_weather,
@@ -68,7 +68,9 @@ class LiveRun:
         write_sensors(directory / "sensors.yaml")
         write_forecast(directory / "forecast.csv", _hour())
         self._disk = directory / "state"
-        mounted = plan.full_disk and stack.enter_context(small_disk(self._disk, _DISK_MB))
+        mounted = plan.full_disk and stack.enter_context(disk_if_allowed(
+            self._disk, f"{_DISK_MB}m"
+        ))
         self.disk_note = "" if mounted or not plan.full_disk else "no small disk could be mounted"
         self._mounted = bool(mounted)
         self.programs = {

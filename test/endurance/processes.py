@@ -3,32 +3,20 @@
 from __future__ import annotations
 
 import json
-import shutil
 import signal
-import socket
-import subprocess
 from collections.abc import Iterator
-from contextlib import ExitStack, contextmanager
+from contextlib import contextmanager
 from datetime import datetime, timedelta
 from pathlib import Path
 from typing import Any
 
 import yaml
-from graphs import Process, wait_for
+from graphs import Process, free_ports, wait_for
 from places import CONFIG
 
 START_S = 60.0
 # Of the constant weather of a live run: mm/h, mm/day, degC.
 RAIN, EVAPOTRANSPIRATION, TEMPERATURE = 0.0, 3.0, 15.0
-
-
-def free_ports(number: int) -> list[int]:
-    """Return free TCP ports of the loopback."""
-    with ExitStack() as stack:
-        sockets = [stack.enter_context(socket.socket()) for _ in range(number)]
-        for each in sockets:
-            each.bind(("127.0.0.1", 0))
-        return [int(each.getsockname()[1]) for each in sockets]
 
 
 def drive_address(program: Process) -> str:
@@ -89,16 +77,3 @@ def write_sensors(path: Path) -> None:
     path.write_text(yaml.safe_dump(sensors))
 
 
-@contextmanager
-def small_disk(place: Path, megabytes: int) -> Iterator[bool]:
-    """Mount a small disk of its own where that is allowed; say whether it was."""
-    place.mkdir()
-    mounted = not subprocess.run(
-        ["mount", "-t", "tmpfs", "-o", f"size={megabytes}m", "greenroof_ros", str(place)],
-        capture_output=True, check=False,
-    ).returncode if shutil.which("mount") else False
-    try:
-        yield mounted
-    finally:
-        if mounted:
-            subprocess.run(["umount", "--lazy", str(place)], check=False)

@@ -17,6 +17,7 @@ from typing import Any, ClassVar
 import yaml
 from bounds import LIMIT_S, RAMP_S
 from cases import GAUGES, LEVELS, PLAYED
+from disks import disk_if_allowed
 from graphs import Process, alive
 from line import Line
 from places import CONFIG
@@ -110,17 +111,10 @@ def small_disk(place: Path, size: str) -> Iterator[None]:
     Raises:
         SkippedError: this machine does not let one mount it.
     """
-    place.mkdir(parents=True, exist_ok=True)
-    mounted = subprocess.run(
-        ["mount", "-t", "tmpfs", "-o", f"size={size}", "tmpfs", str(place)],
-        capture_output=True, check=False,
-    )
-    if mounted.returncode:
-        raise SkippedError("skipped: only root can mount a small disk")
-    try:
+    with disk_if_allowed(place, size) as mounted:
+        if not mounted:
+            raise SkippedError("skipped: only root can mount a small disk")
         yield
-    finally:
-        subprocess.run(["umount", "--lazy", str(place)], check=True)
 
 
 def write_forecast(path: Path, *, issued: datetime | None = None, text: str | None = None) -> None:

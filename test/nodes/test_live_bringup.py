@@ -20,8 +20,9 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from graphs import Process, alive, bring_up, environment, summary_of, wait_for
-from places import CONFIG, guarding, small_disk
+from disks import small_disk
+from graphs import Process, alive, bring_up, environment, free_ports, summary_of, wait_for
+from places import CHECKOUT, CONFIG, guarding
 from rosbags.highlevel import AnyReader
 
 rclpy = pytest.importorskip("rclpy", reason="nodes need ROS 2")
@@ -170,7 +171,7 @@ class Hardware:
 
     def add_tanks(self) -> None:
         """Fill the tanks and start the sensors of ``sensors.yaml``."""
-        cwd, (cistern, roof) = self._cwd, _free_ports(2)
+        cwd, (cistern, roof) = self._cwd, free_ports(2)
         text = (CONFIG / "sensors.yaml").read_text()
         (cwd / "sensors.yaml").write_text(
             text.replace(":5030", f":{cistern}").replace(":5031", f":{roof}")
@@ -223,14 +224,6 @@ def _addresses(simulator: Process) -> list[str]:
     """Return what a simulator says when it is ready."""
     line = wait_for(lambda: simulator.stdout().partition("\n")[0], 60, "a simulator that is ready")
     return re.findall(r"(?:tcp|gateway)://[\d.:]+", line)
-
-
-def _free_ports(count: int) -> list[int]:
-    sockets = [socket.create_server(("127.0.0.1", 0)) for _ in range(count)]
-    ports = [each.getsockname()[1] for each in sockets]
-    for each in sockets:
-        each.close()
-    return ports
 
 
 def test_a_live_site_with_drive_and_sensors(
@@ -344,6 +337,30 @@ def test_a_drive_in_the_loop(domain: int, tmp_path: Path) -> None:
     assert "bringup told the drive to stop" in early.stderr()
     wait_for(lambda: hardware.speed() == 0, 60, "the pump's stop")
     assert 1 < summary_of(tmp_path / "early")["last_tick"] < 60
+
+
+def test_the_drive_of_the_readme(domain: int, tmp_path: Path) -> None:
+    """Its two lines as they are printed, but for where the drive is and how long the run is."""
+    readme = (CHECKOUT / "README.md").read_text().splitlines()
+    words = [line.split() for line in readme if line.startswith(".venv/bin/")]
+    lines = {program: options for program, *options in words}
+    drive = lines[".venv/bin/drive_simulator"]
+    assert drive.pop() == "&"
+    place, _ = _addresses(
+        Process(domain, "drive_simulator", *drive, "--port", "0", "--workbench", "0", cwd=tmp_path)
+    )
+    run = lines[".venv/bin/bringup"]
+    run[run.index("--drive-at") + 1] = place
+    run[run.index("--hours") + 1] = "0.1"
+    done = bring_up(domain, tmp_path, *run)
+    simulated = Process(
+        domain, "simulate", "--hours", "0.1", "--output", "simulated", cwd=tmp_path
+    )
+    assert simulated.wait(60) == 0
+    # A least pulse of this pump at its least speed: 0.0167 m3.
+    expected = summary_of(tmp_path / "simulated")["pumped_m3"]
+    assert done["pumped_m3"] == pytest.approx(expected, abs=0.0167)
+    assert done["pumped_m3"] > 0
 
 
 def state_of_drive() -> Path:

@@ -11,8 +11,8 @@ from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
+from disks import small_disk
 from graphs import environment
-from places import small_disk
 from rosbags.highlevel import AnyReader
 
 rclpy = pytest.importorskip("rclpy", reason="nodes need ROS 2")

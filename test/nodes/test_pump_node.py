@@ -9,7 +9,6 @@ import json
 import math
 import os
 import signal
-import socket
 import subprocess
 import sys
 import time
@@ -22,7 +21,7 @@ import pytest
 rclpy = pytest.importorskip("rclpy", reason="nodes need ROS 2")
 pytest.importorskip("pymodbus", reason="drives are on Modbus")
 
-from graphs import Process, environment, wait_for  # noqa: E402
+from graphs import Process, environment, free_ports, wait_for  # noqa: E402
 from places import CONFIG, guarding  # noqa: E402
 from pump_node_rig import (  # noqa: E402
     ERROR,
@@ -55,15 +54,9 @@ def drive(domain: int, tmp_path: Path) -> Iterator[SimulatedDrive]:
     it.end()
 
 
-def free_port() -> int:
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        return int(probe.getsockname()[1])
-
-
 def test_lifecycle(domain: int, tmp_path: Path, rig: PumpRig) -> None:
     """Every transition, possible or not; a command is answered in every state."""
-    port = free_port()
+    (port,) = free_ports(1)
     node = rig.start(f"gateway://127.0.0.1:{port}", autostart="false")
     rig.join()
     assert not rig.change("activate")
@@ -594,7 +587,7 @@ def test_what_its_help_says_is_what_it_has(
     domain: int, tmp_path: Path, rig: PumpRig, observer: Observer  # noqa: F811
 ) -> None:
     text = run_module(tmp_path, "pump --help").stdout
-    rig.start(f"tcp://127.0.0.1:{free_port()}")
+    rig.start(f"tcp://127.0.0.1:{free_ports(1)[0]}")
     assert section(text, "parameters") == parameters_of(observer, "pump")
     check_topics(observer, "pump", text)
 

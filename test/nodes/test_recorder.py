@@ -13,9 +13,10 @@ from pathlib import Path
 import pytest
 import yaml
 from bag_topics import MPC_TOPICS
+from disks import small_disk
 from graphs import Process, bag_file, bring_up, environment, summary_of
 from mcap.reader import make_reader
-from places import Once, small_disk
+from places import Once
 from rosbags.highlevel import AnyReader
 
 from greenroof_ros.report.runs import find_runs

@@ -15,9 +15,9 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from disks import small_disk
 from graphs import wait_for
 from paper import PAPER_SITE
-from places import small_disk
 from pump_rig import Rig
 
 from greenroof_ros.pumping.ledger import Ledger, Record, state_directory

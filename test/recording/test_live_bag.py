@@ -18,8 +18,9 @@ from random import Random
 import pytest
 import yaml
 from commands import run_command
+from disks import small_disk
 from graphs import environment
-from places import CHECKOUT, small_disk
+from places import CHECKOUT
 from rosbags.highlevel import AnyReader
 from rosbags.typesys import Stores, get_typestore
 
