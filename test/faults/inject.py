@@ -92,7 +92,7 @@ def begin(rig: Rig, case: Case, rng: random.Random) -> Undo:
         return nothing  # it says the same from the start on
     if case.fault in ("sensor", "site"):
         rig.truth.inject_site(case.target, DEFAULT if case.parameter is None else case.parameter)
-        return lambda: rig.truth.inject_site("none")
+        return lambda: _repair(rig, case.target)
     if case.fault == "forecast file":
         return _forecast(rig, case)
     if case.fault == "dry":
@@ -180,6 +180,18 @@ def _drive(rig: Rig, case: Case) -> Undo:
     if case.target == "power_cycle":
         rig.drive.powered_at = time.monotonic()
     return lambda: rig.truth.inject_drive("none")
+
+
+def _repair(rig: Rig, fault: str) -> None:
+    """End a fault of a sensor or of the site.
+
+    A level that did not rise was taken for frozen, and is until it changes: what evaporates, or the
+    sensor's last digit, changes it in a real site within minutes.
+    """
+    if fault == "burst_pipe":
+        rig.truth.inject_site("roof_noisy", 2)
+        time.sleep(5.0)
+    rig.truth.inject_site("none")
 
 
 def _forecast(rig: Rig, case: Case) -> Undo:
