@@ -135,9 +135,9 @@ class SiteLimits:
         least = self._site.suction_level
         if self._dry:
             least += self._settings.suction_hysteresis
-        self._dry = level < least
+        self._dry = level <= least
         if self._dry:
-            return [f"the cistern is at {level:.3f} m, below {least:g} m"]
+            return [f"the cistern is at {level:.3f} m, not above {least:g} m"]
         return []
 
     def _day(self) -> list[str]:

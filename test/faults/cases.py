@@ -201,7 +201,7 @@ def _sensors(repeats: int) -> Iterator[Case]:
 def _dry(repeats: int) -> Iterator[Case]:
     for number in range(repeats):
         yield Case(f"dry:{DRIVES[number % 4]}", "dry", "cistern", number, Expected(
-            bound="filtered", alarm=r"the cistern is at .* below", recovery="stays"))
+            bound="filtered", alarm=r"the cistern is at .* not above", recovery="stays"))
 
 
 def _limits(repeats: int) -> Iterator[Case]:

@@ -91,19 +91,27 @@ def test_never_more_starts_than_allowed(times: list[float], allowed: int) -> Non
 
 
 def test_dry_run_with_hysteresis() -> None:
-    """Off below 0.75 m, in the very step; on again at 0.77 m."""
+    """Off at 0.75 m and below, in the very step; on again at 0.77 m."""
     rig = Rig(x1=19.0)
     rig.run(20, 1.0)
     assert rig.decisions[-1].state == "running"
     rig.plant.x1 = 18.74
     decision = rig.step(1.0)
     assert (decision.speed, decision.state) == (None, "held")
-    assert decision.why.startswith("the cistern is at 0.750 m, below 0.75 m")
+    assert decision.why.startswith("the cistern is at 0.750 m, not above 0.75 m")
     rig.plant.x1 = 19.2
     rig.run(60, 1.0)
-    assert rig.decisions[-1].why == "the cistern is at 0.768 m, below 0.77 m"
+    assert rig.decisions[-1].why == "the cistern is at 0.768 m, not above 0.77 m"
     rig.plant.x1 = 19.3
     assert rig.run(60, 1.0).state == "running"
+
+
+def test_dry_run_of_a_level_that_is_rounded() -> None:
+    """A pump that draws air lowers the level no more: a reading may stay at 0.75 m for ever."""
+    rig = Rig(x1=19.0)
+    rig.run(20, 1.0)
+    rig.change = {"cistern_level": 0.75}
+    assert rig.step(1.0).why.startswith("the cistern is at 0.750 m, not above 0.75 m")
 
 
 @pytest.mark.parametrize(
@@ -136,8 +144,8 @@ def test_every_reason_is_named() -> None:
     rig.change = {"frost": None, "roof_level": None}
     rig.control.hold(True)
     assert rig.step(0.5).why == (
-        "an operator stopped it; the cistern is at 0.400 m, below 0.75 m; the level of the roof is "
-        "unknown; it is unknown whether there is frost"
+        "an operator stopped it; the cistern is at 0.400 m, not above 0.75 m; the level of the "
+        "roof is unknown; it is unknown whether there is frost"
     )
 
 
