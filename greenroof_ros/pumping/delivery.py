@@ -2,9 +2,10 @@
 
 Two balances are kept, each of water (m3) that the levels do not account for:
 
-- *missing on the roof*: a share ``least_delivery`` of the pumped volume, less the rise of the roof,
-  less ``greatest_loss`` for evapotranspiration. It grows where a pump runs and the roof does not
-  rise: burst pipe, closed valve. Rain only lets it fall.
+- *missing on the roof*: a share ``least_delivery`` of the pumped volume (as measured, or as the
+  speed should deliver it where that is more: a closed valve has no flow), less the rise of the
+  roof, less ``greatest_loss`` for evapotranspiration. It grows where a pump runs and the roof does
+  not rise: burst pipe, closed valve. Rain only lets it fall.
 - *lost from the cistern*: the fall of the cistern, less the pumped volume over ``least_delivery``,
   less ``greatest_loss`` for a drifting sensor. It grows where water leaves and the pump stands:
   leak, stuck contactor. Rain only lets it fall, and what the outlet takes does not count, since
@@ -94,7 +95,7 @@ class DeliveryCheck:
             dt: time since the last step (s).
             cistern_level: m.
             roof_level: m.
-            least_pumped: what was pumped since the last step at least (m3).
+            least_pumped: what was pumped since the last step, or should have been (m3).
             most_pumped: the same at most; more only where the speed was unknown.
         """
         site, settings = self._site, self._settings

@@ -264,8 +264,10 @@ class PumpControl:
         if seen.cistern_level is None or seen.roof_level is None:
             self._delivery.restart()
             return ""
+        # Against a closed valve a meter rightly says that nothing flows, and the pump runs.
+        should = 0.0 if seen.speed is None else flow_at(self._site, seen.speed, seen.cistern_level)
         return self._delivery.step(
-            dt, seen.cistern_level, seen.roof_level, flow * dt, most * dt
+            dt, seen.cistern_level, seen.roof_level, max(flow, should) * dt, most * dt
         )
 
     def _follow(

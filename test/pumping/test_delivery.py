@@ -62,11 +62,13 @@ def test_burst_pipe(noise: float, command: float, within: float) -> None:
 
 
 @pytest.mark.parametrize("noise", [0.0, NOISE])
-def test_closed_valve(noise: float) -> None:
-    """The pump runs, and no water moves at all."""
+@pytest.mark.parametrize("meter", [{}, {"flow": 0.0}, {"drive_flow": 0.0}])
+def test_closed_valve(noise: float, meter: dict[str, object]) -> None:
+    """The pump runs, and no water moves at all, as a meter says, too, where there is one."""
     rig = Rig(x2=0.5, noise=noise)
     rig.run(600, 0.01)
     rig.arriving = rig.leaving = 0.0
+    rig.change = meter
     assert time_to_fault(rig, 600, 1.0) <= 200
     assert "perhaps a closed valve, a blocked pump or an empty pipe" in rig.decisions[-1].why
 
