@@ -273,7 +273,7 @@ class PumpNode(Lifecycle, LinkedNode):
         self._autostart: bool = values["autostart"]
         self._without_timeout = self._drive.without_timeout
         self._resetting_until = 0.0
-        self._decision = Decision(None, "off", "not started", 0.0, "", "", 0.0, False)
+        self._decision = Decision(None, "off", "not started", 0.0, "", "", 0.0, False, 0.0)
         self._state = self._logged = ""
         self._reasons: tuple[object, ...] = ()
         now = time.monotonic()
@@ -633,6 +633,11 @@ class PumpNode(Lifecycle, LinkedNode):
         frost = f"{self._frost.name} {self._frost.why}" if not self._frost.good else ""
         if self._frost.good and self._frost.value > 0:
             frost = "there is frost"
+        blind = f"blind for {decision.blind_for:.0f} s: a level is unknown"
+        self.diagnose(
+            "delivery", WARN if decision.blind_for else OK,
+            blind if decision.blind_for else "what is pumped is held against both levels",
+        )
         kept = self._ledger.problem
         self.diagnose("state file", ERROR if kept else OK, kept or "stops and faults are kept")
         self.diagnose("frost", WARN if frost else OK, frost or "there is no frost")

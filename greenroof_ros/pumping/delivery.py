@@ -11,12 +11,20 @@ Two balances are kept, each of water (m3) that the levels do not account for:
   leak, stuck contactor. Rain only lets it fall, and what the outlet takes does not count, since
   the cistern counts up to the outlet only.
 
+Water is counted while a level is unknown, too, and the balances go on when it is known again: a
+sensor that is silent now and then hides nothing.
+
 Each is averaged over ``averaging_time``, levels and volumes alike, so that no lag comes between
 them. A balance that rises by more than ``level_tolerance`` times the area above the least that it
 ever was is a fault (Page's test, E. S. Page, Biometrika 41, 1954: nothing that went well before
 hides what goes wrong now); on the roof only if the share of what was pumped since is as much, so
 that no heat wave is a burst pipe. A level counts up to the roof's target and the cistern's outlet
 only, plus or less ``level_offset``, by which a sensor may be wrong for good.
+
+A level that does not change at all needs no averaging and no share: a quiet sensor's roof is a
+fault once ``level_tolerance`` times its area was pumped since it last changed, and roof and cistern
+that both stand still are one once that of the cistern was. Otherwise the rule that a level is
+frozen, which heals, would stop the pump before the balance does, again and again.
 
 Why it is no false alarm: readings each second with independent errors of 5 mm (standard deviation)
 have, averaged over 60 s, one of 5 mm / sqrt(2 60) = 0.46 mm. A false alarm needs two means that are
@@ -66,6 +74,19 @@ class _Balance:
         return value - self._least
 
 
+class _Still:
+    """Since when a level has not changed at all."""
+
+    def __init__(self) -> None:
+        self._level = math.nan
+        self.since = _Sums(0.0, 0.0, 0.0, 0.0, 0.0)
+        """the sums when it last changed"""
+
+    def see(self, level: float, sums: _Sums) -> None:
+        if level != self._level:
+            self._level, self.since = level, sums
+
+
 class DeliveryCheck:
     """Keeps both balances, step by step."""
 
@@ -76,16 +97,17 @@ class DeliveryCheck:
         self.restart()
 
     def restart(self) -> None:
-        """Begin again, as after a reset or a gap in the levels."""
-        self._elapsed = self._least_pumped = self._most_pumped = 0.0
+        """Begin again, as after a reset."""
+        self._elapsed = self._watched = self._least_pumped = self._most_pumped = 0.0
         self._mean: _Sums | None = None
         self._missing, self._lost = _Balance(), _Balance()
+        self._cistern_still, self._roof_still = _Still(), _Still()
 
     def step(
         self,
         dt: float,
-        cistern_level: float,
-        roof_level: float,
+        cistern_level: float | None,
+        roof_level: float | None,
         least_pumped: float,
         most_pumped: float,
     ) -> str:
@@ -93,8 +115,8 @@ class DeliveryCheck:
 
         Args:
             dt: time since the last step (s).
-            cistern_level: m.
-            roof_level: m.
+            cistern_level: m; None is unknown.
+            roof_level: m; None is unknown.
             least_pumped: what was pumped since the last step, or should have been (m3).
             most_pumped: the same at most; more only where the speed was unknown.
         """
@@ -102,36 +124,56 @@ class DeliveryCheck:
         self._elapsed += dt
         self._least_pumped += least_pumped
         self._most_pumped += most_pumped
+        if cistern_level is None or roof_level is None:
+            return ""
+        self._watched += dt
         present = _Sums(
             self._elapsed, self._least_pumped, self._most_pumped,
             min(cistern_level, site.z_o - settings.level_offset) * site.a1,
             min(roof_level, site.z_veg + settings.level_offset) * site.a2,
         )
+        self._cistern_still.see(cistern_level, present)
+        self._roof_still.see(roof_level, present)
         self._mean = sums = self._averaged(dt, present)
-        if self._elapsed < settings.averaging_time:
-            return ""
+        still = self._stands_still(present)
+        if still or self._watched < settings.averaging_time:
+            return still
         share = settings.least_delivery
         missing = share * sums.least_pumped - sums.roof - self._loss * site.a2 * sums.elapsed
         lost = -sums.cistern - sums.most_pumped / share - self._loss * site.a1 * sums.elapsed
         rise, tolerance = self._missing.rise(missing, sums), settings.level_tolerance * site.a2
         pumped = sums.least_pumped - self._missing.since.least_pumped
         if rise > tolerance and share * pumped > tolerance:
-            return self._missing_on_roof(sums)
+            return self._missing_on_roof(self._missing.since, sums)
         if self._lost.rise(lost, sums) > settings.level_tolerance * site.a1:
             return self._lost_from_cistern(sums)
         return ""
 
     def _averaged(self, dt: float, present: _Sums) -> _Sums:
         """Return the moving mean; the plain one until there are enough readings for it."""
-        if self._mean is None or self._elapsed == 0:
+        if self._mean is None or self._watched == 0:
             return present
-        weight = dt / min(max(self._settings.averaging_time, dt), self._elapsed)
+        weight = dt / min(max(self._settings.averaging_time, dt), self._watched)
         return _Sums(
             *(mean + weight * (new - mean) for mean, new in zip(self._mean, present, strict=True))
         )
 
-    def _missing_on_roof(self, now: _Sums) -> str:
-        before = self._missing.since
+    def _stands_still(self, now: _Sums) -> str:
+        """Return the fault of a roof, or of both tanks, that did not change while water came."""
+        site = self._site
+        roof, cistern = self._roof_still.since, self._cistern_still.since
+        both = roof if roof.elapsed > cistern.elapsed else cistern
+        for since, area, stuck in (
+            (roof, site.a2, "the roof's sensor is stuck"),
+            (both, site.a1, "both sensors are stuck"),
+        ):
+            unseen = now.least_pumped - since.least_pumped
+            unseen -= self._loss * area * (now.elapsed - since.elapsed)
+            if unseen > self._settings.level_tolerance * area:
+                return f"{self._missing_on_roof(since, now)}, or {stuck}"
+        return ""
+
+    def _missing_on_roof(self, before: _Sums, now: _Sums) -> str:
         pumped = now.least_pumped - before.least_pumped
         fell = before.cistern - now.cistern
         cause = (

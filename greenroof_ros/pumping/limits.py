@@ -132,7 +132,7 @@ class SiteLimits:
     def _water(self, level: float | None) -> list[str]:
         if level is None:
             return ["the level of the cistern is unknown"]
-        least = self._site.suction_level
+        least = self._site.suction_level + self._settings.level_offset
         if self._dry:
             least += self._settings.suction_hysteresis
         self._dry = level <= least

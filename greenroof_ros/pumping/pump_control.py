@@ -65,6 +65,7 @@ class Decision:
         warning: what an operator should know although it stops nothing; empty where nothing.
         owed: commanded less delivered (m3).
         stands: whether the pump was seen to stand, or must by the drive's own timeout by now.
+        blind_for: for how long the delivery check has not seen both levels (s).
     """
 
     speed: float | None
@@ -75,6 +76,7 @@ class Decision:
     warning: str
     owed: float
     stands: bool
+    blind_for: float
 
 
 class PumpControl:
@@ -105,6 +107,7 @@ class PumpControl:
         self._asked: float | None = None
         self._astray_for = 0.0
         self._unknown_for = 0.0
+        self._blind_for = 0.0
         # What it turned at most when that was last known, share of the rated speed; before that
         # it is not known to stand.
         self._turned = 1.0
@@ -142,13 +145,23 @@ class PumpControl:
         heard, backwards, seen = seen.speed is not None, _backwards(seen), _believable(seen)
         self._switch.begin(now)
         warnings: list[str] = []
-        flow, source = self._flow(seen, warnings)
+        computed = self._computed_flow(seen)
+        flow, source = self._flow(seen, computed, warnings)
         self._unknown_for = self._unknown_for + drive_dt if seen.speed is None else 0.0
         known = self._turned if seen.speed is None else seen.speed
         self._turned = max(known, self._asked or 0.0)
-        most = max(flow, self._unseen_flow(seen))
-        self._account(dt, seen.speed, most, flow)
-        self._latch(dt, drive_dt, seen, backwards, flow, most)
+        unseen = self._unseen_flow(seen)
+        # A meter may say that nothing flows, against a closed valve or because it is broken, while
+        # the pump runs.
+        least = max(flow, computed)
+        self._account(dt, seen.speed, unseen, least)
+        self._pulses.account(flow * dt, dt)
+        both = seen.cistern_level is not None and seen.roof_level is not None
+        self._blind_for = 0.0 if both else self._blind_for + dt
+        undelivered = self._delivery.step(
+            dt, seen.cistern_level, seen.roof_level, least * dt, max(flow, unseen) * dt
+        )
+        self._latch(drive_dt, seen, backwards, undelivered)
         command, refusal, warning = _command(seen.command)
         if warning:
             warnings.append(warning)
@@ -192,10 +205,19 @@ class PumpControl:
         else:
             stands = asked is None and not turning
         return Decision(
-            asked, state, why, flow, source, "; ".join(warnings), self._pulses.owed, stands
+            asked, state, why, flow, source, "; ".join(warnings), self._pulses.owed, stands,
+            self._blind_for,
         )
 
-    def _flow(self, seen: Observation, warnings: list[str]) -> tuple[float, str]:
+    def _computed_flow(self, seen: Observation) -> float:
+        """Return what should flow at the present speed (m3/s); 0 where that is unknown."""
+        if seen.speed is None or seen.cistern_level is None:
+            return 0.0
+        return flow_at(self._site, seen.speed, seen.cistern_level)
+
+    def _flow(
+        self, seen: Observation, computed: float, warnings: list[str]
+    ) -> tuple[float, str]:
         """Return the present flow (m3/s), and how it is known."""
         site = self._site
         if self._asked is None and seen.speed is not None and seen.speed <= _STANDS:
@@ -212,7 +234,7 @@ class PumpControl:
                 )
         if seen.speed is None or seen.cistern_level is None:
             return 0.0, "unknown, taken as 0"
-        return flow_at(site, seen.speed, seen.cistern_level), "computed from the speed"
+        return computed, "computed from the speed"
 
     def _unseen_flow(self, seen: Observation) -> float:
         """Return what flows at worst (m3/s) where the drive is not heard; 0 once it must stand."""
@@ -225,13 +247,12 @@ class PumpControl:
         """Whether a pump whose speed is unknown stood before, or does by the drive's timeout."""
         return self._turned <= _STANDS or self._unknown_for > self._drive_stops_after
 
-    def _account(self, dt: float, speed: float | None, most: float, flow: float) -> None:
-        """Count what the last step's decision made of the time since."""
-        unseen = speed is None and most > flow
-        on = self._asked is not None or unseen or (speed is not None and speed > _STANDS)
+    def _account(self, dt: float, speed: float | None, unseen: float, seen: float) -> None:
+        """Count what the last step's decision made of the time since, by both flows (m3/s)."""
+        turns = speed is not None and speed > _STANDS
+        on = self._asked is not None or turns or unseen > seen
         self._limits.account(dt, on)
-        self._ledger.count(dt, dt if on else 0.0, most * dt)
-        self._pulses.account(flow * dt, dt)
+        self._ledger.count(dt, dt if on else 0.0, max(seen, unseen) * dt)
 
     def _is_astray(self, speed: float | None) -> bool:
         """Whether the pump turns at another speed than it was asked for."""
@@ -239,12 +260,11 @@ class PumpControl:
         return speed is not None and abs(speed - asked) > self._settings.follow_tolerance
 
     def _latch(
-        self, dt: float, drive_dt: float, seen: Observation, backwards: str, flow: float,
-        most: float,
+        self, drive_dt: float, seen: Observation, backwards: str, undelivered: str
     ) -> None:
         """Look for faults; the first one stays until it is reset."""
         self._astray_for = self._astray_for + drive_dt if self._is_astray(seen.speed) else 0.0
-        found = self._undelivered(dt, seen, flow, most)
+        found = undelivered
         if self._astray_for > self._settings.follow_time:
             asked = "it is told to stop"
             if self._asked is not None:
@@ -258,17 +278,6 @@ class PumpControl:
             found = f"the drive reports: {seen.drive_fault}"
         if found and not self._ledger.record.fault:
             self._ledger.fault(found)
-
-    def _undelivered(self, dt: float, seen: Observation, flow: float, most: float) -> str:
-        """Return what the delivery check finds."""
-        if seen.cistern_level is None or seen.roof_level is None:
-            self._delivery.restart()
-            return ""
-        # Against a closed valve a meter rightly says that nothing flows, and the pump runs.
-        should = 0.0 if seen.speed is None else flow_at(self._site, seen.speed, seen.cistern_level)
-        return self._delivery.step(
-            dt, seen.cistern_level, seen.roof_level, max(flow, should) * dt, most * dt
-        )
 
     def _follow(
         self, now: float, dt: float, command: float, full: bool, cistern_level: float,

@@ -88,7 +88,7 @@ class PumpSettings:
     )
     suction_hysteresis: float = _setting(
         0.02, "m", 0.0, 10.0,
-        "how far above the suction level the cistern must be after a dry-run cut",
+        "how far above the level of a dry-run cut the cistern must be before the pump runs again",
     )
     follow_tolerance: float = _setting(
         0.1, "1", 0.01, 1.0, "how far the speed may be from the asked one, share of the rated one"
@@ -107,7 +107,8 @@ class PumpSettings:
     )
     level_offset: float = _setting(
         0.02, "m", 0.0, 1.0,
-        "how far a level sensor may be from the truth, above or below, for good",
+        "how far a level sensor may be from the truth, above or below, for good; so far above the "
+        "suction level is the dry-run cut",
     )
     least_delivery: float = _setting(
         0.5, "1", 0.05, 0.95,

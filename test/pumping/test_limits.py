@@ -91,27 +91,27 @@ def test_never_more_starts_than_allowed(times: list[float], allowed: int) -> Non
 
 
 def test_dry_run_with_hysteresis() -> None:
-    """Off at 0.75 m and below, in the very step; on again at 0.77 m."""
-    rig = Rig(x1=19.0)
+    """Off at 0.77 m, 2 cm for a sensor that is off, in the very step; on again above 0.79 m."""
+    rig = Rig(x1=19.5)
     rig.run(20, 1.0)
     assert rig.decisions[-1].state == "running"
-    rig.plant.x1 = 18.74
+    rig.plant.x1 = 19.24
     decision = rig.step(1.0)
     assert (decision.speed, decision.state) == (None, "held")
-    assert decision.why.startswith("the cistern is at 0.750 m, not above 0.75 m")
-    rig.plant.x1 = 19.2
+    assert decision.why.startswith("the cistern is at 0.770 m, not above 0.77 m")
+    rig.plant.x1 = 19.7
     rig.run(60, 1.0)
-    assert rig.decisions[-1].why == "the cistern is at 0.768 m, not above 0.77 m"
-    rig.plant.x1 = 19.3
+    assert rig.decisions[-1].why == "the cistern is at 0.788 m, not above 0.79 m"
+    rig.plant.x1 = 19.8
     assert rig.run(60, 1.0).state == "running"
 
 
 def test_dry_run_of_a_level_that_is_rounded() -> None:
-    """A pump that draws air lowers the level no more: a reading may stay at 0.75 m for ever."""
-    rig = Rig(x1=19.0)
+    """A pump that draws air lowers the level no more: a reading may stay at the cut for ever."""
+    rig = Rig(x1=19.5)
     rig.run(20, 1.0)
-    rig.change = {"cistern_level": 0.75}
-    assert rig.step(1.0).why.startswith("the cistern is at 0.750 m, not above 0.75 m")
+    rig.change = {"cistern_level": 0.77}
+    assert rig.step(1.0).why.startswith("the cistern is at 0.770 m, not above 0.77 m")
 
 
 @pytest.mark.parametrize(
@@ -144,7 +144,7 @@ def test_every_reason_is_named() -> None:
     rig.change = {"frost": None, "roof_level": None}
     rig.control.hold(True)
     assert rig.step(0.5).why == (
-        "an operator stopped it; the cistern is at 0.400 m, not above 0.75 m; the level of the "
+        "an operator stopped it; the cistern is at 0.400 m, not above 0.77 m; the level of the "
         "roof is unknown; it is unknown whether there is frost"
     )
 
@@ -200,7 +200,7 @@ def reasons_to_be_off(rig: Rig, command: float | None, change: dict[str, object]
     """Whether anything that was given speaks against running."""
     cistern, _ = rig.plant.levels()
     return (
-        bool(change) or cistern < 0.75 or command is None or not command >= 0
+        bool(change) or cistern <= 0.77 or command is None or not command >= 0
         or math.isinf(command)
     )
 
