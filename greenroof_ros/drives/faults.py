@@ -82,6 +82,7 @@ SITE_FAULTS: Mapping[str, Fault] = {
     "roof_drifting": Fault(10, "the roof's sensor drifts upwards", "0.1 mm in a minute", 50),
     "burst_pipe": Fault(11, "pumped water does not arrive on the roof"),
     "leak": Fault(12, "the cistern loses water", "ml in a second", 500),
+    "closed_valve": Fault(13, "the pump moves no water, however it runs"),
 }
 
 

@@ -87,7 +87,9 @@ class SimulatedSite:
     def flow(self, speed: float) -> float:
         """Return what the pump takes from the cistern at a speed (m3/s); nothing when it is dry."""
         level = self.plant.levels()[0]
-        return flow_at(self._site, speed, level) if level >= self._site.suction_level else 0.0
+        if level < self._site.suction_level or self.fault == "closed_valve":
+            return 0.0
+        return flow_at(self._site, speed, level)
 
     def weather(self) -> tuple[float, float]:
         """Return rain (m/s) and evapotranspiration (m3/s) of the present tick."""

@@ -577,6 +577,7 @@ class PumpNode(Lifecycle, LinkedNode):
             command=self._value(self._command),
             cistern_level=self._value(self._cistern),
             roof_level=self._value(self._roof),
+            jumps=sum(rule.jumps for rule in self._rules),
             frost=None if frost is None else frost > 0,
             speed=None if status is None else status.speed,
             flow=self._value(self._meter),

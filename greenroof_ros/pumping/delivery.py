@@ -12,7 +12,8 @@ Two balances are kept, each of water (m3) that the levels do not account for:
   the cistern counts up to the outlet only.
 
 Water is counted while a level is unknown, too, and the balances go on when it is known again: a
-sensor that is silent now and then hides nothing.
+sensor that is silent now and then hides nothing. Only a level that jumped, as no water can, counts
+from its new value on, with what was unaccounted for before.
 
 Each is averaged over ``averaging_time``, levels and volumes alike, so that no lag comes between
 them. A balance that rises by more than ``level_tolerance`` times the area above the least that it
@@ -46,32 +47,38 @@ _M_PER_S = 1e-3 / 3600
 
 
 class _Sums(NamedTuple):
-    """Since the check began."""
+    """Since the check began, or what was added to that."""
 
-    elapsed: float
+    elapsed: float = 0.0
     """s"""
-    least_pumped: float
+    least_pumped: float = 0.0
     """m3"""
-    most_pumped: float
+    most_pumped: float = 0.0
     """m3"""
-    cistern: float
+    cistern: float = 0.0
     """what it holds (m3)"""
-    roof: float
+    roof: float = 0.0
     """what it holds (m3)"""
+
+    def plus(self, other: _Sums, share: float = 1.0) -> _Sums:
+        return _Sums(*(mine + share * added for mine, added in zip(self, other, strict=True)))
 
 
 class _Balance:
-    """Water that is unaccounted for (m3), above the least that it ever was."""
+    """Water that is unaccounted for, above the least that it ever was."""
 
     def __init__(self) -> None:
-        self._least = math.inf
-        self.since = _Sums(0.0, 0.0, 0.0, 0.0, 0.0)
-        """the sums when it was least"""
+        self.rise = 0.0
+        """m3"""
+        self.over = _Sums()
+        """what was added to the sums since it was least"""
 
-    def rise(self, value: float, sums: _Sums) -> float:
-        if value <= self._least:
-            self._least, self.since = value, sums
-        return value - self._least
+    def add(self, unaccounted: float, change: _Sums) -> float:
+        """Add what cannot be accounted for (m3) of a change, and return the rise."""
+        self.rise, self.over = self.rise + unaccounted, self.over.plus(change)
+        if self.rise <= 0:
+            self.rise, self.over = 0.0, _Sums()
+        return self.rise
 
 
 class _Still:
@@ -79,7 +86,7 @@ class _Still:
 
     def __init__(self) -> None:
         self._level = math.nan
-        self.since = _Sums(0.0, 0.0, 0.0, 0.0, 0.0)
+        self.since = _Sums()
         """the sums when it last changed"""
 
     def see(self, level: float, sums: _Sums) -> None:
@@ -98,10 +105,15 @@ class DeliveryCheck:
 
     def restart(self) -> None:
         """Begin again, as after a reset."""
-        self._elapsed = self._watched = self._least_pumped = self._most_pumped = 0.0
-        self._mean: _Sums | None = None
+        self._elapsed = self._least_pumped = self._most_pumped = 0.0
         self._missing, self._lost = _Balance(), _Balance()
         self._cistern_still, self._roof_still = _Still(), _Still()
+        self.jumped()
+
+    def jumped(self) -> None:
+        """Take the levels as they are from now on: one of them has jumped."""
+        self._mean: _Sums | None = None
+        self._watched = 0.0
 
     def step(
         self,
@@ -134,29 +146,35 @@ class DeliveryCheck:
         )
         self._cistern_still.see(cistern_level, present)
         self._roof_still.see(roof_level, present)
-        self._mean = sums = self._averaged(dt, present)
         still = self._stands_still(present)
-        if still or self._watched < settings.averaging_time:
+        if still:
             return still
+        change = self._change_of_mean(dt, present)
         share = settings.least_delivery
-        missing = share * sums.least_pumped - sums.roof - self._loss * site.a2 * sums.elapsed
-        lost = -sums.cistern - sums.most_pumped / share - self._loss * site.a1 * sums.elapsed
-        rise, tolerance = self._missing.rise(missing, sums), settings.level_tolerance * site.a2
-        pumped = sums.least_pumped - self._missing.since.least_pumped
-        if rise > tolerance and share * pumped > tolerance:
-            return self._missing_on_roof(self._missing.since, sums)
-        if self._lost.rise(lost, sums) > settings.level_tolerance * site.a1:
-            return self._lost_from_cistern(sums)
+        missing = share * change.least_pumped - change.roof
+        missing -= self._loss * site.a2 * change.elapsed
+        lost = -change.cistern - change.most_pumped / share
+        lost -= self._loss * site.a1 * change.elapsed
+        tolerance = settings.level_tolerance * site.a2
+        rise = self._missing.add(missing, change)
+        if min(rise, share * self._missing.over.least_pumped) > tolerance:
+            return _missing_on_roof(self._missing.over)
+        if self._lost.add(lost, change) > settings.level_tolerance * site.a1:
+            return _lost_from_cistern(self._lost.over)
         return ""
 
-    def _averaged(self, dt: float, present: _Sums) -> _Sums:
-        """Return the moving mean; the plain one until there are enough readings for it."""
-        if self._mean is None or self._watched == 0:
-            return present
-        weight = dt / min(max(self._settings.averaging_time, dt), self._watched)
-        return _Sums(
-            *(mean + weight * (new - mean) for mean, new in zip(self._mean, present, strict=True))
-        )
+    def _change_of_mean(self, dt: float, present: _Sums) -> _Sums:
+        """Return by how much the moving mean changes.
+
+        Until there are enough readings for it, it is the plain one, and its changes do not count.
+        """
+        before, averaging = self._mean, self._settings.averaging_time
+        if before is None or self._watched == 0:
+            self._mean = present
+            return _Sums()
+        weight = dt / min(max(averaging, dt), self._watched)
+        self._mean = before.plus(present.plus(before, -1.0), weight)
+        return self._mean.plus(before, -1.0) if self._watched > averaging else _Sums()
 
     def _stands_still(self, now: _Sums) -> str:
         """Return the fault of a roof, or of both tanks, that did not change while water came."""
@@ -170,37 +188,30 @@ class DeliveryCheck:
             unseen = now.least_pumped - since.least_pumped
             unseen -= self._loss * area * (now.elapsed - since.elapsed)
             if unseen > self._settings.level_tolerance * area:
-                return f"{self._missing_on_roof(since, now)}, or {stuck}"
+                return f"{_missing_on_roof(now.plus(since, -1.0))}, or {stuck}"
         return ""
 
-    def _missing_on_roof(self, before: _Sums, now: _Sums) -> str:
-        pumped = now.least_pumped - before.least_pumped
-        fell = before.cistern - now.cistern
-        cause = (
-            "a burst pipe or a leak behind the pump" if fell > pumped / 2
-            else "a closed valve, a blocked pump or an empty pipe"
-        )
-        return (
-            f"delivery: {pumped:.2f} m3 were pumped in {_minutes(before, now)}, but the roof rose "
-            f"by {now.roof - before.roof:.2f} m3 and the cistern fell by {fell:.2f} m3: perhaps "
-            f"{cause}"
-        )
 
-    def _lost_from_cistern(self, now: _Sums) -> str:
-        before = self._lost.since
-        pumped = now.most_pumped - before.most_pumped
-        rose = now.roof - before.roof
-        fell = before.cistern - now.cistern
-        cause = (
-            "the pump runs although it should stand (a stuck contactor), or its flow is more than "
-            "is measured" if rose > fell / 2
-            else "a leak, or somebody else takes water"
-        )
-        return (
-            f"delivery: the cistern fell by {fell:.2f} m3 in {_minutes(before, now)}, but only "
-            f"{pumped:.2f} m3 were pumped: perhaps {cause}"
-        )
+def _missing_on_roof(over: _Sums) -> str:
+    fell = -over.cistern
+    cause = (
+        "a burst pipe or a leak behind the pump" if fell > over.least_pumped / 2
+        else "a closed valve, a blocked pump or an empty pipe"
+    )
+    return (
+        f"delivery: {over.least_pumped:.2f} m3 were pumped in {over.elapsed / 60:.1f} min, but the "
+        f"roof rose by {over.roof:.2f} m3 and the cistern fell by {fell:.2f} m3: perhaps {cause}"
+    )
 
 
-def _minutes(before: _Sums, now: _Sums) -> str:
-    return f"{(now.elapsed - before.elapsed) / 60:.1f} min"
+def _lost_from_cistern(over: _Sums) -> str:
+    fell = -over.cistern
+    cause = (
+        "the pump runs although it should stand (a stuck contactor), or its flow is more than "
+        "is measured" if over.roof > fell / 2
+        else "a leak, or somebody else takes water"
+    )
+    return (
+        f"delivery: the cistern fell by {fell:.2f} m3 in {over.elapsed / 60:.1f} min, but only "
+        f"{over.most_pumped:.2f} m3 were pumped: perhaps {cause}"
+    )

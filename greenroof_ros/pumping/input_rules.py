@@ -117,6 +117,8 @@ class LevelRule:
                 not; more than the sensor resolves.
             jump_tolerance: how far two values may be apart beyond what water can do (m).
         """
+        self.jumps = 0
+        """how often it has jumped"""
         self._speeds = speeds
         self._frozen_movement = frozen_movement
         self._tolerance = jump_tolerance
@@ -148,6 +150,7 @@ class LevelRule:
         if self._low <= self._high:
             return self.stands()
         self._low, self._high = value - half, value + half
+        self.jumps += 1
         end = high if value > high else low
         return Verdict(
             JUMP, f"jumped: {before:.4g} m, and {passed:.3g} s later {value:.4g} m, where water "

@@ -30,6 +30,7 @@ class Observation:
         command: share of the maximum flow, as it came.
         cistern_level: m.
         roof_level: m.
+        jumps: how often one of both levels has jumped, as no water can, since the start.
         frost: whether there is.
         speed: what the drive turns at, share of the rated speed.
         flow: of a flow meter (m3/s).
@@ -43,6 +44,7 @@ class Observation:
     command: float | None = None
     cistern_level: float | None = None
     roof_level: float | None = None
+    jumps: int = 0
     frost: bool | None = None
     speed: float | None = None
     flow: float | None = None
@@ -108,6 +110,7 @@ class PumpControl:
         self._astray_for = 0.0
         self._unknown_for = 0.0
         self._blind_for = 0.0
+        self._jumps = 0
         # What it turned at most when that was last known, share of the rated speed; before that
         # it is not known to stand.
         self._turned = 1.0
@@ -158,6 +161,9 @@ class PumpControl:
         self._pulses.account(flow * dt, dt)
         both = seen.cistern_level is not None and seen.roof_level is not None
         self._blind_for = 0.0 if both else self._blind_for + dt
+        if seen.jumps != self._jumps:
+            self._jumps = seen.jumps
+            self._delivery.jumped()
         undelivered = self._delivery.step(
             dt, seen.cistern_level, seen.roof_level, least * dt, max(flow, unseen) * dt
         )

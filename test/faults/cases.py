@@ -168,6 +168,17 @@ _RUNS_ON = Expected(stops=False)
 # --- sensors and weather --------------------------------------------------------------------------
 
 
+def _still(tank: str) -> Expected:
+    """Return what must come of a level that does not change while the pump runs.
+
+    Of the roof's it cannot be known whether water arrives.
+    """
+    if tank == "roof":
+        return Expected(bound="roof frozen", alarm="the roof's sensor is stuck",
+                        recovery="latches")
+    return Expected(bound="cistern frozen", alarm="/cistern/level is frozen")
+
+
 def _sensors(repeats: int) -> Iterator[Case]:
     for number in range(repeats):
         rig = f"site:{DRIVES[number % 4]}"
@@ -176,8 +187,7 @@ def _sensors(repeats: int) -> Iterator[Case]:
                 ("silent", Expected(bound="level", alarm=rf"/{tank}/level|{tank}_sensor"), None),
                 ("absurd", Expected(bound="level", alarm=rf"/{tank}/level|{tank}_sensor"), None),
                 ("noisy", Expected(bound="noisy", alarm=rf"/{tank}/level jumped"), 1000),
-                ("frozen", Expected(bound=f"{tank} frozen", alarm=rf"/{tank}/level is frozen"),
-                 None),
+                ("frozen", _still(tank), None),
                 ("drifting", Expected(bound="drift", alarm=rf"/{tank}/level jumped"), 500),
             ):
                 if fault in ("frozen", "drifting") and number >= 2:
@@ -193,9 +203,14 @@ def _sensors(repeats: int) -> Iterator[Case]:
                 stops=False, alarm=r"forecast"))
         yield Case(rig, "forecast file", "old", number, Expected(
             bound="command", alarm=r"forecast|frost"))
-    for fault, parameter in (("burst_pipe", None), ("leak", 20000)):
-        yield Case(f"site:{DRIVES[0]}", "site", fault, 0, Expected(
-            bound="undelivered", alarm=r"delivery|jumped|frozen", recovery="either"), parameter)
+    for number, drive in enumerate(DRIVES):
+        for fault in ("burst_pipe", "closed_valve"):
+            yield Case(f"site:{drive}", "site", fault, number, Expected(
+                bound="undelivered", alarm="delivery: ", recovery="latches"))
+    # A level that falls faster than pump and outlet can empty the cistern jumps before the balance
+    # is a fault, and is unknown until it does so no more.
+    yield Case(f"site:{DRIVES[0]}", "site", "leak", 0, Expected(
+        bound="undelivered", alarm=r"delivery: |/cistern/level jumped", recovery="either"), 20000)
 
 
 def _dry(repeats: int) -> Iterator[Case]:
@@ -233,7 +248,7 @@ def _topic(topic: str, mode: str, rig: str) -> Expected:
     if topic in ("/cistern/level", "/roof/level"):
         return {
             "off": Expected(bound="level", alarm=name),
-            "stuck": Expected(bound=f"{topic.split('/')[1]} frozen", alarm=f"{name} is frozen"),
+            "stuck": _still(topic.split("/")[1]),
             "garbage": Expected(alarm=name),
             "wrong": Expected(alarm=f"{name} jumped"),
             "intermittent": Expected(bound="intermittent", alarm=name),

@@ -92,12 +92,12 @@ def begin(rig: Rig, case: Case, rng: random.Random) -> Undo:
         return nothing  # it says the same from the start on
     if case.fault in ("sensor", "site"):
         rig.truth.inject_site(case.target, DEFAULT if case.parameter is None else case.parameter)
-        return lambda: _repair(rig, case.target)
+        return lambda: rig.truth.inject_site("none")
     if case.fault == "forecast file":
         return _forecast(rig, case)
     if case.fault == "dry":
         assert isinstance(rig, SiteRig)
-        wait(lambda: rig.cistern_level() < rig.site.suction_level, 90, "an empty cistern")
+        wait(lambda: rig.levels()[0] <= rig.dry_level, 90, "an empty cistern")
         return nothing
     if case.fault in ("intruder", "10000 hostile") and case.target not in _played(rig):
         return _intruder(rig, case, rng)
@@ -126,7 +126,8 @@ def _process(rig: Rig, case: Case, rng: random.Random) -> Undo:
 
         def again() -> None:
             simulator.process.process.wait()
-            simulator.start()
+            water = isinstance(rig, SiteRig) and case.target == "site_simulator"
+            simulator.start(*(rig.water() if water else ()))
 
         return again
     pids = rig.pids()
@@ -180,18 +181,6 @@ def _drive(rig: Rig, case: Case) -> Undo:
     if case.target == "power_cycle":
         rig.drive.powered_at = time.monotonic()
     return lambda: rig.truth.inject_drive("none")
-
-
-def _repair(rig: Rig, fault: str) -> None:
-    """End a fault of a sensor or of the site.
-
-    A level that did not rise was taken for frozen, and is until it changes: what evaporates, or the
-    sensor's last digit, changes it in a real site within minutes.
-    """
-    if fault == "burst_pipe":
-        rig.truth.inject_site("roof_noisy", 2)
-        time.sleep(5.0)
-    rig.truth.inject_site("none")
 
 
 def _forecast(rig: Rig, case: Case) -> Undo:

@@ -73,7 +73,7 @@ def run_case(rig: Rig, case: Case, rng: random.Random, outcome: Outcome) -> None
         _fault(rig, case, rng, outcome)
     if rig.truth.greatest > 1.001:
         outcome.fail(f"the pump turned at {rig.truth.greatest:.3f} of its rated speed")
-    if isinstance(rig, SiteRig) and rig.cistern_level() < rig.site.suction_level - _DRY_M:
+    if isinstance(rig, SiteRig) and rig.levels()[0] < rig.site.suction_level - _DRY_M:
         outcome.fail("the pump ran dry")
 
 

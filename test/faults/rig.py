@@ -29,6 +29,7 @@ from greenroof_ros.drives.address import parse_address
 from greenroof_ros.drives.control_profiles import AbbDrives
 from greenroof_ros.model.pump_speed import flow_at
 from greenroof_ros.model.site import Site, read_site
+from greenroof_ros.pumping.settings import settings_for
 
 START_S = 60.0
 # What the simulated drive needs from power-up until it answers (s).
@@ -144,10 +145,10 @@ class Simulator:
         self._start = (domain, directory, module, options)
         self.start()
 
-    def start(self) -> None:
+    def start(self, *more: str) -> None:
         """Start it, or start it again; ``powered_at`` is when (s, `time.monotonic`)."""
         domain, directory, module, options = self._start
-        self.process = Process(domain, module, *options, cwd=directory)
+        self.process = Process(domain, module, *options, *more, cwd=directory)
         wait(
             lambda: self.process.stdout().startswith("ready:")
             or self.process.process.poll() is not None, START_S, f"no {module}",
@@ -353,12 +354,12 @@ class SiteRig(Rig):
         read = directory / "sensors-read.yaml"
         read.write_text(yaml.safe_dump(by_line))
         bench = next(self._ports)
-        self.levels = directory / "levels.csv"
+        self.csv = directory / "levels.csv"
         self.site_simulator = Simulator(
             domain, directory, "site_simulator", "--sensors", str(file), "--drive-at", self._bench,
             "--workbench", str(bench), "--site", str(self.site_file), "--rain", "0",
             "--constant-evapotranspiration", "0", "--cistern", str(self.cistern_m3),
-            "--roof", str(_ROOF_M3), "--output", str(self.levels),
+            "--roof", str(_ROOF_M3), "--output", str(self.csv),
         )
         self.forecast = directory / "forecast.csv"
         write_forecast(self.forecast)
@@ -378,16 +379,26 @@ class SiteRig(Rig):
         self.main = Process(self.domain, "bringup", *self._options, cwd=self.directory)
         wait(lambda: self.truth.samples, 10, "no speed of the drive")
 
-    def cistern_level(self) -> float:
-        """Return the true level of the cistern (m)."""
-        line = self.levels.read_text().splitlines()[-1]
-        return float(line.split(",")[1])
+    def levels(self) -> tuple[float, float]:
+        """Return the true levels of cistern and roof (m)."""
+        _, cistern, roof = self.csv.read_text().splitlines()[-1].split(",")[:3]
+        return float(cistern), float(roof)
+
+    def water(self) -> tuple[str, ...]:
+        """Return the options with which the site's simulator goes on with its water."""
+        cistern, roof = self.levels()
+        return ("--cistern", repr(cistern * self.site.a1), "--roof", repr(roof * self.site.a2))
+
+    @property
+    def dry_level(self) -> float:
+        """The level of the cistern at which the pump is stopped (m)."""
+        return self.site.suction_level + settings_for(self.site).level_offset
 
 
 class DryRig(SiteRig):
     """The same with water for half a minute."""
 
-    cistern_m3 = 19.0
+    cistern_m3 = 19.5
 
 
 class GaugedRig(SiteRig):

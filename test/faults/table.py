@@ -24,7 +24,7 @@ _KINDS = {
     "sensor line": "the line of a level sensor",
     "sensor": "a level sensor",
     "forecast file": "the forecast file",
-    "site": "a burst pipe, a leak",
+    "site": "a burst pipe, a closed valve, a leak",
     "dry": "a cistern that runs empty",
     "stuck for ever": "a command that never changes",
     "full disk": "a full disk",

@@ -272,6 +272,27 @@ def test_a_closed_valve_and_a_sensor_that_is_frozen_at_times() -> None:
     assert rig.ledger.record.day_volume - before < 0.25
 
 
+def test_a_jump_is_no_leak_and_hides_none() -> None:
+    """A sensor is set 5 cm lower, 1.25 m3, while 1 l/s leaks; 0.15 m3 of that are a fault.
+
+    It counts for 150 s, less a minute for the mean before the jump and one after it.
+    """
+    rig = Rig(x2=0.5)
+    rig.run(200, 0.0)
+    rig.leak = 0.001
+    rig.run(100, 0.0)
+    rig.change = {"cistern_level": None, "jumps": 1}
+    rig.run(10, 0.0)
+    rig.change = {"jumps": 1}
+    rig.cistern_offset = -0.05
+    assert 60 < time_to_fault(rig, 600, 0.0) < 190
+    assert "the cistern fell by 0.15 m3" in rig.decisions[-1].why
+    rig = Rig(x2=0.5)
+    rig.run(200, 0.0)
+    rig.cistern_offset, rig.change = -0.05, {"jumps": 1}
+    assert time_to_fault(rig, 600, 0.0) == math.inf
+
+
 def test_a_meter_that_says_nothing_hides_no_volume() -> None:
     """The day has the volume of the speed; and the cistern falls by more than is measured."""
     rig = Rig(x2=0.0, noise=NOISE)
