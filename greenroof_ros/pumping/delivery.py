@@ -193,7 +193,7 @@ class DeliveryCheck:
 
 
 def _missing_on_roof(over: _Sums) -> str:
-    fell = -over.cistern
+    fell = max(0.0, -over.cistern)
     cause = (
         "a burst pipe or a leak behind the pump" if fell > over.least_pumped / 2
         else "a closed valve, a blocked pump or an empty pipe"
