@@ -11,6 +11,12 @@ from greenroof_ros.common.findings import print_findings
 from greenroof_ros.graph.errors import no_ros
 from greenroof_ros.model.site import read_site
 
+_LIMIT = (
+    "The flows that it answers are the only witness: whether the pump's shaft really stands is not "
+    "seen over topics, so look at the pump. Lockstep is played, one flow for each command; not a "
+    "live graph, in which a driver must also stop for an input that falls silent."
+)
+
 
 @command
 def main() -> int:
@@ -19,8 +25,9 @@ def main() -> int:
         prog="python -m greenroof_ros.check_pump",
         description="Hold a pump driver that runs, be it this package's or your own in any "
         "language, to the interface over topics alone: off at start, one flow for each command, "
-        "refused values, watchdog, a second publisher, and that it runs again after each. It plays "
-        "plant, weather and controller itself, so start no bringup; THE PUMP WILL RUN.",
+        "refused values, watchdog, a second publisher, frost, levels and frost that are unknown, a "
+        "cistern at the suction level, and that it runs again after each. It plays plant, weather "
+        f"and controller itself, so start no bringup; THE PUMP WILL RUN. {_LIMIT}",
         epilog="example:\n  python examples/pump_driver.py &\n"
         "  python -m greenroof_ros.check_pump --node pump\n\n"
         "exit codes: 0 all is right, 1 a check failed, 2 there is no such driver, 3 a graph is at "
@@ -50,7 +57,8 @@ def main() -> int:
     )
     parser.add_argument(
         "--stop-within", type=number, default=30.0, metavar="S",
-        help="how long the flow may take to become 0 (default: 30)",
+        help="how long the flow may take to become 0, whatever the pump is to stop for; it may "
+        "ramp down (default: 30)",
     )
     parser.add_argument(
         "--silence", type=number, default=5.0, metavar="S",
@@ -75,7 +83,10 @@ def main() -> int:
         start=arguments.start_within, stop=arguments.stop_within, silence=arguments.silence,
         arrival=arguments.wait,
     )
-    return print_findings(f"pump driver {arguments.node}", check_pump(arguments.node, site, limits))
+    findings = check_pump(arguments.node, site, limits)
+    code = print_findings(f"pump driver {arguments.node}", findings)
+    print(_LIMIT)
+    return code
 
 
 if __name__ == "__main__":

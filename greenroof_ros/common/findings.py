@@ -18,10 +18,12 @@ class Finding:
     Attributes:
         check: what the part must do.
         problem: what this one does instead; empty where it is right.
+        came: what it did, where that is right and worth a number.
     """
 
     check: str
     problem: str
+    came: str = ""
 
 
 def print_findings(title: str, findings: Sequence[Finding]) -> int:
@@ -30,7 +32,8 @@ def print_findings(title: str, findings: Sequence[Finding]) -> int:
     for name in ("check", "result"):
         table.add_column(name)
     for finding in findings:
-        table.add_row(finding.check, finding.problem or "right")
+        right = f"right: {finding.came}" if finding.came else "right"
+        table.add_row(finding.check, finding.problem or right)
     Console().print(table)
     failed = [finding for finding in findings if finding.problem]
     print(f"{len(findings) - len(failed)} of {len(findings)} checks passed")

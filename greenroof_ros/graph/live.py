@@ -22,7 +22,7 @@ from greenroof_ros.graph.errors import LockstepError
 from greenroof_ros.graph.inputs import Inputs
 from greenroof_ros.graph.parameters import NodeParameter
 from greenroof_ros.graph.peers import Peers
-from greenroof_ros.graph.publishers import UNKNOWN_NAME
+from greenroof_ros.graph.publishers import call_node
 from greenroof_ros.graph.qos import qos_profile
 from greenroof_ros.graph.reports import ERROR, OK, WARN, Report
 from greenroof_ros.graph.validation import Input
@@ -139,8 +139,8 @@ class LivePublishers:
         return SubscriptionEventCallbacks(matched=self._on_matched)
 
     def names(self) -> list[str]:
-        """Return the names of the publishers' nodes, as far as they are known."""
-        return sorted({info.node_name for info in self._known()})
+        """Return what to call the publishers' nodes."""
+        return sorted({call_node(info.node_name) for info in self._known()})
 
     def problem(self, now: float) -> str:
         """Say that there are two, if there are.
@@ -155,10 +155,7 @@ class LivePublishers:
         """
         if self.count < 2 or len(self._known()) < 2:
             return ""
-        names = [
-            "a node that does not say its name" if name == UNKNOWN_NAME else name
-            for name in self.names()
-        ]
+        names = self.names()
         if not self._lease and len(names) == 1 and self._peers.may_be_one(names[0], now):
             return ""
         return (

@@ -166,7 +166,7 @@ class PublisherWatch:
 
     def said_names(self, *others: str) -> str:
         """Return the names of the publishers' nodes, and of some others, for a message."""
-        unnamed = ["a node that does not say its name"] if UNKNOWN_NAME in self._names() else []
+        unnamed = [call_node(UNKNOWN_NAME)] if UNKNOWN_NAME in self._names() else []
         return ", ".join([*self.names(), *unnamed, *others])
 
     def _refuse_second(self, count: int, *others: str) -> None:
@@ -177,6 +177,16 @@ class PublisherWatch:
 
     def _names(self) -> set[str]:
         return names_of_publishers(self._node, self.topic.graph_name)
+
+
+def call_node(name: str) -> str:
+    """Return what to call a node in a message, by its name in the graph.
+
+    Who joined just before another was killed may know that one's topics, and never its name.
+    """
+    if name == UNKNOWN_NAME:
+        return "a node whose name is not known, such as one that was killed"
+    return name
 
 
 def names_of_publishers(node: Node, graph_name: str) -> set[str]:

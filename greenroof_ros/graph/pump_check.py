@@ -11,6 +11,7 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any
 
 import rclpy
@@ -46,6 +47,11 @@ _AT_REST = 0.5
 # What a driver must refuse. NaN comes first, and to a running pump: drivers that keep the command
 # before it would go on.
 _HOSTILE = (math.nan, math.inf, -math.inf, -1.0, -1e300)
+# The cistern's level begins so far above the suction level, and falls with what is pumped to so
+# little above it (m). From there one step to the suction level is too small to be taken for a leak.
+_ABOVE_SUCTION, _LEAST_ABOVE_SUCTION = 0.03, 0.002
+# To so far above the suction level rain lifts it after that (m): more than a driver may ask for.
+_REFILLED = 0.5
 
 
 @dataclass(frozen=True)
@@ -69,6 +75,9 @@ class Limits:
     stop: float
     silence: float
     arrival: float
+
+
+_NOT_RUNNING = "not tried: the pump does not run"
 
 
 class _ProblemError(Exception):
@@ -98,8 +107,11 @@ class PumpCheck:
         self._interface = read_topics()
         self._executor = make_executor()
         self._executor.add_node(node)
-        self._volumes = list(initial_state(site, "low-low"))
-        self._volumes[1] *= 0.5  # there is room for what will be pumped
+        # On the roof there is room for what will be pumped.
+        self._empty_roof = 0.5 * initial_state(site, "low-low")[1]
+        self._volumes = [(site.suction_level + _ABOVE_SUCTION) * site.a1, self._empty_roof]
+        # What is said instead of the truth, by topic.
+        self._said_instead: dict[str, float] = {}
         self._ticks = 0
         self._flows: list[float] = []
         self._steady = 0.0
@@ -121,23 +133,23 @@ class PumpCheck:
         self._join()
         hindered = ""
         for title, check in self._checks().items():
-            problem = hindered
+            problem, came = hindered, ""
             if not hindered:
                 try:
-                    check()
+                    came = check()
                 except _ProblemError as error:
                     problem = str(error)
                     if isinstance(error, _SilentError):
                         hindered = "not tried: the driver does not answer"
                     elif check == self._runs:
-                        hindered = "not tried: the pump does not run"
-            findings.append(Finding(title, problem))
+                        hindered = _NOT_RUNNING
+            findings.append(Finding(title, problem, came))
         findings.append(Finding("answers each command with exactly one flow", self._lockstep()))
         return findings
 
-    def _checks(self) -> dict[str, Callable[[], None]]:
+    def _checks(self) -> dict[str, Callable[[], str]]:
         limits = self._limits
-        return {
+        checks: dict[str, Callable[[], str]] = {
             "is off at start: no flow before a command, and 0 at command 0": self._off_at_start,
             f"runs at command {limits.command:g}": self._runs,
             "takes a command above 1 as 1": self._clamps,
@@ -147,8 +159,23 @@ class PumpCheck:
             "runs again when commands come again": self._run_steadily,
             "stops while /pump/command has a second publisher": self._second_publisher,
             "runs again when one publisher is left": self._run_steadily,
-            "stops at command 0": self._stops,
         }
+        # The suction level comes last: by then the cistern's level is just above it.
+        for topic, value, stops, after in (
+            ("/weather/frost", 1.0, "in frost", "the frost is over"),
+            ("/weather/frost", math.nan, "while frost is unknown, NaN", "frost is known"),
+            ("/cistern/level", math.nan, "while the cistern's level is unknown, NaN",
+             "the cistern's level is known"),
+            ("/roof/level", math.nan, "while the roof's level is unknown, NaN",
+             "the roof's level is known"),
+            ("/cistern/level", self._site.suction_level,
+             "with the cistern at the suction level", "the cistern has filled again"),
+        ):
+            title = f"stops {stops}: the flow is 0 within {limits.stop:g} s, and stays so"
+            checks[title] = partial(self._stops_for, topic, value)
+            checks[f"runs again when {after}"] = self._run_steadily
+        checks["stops at command 0"] = self._stops
+        return checks
 
     # --- the graph ------------------------------------------------------------------------------
 
@@ -250,11 +277,15 @@ class PumpCheck:
         """Publish a tick with a command, and return the flow that answers it (m3/s)."""
         began, tau = time.monotonic(), self._site.tau
         cistern, roof = self._volumes
-        self._publish["/clock"](_EPOCH_NS + round(self._ticks * tau * 1e9))
-        self._publish["/cistern/level"](cistern / self._site.a1)
-        self._publish["/roof/level"](roof / self._site.a2)
-        self._publish["/weather/frost"](0.0)
-        self._publish["/pump/command"](command)
+        truth = {
+            "/clock": _EPOCH_NS + round(self._ticks * tau * 1e9),
+            "/cistern/level": cistern / self._site.a1,
+            "/roof/level": roof / self._site.a2,
+            "/weather/frost": 0.0,
+            "/pump/command": command,
+        }
+        for topic, value in (truth | self._said_instead).items():
+            self._publish[topic](value)
         self._ticks += 1
         while not self._flows:
             left = began + self._limits.answer - time.monotonic()
@@ -270,7 +301,8 @@ class PumpCheck:
         high = self._interface["/pump/flow"].high
         if not 0 <= flow <= high:
             raise _ProblemError(f"its flow is {flow:g} m3/s, and must be from 0 to {high:g}")
-        self._volumes = [cistern - flow * tau, roof + flow * tau]
+        least = (self._site.suction_level + _LEAST_ABOVE_SUCTION) * self._site.a1
+        self._volumes = [max(cistern - flow * tau, least), roof + flow * tau]
         return flow
 
     def _hold_to_one(self, answers: int) -> None:
@@ -288,13 +320,14 @@ class PumpCheck:
     def _flowing(self, flow: float) -> bool:
         return flow > _NONE * self._steady
 
-    def _until_zero(self, command: float, reason: str) -> None:
-        """Repeat a command until the flow is 0.
+    def _until_zero(self, command: float, reason: str) -> str:
+        """Repeat a command until the flow is 0, and return how long that took, in words.
 
         Raises:
             _ProblemError: it is not within the limit.
         """
-        until = time.monotonic() + self._limits.stop
+        began = time.monotonic()
+        until = began + self._limits.stop
         before = flow = self._answer(command)
         while self._flowing(flow):
             if time.monotonic() > until:
@@ -303,6 +336,19 @@ class PumpCheck:
                     f"(first answer: {before:.3g}){self._said()}"
                 )
             flow = self._answer(command)
+        return f"no flow after {time.monotonic() - began:.1f} s"
+
+    def _stay_at_zero(self, command: float, reason: str) -> None:
+        """Repeat a command some times, at which the flow must be 0."""
+        for _ in range(_STEADY_TICKS):
+            flow = self._answer(command)
+            if self._flowing(flow):
+                raise _ProblemError(f"a flow of {flow:g} m3/s answers {reason}")
+
+    def _must_run(self) -> None:
+        """See to it that a stop is not found in a pump that stood before."""
+        if self._answer(self._limits.command) < _AT_REST * self._steady:
+            raise _ProblemError(_NOT_RUNNING)
 
     def _steady_flow(self, command: float) -> float:
         """Repeat a command until the flow is steady, and return it (m3/s).
@@ -327,37 +373,41 @@ class PumpCheck:
 
     # --- checks ---------------------------------------------------------------------------------
 
-    def _off_at_start(self) -> None:
+    def _off_at_start(self) -> str:
         if self._flows:
             raise _ProblemError(f"a flow of {self._flows[0]:g} m3/s came before any command")
         for _ in range(_STEADY_TICKS):
             flow = self._answer(0.0)
             if flow > 0:
                 raise _ProblemError(f"a flow of {flow:g} m3/s answers command 0")
+        return ""
 
-    def _runs(self) -> None:
-        self._steady_flow(self._limits.command)
+    def _runs(self) -> str:
+        return self._run_steadily()
 
-    def _run_steadily(self) -> None:
-        self._steady_flow(self._limits.command)
+    def _run_steadily(self) -> str:
+        began = time.monotonic()
+        flow = self._steady_flow(self._limits.command)
+        return f"{flow:.3g} m3/s, steady after {time.monotonic() - began:.1f} s"
 
-    def _clamps(self) -> None:
+    def _clamps(self) -> str:
         most = self._steady_flow(1.0)
         beyond = self._steady_flow(3.0)
         if beyond > (1 + _NOISE) * most:
             raise _ProblemError(
                 f"the flow is {beyond:.3g} m3/s at command 3, and {most:.3g} at command 1"
             )
+        return f"{beyond:.3g} m3/s at command 3, {most:.3g} at command 1"
 
-    def _refuses(self) -> None:
+    def _refuses(self) -> str:
+        came = ""
         for value in _HOSTILE:
-            self._until_zero(value, f"command {value:g}")
-            for _ in range(_STEADY_TICKS):
-                flow = self._answer(value)
-                if self._flowing(flow):
-                    raise _ProblemError(f"a flow of {flow:g} m3/s answers command {value:g}")
+            stopped = self._until_zero(value, f"command {value:g}")
+            came = came or stopped
+            self._stay_at_zero(value, f"command {value:g}")
+        return came
 
-    def _watchdog(self) -> None:
+    def _watchdog(self) -> str:
         """Fall silent; the first flow after it tells whether the pump had stopped meanwhile."""
         before = self._steady_flow(self._limits.command)
         self._spin(self._limits.silence)
@@ -371,16 +421,34 @@ class PumpCheck:
             )
         if state.startswith(("starting", "running")):
             raise _ProblemError(f"/pump/state says {state!r} at the end of the silence")
+        return f"{after:.3g} m3/s at the first command after it, {before:.3g} before"
 
-    def _second_publisher(self) -> None:
+    def _second_publisher(self) -> str:
+        self._must_run()
         with _intruder(self._node, self._executor):
             try:
-                self._until_zero(self._limits.command, "a second publisher came")
+                return self._until_zero(self._limits.command, "a second publisher came")
             finally:
                 self._hold_to_one(0)
 
-    def _stops(self) -> None:
-        self._until_zero(0.0, "command 0")
+    def _stops_for(self, topic: str, value: float) -> str:
+        """Say something for which the pump must stop, while the command goes on."""
+        self._must_run()
+        self._said_instead = {topic: value}
+        reason = f"{value:g} on {topic}"
+        try:
+            came = self._until_zero(self._limits.command, reason)
+            self._stay_at_zero(self._limits.command, reason)
+        finally:
+            self._said_instead = {}
+            if topic == "/roof/level":  # has dried meanwhile: there is room again
+                self._volumes[1] = self._empty_roof
+            if value == self._site.suction_level:
+                self._volumes[0] = (value + _REFILLED) * self._site.a1
+        return came
+
+    def _stops(self) -> str:
+        return self._until_zero(0.0, "command 0")
 
     def _lockstep(self) -> str:
         self._spin(0.5)

@@ -17,6 +17,7 @@ from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 
 from greenroof_ros.common.interface import Qos, Topic, read_topics
+from greenroof_ros.graph.publishers import UNKNOWN_NAME, call_node
 
 # The name of a node and its other ends are known a moment after its publisher (s).
 _DISCOVERY_S = 1.0
@@ -60,8 +61,9 @@ class UnfitPublishers:
                     self._warn(topic, publisher.node_name, " and ".join(lacking))
 
     def _warn(self, topic: Topic, node_name: str, lacking: str) -> None:
+        who = call_node(node_name) if node_name == UNKNOWN_NAME else f"node {node_name}"
         sentence = (
-            f"{self._node.resolve_topic_name(topic.graph_name)}: what node {node_name} publishes "
+            f"{self._node.resolve_topic_name(topic.graph_name)}: what {who} publishes "
             f"does not arrive: it {lacking}, and must be {requirements(topic.qos)} "
             "(doc/real-pump.md)"
         )

@@ -527,7 +527,7 @@ def test_check_pump_finds_it_right(domain: int, tmp_path: Path, rig: PumpRig) ->
         node = rig.start(drive.address)
         check = Process(domain, "check_pump", "--node", "pump", "--period", "0.05", cwd=tmp_path)
         assert check.wait(120) == 0, check.stdout() + check.stderr()
-        assert "12 of 12 checks passed" in check.stdout()
+        assert "22 of 22 checks passed" in check.stdout()
         assert drive.speed() == 0.0
         assert node.poll() is None
     finally:
