@@ -48,8 +48,9 @@ _AT_REST = 0.5
 # before it would go on.
 _HOSTILE = (math.nan, math.inf, -math.inf, -1.0, -1e300)
 # The cistern's level begins so far above the suction level, and falls with what is pumped to so
-# little above it (m). From there one step to the suction level is too small to be taken for a leak.
-_ABOVE_SUCTION, _LEAST_ABOVE_SUCTION = 0.03, 0.002
+# little above it (m): a driver may stop 2 cm above it already, for a sensor that is wrong. At the end
+# it falls to just below it.
+_ABOVE_SUCTION, _LEAST_ABOVE_SUCTION, _DRY = 0.03, 0.022, -0.001
 # To so far above the suction level rain lifts it after that (m): more than a driver may ask for.
 _REFILLED = 0.5
 
@@ -110,6 +111,7 @@ class PumpCheck:
         # On the roof there is room for what will be pumped.
         self._empty_roof = 0.5 * initial_state(site, "low-low")[1]
         self._volumes = [(site.suction_level + _ABOVE_SUCTION) * site.a1, self._empty_roof]
+        self._least_above_suction = _LEAST_ABOVE_SUCTION
         # What is said instead of the truth, by topic.
         self._said_instead: dict[str, float] = {}
         self._ticks = 0
@@ -160,7 +162,7 @@ class PumpCheck:
             "stops while /pump/command has a second publisher": self._second_publisher,
             "runs again when one publisher is left": self._run_steadily,
         }
-        # The suction level comes last: by then the cistern's level is just above it.
+        within = f"the flow is 0 within {limits.stop:g} s, and stays so"
         for topic, value, stops, after in (
             ("/weather/frost", 1.0, "in frost", "the frost is over"),
             ("/weather/frost", math.nan, "while frost is unknown, NaN", "frost is known"),
@@ -168,12 +170,11 @@ class PumpCheck:
              "the cistern's level is known"),
             ("/roof/level", math.nan, "while the roof's level is unknown, NaN",
              "the roof's level is known"),
-            ("/cistern/level", self._site.suction_level,
-             "with the cistern at the suction level", "the cistern has filled again"),
         ):
-            title = f"stops {stops}: the flow is 0 within {limits.stop:g} s, and stays so"
-            checks[title] = partial(self._stops_for, topic, value)
+            checks[f"stops {stops}: {within}"] = partial(self._stops_for, topic, value)
             checks[f"runs again when {after}"] = self._run_steadily
+        checks[f"stops when the cistern falls to the suction level: {within}"] = self._runs_dry
+        checks["runs again when the cistern has filled again"] = self._run_steadily
         checks["stops at command 0"] = self._stops
         return checks
 
@@ -301,7 +302,7 @@ class PumpCheck:
         high = self._interface["/pump/flow"].high
         if not 0 <= flow <= high:
             raise _ProblemError(f"its flow is {flow:g} m3/s, and must be from 0 to {high:g}")
-        least = (self._site.suction_level + _LEAST_ABOVE_SUCTION) * self._site.a1
+        least = (self._site.suction_level + self._least_above_suction) * self._site.a1
         self._volumes = [max(cistern - flow * tau, least), roof + flow * tau]
         return flow
 
@@ -443,9 +444,24 @@ class PumpCheck:
             self._said_instead = {}
             if topic == "/roof/level":  # has dried meanwhile: there is room again
                 self._volumes[1] = self._empty_roof
-            if value == self._site.suction_level:
-                self._volumes[0] = (value + _REFILLED) * self._site.a1
         return came
+
+    def _runs_dry(self) -> str:
+        """Pump the cistern empty; a driver may stop earlier."""
+        self._must_run()
+        site, command = self._site, self._limits.command
+        self._least_above_suction = _DRY
+        dry = (site.suction_level + _DRY) * site.a1
+        while self._volumes[0] > dry and self._flowing(self._answer(command)):
+            pass
+        above = max(0.0, self._volumes[0] / site.a1 - site.suction_level)
+        reason = "the cistern fell to the suction level"
+        try:
+            came = self._until_zero(command, reason)
+            self._stay_at_zero(command, reason)
+        finally:
+            self._volumes[0] = (site.suction_level + _REFILLED) * site.a1
+        return f"{came}, {above:.3f} m above the suction level"
 
     def _stops(self) -> str:
         return self._until_zero(0.0, "command 0")
