@@ -48,8 +48,8 @@ _AT_REST = 0.5
 # before it would go on.
 _HOSTILE = (math.nan, math.inf, -math.inf, -1.0, -1e300)
 # The cistern's level begins so far above the suction level, and falls with what is pumped to so
-# little above it (m): a driver may stop 2 cm above it already, for a sensor that is wrong. At the end
-# it falls to just below it.
+# little above it (m): a driver may stop 2 cm above it already, for a sensor that is wrong. At the
+# end it falls to just below it.
 _ABOVE_SUCTION, _LEAST_ABOVE_SUCTION, _DRY = 0.03, 0.022, -0.001
 # To so far above the suction level rain lifts it after that (m): more than a driver may ask for.
 _REFILLED = 0.5
