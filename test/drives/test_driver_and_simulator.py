@@ -196,6 +196,31 @@ def test_a_stop_that_is_refused_three_times_leaves_the_rest_to_the_drive() -> No
         until(lambda: drive.speed() == 0, 8)
 
 
+@pytest.mark.parametrize(
+    "make", ["abb_acs880", "danfoss_fc202", "grundfos_cim500", "schneider_atv630"]
+)
+def test_a_drive_that_acknowledges_stop_and_runs_on_stops_by_itself(
+    make: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Judged after 2 s instead of 10: writing *stop* on and on would keep its timeout alive."""
+    monkeypatch.setattr("greenroof_ros.drives.exchange.RUNS_ON_S", 2.0)
+    timeout = 5 if make == "grundfos_cim500" else 2
+    with Simulator(
+        "drive_simulator", "--drive", make, *FREE, "--ramp", "0.4", "--timeout", "2"
+    ) as drive, driver(make, drive) as exchange:
+        reach(exchange, drive, 0.6)
+        drive.inject("runs_on")
+        exchange.demand(None)
+        until(lambda: "acknowledges *stop*" in exchange.snapshot.problem, 20)
+        assert drive.speed() == pytest.approx(0.6, abs=1e-3)
+        assert f"so nothing is sent for {timeout + 1} s" in exchange.snapshot.problem
+        until(lambda: drive.speed() == 0, 20)
+        until(lambda: exchange.snapshot.connected, 20)
+        reach(exchange, drive, 0.4)
+        reach(exchange, drive, 0.0)
+    assert f"communication timeout: nothing for {timeout} s" in drive.said
+
+
 # --- the end --------------------------------------------------------------------------------------
 
 

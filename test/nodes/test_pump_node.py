@@ -442,6 +442,25 @@ def test_a_drive_that_is_lost_stops_and_comes_back(rig: PumpRig, drive: Simulate
     stands_within(drive, 3)
 
 
+def test_a_drive_that_runs_on_is_a_fault_and_its_own_timeout_stops_it(
+    rig: PumpRig, drive: SimulatedDrive
+) -> None:
+    """Acknowledged, and seen for 10 s; the cause is kept through the silence and after it."""
+    says = "it acknowledges *stop*, but its speed has not fallen for 10 s"
+    cause = f"fault: the drive reports: {says}"
+    rig.start(drive.address)
+    rig.run(drive)
+    drive.inject("runs_on")
+    rig.tick_until(0.0, lambda: rig.state.startswith(cause), 40, "the fault")
+    assert drive.speed() > 0.1
+    rig.tick_until(0.0, lambda: "so nothing is sent" in rig.state, 20, "the silence")
+    assert rig.state.startswith(cause)
+    rig.tick_until(0.0, lambda: drive.speed() == 0.0, 20, "the drive's own timeout")
+    rig.tick_until(0.0, lambda: rig.state == cause, 20, "the drive again")
+    assert rig.call(Trigger, "reset").success
+    rig.run(drive)
+
+
 def test_a_fault_stays_until_it_is_reset_and_a_stop_until_it_is_lifted(
     rig: PumpRig, drive: SimulatedDrive
 ) -> None:
