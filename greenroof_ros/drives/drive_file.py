@@ -16,6 +16,10 @@ from greenroof_ros.drives.address import Address, Serial
 WIDTH = {"uint16": 1, "int16": 1, "uint32": 2, "int32": 2, "float32": 2, "text": 0}
 UNITS = ("", "share", "s", "m3/s")
 SPEED = "speed"
+# The longest ramp down that a drive may have (s), after *stop* and after its own timeout: no drive
+# file says it. A pump that is not heard may turn for so long, and one that turns longer after it
+# was forbidden does not obey.
+LONGEST_RAMP_S = 30.0
 
 
 @dataclass(frozen=True)

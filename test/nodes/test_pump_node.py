@@ -461,6 +461,28 @@ def test_a_drive_that_runs_on_is_a_fault_and_its_own_timeout_stops_it(
     rig.run(drive)
 
 
+def test_a_lost_drive_is_not_said_to_stand_while_it_may_slow_down(
+    domain: int, tmp_path: Path, rig: PumpRig
+) -> None:
+    """Danfoss, 8-04 = 5, stop and trip: after 1.5 s it ramps down, here for some 12 s."""
+    drive = SimulatedDrive(
+        domain, tmp_path, "--speed", "1", "--ramp", "12", make="danfoss_fc202"
+    )
+    try:
+        rig.start(
+            drive.address, drive="danfoss_fc202", drive_timeout_limit=2.0, follow_time=60.0
+        )
+        rig.run(drive)
+        rig.tick_until(1.0, lambda: drive.speed() > 0.95, 40, "full speed")
+        drive.inject("half_open")
+        rig.tick_until(1.0, lambda: "no connection to the drive" in rig.state, 10, "the loss")
+        while drive.speed() > 0:
+            rig.tick(1.0)
+            assert "whether the pump stands is not known" in rig.state
+    finally:
+        drive.end()
+
+
 def test_a_fault_stays_until_it_is_reset_and_a_stop_until_it_is_lifted(
     rig: PumpRig, drive: SimulatedDrive
 ) -> None:
