@@ -94,6 +94,8 @@ class SimulatedDrive:
         self._roles = {own.register: "timeout_time"}
         if own.action is not None:
             self._roles[own.action.register] = "timeout_action"
+        if own.mode is not None:
+            self._roles[own.mode.register] = "loss_mode"
         idle = {
             name: profile.DELIVERED[role]
             for one in file.timeout.known.values()

@@ -218,6 +218,12 @@ class _Drive:
             return ""
         return f"no connection to the drive: {self.snapshot.problem}"
 
+    @property
+    def timeout_traps(self) -> str:
+        """When its own communication timeout does not guard although it reads well."""
+        own = self.file.timeout.over(self._address)
+        return "" if own is None else own.traps
+
     def timeout_problem(self) -> str:
         """Return what is wrong with its own communication timeout; empty where nothing is."""
         known, seconds = self.snapshot.timeout_known, self.snapshot.timeout_s
@@ -659,10 +665,11 @@ class PumpNode(Lifecycle, LinkedNode):
             self.diagnose("drive", OK, f"connected to {snapshot.identity}")
         problem, hold = self._drive.timeout_problem(), snapshot.hold
         level = ERROR if problem and not self._without_timeout else WARN if problem or hold else OK
-        self.diagnose(
-            "drive timeout", level, problem or hold
-            or f"without this machine the drive stops after {snapshot.timeout_s:g} s",
+        said = problem or hold or (
+            f"without this machine the drive stops after {snapshot.timeout_s:g} s"
         )
+        traps = self._drive.timeout_traps
+        self.diagnose("drive timeout", level, f"{said}; beware: {traps}" if traps else said)
 
 
 def _fault(status: DriveStatus | None) -> str:
