@@ -658,3 +658,33 @@ def test_wrong_parameters_end_it_in_one_line(domain: int, tmp_path: Path, rig: P
         assert len(lines) == 1, lines
         assert lines[0].startswith("error: ")
         assert words in lines[0]
+
+
+@pytest.mark.parametrize(
+    ("given", "words"),
+    [
+        ({"device_id": 17}, "parameter device_id of pump = '17': there is no such parameter"),
+        ({"folow_time": 9.0}, "parameter folow_time of pump = '9.0': there is no such parameter; "
+         "the closest is follow_time; --help lists all"),
+        ({"pump:folow_time": 9.0}, "parameter folow_time of pump = '9.0': there is no such"),
+    ],
+    ids=["device_id", "a mistyped one", "by the node's name"],
+)
+def test_a_parameter_that_it_does_not_have_ends_it(
+    given: dict[str, object], words: str, tmp_path: Path, rig: PumpRig
+) -> None:
+    """Without that rclpy ignores it: the pump would run with another limit than was given."""
+    with (tmp_path / "err").open("w") as errors:
+        node = rig.start("tcp://127.0.0.1:1", popen={"stderr": errors}, **given)
+        assert node.wait(60) == 2
+    line = (tmp_path / "err").read_text().splitlines()[-1]
+    assert line.startswith(f"error: {words}")
+
+
+def test_parameters_of_ros_itself_and_of_other_nodes_are_not_its_own(
+    rig: PumpRig, drive: SimulatedDrive
+) -> None:
+    rig.start(drive.address, **{
+        "use_sim_time": "false", "qos_overrides./pump/flow.publisher.depth": 3, "plant:tau": 1.0,
+    })
+    rig.run(drive)
