@@ -199,7 +199,7 @@ _DRIVE_PARTS = {
     "`faults`, `warnings`": drive_file.Codes,
     "`timeout`": drive_file.Timeouts,
     "`timeout.serial`, `timeout.tcp`": drive_file.Timeout,
-    "`action` of either": drive_file.Action,
+    "`action` and `mode` of either": drive_file.Action,
     "`nameplate`, each": drive_file.Nameplate,
 }
 

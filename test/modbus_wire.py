@@ -150,7 +150,7 @@ def acs880() -> Registers:
     0x047F from there to OPERATION, a rising bit 7 out of FAULT.
     """
     drive = Registers({
-        0: 0, 1: 0, 3: 0x1270, 4: 0, 400: 0, 405: 0, 702: 1234, 5813: 1, 5815: 50,
+        0: 0, 1: 0, 3: 0x1270, 4: 0, 400: 0, 405: 0, 702: 1234, 5813: 1, 5814: 2, 5815: 50,
     })
 
     def moved(address: int, word: int) -> None:

@@ -165,15 +165,16 @@ class Drive:
         self.timeout_note = ""
         if raw in own.off_values or seconds is None or seconds <= 0:
             self.timeout_note = f"{register.meaning} (register {register.manual}) is {raw}: off"
-        elif own.action is not None:
-            action = self.file.registers[own.action.register]
-            chosen = await self._number(own.action.register)
-            if chosen not in own.action.stops:
-                text = own.action.runs_on.get(chosen, "not known to the drive's file")
+        for setting in () if self.timeout_note else own.settings:
+            register = self.file.registers[setting.register]
+            chosen = await self._number(setting.register)
+            if chosen not in setting.stops:
+                text = setting.runs_on.get(chosen, "not known to the drive's file")
                 self.timeout_note = (
-                    f"{action.meaning} (register {action.manual}) is {chosen}: {text}; the pump "
-                    "might run on"
+                    f"{register.meaning} (register {register.manual}) is {chosen}: {text}; the "
+                    "pump might run on"
                 )
+                break
         return None if self.timeout_note else seconds
 
     async def read(self) -> DriveStatus:

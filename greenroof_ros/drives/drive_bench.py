@@ -121,6 +121,8 @@ class DriveBench:
                 self.drive.hold_speed(now)
             case "stuck_running":
                 self.drive.run_stuck(parameter * faults.SPEED_UNIT, now)
+            case "runs_on":
+                self.drive.run_on(now)
             case "power_cycle":
                 self.drive.power_cycle(now)
             case "timeout_off":

@@ -16,6 +16,10 @@ from greenroof_ros.drives.address import Address, Serial
 WIDTH = {"uint16": 1, "int16": 1, "uint32": 2, "int32": 2, "float32": 2, "text": 0}
 UNITS = ("", "share", "s", "m3/s")
 SPEED = "speed"
+# The longest ramp down that a drive may have (s), after *stop* and after its own timeout: no drive
+# file says it. A pump that is not heard may turn for so long, and one that turns longer after it
+# was forbidden does not obey.
+LONGEST_RAMP_S = 30.0
 
 
 @dataclass(frozen=True)
@@ -172,7 +176,7 @@ class Codes:
 
 @dataclass(frozen=True)
 class Action:
-    """What the drive does when its communication timeout has passed."""
+    """A setting on which it depends whether the communication timeout stops the pump."""
 
     register: Annotated[str, Entry("its name")]
     stops: Annotated[
@@ -196,6 +200,9 @@ class Timeout:
     how_to_set: Annotated[str, Entry("for people: where and to what")]
     off_values: Annotated[tuple[Word, ...], Entry("raw times that mean off")] = ()
     action: Annotated[Action | None, Entry("where it says what it then does")] = None
+    mode: Annotated[
+        Action | None, Entry("where it says which messages start it anew, if that can be chosen"),
+    ] = None
     trips: Annotated[
         tuple[Word, ...],
         Entry("codes (or bits) of `faults` by which the drive says that it has passed", low=0),
@@ -215,6 +222,11 @@ class Timeout:
         ),
     ] = False
     traps: Annotated[str, Entry("when it does not guard")] = ""
+
+    @property
+    def settings(self) -> tuple[Action, ...]:
+        """Those on which it depends whether it stops the pump."""
+        return tuple(one for one in (self.action, self.mode) if one is not None)
 
 
 @dataclass(frozen=True)
@@ -296,9 +308,7 @@ class DriveFile:
         steps = (*self.sequences.ready, *self.sequences.run, *self.sequences.stop)
         registers = {"status", *(step.write for step in steps)}
         for own in self.timeout.known.values():
-            registers.add(own.register)
-            if own.action is not None:
-                registers.add(own.action.register)
+            registers |= {own.register, *(one.register for one in own.settings)}
         vital = ("numbering", "sequences", "timeout", *(f"registers.{name}" for name in registers))
         return tuple(
             key for key in self.unverified
@@ -477,12 +487,14 @@ class _Check:
         for interface, own in drive.timeout.known.items():
             key = f"timeout.{interface}"
             self._unit(f"{key}.register", own.register, "s")
-            if own.action is not None:
-                self._bits(f"{key}.action.register", own.action.register)
-                for value in own.action.stops:
-                    if value in own.action.runs_on:
+            for name, setting in (("action", own.action), ("mode", own.mode)):
+                if setting is None:
+                    continue
+                self._bits(f"{key}.{name}.register", setting.register)
+                for value in setting.stops:
+                    if value in setting.runs_on:
                         self.fail(
-                            f"{key}.action.stops", value, "stands in stops and in runs_on, too"
+                            f"{key}.{name}.stops", value, "stands in stops and in runs_on, too"
                         )
         for number, plate in enumerate(drive.nameplate, start=1):
             self._known(f"nameplate.{number}.register", plate.register)

@@ -21,6 +21,14 @@ FIRST_WAIT_S, LONGEST_WAIT_S = 0.25, 5.0
 # How long the speed of a drive that was told to stop may stay as it is before it is taken for one
 # that does not stop (s), and what counts as slower (share of rated speed).
 STILL_S, SLOWER = 3.0, 0.005
+# A drive that acknowledges *stop* and whose speed does not fall for so long (s) has a fault, and is
+# left in silence a little later, when who asks for it has seen that fault. Longer than a drive
+# needs to begin its ramp; less than the pump control waits for a speed to follow.
+RUNS_ON_S, SEEN_S = 10.0, 1.0
+# The same after a silence that did not help (s): it may be faults that only a person can end.
+RUNS_ON_AGAIN_S = 60.0
+# Above this share of rated speed a pump that is told to stop turns: more than noise at rest.
+TURNS = 0.02
 # How long a drive is given to come to rest, at most (s), by its driver and by the supervisor. The
 # first must fit into the 40 s that bringup gives the pump node to end, and both, one after the
 # other, into the 120 s that examples/greenroof.service has.
@@ -78,9 +86,9 @@ class DriveExchange:
 
     Control word and status go over the line in every period, so that the drive's own communication
     timeout is kept alive as long as, and only as long as, this thread lives. Where the drive does
-    not take the order to stop, it is left in silence for longer than that timeout: it may count an
-    order that it refuses as a sign of life. While this lives, it is the only one on this machine
-    for its drive. Nothing here raises into the caller.
+    not take the order to stop, or acknowledges it and runs on, it is left in silence for longer
+    than that timeout: it may count any order as a sign of life. While this lives, it is the only
+    one on this machine for its drive. Nothing here raises into the caller.
     """
 
     def __init__(
@@ -123,6 +131,11 @@ class DriveExchange:
         self._settings_at = -math.inf
         # On so many connections, one after the other, *stop* could not be written at last.
         self._not_stopped = 0
+        # How the speed falls on this connection; None where the drive is run, or stands.
+        self._fall: _Fall | None = None
+        # It runs on although it acknowledges *stop*, and must be left in silence now; it was before
+        # since it last stood or was run.
+        self._runs_on = self._ran_on = False
         own = file.timeout.over(address)
         self._unguarded_s = 0.0 if own is None else own.unguarded_after_power_up_s
         self._guarded_from = -math.inf
@@ -262,8 +275,12 @@ class DriveExchange:
                 self._not_stopped = 0 if drive.stopped else self._not_stopped + 1
             if last_attempt:
                 break
-            if self._not_stopped > 1:
-                await self._be_silent()
+            if self._runs_on:
+                await self._be_silent("")
+            elif self._not_stopped > 1:
+                await self._be_silent(
+                    "; *stop* could not be written on two connections one after the other"
+                )
             elif left is None and not self._closing:
                 await self._pause(wait)
                 wait = min(2 * wait, LONGEST_WAIT_S)
@@ -281,16 +298,21 @@ class DriveExchange:
             await self._pause(LOCK_WAIT_S)
         return False
 
-    async def _be_silent(self) -> None:
-        """Send nothing, for longer than the drive waits before it stops by itself."""
+    async def _be_silent(self, why: str) -> None:
+        """Send nothing, for longer than the drive waits before it stops by itself.
+
+        Args:
+            why: what to say of that after the problem.
+        """
+        self._runs_on = False
         known = self._snapshot.timeout_s
         timeout_s = self._timeout_limit_s if known is None else known
         silence_s = timeout_s + SILENCE_MARGIN_S
         self._update(problem=(
-            f"{self._snapshot.problem}; *stop* could not be written on two connections one after "
-            f"the other, so nothing is sent for {silence_s:g} s: the drive's own communication "
-            f"timeout ({timeout_s:g} s{'' if known is not None else ', if it is no longer'}) stops "
-            "it then, which any message might put off"
+            f"{self._snapshot.problem}{why}, so nothing is sent for {silence_s:g} s: the drive's "
+            f"own communication timeout ({timeout_s:g} s"
+            f"{'' if known is not None else ', if it is no longer'}) stops it then, which any "
+            "message might put off"
         ))
         until = time.monotonic() + silence_s
         while not self._closing and time.monotonic() < until:
@@ -308,6 +330,7 @@ class DriveExchange:
     async def _greet(self, drive: Drive) -> None:
         """Stop a drive first, then see what it is and whether it would stop by itself."""
         await drive.connect()
+        self._fall = None
         self._guarded_from = time.monotonic() + self._unguarded_s
         try:
             await drive.stop()
@@ -363,12 +386,36 @@ class DriveExchange:
                 self._fail(str(error))
                 # What is still to come of the late answer must not be taken for the next.
                 await asyncio.sleep(self._period_s)
+        status = self._judge(status)
         self._update(
             status=status, read_at=time.monotonic(), problem=problem or self._lasting(),
             hold=self._hold(),
         )
         if not self._closing:
             await self._pause(max(0.0, self._period_s - (time.monotonic() - started)))
+
+    def _judge(self, status: DriveStatus) -> DriveStatus:
+        """Return what the drive said, with a fault where it was told to stop and runs on.
+
+        One whose speed falls, however slowly, obeys. One in local control is a person's at its
+        panel; it is that person's to stop.
+
+        Raises:
+            DriveError: it must be left in silence now.
+        """
+        if self._fall is None or abs(status.speed) <= TURNS or not status.remote:
+            self._fall = None
+            self._ran_on = False
+            return status
+        still_s = self._fall.still_s(status)
+        if still_s <= RUNS_ON_S:
+            return status
+        says = f"it acknowledges *stop*, but its speed has not fallen for {RUNS_ON_S:g} s"
+        if still_s > (RUNS_ON_AGAIN_S if self._ran_on else RUNS_ON_S + SEEN_S):
+            self._runs_on = self._ran_on = True
+            raise DriveError("drive", f"{self._drive[1]}: {says} (it is {status.speed:.1%})")
+        fault = "; ".join(filter(None, (status.fault, says)))
+        return replace(status, fault=fault, timed_out=False)
 
     async def _read(self, drive: Drive) -> DriveStatus:
         """Return what the drive says, after acknowledging that its communication timeout passed.
@@ -397,6 +444,7 @@ class DriveExchange:
             intruder = await drive.intruder()
             if intruder:
                 pause_s = INTRUDER_PAUSE_S
+                self._fall = None  # it may be the other one whom the drive obeys
                 raise DriveError(
                     "drive", f"{intruder}; stopped until {pause_s:g} s after the last such word"
                 )
@@ -406,17 +454,36 @@ class DriveExchange:
                 await drive.reset()
             speed = self._wanted()
             if speed is None or time.monotonic() < self._paused_until:
-                await drive.stop()
+                await self._stop(drive)
             else:
                 await drive.run(speed, lambda: self._wanted() is not None)
+                self._fall = None
         except DriveError as error:
             if error.kind != "drive":
                 raise
-            await drive.stop()
+            await self._stop(drive)
             self._fail(str(error))
             self._paused_until = time.monotonic() + pause_s
             return str(error)
         return ""
+
+    async def _stop(self, drive: Drive) -> None:
+        await drive.stop()
+        self._fall = self._fall or _Fall()
+
+
+class _Fall:
+    """How the speed of a drive falls that is told to stop."""
+
+    def __init__(self) -> None:
+        self._lowest, self._fell_at = math.inf, time.monotonic()
+
+    def still_s(self, status: DriveStatus) -> float:
+        """Take in what the drive says now; return for how long its speed has not fallen (s)."""
+        now = time.monotonic()
+        if abs(status.speed) < self._lowest - SLOWER:
+            self._lowest, self._fell_at = abs(status.speed), now
+        return now - self._fell_at
 
 
 async def _stand(drive: Drive, until: float) -> DriveStatus:
@@ -424,14 +491,11 @@ async def _stand(drive: Drive, until: float) -> DriveStatus:
 
     How long its ramp is, no drive file says; so it is waited for as long as the speed falls.
     """
-    lowest, fell_at = math.inf, time.monotonic()
+    fall = _Fall()
     while True:
         await drive.stop()
         status = await drive.read()
-        now = time.monotonic()
-        if abs(status.speed) < lowest - SLOWER:
-            lowest, fell_at = abs(status.speed), now
-        if status.stands or now - fell_at > STILL_S or now > until:
+        if status.stands or fall.still_s(status) > STILL_S or time.monotonic() > until:
             return status
         await asyncio.sleep(0.1)
 

@@ -65,6 +65,10 @@ DRIVE_FAULTS: Mapping[str, Fault] = {
     "power_cycle": Fault(17, "the drive loses power for a moment, once"),
     "timeout_off": Fault(18, "the drive's communication timeout is turned off, for good"),
     "refused_writes": Fault(19, "every write is refused", "exception code", 6),
+    "runs_on": Fault(
+        20, "told to stop, the drive says that it is off, and the motor runs on, until the drive's "
+        "communication timeout passes",
+    ),
 }
 SITE_FAULTS: Mapping[str, Fault] = {
     NONE: Fault(0, "no fault"),

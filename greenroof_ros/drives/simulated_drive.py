@@ -81,7 +81,7 @@ class SimulatedDrive:
         self._guarded_from = -math.inf
         self._heard: float | None = None
         self._stuck: float | None = None
-        self._speed_stays = False
+        self._speed_stays = self._runs_on = False
         self._absurd: int | None = None
         profile = profile_of(file.make)
         own = file.timeout.known.get(interface)
@@ -94,6 +94,8 @@ class SimulatedDrive:
         self._roles = {own.register: "timeout_time"}
         if own.action is not None:
             self._roles[own.action.register] = "timeout_action"
+        if own.mode is not None:
+            self._roles[own.mode.register] = "loss_mode"
         idle = {
             name: profile.DELIVERED[role]
             for one in file.timeout.known.values()
@@ -134,7 +136,7 @@ class SimulatedDrive:
         loss = self._loss_at()
         if loss <= now:
             self._move(loss)
-            self.profile.lost = True
+            self.profile.lost, self._runs_on = True, False
             self.profile.communication_lost()
             self._say(
                 f"communication timeout: nothing for {loss - (self._heard or 0):.3g} s; "
@@ -177,6 +179,9 @@ class SimulatedDrive:
             self.speed = self._stuck
             return
         motion = self._motion()
+        if self._ignores_stop:
+            self.profile.standstill()  # as far as its state machine knows
+            return
         if not self._speed_stays and motion is not Motion.HOLD:
             wanted = self._wanted() if motion is Motion.FOLLOW else 0.0
             slow = motion is Motion.COAST
@@ -189,6 +194,12 @@ class SimulatedDrive:
 
     def _motion(self) -> Motion:
         return self.profile.motion if self.answers(self._at) else Motion.COAST
+
+    @property
+    def _ignores_stop(self) -> bool:
+        """Whether it is told to stop, and runs on while it says that it is off."""
+        told = self._motion() is not Motion.FOLLOW or not self._wanted()
+        return self._runs_on and told and self.answers(self._at)
 
     def _wanted(self) -> float:
         """The speed that the drive ramps to (share of rated); pumps do not turn backwards."""
@@ -305,7 +316,7 @@ class SimulatedDrive:
     def _status(self) -> int:
         follows = self.profile.motion is Motion.FOLLOW
         return self.profile.status(Seen(
-            moving=self.speed > 0,
+            moving=self.speed > 0 and not self._ignores_stop,
             at_speed=follows and abs(self.speed - self._wanted()) < _AT_SPEED,
             warning=self.profile.lost and not self.profile.fault,
         ))
@@ -316,7 +327,7 @@ class SimulatedDrive:
         """End what was done to the drive; a trip stays until it is reset."""
         self.advance(now)
         self._stuck = self._absurd = None
-        self._speed_stays = self.profile.fault_stands = False
+        self._speed_stays = self._runs_on = self.profile.fault_stands = False
 
     def trip(self, code: int, now: float) -> None:
         """Trip the drive; until `no_fault` it cannot be reset.
@@ -349,6 +360,11 @@ class SimulatedDrive:
         self.advance(now)
         self._stuck = speed or self.speed or 0.5
         self._move(now)
+
+    def run_on(self, now: float) -> None:
+        """Run on when told to stop, and say otherwise, until the communication timeout passes."""
+        self.advance(now)
+        self._runs_on = True
 
     def show_speed(self, raw: int) -> None:
         """Let the register of the speed hold something else."""

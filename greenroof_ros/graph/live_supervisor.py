@@ -17,6 +17,7 @@ from greenroof_ros.common.command_line import (
     EXIT_OCCUPIED,
     EXIT_USAGE,
 )
+from greenroof_ros.drives.drive_file import LONGEST_RAMP_S
 from greenroof_ros.graph.node_processes import NodeFailed, NodeProcesses
 from greenroof_ros.graph.permit import Permit
 from greenroof_ros.graph.states import PUMP, READY, RECORDER
@@ -24,9 +25,9 @@ from greenroof_ros.graph.states import PUMP, READY, RECORDER
 # A node that says nothing for so long (s) holds the pump; reports come four times a second. A pump
 # node that did not say that the pump stands is killed then.
 _SILENT_S = 2.0
-# How long after the permit was withdrawn the pump node may say that it runs the pump (s), and how
-# much longer the pump may turn: the longest ramp of a drive.
-_OBEYS_S, _RAMP_S = 2.0, 30.0
+# How long after the permit was withdrawn the pump node may say that it runs the pump (s); the pump
+# may turn longer by its drive's ramp.
+_OBEYS_S = 2.0
 # How long a node that was just started may say nothing (s): imports take seconds.
 _START_LIMIT_S = 30.0
 # The time before a restart (s): 1, 2, 4, ... to this, by the restarts of the last ten minutes.
@@ -220,9 +221,9 @@ class LiveSupervisor(NodeProcesses):
         state = self._pump_state()
         if passed > _OBEYS_S and state in ("running", "starting"):
             return f"ran the pump for {_OBEYS_S:g} s after it was forbidden ({self.hold})"
-        if passed > _OBEYS_S + _RAMP_S and state and not self._met:
+        if passed > _OBEYS_S + LONGEST_RAMP_S and state and not self._met:
             self._met = True
-            return f"did not stop the pump within {_OBEYS_S + _RAMP_S:g} s ({self.hold})"
+            return f"did not stop the pump within {_OBEYS_S + LONGEST_RAMP_S:g} s ({self.hold})"
         return ""
 
     @property

@@ -16,6 +16,7 @@ from greenroof_ros.common.command_line import EXIT_DONE, EXIT_FAILED, EXIT_USAGE
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.graph.errors import LockstepError
 from greenroof_ros.graph.link import LinkedNode
+from greenroof_ros.graph.parameters import refuse_unknown
 from greenroof_ros.graph.transport import choose_transport
 
 # How long the middleware may take to go (s); it is a fraction of a second, but on a busy machine.
@@ -69,6 +70,7 @@ def run_node(make: Callable[[], LinkedNode]) -> int:
     node: LinkedNode | None = None
     try:
         node = make()
+        refuse_unknown(node, sys.argv)
         executor: Any = SingleThreadedExecutor() if node.joining else make_executor()
         executor.add_node(node)
         joining = node.joining

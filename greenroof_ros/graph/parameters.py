@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from difflib import get_close_matches
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -121,6 +123,32 @@ def _declare(node: Node, one: NodeParameter) -> Any:
     if one.among and value not in one.among:
         raise ConfigurationError(one.expected, key=key, value=value)
     return value
+
+
+def refuse_unknown(node: Node, arguments: Sequence[str]) -> None:
+    """Refuse a parameter of a command line that a node has not declared.
+
+    rclpy ignores it, so that a mistyped limit would have no effect, and nobody be told. Those of a
+    parameter file are left: a section of it may be for several nodes.
+
+    Args:
+        node: that has declared all it has.
+        arguments: of the process.
+
+    Raises:
+        ConfigurationError: there is one.
+    """
+    for option, assignment in pairwise(arguments):
+        whole, _, value = assignment.partition(":=")
+        of, _, name = whole.rpartition(":")
+        ours = of in ("", node.get_name()) and not name.startswith("qos_overrides.")
+        if option not in ("-p", "--param") or not ours or node.has_parameter(name):
+            continue
+        (closest,) = get_close_matches(name, node.get_parameters_by_prefix(""), 1, 0.0)
+        raise ConfigurationError(
+            f"there is no such parameter; the closest is {closest}; --help lists all",
+            key=f"parameter {name} of {node.get_name()}", value=value,
+        )
 
 
 def of_controller(table: Iterable[Parameter]) -> list[NodeParameter]:

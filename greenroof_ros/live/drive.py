@@ -95,7 +95,7 @@ class DriveChoice:
         """Return what stops the drive without the pump node, of which it is told the process.
 
         It returns whether the drive says that the pump stands, and what came of it, in words. A
-        drive that another program runs is left to that, and no business of this one's.
+        drive that another program runs is left to that, and whether it stands is not known.
 
         Raises:
             ConfigurationError: the file or the address is wrong, or pymodbus is not installed.
@@ -113,7 +113,10 @@ class DriveChoice:
             try:
                 status = stop_drive(file, address, driver=pump_node)
             except HeldError as error:
-                return True, f"another program (process {error.holder}) runs the drive: left to it"
+                return False, (
+                    f"another program (process {error.holder}) runs the drive: left to it, which "
+                    "may run the pump"
+                )
             except Exception as error:  # whatever it is, somebody must look at the pump
                 return False, f"bringup could not stop the drive: {error}; {_MAY_RUN}"
             said = f"bringup told the drive to stop, which said then: {status}"

@@ -22,7 +22,7 @@ from greenroof_ros.common.command_line import EXIT_DONE, command
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.drives.address import parse_drive_address
 from greenroof_ros.drives.drive import DriveStatus
-from greenroof_ros.drives.drive_file import find_drive_file, read_drive_file
+from greenroof_ros.drives.drive_file import LONGEST_RAMP_S, find_drive_file, read_drive_file
 from greenroof_ros.drives.exchange import RESET_S, DriveExchange, Snapshot
 from greenroof_ros.graph.lifecycle import (
     ACTIVATE,
@@ -78,8 +78,6 @@ _WAIT_S = 1.0
 # How old what the drive said may be (s). Nothing is known of it during a start, of some seconds; a
 # lost connection is noticed by the exchange, sooner.
 _DRIVE_AGE_S = 10.0
-# How long a pump needs to stand once its drive has noticed that nobody talks to it (s).
-_RAMP_S = 5.0
 # A pause of this process itself (s), after which what waited for it is no command of now.
 _PAUSE_S = 1.0
 # How often a node that is to start by itself tries to, and how often the drive is looked at (s).
@@ -220,6 +218,12 @@ class _Drive:
             return ""
         return f"no connection to the drive: {self.snapshot.problem}"
 
+    @property
+    def timeout_traps(self) -> str:
+        """When its own communication timeout does not guard although it reads well."""
+        own = self.file.timeout.over(self._address)
+        return "" if own is None else own.traps
+
     def timeout_problem(self) -> str:
         """Return what is wrong with its own communication timeout; empty where nothing is."""
         known, seconds = self.snapshot.timeout_known, self.snapshot.timeout_s
@@ -263,7 +267,7 @@ class PumpNode(Lifecycle, LinkedNode):
         given["least_speed"] = max(given["least_speed"], self._drive.file.least_speed)
         settings = PumpSettings(**given)
         self._settings, self._state_file = settings, self._place_of_state(values)
-        drive_stops_after = values["drive_timeout_limit"] + _RAMP_S
+        drive_stops_after = values["drive_timeout_limit"] + LONGEST_RAMP_S
         if self._drive.without_timeout:
             drive_stops_after = math.inf
         self._drive_stops_after = drive_stops_after
@@ -667,10 +671,11 @@ class PumpNode(Lifecycle, LinkedNode):
             self.diagnose("drive", OK, f"connected to {snapshot.identity}")
         problem, hold = self._drive.timeout_problem(), snapshot.hold
         level = ERROR if problem and not self._without_timeout else WARN if problem or hold else OK
-        self.diagnose(
-            "drive timeout", level, problem or hold
-            or f"without this machine the drive stops after {snapshot.timeout_s:g} s",
+        said = problem or hold or (
+            f"without this machine the drive stops after {snapshot.timeout_s:g} s"
         )
+        traps = self._drive.timeout_traps
+        self.diagnose("drive timeout", level, f"{said}; beware: {traps}" if traps else said)
 
 
 def _fault(status: DriveStatus | None) -> str:

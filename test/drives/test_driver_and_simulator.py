@@ -149,8 +149,12 @@ ANY_MESSAGE = ("abb_acs880", "grundfos_cim500", "schneider_atv630")
 def test_a_drive_for_which_a_refused_order_is_a_sign_of_life_stops_by_itself(
     make: str, fault: str
 ) -> None:
-    """Exception 6, busy, to all; the drive's own timeout needs as much silence to fall."""
+    """Exception 6, busy, to all; the drive's own timeout needs as much silence to fall.
+
+    Where it counts as off, as an ABB's of this kind, the silence is that of the limit, 10 s.
+    """
     timeout = 5 if make == "grundfos_cim500" else 2  # the one of a Grundfos cannot be set
+    silence = 11 if make == "abb_acs880" else timeout + 1
     with Simulator(
         "drive_simulator", "--drive", make, *FREE, "--ramp", "0.4", "--timeout", "2"
     ) as drive:
@@ -161,8 +165,9 @@ def test_a_drive_for_which_a_refused_order_is_a_sign_of_life_stops_by_itself(
             reach(exchange, drive, 0.6)
             drive.inject(fault, 6)
             keep_asking(exchange, 0.6, lambda: drive.speed() == 0, 60)
-            assert f"so nothing is sent for {timeout + 1} s" in exchange.snapshot.problem
+            assert f"so nothing is sent for {silence} s" in exchange.snapshot.problem
             assert exchange.snapshot.status is None
+            assert ("is 1: Any message" in exchange.snapshot.timeout_note) == (silence == 11)
             drive.inject("none")
             keep_asking(exchange, 0.6, lambda: drive.speed() > 0.5, 60)
     assert f"communication timeout: nothing for {timeout} s" in drive.said
@@ -194,6 +199,31 @@ def test_a_stop_that_is_refused_three_times_leaves_the_rest_to_the_drive() -> No
                 parse_address(f"tcp://127.0.0.1:{drive.ports[0]}"),
             )
         until(lambda: drive.speed() == 0, 8)
+
+
+@pytest.mark.parametrize(
+    "make", ["abb_acs880", "danfoss_fc202", "grundfos_cim500", "schneider_atv630"]
+)
+def test_a_drive_that_acknowledges_stop_and_runs_on_stops_by_itself(
+    make: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Judged after 2 s instead of 10: writing *stop* on and on would keep its timeout alive."""
+    monkeypatch.setattr("greenroof_ros.drives.exchange.RUNS_ON_S", 2.0)
+    timeout = 5 if make == "grundfos_cim500" else 2
+    with Simulator(
+        "drive_simulator", "--drive", make, *FREE, "--ramp", "0.4", "--timeout", "2"
+    ) as drive, driver(make, drive) as exchange:
+        reach(exchange, drive, 0.6)
+        drive.inject("runs_on")
+        exchange.demand(None)
+        until(lambda: "acknowledges *stop*" in exchange.snapshot.problem, 20)
+        assert drive.speed() == pytest.approx(0.6, abs=1e-3)
+        assert f"so nothing is sent for {timeout + 1} s" in exchange.snapshot.problem
+        until(lambda: drive.speed() == 0, 20)
+        until(lambda: exchange.snapshot.connected, 20)
+        reach(exchange, drive, 0.4)
+        reach(exchange, drive, 0.0)
+    assert f"communication timeout: nothing for {timeout} s" in drive.said
 
 
 # --- the end --------------------------------------------------------------------------------------

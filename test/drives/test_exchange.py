@@ -533,6 +533,126 @@ def test_close_in_a_silence_tries_once_more_and_ends(
     assert exchange.snapshot.status is None
 
 
+# --- a drive that acknowledges *stop* and runs on -------------------------------------------------
+
+ACKNOWLEDGES = "it acknowledges *stop*, but its speed has not fallen for 1 s"
+
+
+@pytest.fixture
+def soon(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Judge after 1 s instead of 10, 1.5 instead of 11, and again after 3 instead of 60."""
+    for name, seconds in (("RUNS_ON_S", 1.0), ("SEEN_S", 0.5), ("RUNS_ON_AGAIN_S", 3.0)):
+        monkeypatch.setattr(f"greenroof_ros.drives.exchange.{name}", seconds)
+
+
+def asked_at(drive: Registers, times: list[float]) -> Callable[[bytes], Any]:
+    """Answer as a drive, and write down when it was asked."""
+
+    def answer(request: bytes) -> Any:
+        times.append(time.monotonic())
+        return drive(request)
+
+    return answer
+
+
+def run_on(drive: Registers) -> None:
+    """Say from now on that it is off, as after OFF1, and turn at half of its speed all the same."""
+    drive.on_write = lambda _address, _word: drive.values.update({3: 0x1231, 4: 10000})
+
+
+def test_the_waits_for_a_drive_that_runs_on() -> None:
+    """Longer than what closing waits for; the pump control waits 15 s (follow_time)."""
+    from greenroof_ros.drives import exchange
+
+    assert exchange.STILL_S < exchange.RUNS_ON_S < exchange.RUNS_ON_S + exchange.SEEN_S < 15
+    assert exchange.RUNS_ON_AGAIN_S > exchange.RUNS_ON_S
+
+
+@pytest.mark.usefixtures("soon")
+def test_a_drive_that_runs_on_is_left_in_silence_now_and_then(
+    exchange: DriveExchange, drive: Registers, wire: Wire, hand: Hand
+) -> None:
+    """Its own timeout, 58.16, is 1.5 s; a margin of 1 s makes 2.5 s."""
+    drive.values[5815] = 15
+    times: list[float] = []
+    run_at_half(exchange, drive, hand)
+    wire.answer = asked_at(drive, times)
+    run_on(drive)
+    hand.speed = None
+    # Who asks for it sees the cause before the silence.
+    wait(lambda: exchange.snapshot.status and exchange.snapshot.status.fault == ACKNOWLEDGES)
+    assert exchange.snapshot.connected and not silences(times)
+    wait(lambda: f"{ACKNOWLEDGES} (it is 50.0%), so nothing is sent for 2.5 s"
+         in exchange.snapshot.problem)
+    assert "two connections" not in exchange.snapshot.problem
+    assert not exchange.snapshot.connected and exchange.snapshot.status is None
+    count = len(times)
+    drive.written.clear()
+    wait(lambda: exchange.snapshot.connected)
+    assert drive.written[0] == OFF
+    assert len(silences(times)) == 1 and silences(times)[0] >= 2.5
+    # It did not help: what the drive says can be read for longer, before the next.
+    wait(lambda: len(silences(times)) == 2)
+    assert silences(times)[1] >= 2.5
+    first, second = [at for at, then in itertools.pairwise(times) if then - at > 1.0]
+    assert second - first > 2.5 + 3.0 and len(times) - count > 20
+    # It obeys again.
+    drive.values.update({3: 0x1231, 4: 0})
+    drive.on_write = lambda _address, _word: None
+    wait(lambda: exchange.snapshot.status and exchange.snapshot.status.stands)
+    assert exchange.snapshot.status is not None and exchange.snapshot.status.fault == ""
+
+
+@pytest.mark.usefixtures("soon")
+def test_a_ramp_however_slow_is_not_met_by_silence(
+    exchange: DriveExchange, drive: Registers, wire: Wire, hand: Hand
+) -> None:
+    """1 % in 0.4 s: 40 s from full speed."""
+    times: list[float] = []
+    run_at_half(exchange, drive, hand)
+    wire.answer = asked_at(drive, times)
+    began = time.monotonic()
+    faults: set[str] = set()
+
+    def falls(_address: int, _word: int) -> None:
+        fallen = int((time.monotonic() - began) / 0.4)
+        drive.values.update({3: 0x1231, 4: 10000 - 200 * fallen})
+
+    drive.on_write = falls
+    hand.speed = None
+    while time.monotonic() - began < 6:
+        status = exchange.snapshot.status
+        assert status is not None
+        faults.add(status.fault)
+        time.sleep(0.05)
+    assert faults == {""} and not silences(times)
+    assert not exchange.snapshot.status.stands  # type: ignore[union-attr]
+
+
+@pytest.mark.usefixtures("soon")
+@pytest.mark.parametrize(
+    "values",
+    [{3: 0x1231, 4: 0x8000}, {3: 0x1031, 4: 10000}, {3: 0x1231, 4: 300}],
+    ids=["unknown speed", "local control", "noise at rest"],
+)
+def test_what_is_not_known_to_run_on_is_not_met_by_silence(
+    exchange: DriveExchange, drive: Registers, hand: Hand, values: dict[int, int]
+) -> None:
+    """-32768 of 20000 is no speed; without bit 9 a person at the panel has it; 300 is 1.5 %."""
+    run_at_half(exchange, drive, hand)
+    drive.values.update(values)
+    drive.on_write = lambda _address, _word: drive.values.update(values)
+    hand.speed = None
+    began = time.monotonic()
+    problems: set[str] = set()
+    while time.monotonic() - began < 5:
+        problems.add(exchange.snapshot.problem)
+        status = exchange.snapshot.status
+        assert status is None or status.fault == ""
+        time.sleep(0.02)
+    assert not [each for each in problems if "nothing is sent" in each]
+
+
 # --- settings -------------------------------------------------------------------------------------
 
 

@@ -563,6 +563,27 @@ def test_a_speed_that_stays_and_a_motor_that_runs_on(drive: Simulator) -> None:
         until(lambda: drive.speed() == 0)
 
 
+def test_a_drive_that_says_it_is_off_and_runs_on(drive: Simulator) -> None:
+    """ABB: bits 0 to 2 of the status word are 001 after OFF1, as at rest."""
+    with Bus(drive.ports[0]) as bus:
+        start(bus, "abb_acs880")
+        until(lambda: drive.speed() == pytest.approx(0.5, abs=1e-3))
+        drive.inject("runs_on")
+        bus.write(0, 0x047E)
+        until(lambda: bus.read(3) & 0x0007 == 0x0001)
+        bus.write(1, 0)
+        for _ in range(20):
+            bus.write(0, 0x047E)
+            assert bus.read(4) == 10000 and drive.speed() == pytest.approx(0.5, abs=1e-3)
+            time.sleep(0.05)
+        assert bus.read(3) & 0x0007 == 0x0001
+    until(lambda: drive.speed() == 0, 10)
+    with Bus(drive.ports[0]) as bus:
+        for word in (0x047E, 0x04FE, 0x047E):
+            bus.write(0, word)
+        assert bus.read(3) & 0x0008 == 0
+
+
 def test_a_power_cycle_closes_the_port_and_forgets_the_control_word() -> None:
     with Simulator(
         "drive_simulator", "--drive", "schneider_atv630", *FREE, "--boot", "0.4"

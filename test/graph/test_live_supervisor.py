@@ -159,7 +159,7 @@ def test_a_pump_that_turns_on_is_stopped_once_more(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Longer than any ramp after it was forbidden; once, since the node may be right."""
-    monkeypatch.setattr(live_supervisor, "_RAMP_S", 1.0)
+    monkeypatch.setattr(live_supervisor, "LONGEST_RAMP_S", 1.0)
     with site(tmp_path, monkeypatch, silence_s=9.0) as (here, incidents, stops):
         here.add("weather", "pump")
         here.until(lambda: here.supervisor.all_ready and not here.supervisor.hold)

@@ -195,7 +195,9 @@ def test_a_drive_of_another_program_is_left_to_it(
         wait_for(lambda: exchange.snapshot.connected, 20, "the drive")
         stop = choice.stopper()
         assert stop(ours.pid) == (
-            True, f"another program (process {os.getpid()}) runs the drive: left to it"
+            False,
+            f"another program (process {os.getpid()}) runs the drive: left to it, which may run "
+            "the pump",
         )
         assert wire.connections == 1
         assert stop(os.getpid())[1].startswith("bringup told the drive to stop")

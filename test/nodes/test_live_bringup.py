@@ -22,6 +22,7 @@ from typing import Any
 import pytest
 from disks import small_disk
 from graphs import Process, alive, bring_up, environment, free_ports, summary_of, wait_for
+from modbus_wire import Wire, acs880
 from places import CHECKOUT, CONFIG, guarding
 from rosbags.highlevel import AnyReader
 
@@ -35,7 +36,10 @@ from test_live import Site, observer, site, write_forecast  # noqa: E402, F401
 from test_nodes import qos  # noqa: E402
 
 from greenroof_ros.drives.address import parse_address  # noqa: E402
+from greenroof_ros.drives.drive_file import find_drive_file  # noqa: E402
+from greenroof_ros.drives.exchange import DriveExchange  # noqa: E402
 from greenroof_ros.drives.workbench import Workbench  # noqa: E402
+from greenroof_ros.live.drive import DriveChoice  # noqa: E402
 from greenroof_ros.recording.bag_reader import count_ticks  # noqa: E402
 
 NOBODY = ("--sensors", "external", "--pump", "external", "--weather", "external")
@@ -317,6 +321,31 @@ def test_a_full_disk_keeps_no_site_from_starting(domain: int, tmp_path: Path) ->
         assert old.read_text() == "of before"
         said = process.stderr()
         assert "No space left on device; the new configuration is in memory only" in said
+
+
+def test_a_second_bringup_at_a_drive_does_not_say_that_its_pump_stands(
+    domain: int, tmp_path: Path
+) -> None:
+    """The first one is this test; the second ends as one that may have left a pump on."""
+    wire = Wire(acs880())
+    choice = DriveChoice(find_drive_file("abb_acs880"), wire.gateway)
+    first = DriveExchange(*choice.read())
+    try:
+        first.start()
+        wait_for(lambda: first.snapshot.connected, 20, "the drive")
+        with live(
+            domain, tmp_path, "--sensors", "external", "--weather", "external",
+            "--drive", "abb_acs880", "--drive-at", wire.gateway, code=1,
+        ) as process:
+            wait_for(lambda: "waiting: mpc waits for" in process.stderr(), 60, "all nodes")
+        left = f"another program (process {os.getpid()}) runs the drive: left to it, which may run"
+        assert f"; {left} the pump" in process.stderr()
+        assert "are stopped" not in process.stderr()
+        assert summary_of(tmp_path / "run")["status"] == "failed"
+        assert wire.connections == 1
+    finally:
+        first.close()
+        wire.close()
 
 
 def test_a_drive_in_the_loop(domain: int, tmp_path: Path) -> None:

@@ -171,7 +171,7 @@ def test_without_knowing_that_the_drive_would_stop_it_does_not_run(
         while time.monotonic() - began < 4:  # it connected later than that began
             assert rig.tick(0.5) == 0.0
         rig.run(abb)
-        assert rig.says("drive timeout", OK)
+        assert rig.says("drive timeout", OK, "beware: a changed 58.14 to 58.16 is in force only")
     finally:
         abb.end()
         grundfos.end()
@@ -442,6 +442,47 @@ def test_a_drive_that_is_lost_stops_and_comes_back(rig: PumpRig, drive: Simulate
     stands_within(drive, 3)
 
 
+def test_a_drive_that_runs_on_is_a_fault_and_its_own_timeout_stops_it(
+    rig: PumpRig, drive: SimulatedDrive
+) -> None:
+    """Acknowledged, and seen for 10 s; the cause is kept through the silence and after it."""
+    says = "it acknowledges *stop*, but its speed has not fallen for 10 s"
+    cause = f"fault: the drive reports: {says}"
+    rig.start(drive.address)
+    rig.run(drive)
+    drive.inject("runs_on")
+    rig.tick_until(0.0, lambda: rig.state.startswith(cause), 40, "the fault")
+    assert drive.speed() > 0.1
+    rig.tick_until(0.0, lambda: "so nothing is sent" in rig.state, 20, "the silence")
+    assert rig.state.startswith(cause)
+    rig.tick_until(0.0, lambda: drive.speed() == 0.0, 20, "the drive's own timeout")
+    rig.tick_until(0.0, lambda: rig.state == cause, 20, "the drive again")
+    assert rig.call(Trigger, "reset").success
+    rig.run(drive)
+
+
+def test_a_lost_drive_is_not_said_to_stand_while_it_may_slow_down(
+    domain: int, tmp_path: Path, rig: PumpRig
+) -> None:
+    """Danfoss, 8-04 = 5, stop and trip: after 1.5 s it ramps down, here for some 12 s."""
+    drive = SimulatedDrive(
+        domain, tmp_path, "--speed", "1", "--ramp", "12", make="danfoss_fc202"
+    )
+    try:
+        rig.start(
+            drive.address, drive="danfoss_fc202", drive_timeout_limit=2.0, follow_time=60.0
+        )
+        rig.run(drive)
+        rig.tick_until(1.0, lambda: drive.speed() > 0.95, 40, "full speed")
+        drive.inject("half_open")
+        rig.tick_until(1.0, lambda: "no connection to the drive" in rig.state, 10, "the loss")
+        while drive.speed() > 0:
+            rig.tick(1.0)
+            assert "whether the pump stands is not known" in rig.state
+    finally:
+        drive.end()
+
+
 def test_a_fault_stays_until_it_is_reset_and_a_stop_until_it_is_lifted(
     rig: PumpRig, drive: SimulatedDrive
 ) -> None:
@@ -617,3 +658,33 @@ def test_wrong_parameters_end_it_in_one_line(domain: int, tmp_path: Path, rig: P
         assert len(lines) == 1, lines
         assert lines[0].startswith("error: ")
         assert words in lines[0]
+
+
+@pytest.mark.parametrize(
+    ("given", "words"),
+    [
+        ({"device_id": 17}, "parameter device_id of pump = '17': there is no such parameter"),
+        ({"folow_time": 9.0}, "parameter folow_time of pump = '9.0': there is no such parameter; "
+         "the closest is follow_time; --help lists all"),
+        ({"pump:folow_time": 9.0}, "parameter folow_time of pump = '9.0': there is no such"),
+    ],
+    ids=["device_id", "a mistyped one", "by the node's name"],
+)
+def test_a_parameter_that_it_does_not_have_ends_it(
+    given: dict[str, object], words: str, tmp_path: Path, rig: PumpRig
+) -> None:
+    """Without that rclpy ignores it: the pump would run with another limit than was given."""
+    with (tmp_path / "err").open("w") as errors:
+        node = rig.start("tcp://127.0.0.1:1", popen={"stderr": errors}, **given)
+        assert node.wait(60) == 2
+    line = (tmp_path / "err").read_text().splitlines()[-1]
+    assert line.startswith(f"error: {words}")
+
+
+def test_parameters_of_ros_itself_and_of_other_nodes_are_not_its_own(
+    rig: PumpRig, drive: SimulatedDrive
+) -> None:
+    rig.start(drive.address, **{
+        "use_sim_time": "false", "qos_overrides./pump/flow.publisher.depth": 3, "plant:tau": 1.0,
+    })
+    rig.run(drive)
