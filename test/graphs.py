@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import contextlib
 import fcntl
+import itertools
 import json
 import os
+import random
 import signal
 import socket
 import subprocess
@@ -73,13 +75,37 @@ def udp_addresses_of(pid: int) -> list[str]:
     return addresses
 
 
+def _free_ports() -> Iterator[int]:
+    """Yield TCP ports that are free, the next one as well, each once and in random order.
+
+    Every one is below those that the kernel gives to outgoing connections: one of those could be
+    taken before a simulator listens at it, by a connection of any other test. The order is of this
+    process alone, so that others that draw at the same moment draw others. The next port is for a
+    simulator's workbench.
+    """
+    try:
+        end = int(Path("/proc/sys/net/ipv4/ip_local_port_range").read_text().split()[0])
+    except OSError:
+        end = 0
+    if end <= 11_000:  # unknown, or nothing is left below
+        end = 32_768
+    ports = list(range(10_000, end - 1, 2))
+    random.SystemRandom().shuffle(ports)
+    for port in ports:
+        try:
+            for each in (port, port + 1):
+                socket.create_server(("127.0.0.1", each)).close()
+        except OSError:
+            continue
+        yield port
+
+
+_FREE_PORTS = _free_ports()
+
+
 def free_ports(number: int) -> list[int]:
-    """Return TCP ports that were free a moment ago."""
-    sockets = [socket.create_server(("127.0.0.1", 0)) for _ in range(number)]
-    ports = [each.getsockname()[1] for each in sockets]
-    for each in sockets:
-        each.close()
-    return ports
+    """Return TCP ports that were free a moment ago: see `_free_ports`."""
+    return list(itertools.islice(_FREE_PORTS, number))
 
 
 def wait_for(condition: Callable[[], Any], seconds: float, what: str) -> Any:

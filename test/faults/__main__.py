@@ -53,7 +53,7 @@ def _parser() -> argparse.ArgumentParser:
         "--seed", type=int, default=SEED, help="of all that is random (default: %(default)s)"
     )
     parser.add_argument(
-        "--lanes", type=int, default=6,
+        "--lanes", type=int, default=4,
         help="rigs side by side, which mostly wait (default: %(default)s)",
     )
     parser.add_argument(

@@ -8,6 +8,7 @@ from __future__ import annotations
 from greenroof_ros.drives.exchange import FIRST_WAIT_S
 from greenroof_ros.graph import live_supervisor, permit
 from greenroof_ros.graph.live import LIMITS
+from greenroof_ros.graph.node_processes import _ENDING_S
 from greenroof_ros.model.pump_speed import flow_at
 from greenroof_ros.model.site import Site
 from greenroof_ros.nodes.pump import parameters as parameters_of_pump
@@ -23,6 +24,8 @@ SILENCE_S = 5.0
 LIMIT_S = 20.0
 # What a busy machine may add to any of these, and what measuring adds.
 SLACK_S = 1.0
+# Of a simulation, to the end of bringup: silence is noticed, and all nodes are ended.
+SIMULATION_END_S = SILENCE_S + _ENDING_S + SLACK_S
 
 
 def _limit(topic: str) -> float:

@@ -57,7 +57,8 @@ class Case:
     @property
     def way(self) -> str:
         kind = self.target if self.rig == "readers" else self.rig.partition(":")[0]
-        return {"simulated": SIMULATED, "restarting": SIMULATED, "loop": LOOP}.get(kind, LIVE)
+        return {"simulated": SIMULATED, "restarting": SIMULATED, "loop": LOOP,
+                "relayed": LOOP}.get(kind, LIVE)
 
     @property
     def id(self) -> str:
@@ -382,6 +383,31 @@ def _loop(repeats: int) -> Iterator[Case]:
             bound="drive", recovery="ends"))
 
 
+# Of the weather only the plant hears these.
+_OF_PLANT = ("/weather/precipitation", "/weather/evapotranspiration")
+RELAYED = (*_OBEYED, *_OF_PLANT)
+
+
+def _relayed(repeats: int) -> Iterator[Case]:
+    """What is missing stalls the tick; a wrong level is believed, since any plant may have it."""
+    for number in range(repeats):
+        for topic in RELAYED:
+            refused = Expected(
+                stops=topic not in _OF_PLANT, alarm=rf"refused .* on {topic}|{topic} was refused"
+            )
+            wrong = {"/pump/command": refused, "/weather/frost": Expected(alarm="there is frost")}
+            missing = topic if topic in _OF_PLANT else "/pump/command"
+            for mode, expected in {
+                # Who waits for whom is known: the first in the chain is named.
+                "off": Expected(bound="command", alarm=rf"nothing came within 5 s on {missing}",
+                                recovery="ends"),
+                "stuck": _RUNS_ON,
+                "garbage": refused,
+                "wrong": wrong.get(topic, _RUNS_ON),
+            }.items():
+                yield Case(f"relayed:{DRIVES[number % 4]}", mode, topic, number, expected)
+
+
 def _called(node: str) -> str:
     return "onoff" if node == "controller" else node
 
@@ -450,6 +476,7 @@ def all_cases() -> list[Case]:
         *_topics(3),
         *_intruders(2),
         *_loop(2),
+        *_relayed(2),
         *_readers(4),
     ]
     assert len({case.id for case in cases}) == len(cases)

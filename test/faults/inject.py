@@ -20,6 +20,7 @@ from rig import (
     GaugedRig,
     PlayedRig,
     PumpRig,
+    RelayedRig,
     Rig,
     Simulator,
     SiteRig,
@@ -35,6 +36,7 @@ from greenroof_ros.drives.faults import DEFAULT
 Undo = Callable[[], None]
 _SIGNALS = {"kill": signal.SIGKILL, "term": signal.SIGTERM}
 PLAYED_RIGS = (PlayedRig, PumpRig, GaugedRig)
+_PUBLISHED_RIGS = (*PLAYED_RIGS, RelayedRig)
 # Shorter than every limit, and longer than every one.
 SHORT_S, LONG_S = (0.2, 0.6), 8.0
 
@@ -107,7 +109,7 @@ def begin(rig: Rig, case: Case, rng: random.Random) -> Undo:
         return nothing
     if case.fault.startswith("second"):
         return _second(rig, case)
-    assert isinstance(rig, PLAYED_RIGS)
+    assert isinstance(rig, _PUBLISHED_RIGS)
     rig.players.set(case.target, case.fault, rng)
     return lambda: rig.players.set(case.target, "ok", rng)
 

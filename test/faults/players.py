@@ -8,6 +8,7 @@ import threading
 import time
 from collections import deque
 from collections.abc import Callable, Sequence
+from functools import partial
 
 from line import OFF_S, ON_S
 from truth import Truth
@@ -18,6 +19,8 @@ from greenroof_ros.model.site import Site
 
 Value = float | Sequence[float]
 PERIOD_S = 1.0
+# Where the nodes publish between which the campaign stands.
+TRUE = "/true"
 HOSTILE = (math.nan, math.inf, -math.inf, -1.0, -1e-9, -1e300)
 # Too large, which a command may be: it is taken as 1.
 HUGE = (101.0, 1e9, 1.7976931348623157e308)
@@ -27,6 +30,8 @@ _WRONG: dict[str, Callable[[float], float]] = {
     "/roof/level": lambda level: level + 0.1,
     "/weather/frost": lambda frost: 1.0,
     "/pump/command": lambda command: -0.5,
+    "/weather/precipitation": lambda rain: 1e-6,
+    "/weather/evapotranspiration": lambda loss: 1e-5,
     "/forecast/precipitation": lambda rain: 1e-4,
     "/forecast/evapotranspiration": lambda loss: 1e-3,
     "/pump/flow": lambda flow: 0.5 * flow,
@@ -111,10 +116,9 @@ class Players:
         if mode == "stuck" and sent:
             value = sent[-1][1]
         elif mode == "garbage":
-            value = self._garbage(topic, value)
+            value = _garbage(topic, value, self._random)
         elif mode == "wrong":
-            change = _WRONG[topic]
-            value = change(value) if isinstance(value, float) else [change(one) for one in value]
+            value = _wrong(topic, value)
         elif mode == "delayed":
             sent.append((now, value))
             value = next(old for at, old in sent if now - at <= _DELAY_S + PERIOD_S)
@@ -124,21 +128,60 @@ class Players:
             sent.append((now, value))
         self._watcher.publish(topic, value)
 
-    def _garbage(self, topic: str, value: Value) -> Value:
-        hostile = HOSTILE if topic == "/pump/command" else HOSTILE + HUGE
-        if topic == "/gauge/temperature":
-            hostile = tuple(one for one in hostile if not -90 <= one <= 60)
-        if isinstance(value, float):
-            return self._random.choice(hostile)
-        # A controller that needs no forecast takes one of another length, but none that cannot be.
-        count = self._random.choice((len(value), len(value) - 3, 1))
-        return [self._random.choice(hostile) for _ in range(count)]
-
     def burst(self, topic: str, count: int, rng: random.Random) -> None:
         """Publish so many hostile values as fast as it goes, then in fits and starts."""
         sample = self._values[topic]()
         self._random = random.Random(rng.random())
         for number in range(count):
-            self._watcher.publish(topic, self._garbage(topic, sample))
+            self._watcher.publish(topic, _garbage(topic, sample, self._random))
             if number % 500 == 499:
                 time.sleep(rng.uniform(0.0, 0.05))
+
+
+class Relay:
+    """Stands between nodes in lockstep: what one says of a tick, the others hear from here.
+
+    A node publishes under /true, and each message comes on as a case asks; one that does not holds
+    the tick up.
+    """
+
+    def __init__(self, watcher: Watcher, topics: Sequence[str]) -> None:
+        self.topics = set(topics)
+        self._mode = dict.fromkeys(topics, "ok")
+        self._last: dict[str, Value] = {}
+        self._random = random.Random(0)
+        for topic in topics:
+            watcher.relay(f"{TRUE}{topic}", topic, partial(self._changed, topic))
+
+    def set(self, topic: str, mode: str, rng: random.Random) -> None:
+        """Pass a topic on as ``ok``, ``off``, ``stuck``, ``garbage`` or ``wrong`` from now on."""
+        self._random = random.Random(rng.random())
+        self._mode[topic] = mode
+
+    def _changed(self, topic: str, value: Value) -> Value | None:
+        mode = self._mode[topic]
+        if mode == "off":
+            return None
+        if mode == "garbage":
+            return _garbage(topic, value, self._random)
+        if mode == "wrong":
+            return _wrong(topic, value)
+        if mode == "ok":
+            self._last[topic] = value
+        return self._last[topic]
+
+
+def _wrong(topic: str, value: Value) -> Value:
+    change = _WRONG[topic]
+    return change(value) if isinstance(value, float) else [change(one) for one in value]
+
+
+def _garbage(topic: str, value: Value, rng: random.Random) -> Value:
+    hostile = HOSTILE if topic == "/pump/command" else HOSTILE + HUGE
+    if topic == "/gauge/temperature":
+        hostile = tuple(one for one in hostile if not -90 <= one <= 60)
+    if isinstance(value, float):
+        return rng.choice(hostile)
+    # A controller that needs no forecast takes one of another length, but none that cannot be.
+    count = rng.choice((len(value), len(value) - 3, 1))
+    return [rng.choice(hostile) for _ in range(count)]

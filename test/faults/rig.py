@@ -8,7 +8,7 @@ import signal
 import socket
 import subprocess
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager, suppress
 from datetime import datetime, timedelta, timezone
 from pathlib import Path
@@ -16,15 +16,16 @@ from typing import Any, ClassVar
 
 import yaml
 from bounds import LIMIT_S, RAMP_S
-from cases import GAUGES, LEVELS, PLAYED
+from cases import GAUGES, LEVELS, PLAYED, RELAYED
 from disks import disk_if_allowed
 from graphs import Process, alive
 from line import Line
 from places import CONFIG
-from players import Players
+from players import TRUE, Players, Relay
 from truth import STANDS, Truth
 from watcher import Watcher
 
+from greenroof_ros.common.interface import read_topics
 from greenroof_ros.drives.address import parse_address
 from greenroof_ros.drives.control_profiles import AbbDrives
 from greenroof_ros.model.pump_speed import flow_at
@@ -472,10 +473,12 @@ class FlowRig(PlayedRig):
         super().__exit__(*failure)
 
 
-def pump_node(rig: Rig, *more: str, domain: int | None = None) -> Process:
+def pump_node(
+    rig: Rig, *more: str, domain: int | None = None, live: bool = True
+) -> Process:
     """Start a pump node at the drive of a rig, by itself."""
     options = {
-        "live": "true", "site_file": rig.site_file, "drive": rig.drive_file,
+        "live": str(live).lower(), "site_file": rig.site_file, "drive": rig.drive_file,
         "address": rig.drive_at, "autostart": "true",
         "state_file": rig.directory / f"pump-{len(more)}-{domain}.json",
     }
@@ -563,10 +566,46 @@ class LoopRig(Rig):
         )
 
 
+class RelayedRig(Rig):
+    """The same with each node started by itself, and the campaign between them."""
+
+    def __init__(self, directory: Path, domain: int, drive: str) -> None:
+        super().__init__(directory, domain, drive)
+        self._watch()
+        self.players = Relay(self.watcher, RELAYED)
+        self.started.add(pump_node(self, live=False).process.pid)
+        site, ticks = f"site_file:={self.site_file}", "run_length:=7200"
+        self._node("weather", site, ticks)
+        self._controller = self._node("controller", site, arguments=("--controller", CONTROLLER))
+        self.main = self._node(
+            "plant", site, ticks, "speed:=1.0", "pump:=external",
+            f"initial_cistern_volume:={_CISTERN_M3}", f"initial_roof_volume:={_ROOF_M3}",
+        )
+
+    def _node(self, name: str, *parameters: str, arguments: Sequence[str] = ()) -> Process:
+        """Start a node that publishes for the campaign."""
+        interface = read_topics()
+        ours = [topic for topic in RELAYED if name in interface[topic].publishers]
+        node = Process(
+            self.domain, f"nodes.{name}", *arguments, "--ros-args",
+            *(word for one in parameters for word in ("-p", one)),
+            *(word for topic in ours for word in ("-r", f"{topic}:={TRUE}{topic}")),
+            cwd=self.directory,
+        )
+        self.started.add(node.process.pid)
+        return node
+
+    def said(self, pattern: str, since: float, printed: int) -> str:
+        """Return the same, or what the controller printed: the first refusal on each topic."""
+        lines = self._controller.stderr().splitlines()
+        line = next((one for one in lines if re.search(pattern, one)), "")
+        return super().said(pattern, since, printed) or line
+
+
 RIGS: dict[str, type[Rig]] = {
     "site": SiteRig, "dry": DryRig, "gauged": GaugedRig, "full disk": FullDiskRig,
     "played": PlayedRig, "flow": FlowRig, "pump": PumpRig, "metered": MeteredRig,
     "rtu": SerialRig, "refusing": RefusingRig, "guarded": GuardedRig, "greatest_run": RunRig,
     "greatest_run_per_day": RunPerDayRig, "greatest_volume_per_day": VolumePerDayRig,
-    "loop": LoopRig,
+    "loop": LoopRig, "relayed": RelayedRig,
 }

@@ -14,7 +14,7 @@ import tempfile
 import time
 from pathlib import Path
 
-from bounds import SILENCE_S, SLACK_S
+from bounds import SIMULATION_END_S
 from cases import Case
 from graphs import Process, alive, bag_file, environment, summary_of
 from inject import signal_process
@@ -24,7 +24,6 @@ from rig import SkippedError, small_disk
 from rosbags.highlevel import AnyReader
 from watcher import Watcher
 
-from greenroof_ros.graph.node_processes import _ENDING_S
 from greenroof_ros.recording.bag_reader import count_ticks
 from greenroof_ros.recording.damaged_bag import recovered_bag
 
@@ -32,8 +31,6 @@ from greenroof_ros.recording.damaged_bag import recovered_bag
 _LONG_H, _SHORT_H = "12", "1"
 # Simulated per wall time of the short one: slow enough that it lasts for what is done to it.
 _SHORT_SPEED = "400"
-# From the fault to the end of bringup: silence is noticed, and all nodes are ended.
-_BOUND_S = SILENCE_S + _ENDING_S + 2 * SLACK_S
 # Ticks that may be missing in a restored bag: what the plant may run ahead of the recorder, and the
 # one under way.
 _LOST_TICKS = 33
@@ -46,7 +43,7 @@ def run_case(case: Case, directory: Path, domain: int, rng: random.Random) -> Ou
     options = ["--hours", _SHORT_H, "--speed", _SHORT_SPEED] if same else ["--hours", _LONG_H]
     if case.rig == "restarting":
         options += ["--on-node-failure", "restart"]
-    outcome = Outcome(bound=None if same else _BOUND_S)
+    outcome = Outcome(bound=None if same else SIMULATION_END_S)
     if case.fault == "full disk":
         try:
             with small_disk(directory / "run", "300k"):
@@ -199,8 +196,8 @@ def _ends(case: Case, run: Process, directory: Path, began: float, outcome: Outc
     code = run.wait(60)
     outcome.to_safe = time.monotonic() - began
     outcome.recovery = f"ended with exit code {code}"
-    if outcome.to_safe > _BOUND_S:
-        outcome.fail(f"ended after {outcome.to_safe:.1f} s, bound {_BOUND_S:.1f} s")
+    if outcome.to_safe > SIMULATION_END_S:
+        outcome.fail(f"ended after {outcome.to_safe:.1f} s, bound {SIMULATION_END_S:.1f} s")
     if code != expected:
         outcome.fail(f"ended with exit code {code}, not {expected}: {run.stderr()[-400:]}")
     said = run.stderr()

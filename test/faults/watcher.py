@@ -7,7 +7,7 @@ import re
 import threading
 import time
 from array import array
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from typing import Any
 
@@ -144,6 +144,20 @@ class Watcher:
             self._publishers[topic].publish(DiagnosticArray(status=[status]))
         else:
             self._publishers[topic].publish(message_class(self._topics[topic].type)())
+
+    def relay(self, source: str, topic: str, changed: Callable[[Any], Any]) -> None:
+        """Publish on a topic what comes on another one, as a function makes it; None: nothing."""
+        self.open(topic)
+        one = self._topics[topic]
+
+        def pass_on(message: Any) -> None:
+            value = changed(message.data)
+            if value is not None:
+                self.publish(topic, value)
+
+        self.node.create_subscription(
+            message_class(one.type), source, pass_on, qos_profile(one.qos)
+        )
 
     def open(self, topic: str) -> None:
         """Be a publisher of a topic, and say nothing on it."""
