@@ -5,7 +5,7 @@ doc/explanation/pump-safety.md and doc/explanation/live.md state the same figure
 
 from __future__ import annotations
 
-from greenroof_ros.drives.exchange import FIRST_WAIT_S
+from greenroof_ros.drives.exchange import FIRST_WAIT_S, RUNS_ON_S, SEEN_S, SILENCE_MARGIN_S
 from greenroof_ros.graph import live_supervisor, permit
 from greenroof_ros.graph.live import LIMITS
 from greenroof_ros.graph.node_processes import _ENDING_S
@@ -75,6 +75,8 @@ def bounds(site: Site) -> dict[str, float]:
         # The same, where each request is answered by an exception and counts as life: two
         # connections are tried first, after the first wait and twice that.
         "refused": DRIVE_TIMEOUT_S + exchange + 3 * FIRST_WAIT_S + end,
+        # It is left in silence when its speed has not fallen for so long.
+        "runs on": RUNS_ON_S + SEEN_S + SILENCE_MARGIN_S + DRIVE_TIMEOUT_S + exchange + end,
         # Two connections are tried on which nothing can be written.
         "refusing": DRIVE_TIMEOUT_S + 5.0 + end,
         "intermittent drive": 2.0 + DRIVE_TIMEOUT_S + end,

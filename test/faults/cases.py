@@ -128,6 +128,8 @@ _DRIVE: dict[str, Expected] = {
     "power_cycle": Expected(bound="drive", alarm=_LOST, recovery="either"),
     "timeout_off": Expected(bound="drive", alarm=r"communication timeout"),
     "local": Expected(bound="drive", alarm=r"local control"),
+    # Held by an operator, it says that it is off, and its motor runs until its own timeout passes.
+    "runs_on": Expected(bound="runs on", alarm=r"acknowledges \*stop\*", recovery="latches"),
     # PX4's: silent for 7 s of 9.
     "intermittent": Expected(bound="intermittent drive", alarm=_LOST),
 }
@@ -146,7 +148,8 @@ def _drive(kind: str, faults: tuple[str, ...], first: int, repeats: int) -> Iter
                     yield Case(f"{kind}:{drive}", "drive", fault, number, _DRIVE[fault])
             for fault in _UNSTOPPABLE if len(faults) == len(_DRIVE) else ():
                 yield Case(f"{kind}:{drive}", "unstoppable", fault, number, Expected(
-                    bound="follow", alarm=r"told to stop|contactor", recovery="latches"))
+                    bound="follow", alarm=r"told to stop|acknowledges \*stop\*|contactor",
+                    recovery="latches"))
 
 
 def _drive_alone(repeats: int) -> Iterator[Case]:

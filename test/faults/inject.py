@@ -167,6 +167,15 @@ def _drive(rig: Rig, case: Case) -> Undo:
     if case.target == "local":
         rig.truth.take_over(True)
         return lambda: rig.truth.take_over(False)
+    if case.target == "runs_on":
+        rig.truth.inject_drive("runs_on")
+        rig.watcher.hold(True)
+
+        def release() -> None:
+            rig.truth.inject_drive("none")
+            rig.watcher.hold(False)
+
+        return release
     if case.target == "timeout_off":
         # It is read with each new connection.
         rig.truth.inject_drive("timeout_off")
