@@ -233,6 +233,7 @@ def test_killed_in_a_pause(
     """
     (tmp_path / "watched.py").write_text(WATCHED)
     monkeypatch.syspath_prepend(tmp_path)
+    monkeypatch.chdir(tmp_path)  # this process has a Watched of its own decide, too
     hours, controller = 24 / 3600, "watched:Watched"
     run = Run(
         domain, tmp_path, "--hours", repr(hours), "--speed", "1", "--peer-limit", "5",
