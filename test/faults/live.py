@@ -6,13 +6,16 @@ import random
 import subprocess
 import time
 from dataclasses import dataclass
+from pathlib import Path
 
 from bounds import RAMP_S, bounds
 from cases import Case
 from graphs import alive
 from inject import begin
 from lost import BOUND_S, last_message, newest_file
-from rig import BrokenError, Rig, SiteRig
+from rig import BrokenError, Rig, SiteRig, wait
+
+from greenroof_ros.recording.live_bag import FLUSH_S
 
 # How much longer than the bound is waited, for a figure of how bad it was (s).
 _LONGER_S = 10.0
@@ -63,6 +66,8 @@ def run_case(rig: Rig, case: Case, rng: random.Random, outcome: Outcome) -> None
         rig.until_guarded()
     rig.until_running(steady_s=_STEADY_S if case.expected.stops is False else 0.0)
     rig.others.clear()
+    if case.target == "recorder" and isinstance(rig, SiteRig):
+        _until_it_records(rig.state / "bag", rng)
     time.sleep(rng.uniform(0.0, 1.0))  # of the ticks, which are a second
     if not rig.runs():
         rig.until_running()
@@ -75,6 +80,18 @@ def run_case(rig: Rig, case: Case, rng: random.Random, outcome: Outcome) -> None
         outcome.fail(f"the pump turned at {rig.truth.greatest:.3f} of its rated speed")
     if isinstance(rig, SiteRig) and rig.levels()[0] < rig.site.suction_level - _DRY_M:
         outcome.fail("the pump ran dry")
+
+
+def _until_it_records(bag: Path, rng: random.Random) -> None:
+    """Wait until a recorder that a case before has ended writes again, and for a random time."""
+
+    def written() -> tuple[Path | None, int]:
+        file = newest_file(bag)
+        return file, 0 if file is None else file.stat().st_size
+
+    before = written()
+    wait(lambda: written() != before, 60, "a recorder that writes")
+    time.sleep(rng.uniform(0.0, FLUSH_S))
 
 
 def _fault(rig: Rig, case: Case, rng: random.Random, outcome: Outcome) -> None:
