@@ -23,7 +23,13 @@ from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.drives.address import parse_drive_address
 from greenroof_ros.drives.drive import DriveStatus
 from greenroof_ros.drives.drive_file import LONGEST_RAMP_S, find_drive_file, read_drive_file
-from greenroof_ros.drives.exchange import RESET_S, DriveExchange, Snapshot
+from greenroof_ros.drives.exchange import (
+    RESET_S,
+    RUNS_ON_S,
+    SEEN_S,
+    DriveExchange,
+    Snapshot,
+)
 from greenroof_ros.graph.lifecycle import (
     ACTIVATE,
     ACTIVE,
@@ -267,7 +273,8 @@ class PumpNode(Lifecycle, LinkedNode):
         given["least_speed"] = max(given["least_speed"], self._drive.file.least_speed)
         settings = PumpSettings(**given)
         self._settings, self._state_file = settings, self._place_of_state(values)
-        drive_stops_after = values["drive_timeout_limit"] + LONGEST_RAMP_S
+        # Where *stop* is written and nothing can be read, it is left in silence only then.
+        drive_stops_after = RUNS_ON_S + SEEN_S + values["drive_timeout_limit"] + LONGEST_RAMP_S
         if self._drive.without_timeout:
             drive_stops_after = math.inf
         self._drive_stops_after = drive_stops_after
@@ -581,7 +588,7 @@ class PumpNode(Lifecycle, LinkedNode):
             command=self._value(self._command),
             cistern_level=self._value(self._cistern),
             roof_level=self._value(self._roof),
-            jumps=sum(rule.jumps for rule in self._rules),
+            displacements=(self._rules[0].displacement, self._rules[1].displacement),
             frost=None if frost is None else frost > 0,
             speed=None if status is None else status.speed,
             flow=self._value(self._meter),
@@ -638,7 +645,10 @@ class PumpNode(Lifecycle, LinkedNode):
         frost = f"{self._frost.name} {self._frost.why}" if not self._frost.good else ""
         if self._frost.good and self._frost.value > 0:
             frost = "there is frost"
-        blind = f"blind for {decision.blind_for:.0f} s: a level is unknown"
+        blind = (
+            f"blind for {decision.blind_for:.0f} s: a level is unknown, or both were not known for "
+            f"{self._settings.averaging_time:g} s yet"
+        )
         self.diagnose(
             "delivery", WARN if decision.blind_for else OK,
             blind if decision.blind_for else "what is pumped is held against both levels",

@@ -12,8 +12,8 @@ Two balances are kept, each of water (m3) that the levels do not account for:
   the cistern counts up to the outlet only.
 
 Water is counted while a level is unknown, too, and the balances go on when it is known again: a
-sensor that is silent now and then hides nothing. Only a level that jumped, as no water can, counts
-from its new value on, with what was unaccounted for before.
+sensor that is silent now and then hides nothing. By how much a level has jumped, as no water can,
+does not count.
 
 Each is averaged over ``averaging_time``, levels and volumes alike, so that no lag comes between
 them. A balance that rises by more than ``level_tolerance`` times the area above the least that it
@@ -108,12 +108,14 @@ class DeliveryCheck:
         self._elapsed = self._least_pumped = self._most_pumped = 0.0
         self._missing, self._lost = _Balance(), _Balance()
         self._cistern_still, self._roof_still = _Still(), _Still()
-        self.jumped()
-
-    def jumped(self) -> None:
-        """Take the levels as they are from now on: one of them has jumped."""
         self._mean: _Sums | None = None
         self._watched = 0.0
+        self._origin: tuple[float, float] | None = None
+
+    @property
+    def watches(self) -> bool:
+        """Whether there are enough readings for a mean."""
+        return self._watched >= self._settings.averaging_time
 
     def step(
         self,
@@ -122,6 +124,7 @@ class DeliveryCheck:
         roof_level: float | None,
         least_pumped: float,
         most_pumped: float,
+        displacements: tuple[float, float] = (0.0, 0.0),
     ) -> str:
         """Take what the sensors read, and return the fault, empty where there is none.
 
@@ -131,6 +134,7 @@ class DeliveryCheck:
             roof_level: m; None is unknown.
             least_pumped: what was pumped since the last step, or should have been (m3).
             most_pumped: the same at most; more only where the speed was unknown.
+            displacements: by how much jumps have moved the readings of cistern and roof so far (m).
         """
         site, settings = self._site, self._settings
         self._elapsed += dt
@@ -139,10 +143,13 @@ class DeliveryCheck:
         if cistern_level is None or roof_level is None:
             return ""
         self._watched += dt
+        self._origin = self._origin or displacements
+        cistern = cistern_level - displacements[0] + self._origin[0]
+        roof = roof_level - displacements[1] + self._origin[1]
         present = _Sums(
             self._elapsed, self._least_pumped, self._most_pumped,
-            min(cistern_level, site.z_o - settings.level_offset) * site.a1,
-            min(roof_level, site.z_veg + settings.level_offset) * site.a2,
+            min(cistern, site.z_o - settings.level_offset) * site.a1,
+            min(roof, site.z_veg + settings.level_offset) * site.a2,
         )
         self._cistern_still.see(cistern_level, present)
         self._roof_still.see(roof_level, present)

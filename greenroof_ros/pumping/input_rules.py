@@ -17,6 +17,9 @@ from greenroof_ros.weather.records import EVAPOTRANSPIRATION, PRECIPITATION, QUA
 _START_S = 10.0
 # Pumps, rain and pipes of a site differ from its file; its water may be faster by this factor.
 _MARGIN = 1.5
+# A jump's way back counts for so long as the interval of the time before it is no wider than so
+# many tolerances: some minutes.
+_SPIKE = 4.0
 # More than the world's record of an hour's rain, and of a day's evapotranspiration (m/s).
 _MOST_RAIN = QUANTITIES[PRECIPITATION][2] / 1000 / 3600
 _MOST_EVAPOTRANSPIRATION = QUANTITIES[EVAPOTRANSPIRATION][2] / 1000 / 86400
@@ -106,6 +109,10 @@ class LevelRule:
     nothing is left of it the value has jumped, and the interval begins again with it. So neither
     one step nor many small ones, however quickly they come, go unseen; noise within half the
     tolerance is never a jump.
+
+    Attributes:
+        displacement: by how much jumps have moved the readings (m). What comes back to where water
+            can be since before a jump was a spike, and moved nothing.
     """
 
     def __init__(self, speeds: Speeds, frozen_movement: float, jump_tolerance: float) -> None:
@@ -117,13 +124,15 @@ class LevelRule:
                 not; more than the sensor resolves.
             jump_tolerance: how far two values may be apart beyond what water can do (m).
         """
-        self.jumps = 0
-        """how often it has jumped"""
+        self.displacement = 0.0
         self._speeds = speeds
         self._frozen_movement = frozen_movement
         self._tolerance = jump_tolerance
         self._value = math.nan
         self._low = self._high = math.nan
+        # The same interval without the last jump, and the displacement then.
+        self._old_low = self._old_high = math.nan
+        self._old_displacement = 0.0
         self._at = 0.0
         self._expected = 0.0
         self._frozen = False
@@ -144,13 +153,20 @@ class LevelRule:
         if math.isnan(before):
             self._low, self._high = value - half, value + half
             return Verdict()
-        low = self._low - self._speeds.fall(before) * passed
-        high = self._high + self._speeds.rise(before) * passed
+        fall, rise = self._speeds.fall(before) * passed, self._speeds.rise(before) * passed
+        low, high = self._low - fall, self._high + rise
+        self._old_low, self._old_high = self._old_low - fall, self._old_high + rise
         self._low, self._high = max(low, value - half), min(high, value + half)
         if self._low <= self._high:
             return self.stands()
         self._low, self._high = value - half, value + half
-        self.jumps += 1
+        narrow = self._old_high - self._old_low < _SPIKE * self._tolerance
+        if narrow and self._old_low - half <= value <= self._old_high + half:
+            self.displacement, self._old_displacement = self._old_displacement, self.displacement
+        else:
+            self._old_displacement = self.displacement
+            self.displacement += value - before
+        self._old_low, self._old_high = low, high
         end = high if value > high else low
         return Verdict(
             JUMP, f"jumped: {before:.4g} m, and {passed:.3g} s later {value:.4g} m, where water "

@@ -30,7 +30,7 @@ class Observation:
         command: share of the maximum flow, as it came.
         cistern_level: m.
         roof_level: m.
-        jumps: how often one of both levels has jumped, as no water can, since the start.
+        displacements: by how much jumps, as no water can, have moved both readings so far (m).
         frost: whether there is.
         speed: what the drive turns at, share of the rated speed.
         flow: of a flow meter (m3/s).
@@ -44,7 +44,7 @@ class Observation:
     command: float | None = None
     cistern_level: float | None = None
     roof_level: float | None = None
-    jumps: int = 0
+    displacements: tuple[float, float] = (0.0, 0.0)
     frost: bool | None = None
     speed: float | None = None
     flow: float | None = None
@@ -67,7 +67,8 @@ class Decision:
         warning: what an operator should know although it stops nothing; empty where nothing.
         owed: commanded less delivered (m3).
         stands: whether the pump was seen to stand, or must by the drive's own timeout by now.
-        blind_for: for how long the delivery check has not seen both levels (s).
+        blind_for: for how long the delivery check could not judge (s): a level is unknown, or both
+            were not known for long enough.
     """
 
     speed: float | None
@@ -110,7 +111,6 @@ class PumpControl:
         self._astray_for = 0.0
         self._unknown_for = 0.0
         self._blind_for = 0.0
-        self._jumps = 0
         # What it turned at most when that was last known, share of the rated speed; before that
         # it is not known to stand.
         self._turned = 1.0
@@ -159,14 +159,12 @@ class PumpControl:
         least = max(flow, computed)
         self._account(dt, seen.speed, unseen, least)
         self._pulses.account(flow * dt, dt)
-        both = seen.cistern_level is not None and seen.roof_level is not None
-        self._blind_for = 0.0 if both else self._blind_for + dt
-        if seen.jumps != self._jumps:
-            self._jumps = seen.jumps
-            self._delivery.jumped()
         undelivered = self._delivery.step(
-            dt, seen.cistern_level, seen.roof_level, least * dt, max(flow, unseen) * dt
+            dt, seen.cistern_level, seen.roof_level, least * dt, max(flow, unseen) * dt,
+            seen.displacements,
         )
+        sees = seen.cistern_level is not None and seen.roof_level is not None
+        self._blind_for = 0.0 if sees and self._delivery.watches else self._blind_for + dt
         self._latch(drive_dt, seen, backwards, undelivered)
         command, refusal, warning = _command(seen.command)
         if warning:
@@ -269,9 +267,12 @@ class PumpControl:
         self, drive_dt: float, seen: Observation, backwards: str, undelivered: str
     ) -> None:
         """Look for faults; the first one stays until it is reset."""
-        self._astray_for = self._astray_for + drive_dt if self._is_astray(seen.speed) else 0.0
+        if self._is_astray(seen.speed):
+            self._astray_for += drive_dt
+        elif seen.speed is not None:  # what is not heard for a moment may go on
+            self._astray_for = 0.0
         found = undelivered
-        if self._astray_for > self._settings.follow_time:
+        if seen.speed is not None and self._astray_for > self._settings.follow_time:
             asked = "it is told to stop"
             if self._asked is not None:
                 asked = f"{self._asked:.2f} is asked for"

@@ -103,7 +103,7 @@ class PumpSettings:
     level_tolerance: float = _setting(
         0.006, "m", 1e-4, 1.0,
         "change of a mean level that the delivery check leaves unexplained; 13 times the noise of "
-        "the mean of readings each second with 5 mm",
+        "the mean of readings each second with 5 mm, and above what a sensor resolves",
     )
     level_offset: float = _setting(
         0.02, "m", 0.0, 1.0,

@@ -165,6 +165,20 @@ def test_a_speed_that_does_not_follow(stuck: float, command: float, why: str) ->
     assert rig.run(100, command).state == "fault"
 
 
+@pytest.mark.parametrize("every", [3, 8, 15, 16])
+def test_a_drive_that_does_not_stop_behind_a_bad_line(every: int) -> None:
+    """Its speed is unknown for a second of each so many; 15 s must be known."""
+    rig = Rig()
+    rig.run(30, 0.8)
+    rig.stuck_speed = 0.8
+    for second in range(200):
+        rig.change = {} if second % every else {"speed": None, "problem": "no connection"}
+        if rig.step(0.0).state == "fault":
+            break
+    assert second <= 12 + 16 * every / (every - 1)
+    assert rig.decisions[-1].why.startswith("the speed does not follow")
+
+
 def test_a_drive_has_its_own_time() -> None:
     """At 60 times real time a drive that hardly turns is a fault after 15 s of its own time.
 
