@@ -7,6 +7,7 @@ import re
 import shlex
 import sys
 import time
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -19,7 +20,7 @@ from greenroof_ros.common.command_line import (
 )
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.signals import InterruptedRun, Signals
-from greenroof_ros.controllers.registry import controller_names
+from greenroof_ros.controllers.registry import ControllerChoice, controller_names
 from greenroof_ros.experiment import summary, summary_table
 from greenroof_ros.experiment.options import (
     add_output_arguments,
@@ -31,6 +32,7 @@ from greenroof_ros.experiment.progress import RunProgress
 from greenroof_ros.experiment.run import Run
 from greenroof_ros.experiment.run_directory import make_run_directory, write_configuration
 from greenroof_ros.graph.domain import only_bringup, refuse_other_nodes
+from greenroof_ros.graph.errors import no_ros
 from greenroof_ros.graph.node_processes import NodeFailed
 from greenroof_ros.graph.restarts import MOST, Restarts
 from greenroof_ros.graph.states import FINISHED, PUMP, READY, RECORDER, ROLES
@@ -41,7 +43,7 @@ from greenroof_ros.live.drive import (
     chosen_drive,
     own_parameters,
 )
-from greenroof_ros.live.run import run_live
+from greenroof_ros.live.run import nodes_of, run_live
 from greenroof_ros.live.site import EXTERNAL, add_live_arguments, live_site, refuse_live_options
 from greenroof_ros.recording.bag_reader import count_ticks
 
@@ -189,9 +191,15 @@ def _run_graph(run: Run, arguments: argparse.Namespace, signals: Signals) -> int
     drive, own = chosen_drive(arguments), own_parameters(arguments)
     stop_drive = drive.stopper() if drive is not None else None
     restart = arguments.on_node_failure == "restart"
-    names = {"plant", "weather", RECORDER, controller.name, *controller_names()}
-    if drive is not None:
-        names.add(PUMP)
+    nodes = {
+        **({} if drive is None else {PUMP: f"{_NODES}.pump"}),
+        "plant": f"{_NODES}.plant",
+        "weather": f"{_NODES}.weather",
+        controller.name: f"{_NODES}.controller",
+        **({} if arguments.no_record else {RECORDER: f"{_NODES}.recorder"}),
+    }
+    _refuse_unknown(own, namespace, nodes, controller)
+    names = {*nodes, RECORDER, *controller_names()}
     with only_bringup(namespace):
         refuse_other_nodes(namespace, names, signals.check)
         directory = make_run_directory(arguments.output, controller.name)
@@ -218,19 +226,17 @@ def _run_graph(run: Run, arguments: argparse.Namespace, signals: Signals) -> int
         try:
             with supervisor:
                 if drive is not None:
-                    supervisor.add(PUMP, f"{_NODES}.pump")
+                    supervisor.add(PUMP, nodes[PUMP])
                     print(
                         f"stops and faults of the drive are kept in {of_drive['state_file']}",
                         file=sys.stderr,
                     )
                     _wait_for_drive(run, supervisor, signals, of_drive["state_file"])
-                supervisor.add("plant", f"{_NODES}.plant")
-                supervisor.add("weather", f"{_NODES}.weather")
-                supervisor.add(
-                    controller.name, f"{_NODES}.controller", "--controller", controller.reference
-                )
-                if not arguments.no_record:
-                    supervisor.add(RECORDER, f"{_NODES}.recorder")
+                for name, module in nodes.items():
+                    if name == controller.name:
+                        supervisor.add(name, module, "--controller", controller.reference)
+                    elif name != PUMP:
+                        supervisor.add(name, module)
                 _watch(run, arguments.peer_limit, supervisor, signals, restarts)
         except InterruptedRun as error:
             signals.ignore()
@@ -244,6 +250,30 @@ def _run_graph(run: Run, arguments: argparse.Namespace, signals: Signals) -> int
             return EXIT_FAILED if supervisor.may_run else error.code
         _end_whole(run, directory, supervisor, restarts, as_json=arguments.json)
         return EXIT_FAILED if supervisor.may_run else EXIT_DONE
+
+
+def _refuse_unknown(
+    file: Path | None, namespace: str, nodes: Mapping[str, str], controller: ControllerChoice
+) -> None:
+    """Refuse what would have no effect in a parameter file of a user's own.
+
+    Args:
+        file: which, if there is one.
+        namespace: of the graph.
+        nodes: of each node the module.
+        controller: of the graph.
+
+    Raises:
+        ConfigurationError: there is something, or no ROS 2.
+    """
+    if file is None:
+        return
+    try:
+        from greenroof_ros.nodes.parameter_file import refuse_unknown_in
+    except ImportError as error:
+        raise no_ros(error) from error
+    whole = {f"{namespace}/{name}": module for name, module in nodes.items()}
+    refuse_unknown_in(file, whole, controller)
 
 
 def _wait_for_drive(
@@ -385,7 +415,10 @@ def main() -> int:
     signals = Signals()
     try:
         if arguments.plant == EXTERNAL:
-            return run_live(live_site(parser, arguments), signals)
+            site = live_site(parser, arguments)
+            nodes = {name: module for name, module, *_ in nodes_of(site)}
+            _refuse_unknown(site.node_parameters, site.namespace, nodes, site.controller)
+            return run_live(site, signals)
         refuse_live_options(parser, arguments)
         return _run_graph(_simulated_run(arguments), arguments, signals)
     except InterruptedRun as error:  # before a node was started

@@ -152,8 +152,9 @@ def add_drive_arguments(parser: argparse.ArgumentParser) -> None:
     group.add_argument(
         "--node-parameters", type=Path, metavar="FILE",
         help="ROS 2 parameter file for what bringup does not decide, such as the pump node's "
-        "limits; each node's --help says what it has. Which drive there is and where, and where "
-        "its state is kept, --drive, --drive-at and --state alone say",
+        "limits; each node's --help says what it has, and what no node would take is refused. "
+        "Which drive there is and where, and where its state is kept, --drive, --drive-at and "
+        "--state alone say",
     )
 
 

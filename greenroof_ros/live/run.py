@@ -56,7 +56,7 @@ def run_live(site: LiveSite, signals: Signals) -> int:
         OSError: the summary cannot be written.
     """
     with only_bringup(site.namespace), _state_directory(site.state) as state:
-        names = {name for name, *_ in _nodes(site)} | {"plant", *controller_names()}
+        names = {name for name, *_ in nodes_of(site)} | {"plant", *controller_names()}
         refuse_other_nodes(site.namespace, names, signals.check)
         with Status() as status, tempfile.TemporaryDirectory(dir=_IN_MEMORY) as memory:
             record = _Record(site, state, status)
@@ -71,7 +71,7 @@ def run_live(site: LiveSite, signals: Signals) -> int:
             try:
                 record.write(summary.RUNNING)
                 with supervisor:
-                    for node in _nodes(site):
+                    for node in nodes_of(site):
                         supervisor.add(*node)
                     _keep_up(supervisor, status, signals, pump=site.drive is not None)
             except InterruptedRun as error:
@@ -204,7 +204,7 @@ def _keep_up(
             status.say("waiting for the pump to stand")
 
 
-def _nodes(site: LiveSite) -> Iterator[tuple[str, ...]]:
+def nodes_of(site: LiveSite) -> Iterator[tuple[str, ...]]:
     """Return the nodes of a site: name, module and arguments of each."""
     if site.sensors is not None:
         for tank in _TANKS:

@@ -122,16 +122,24 @@ _DRIVE: dict[str, Expected] = {
     "wrong_unit": Expected(bound="drive", alarm=_LOST),
     "wrong_function": Expected(bound="drive", alarm=_LOST),
     "wrong_length": Expected(bound="drive", alarm=_LOST),
-    "absurd_value": Expected(bound="follow", alarm=r"the speed|the drive: ", recovery="either"),
+    # Not believed, by the drive file's range of the speed: as if nothing had been said.
+    "absurd_value": Expected(bound="drive", alarm=_LOST),
     "exception": Expected(bound="refused", alarm=_LOST),
     "drive_fault": Expected(bound="drive", alarm=r"the drive reports", recovery="latches"),
-    "power_cycle": Expected(bound="drive", alarm=_LOST, recovery="either"),
+    # Under power again it is as before, and reports no fault.
+    "power_cycle": Expected(bound="drive", alarm=_LOST),
     "timeout_off": Expected(bound="drive", alarm=r"communication timeout"),
     "local": Expected(bound="drive", alarm=r"local control"),
     # Held by an operator, it says that it is off, and its motor runs until its own timeout passes.
     "runs_on": Expected(bound="runs on", alarm=r"acknowledges \*stop\*", recovery="latches"),
     # PX4's: silent for 7 s of 9.
     "intermittent": Expected(bound="intermittent drive", alarm=_LOST),
+}
+# A Danfoss's speed is a share of its reference, and the same raw value twice of that: believed, and
+# a speed that does not follow.
+_OF_MAKE = {
+    ("danfoss_fc202", "absurd_value"): Expected(
+        bound="follow", alarm="the speed does not follow", recovery="latches"),
 }
 # What there is of it on a serial line, where nothing connects; the line of a simulator that is
 # started again would have another name.
@@ -145,7 +153,8 @@ def _drive(kind: str, faults: tuple[str, ...], first: int, repeats: int) -> Iter
         for number in range(first, first + repeats):
             for fault in faults:
                 if not (fault == "local" and drive == "grundfos_cim500"):
-                    yield Case(f"{kind}:{drive}", "drive", fault, number, _DRIVE[fault])
+                    expected = _OF_MAKE.get((drive, fault), _DRIVE[fault])
+                    yield Case(f"{kind}:{drive}", "drive", fault, number, expected)
             for fault in _UNSTOPPABLE if len(faults) == len(_DRIVE) else ():
                 yield Case(f"{kind}:{drive}", "unstoppable", fault, number, Expected(
                     bound="follow", alarm=r"told to stop|acknowledges \*stop\*|contactor",
@@ -392,7 +401,10 @@ RELAYED = (*_OBEYED, *_OF_PLANT)
 
 
 def _relayed(repeats: int) -> Iterator[Case]:
-    """What is missing stalls the tick; a wrong level is believed, since any plant may have it."""
+    """What is missing stalls the tick, and what is late makes it late.
+
+    A wrong level is believed, since any plant may have it.
+    """
     for number in range(repeats):
         for topic in RELAYED:
             refused = Expected(
@@ -400,14 +412,21 @@ def _relayed(repeats: int) -> Iterator[Case]:
             )
             wrong = {"/pump/command": refused, "/weather/frost": Expected(alarm="there is frost")}
             missing = topic if topic in _OF_PLANT else "/pump/command"
+            # Who waits for whom is known: the first in the chain is named.
+            stalled = rf"nothing came within 5 s on {missing}"
             for mode, expected in {
-                # Who waits for whom is known: the first in the chain is named.
-                "off": Expected(bound="command", alarm=rf"nothing came within 5 s on {missing}",
-                                recovery="ends"),
+                "off": Expected(bound="command", alarm=stalled, recovery="ends"),
                 "stuck": _RUNS_ON,
                 "garbage": refused,
                 "wrong": wrong.get(topic, _RUNS_ON),
+                "ok": _RUNS_ON,
+                # Later than a command may be, and sooner than the run ends.
+                "slow": Expected(bound="command", alarm="no command has come"),
+                "delayed": Expected(stops=False, watch=6.0),
+                "intermittent": Expected(bound="intermittent", alarm=stalled, recovery="ends"),
             }.items():
+                if number and mode in ("ok", "slow", "delayed", "intermittent"):
+                    continue
                 yield Case(f"relayed:{DRIVES[number % 4]}", mode, topic, number, expected)
 
 

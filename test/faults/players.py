@@ -147,26 +147,38 @@ class Relay:
 
     def __init__(self, watcher: Watcher, topics: Sequence[str]) -> None:
         self.topics = set(topics)
+        self._watcher = watcher
         self._mode = dict.fromkeys(topics, "ok")
+        self._began = time.monotonic()
         self._last: dict[str, Value] = {}
         self._random = random.Random(0)
         for topic in topics:
             watcher.relay(f"{TRUE}{topic}", topic, partial(self._changed, topic))
 
     def set(self, topic: str, mode: str, rng: random.Random) -> None:
-        """Pass a topic on as ``ok``, ``off``, ``stuck``, ``garbage`` or ``wrong`` from now on."""
+        """Pass a topic on in one of the ways of PX4's list from now on.
+
+        A node in lockstep publishes next when it is answered: slow is as late as delayed, for
+        longer.
+        """
         self._random = random.Random(rng.random())
+        self._began = time.monotonic()
         self._mode[topic] = mode
 
     def _changed(self, topic: str, value: Value) -> Value | None:
         mode = self._mode[topic]
-        if mode == "off":
+        since = time.monotonic() - self._began
+        if mode == "off" or (mode == "intermittent" and since % (ON_S + OFF_S) > ON_S):
+            return None
+        if mode in ("slow", "delayed"):
+            late = _SLOW * PERIOD_S if mode == "slow" else _DELAY_S
+            threading.Timer(late, self._watcher.publish, (topic, value)).start()
             return None
         if mode == "garbage":
             return _garbage(topic, value, self._random)
         if mode == "wrong":
             return _wrong(topic, value)
-        if mode == "ok":
+        if mode != "stuck":
             self._last[topic] = value
         return self._last[topic]
 

@@ -178,6 +178,7 @@ class Rig:
     """
 
     pump_parameters: Mapping[str, float | bool] = PUMP_SHORTENED
+    nodes: tuple[str, ...] = ("pump", CONTROLLER, "weather")
     as_shipped = False
     serial = False
     drive_refuses = False
@@ -189,9 +190,9 @@ class Rig:
         self.site: Site = read_site(self.site_file)
         self.parameters = directory / "nodes.yaml"
         self.parameters.write_text(yaml.safe_dump({
-            "/**/pump": {"ros__parameters": dict(self.pump_parameters)},
-            f"/**/{CONTROLLER}": {"ros__parameters": SHORTENED},
-            "/**/weather": {"ros__parameters": dict(SHORTENED)},
+            f"/**/{node}": {"ros__parameters": dict(
+                self.pump_parameters if node == "pump" else SHORTENED
+            )} for node in self.nodes
         }))
         self.lines: dict[str, Line] = {}
         self.drive_file = drive_file(directory, drive, as_shipped=self.as_shipped)
@@ -438,6 +439,7 @@ class PlayedRig(Rig):
     """The same with levels and weather from nodes of somebody else's, whom the campaign plays."""
 
     topics = PLAYED
+    nodes = ("pump", CONTROLLER)
 
     def __init__(self, directory: Path, domain: int, drive: str) -> None:
         super().__init__(directory, domain, drive)
@@ -462,6 +464,7 @@ class FlowRig(PlayedRig):
     """The same, and what the pump node says of the flow is the campaign's, too."""
 
     topics = (*PLAYED, "/pump/flow")
+    nodes = (CONTROLLER,)
 
     def _pump(self) -> tuple[str, ...]:
         self.pump = pump_node(self, "-r", "/pump/flow:=/true/flow")
@@ -478,13 +481,13 @@ def pump_node(
 ) -> Process:
     """Start a pump node at the drive of a rig, by itself."""
     options = {
+        **{name: str(value).lower() for name, value in rig.pump_parameters.items()},
         "live": str(live).lower(), "site_file": rig.site_file, "drive": rig.drive_file,
         "address": rig.drive_at, "autostart": "true",
         "state_file": rig.directory / f"pump-{len(more)}-{domain}.json",
     }
     return Process(
         rig.domain if domain is None else domain, "nodes.pump", "--ros-args",
-        "--params-file", str(rig.parameters),
         *(word for name, value in options.items() for word in ("-p", f"{name}:={value}")), *more,
         cwd=rig.directory,
     )

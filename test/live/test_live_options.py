@@ -12,6 +12,7 @@ from graphs import environment, wait_for
 from modbus_wire import Wire, acs880
 
 from greenroof_ros.common.errors import ConfigurationError
+from greenroof_ros.controllers.registry import find_controller
 from greenroof_ros.drives.drive_file import find_drive_file
 from greenroof_ros.drives.exchange import DriveExchange
 from greenroof_ros.live.drive import DriveChoice
@@ -161,6 +162,84 @@ def test_what_bringup_alone_says_of_the_drive(
         f"error: {file}, line 7: {section}: {line} = {value!r}: must not be given to the node pump"
     )
     assert [each.name for each in tmp_path.iterdir()] == ["nodes.yaml"]
+
+
+# By what a file says: what is refused of it, beginning with its line.
+NO_EFFECT = {
+    "/**/pump:\n  ros__parameters:\n    least_off: 1.0\n    greatest_volume_per_dai: 0.5\n":
+        "line 4: /**/pump: greatest_volume_per_dai = 0.5: there is no such parameter; the closest "
+        "is greatest_volume_per_day;",
+    "/**:\n  ros__parameters:\n    least_off: 1.0\n    recovery_tim: 0.5\n":
+        "line 4: /**: recovery_tim = 0.5: there is no such parameter; the closest is "
+        "recovery_time;",
+    "/**/mpc:\n  ros__parameters:\n    least_off: 1.0\n":
+        "line 3: /**/mpc: least_off = 1.0: there is no such parameter",
+    "/**/weather:\n  ros__parameters:\n    issue_limt: 1.0\n":
+        "line 3: /**/weather: issue_limt = 1.0: there is no such parameter; the closest is "
+        "issue_limit;",
+    "/**/recorder:\n  ros__parameters:\n    direktory: bag\n":
+        "line 3: /**/recorder: direktory = 'bag': there is no such parameter; the closest is "
+        "directory;",
+    "# mine\n/**/pum:\n  ros__parameters:\n    least_off: 1.0\n":
+        "line 2: /**/pum: bringup starts no such node; the closest is /**/pump;",
+    "site1:\n  onof:\n    ros__parameters:\n      recovery_time: 1.0\n":
+        "line 2: site1/onof: bringup starts no such node; the closest is /**/",
+    "/site2/pump:\n  ros__parameters:\n    least_off: 1.0\n":
+        "line 1: /site2/pump: bringup starts no such node; the closest is /**/pump;",
+    "pump:\n  greatest_volume_per_day: 0.5\n":
+        "line 2: pump: greatest_volume_per_day = 0.5: has no effect here: write /**/NODE: {ros__",
+    "/**/pump:\n": "line 1: /**/pump: has no effect here: write /**/NODE: {ros__parameters: ",
+    "/**/pump:\n  ros__parameters: 0.5\n":
+        "line 1: /**/pump: ros__parameters = 0.5: must hold parameters, NAME: VALUE",
+}
+
+
+@pytest.mark.parametrize("text", NO_EFFECT)
+@pytest.mark.parametrize("way", ["loop", "live"])
+def test_a_parameter_that_would_have_no_effect(tmp_path: Path, text: str, way: str) -> None:
+    """rclpy takes a mistyped limit without a word."""
+    file = tmp_path / "nodes.yaml"
+    file.write_text(text)
+    (tmp_path / "forecast.csv").write_text("")
+    site = (*LIVE, "--sensors", "external", "--forecast", "forecast.csv")
+    done = bringup(
+        tmp_path, *(site if way == "live" else ()), "--drive", "abb_acs880",
+        "--drive-at", "gateway://127.0.0.1:1", "--namespace", "site1",
+        "--node-parameters", str(file),
+    )
+    assert done.returncode == 2
+    assert done.stderr.startswith(f"error: {file}, {NO_EFFECT[text]}")
+    assert not (tmp_path / "live").exists()
+    assert not (tmp_path / "runs").exists()
+
+
+NODES = {
+    f"/site1/{name}": f"greenroof_ros.nodes.{module}" for name, module in {
+        "plant": "plant", "weather": "weather", "onoff": "controller", "pump": "pump",
+        "recorder": "live_recorder", "roof_sensor": "level_sensor",
+    }.items()
+}
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "/**:\n  ros__parameters: {least_off: 1.0, forecast_seed: 3, use_sim_time: true}\n",
+        "site1:\n  pump:\n    ros__parameters: {least_off: 1.0, level_limit: 3.0}\n",
+        "/site1/*:\n  ros__parameters: {sensors_file: a.yaml}\n",
+        "/**/onoff:\n  ros__parameters: {recovery_time: 1.0}\n"
+        "/*/recorder:\n  ros__parameters: {file_limit: 1.0}\n"
+        "'**/roof_sensor':\n  ros__parameters: {qos_overrides: {/roof/level: {}}}\n",
+    ],
+)
+def test_a_parameter_that_a_node_has(tmp_path: Path, text: str) -> None:
+    """It is left to the node."""
+    pytest.importorskip("rclpy")
+    from greenroof_ros.nodes.parameter_file import refuse_unknown_in
+
+    file = tmp_path / "nodes.yaml"
+    file.write_text(text)
+    refuse_unknown_in(file, NODES, find_controller("onoff"))
 
 
 def test_a_state_file_is_a_drives_however_its_address_is_written(
