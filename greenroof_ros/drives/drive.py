@@ -20,6 +20,7 @@ _LOOK_S = 0.05
 _STANDS = 0.01
 # A speed so little below 0 (share of rated speed) is noise of a pump at rest.
 _NOISE = 0.02
+_LOCAL = "; it is in local control: hand it over to the bus at its panel"
 
 
 @dataclass(frozen=True)
@@ -221,6 +222,18 @@ class Drive:
             timed_out=timed_out,
         )
 
+    async def local(self, seen: dict[str, int] | None = None) -> bool:
+        """Return whether it is in local control, where the drive's file tells how that is seen.
+
+        Args:
+            seen: raw values just read.
+
+        Raises:
+            DriveError: it cannot be read.
+        """
+        remote = self.file.status.remote
+        return remote is not None and not await self._holds(remote, {} if seen is None else seen)
+
     async def run(self, speed: float, go_on: Callable[[], bool] = lambda: True) -> None:
         """Run at a speed: bring the drive to where it can, then write speed and control word.
 
@@ -368,15 +381,9 @@ class Drive:
                     f"{self._line.where}: {step.write} = 0x{word:04X} had no effect within "
                     f"{step.within_s:g} s; {until.register} is 0x{raw:04X}, not "
                     f"0x{until.value:04X} under the mask 0x{until.mask:04X}{says}"
-                    + await self._local(now),
+                    + (_LOCAL if await self.local(now) else ""),
                 )
             await asyncio.sleep(_LOOK_S)
-
-    async def _local(self, seen: dict[str, int]) -> str:
-        remote = self.file.status.remote
-        if remote is None or await self._holds(remote, seen):
-            return ""
-        return "; it is in local control: hand it over to the bus at its panel"
 
     def _says(self, seen: dict[str, int]) -> str:
         raw = seen.get("status", 0)

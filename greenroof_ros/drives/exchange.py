@@ -12,7 +12,7 @@ from typing import Any
 
 from greenroof_ros.drives.address import Address
 from greenroof_ros.drives.drive import Drive, DriveStatus
-from greenroof_ros.drives.drive_file import DriveFile
+from greenroof_ros.drives.drive_file import LONGEST_RAMP_S, DriveFile
 from greenroof_ros.drives.lock import DriveLock, HeldError
 from greenroof_ros.drives.modbus_line import DriveError, check_installed
 
@@ -22,17 +22,21 @@ FIRST_WAIT_S, LONGEST_WAIT_S = 0.25, 5.0
 # that does not stop (s), and what counts as slower (share of rated speed).
 STILL_S, SLOWER = 3.0, 0.005
 # A drive that acknowledges *stop* and whose speed does not fall for so long (s) has a fault, and is
-# left in silence a little later, when who asks for it has seen that fault. Longer than a drive
-# needs to begin its ramp; less than the pump control waits for a speed to follow.
-RUNS_ON_S, SEEN_S = 10.0, 1.0
+# left in silence when that fault could be seen for so long (s). Longer than a drive needs to begin
+# its ramp, and than a tick of who asks for it, even where a connection breaks meanwhile; together
+# less than the pump control waits for a speed to follow.
+RUNS_ON_S, SEEN_S = 10.0, 2.0
 # The same after a silence that did not help (s): it may be faults that only a person can end.
 RUNS_ON_AGAIN_S = 60.0
+# For how long orders may still go to a drive whose speed cannot be read (s), before the silence in
+# which its own timeout can fall.
+UNREAD_S = RUNS_ON_S + LONGEST_WAIT_S
 # Above this share of rated speed a pump that is told to stop turns: more than noise at rest.
 TURNS = 0.02
-# How long a drive is given to come to rest, at most (s), by its driver and by the supervisor. The
-# first must fit into the 40 s that bringup gives the pump node to end, and both, one after the
-# other, into the 120 s that examples/greenroof.service has.
-LEAVE_S, STOP_S = 20.0, 8.0
+# How long a drive is given to come to rest, at most (s), by its driver and by the supervisor: its
+# ramp, and what asking takes. It must fit into the 40 s that bringup gives the pump node to end,
+# and twice, one after the other, into the 120 s that examples/greenroof.service has.
+LEAVE_S = LONGEST_RAMP_S + 3.0
 # After a drive did not come to run, how long it is left off before the next attempt (s).
 PAUSE_S = 2.0
 # The same after the last sign that somebody else writes to it: longer than a slow writer's period.
@@ -87,8 +91,9 @@ class DriveExchange:
     Control word and status go over the line in every period, so that the drive's own communication
     timeout is kept alive as long as, and only as long as, this thread lives. Where the drive does
     not take the order to stop, or acknowledges it and runs on, it is left in silence for longer
-    than that timeout: it may count any order as a sign of life. While this lives, it is the only
-    one on this machine for its drive. Nothing here raises into the caller.
+    than that timeout: it may count any order as a sign of life; so is one that takes the order and
+    whose speed cannot be read. While this lives, it is the only one on this machine for its drive.
+    Nothing here raises into the caller.
     """
 
     def __init__(
@@ -131,11 +136,15 @@ class DriveExchange:
         self._settings_at = -math.inf
         # On so many connections, one after the other, *stop* could not be written at last.
         self._not_stopped = 0
-        # How the speed falls on this connection; None where the drive is run, or stands.
+        # How the speed falls since *stop* is the last word, over connections that break, too; None
+        # where the drive is run, or stands.
         self._fall: _Fall | None = None
-        # It runs on although it acknowledges *stop*, and must be left in silence now; it was before
-        # since it last stood or was run.
-        self._runs_on = self._ran_on = False
+        # Since when connections begin with a *stop* that is taken, and no speed is read.
+        self._unread_from: float | None = None
+        # It runs on although it acknowledges *stop*, and must be left in silence now.
+        self._runs_on = False
+        # When it was left so last, or as its speed could not be read, since it last stood or ran.
+        self._left_at = -math.inf
         own = file.timeout.over(address)
         self._unguarded_s = 0.0 if own is None else own.unguarded_after_power_up_s
         self._guarded_from = -math.inf
@@ -276,7 +285,12 @@ class DriveExchange:
             if last_attempt:
                 break
             if self._runs_on:
-                await self._be_silent("")
+                await self._leave("")
+            elif drive.stopped and self._is_unread():
+                await self._leave(
+                    "; its speed cannot be read, and whether it stands has not been known for "
+                    f"{RUNS_ON_S:g} s, although *stop* is written"
+                )
             elif self._not_stopped > 1:
                 await self._be_silent(
                     "; *stop* could not be written on two connections one after the other"
@@ -298,13 +312,26 @@ class DriveExchange:
             await self._pause(LOCK_WAIT_S)
         return False
 
+    def _is_unread(self) -> bool:
+        """Whether it must be left in silence because its speed cannot be read."""
+        now = time.monotonic()
+        return (
+            self._unread_from is not None and now - self._unread_from > RUNS_ON_S
+            and now - self._left_at > RUNS_ON_AGAIN_S
+        )
+
+    async def _leave(self, why: str) -> None:
+        """Be silent once, and remember when: the next silence comes a while later."""
+        self._runs_on = False
+        await self._be_silent(why)
+        self._left_at = time.monotonic()
+
     async def _be_silent(self, why: str) -> None:
         """Send nothing, for longer than the drive waits before it stops by itself.
 
         Args:
             why: what to say of that after the problem.
         """
-        self._runs_on = False
         known = self._snapshot.timeout_s
         timeout_s = self._timeout_limit_s if known is None else known
         silence_s = timeout_s + SILENCE_MARGIN_S
@@ -330,18 +357,19 @@ class DriveExchange:
     async def _greet(self, drive: Drive) -> None:
         """Stop a drive first, then see what it is and whether it would stop by itself."""
         await drive.connect()
-        self._fall = None
         self._guarded_from = time.monotonic() + self._unguarded_s
         try:
-            await drive.stop()
+            await self._stop(drive)
+            if self._unread_from is None:
+                self._unread_from = time.monotonic()
+            # Another one's word, which takes a while to come, cannot stand there yet.
+            await drive.intruder()
+            status = self._judge(await self._read(drive))
         except DriveError as error:
             # How long a silence must be is worth another question.
             if error.kind != "connection" and not self._snapshot.timeout_known:
                 await self._read_settings(drive)
             raise
-        # Another one's word, which takes a while to come, cannot stand there yet.
-        await drive.intruder()
-        status = await self._read(drive)
         try:
             identity = await drive.identify()
         except DriveError as error:
@@ -403,16 +431,17 @@ class DriveExchange:
         Raises:
             DriveError: it must be left in silence now.
         """
-        if self._fall is None or abs(status.speed) <= TURNS or not status.remote:
-            self._fall = None
-            self._ran_on = False
+        fall, now, before = self._fall, time.monotonic(), self._snapshot
+        if fall is None or abs(status.speed) <= TURNS or not status.remote:
+            self._fall, self._left_at = None, -math.inf
             return status
-        still_s = self._fall.still_s(status)
-        if still_s <= RUNS_ON_S:
+        if fall.still_s(status) <= RUNS_ON_S:
             return status
         says = f"it acknowledges *stop*, but its speed has not fallen for {RUNS_ON_S:g} s"
-        if still_s > (RUNS_ON_AGAIN_S if self._ran_on else RUNS_ON_S + SEEN_S):
-            self._runs_on = self._ran_on = True
+        if before.status is not None and says in before.status.fault:
+            fall.seen_s += now - before.read_at
+        if fall.seen_s > SEEN_S and now - self._left_at > RUNS_ON_AGAIN_S:
+            self._runs_on = True
             raise DriveError("drive", f"{self._drive[1]}: {says} (it is {status.speed:.1%})")
         fault = "; ".join(filter(None, (status.fault, says)))
         return replace(status, fault=fault, timed_out=False)
@@ -422,7 +451,14 @@ class DriveExchange:
 
         That trip is what a lost connection comes to, and is over when the connection is back.
         """
-        status = await drive.read()
+        try:
+            status = await drive.read()
+        except DriveError as error:
+            # A person at its panel has it, and sees whether it turns.
+            if error.kind != "connection" and await drive.local():
+                self._unread_from = None
+            raise
+        self._unread_from = None
         if status.timed_out:
             self._fail(f"the drive had stopped by itself: {status.fault}")
             try:
@@ -456,8 +492,7 @@ class DriveExchange:
             if speed is None or time.monotonic() < self._paused_until:
                 await self._stop(drive)
             else:
-                await drive.run(speed, lambda: self._wanted() is not None)
-                self._fall = None
+                await self._run(drive, speed)
         except DriveError as error:
             if error.kind != "drive":
                 raise
@@ -466,6 +501,15 @@ class DriveExchange:
             self._paused_until = time.monotonic() + pause_s
             return str(error)
         return ""
+
+    async def _run(self, drive: Drive, speed: float) -> None:
+        try:
+            await drive.run(speed, lambda: self._wanted() is not None)
+        except DriveError as error:
+            if error.kind != "drive":
+                self._fall = None  # it may obey an order whose answer was lost
+            raise
+        self._fall = None
 
     async def _stop(self, drive: Drive) -> None:
         await drive.stop()
@@ -477,12 +521,14 @@ class _Fall:
 
     def __init__(self) -> None:
         self._lowest, self._fell_at = math.inf, time.monotonic()
+        # For how long (s) it could be seen that it does not fall.
+        self.seen_s = 0.0
 
     def still_s(self, status: DriveStatus) -> float:
         """Take in what the drive says now; return for how long its speed has not fallen (s)."""
         now = time.monotonic()
         if abs(status.speed) < self._lowest - SLOWER:
-            self._lowest, self._fell_at = abs(status.speed), now
+            self._lowest, self._fell_at, self.seen_s = abs(status.speed), now, 0.0
         return now - self._fell_at
 
 
@@ -503,7 +549,7 @@ async def _stand(drive: Drive, until: float) -> DriveStatus:
 def stop_drive(
     file: DriveFile, address: Address, *, driver: int | None = None, timeout_s: float = 0.5
 ) -> DriveStatus:
-    """Stop a drive whose driver has died; blocks while its speed falls, `STOP_S` at most.
+    """Stop a drive whose driver has died; blocks while its speed falls, `LEAVE_S` at most.
 
     The lock keeps others off meanwhile, but is not needed: a driver that hangs still has it, and
     where it cannot be had, or its holder not be known, to stop is safe.
@@ -537,12 +583,12 @@ def stop_drive(
 
 async def _stop(file: DriveFile, address: Address, timeout_s: float) -> DriveStatus:
     asyncio.get_running_loop().set_exception_handler(lambda _loop, _context: None)
-    attempts = 3
+    attempts, until = 3, time.monotonic() + LEAVE_S
     while True:
         drive = Drive(file, address, timeout_s)
         try:
             await drive.connect()
-            return await _stand(drive, time.monotonic() + STOP_S)
+            return await _stand(drive, until)
         except DriveError:
             attempts -= 1
             if not attempts:

@@ -23,13 +23,7 @@ from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.drives.address import parse_drive_address
 from greenroof_ros.drives.drive import DriveStatus
 from greenroof_ros.drives.drive_file import LONGEST_RAMP_S, find_drive_file, read_drive_file
-from greenroof_ros.drives.exchange import (
-    RESET_S,
-    RUNS_ON_S,
-    SEEN_S,
-    DriveExchange,
-    Snapshot,
-)
+from greenroof_ros.drives.exchange import RESET_S, UNREAD_S, DriveExchange, Snapshot
 from greenroof_ros.graph.lifecycle import (
     ACTIVATE,
     ACTIVE,
@@ -171,7 +165,8 @@ class _Drive:
         """Stop it, and return what it says then.
 
         Args:
-            within: how long to wait for that at most (s); without it half a minute.
+            within: how long to wait for that at most (s); without it the longest ramp and a few
+                seconds.
 
         Raises:
             RefusedError: it takes longer, and goes on.
@@ -273,8 +268,7 @@ class PumpNode(Lifecycle, LinkedNode):
         given["least_speed"] = max(given["least_speed"], self._drive.file.least_speed)
         settings = PumpSettings(**given)
         self._settings, self._state_file = settings, self._place_of_state(values)
-        # Where *stop* is written and nothing can be read, it is left in silence only then.
-        drive_stops_after = RUNS_ON_S + SEEN_S + values["drive_timeout_limit"] + LONGEST_RAMP_S
+        drive_stops_after = UNREAD_S + values["drive_timeout_limit"] + LONGEST_RAMP_S
         if self._drive.without_timeout:
             drive_stops_after = math.inf
         self._drive_stops_after = drive_stops_after

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import select
+import socket
+import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -32,6 +35,37 @@ def driver(make: str, drive: Simulator) -> Iterator[DriveExchange]:
         yield exchange
     finally:
         exchange.close()
+
+
+@contextmanager
+def gateway(behind: int, lasts_s: float) -> Iterator[int]:
+    """Listen at a port, and pass on what comes, for so long on each connection (s)."""
+    listener = socket.create_server(("127.0.0.1", 0))
+
+    def pass_on(one: socket.socket) -> None:
+        with one, socket.create_connection(("127.0.0.1", behind)) as two:
+            until_then = time.monotonic() + lasts_s
+            while time.monotonic() < until_then:
+                for source in select.select([one, two], [], [], 0.05)[0]:
+                    data = source.recv(4096)
+                    if not data:
+                        return
+                    (two if source is one else one).sendall(data)
+
+    def accept() -> None:
+        while True:
+            try:
+                one, _ = listener.accept()
+            except OSError:
+                return
+            threading.Thread(target=pass_on, args=(one,), daemon=True).start()
+
+    threading.Thread(target=accept, daemon=True).start()
+    try:
+        yield listener.getsockname()[1]
+    finally:
+        listener.shutdown(socket.SHUT_RDWR)
+        listener.close()
 
 
 def reach(exchange: DriveExchange, drive: Simulator, speed: float) -> None:
@@ -224,6 +258,32 @@ def test_a_drive_that_acknowledges_stop_and_runs_on_stops_by_itself(
         reach(exchange, drive, 0.4)
         reach(exchange, drive, 0.0)
     assert f"communication timeout: nothing for {timeout} s" in drive.said
+
+
+def test_the_same_behind_a_gateway_that_closes_each_connection_after_3_s(
+    monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Judged after 6 s instead of 10, so that no connection lives to see that."""
+    monkeypatch.setattr("greenroof_ros.drives.exchange.RUNS_ON_S", 6.0)
+    make = "danfoss_fc202"
+    with Simulator(
+        "drive_simulator", "--drive", make, *FREE, "--ramp", "0.4", "--timeout", "2"
+    ) as drive, gateway(drive.ports[0], 3.0) as port:
+        exchange = DriveExchange(
+            read_drive_file(find_drive_file(make)), parse_address(f"gateway://127.0.0.1:{port}"),
+            period_s=0.1, dead_man_s=1.0,
+        )
+        exchange.start()
+        try:
+            reach(exchange, drive, 0.6)
+            drive.inject("runs_on")
+            exchange.demand(None)
+            until(lambda: "acknowledges *stop*" in exchange.snapshot.problem, 40)
+            assert "so nothing is sent for 3 s" in exchange.snapshot.problem
+            until(lambda: drive.speed() == 0, 20)
+        finally:
+            exchange.close()
+    assert "communication timeout: nothing for 2 s" in drive.said
 
 
 # --- the end --------------------------------------------------------------------------------------

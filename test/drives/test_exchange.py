@@ -540,7 +540,7 @@ ACKNOWLEDGES = "it acknowledges *stop*, but its speed has not fallen for 1 s"
 
 @pytest.fixture
 def soon(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Judge after 1 s instead of 10, 1.5 instead of 11, and again after 3 instead of 60."""
+    """Judge after 1 s instead of 10, 1.5 instead of 12, and again after 3 instead of 60."""
     for name, seconds in (("RUNS_ON_S", 1.0), ("SEEN_S", 0.5), ("RUNS_ON_AGAIN_S", 3.0)):
         monkeypatch.setattr(f"greenroof_ros.drives.exchange.{name}", seconds)
 
@@ -561,9 +561,14 @@ def run_on(drive: Registers) -> None:
 
 
 def test_the_waits_for_a_drive_that_runs_on() -> None:
-    """Longer than what closing waits for; the pump control waits 15 s (follow_time)."""
+    """Longer than what closing waits for; the pump control waits 15 s (follow_time).
+
+    The node says by drive_timeout_limit, 30 s of ramp and 15 s that a drive which is not heard
+    stands: 10 s, and a wait of 5 s between two attempts.
+    """
     from greenroof_ros.drives import exchange
 
+    assert exchange.UNREAD_S == 15
     assert exchange.STILL_S < exchange.RUNS_ON_S < exchange.RUNS_ON_S + exchange.SEEN_S < 15
     assert exchange.RUNS_ON_AGAIN_S > exchange.RUNS_ON_S
 
@@ -631,14 +636,13 @@ def test_a_ramp_however_slow_is_not_met_by_silence(
 
 @pytest.mark.usefixtures("soon")
 @pytest.mark.parametrize(
-    "values",
-    [{3: 0x1231, 4: 0x8000}, {3: 0x1031, 4: 10000}, {3: 0x1231, 4: 300}],
-    ids=["unknown speed", "local control", "noise at rest"],
+    "values", [{3: 0x1031, 4: 10000}, {3: 0x1031, 4: 0x8000}, {3: 0x1231, 4: 300}],
+    ids=["local control", "local control, unknown speed", "noise at rest"],
 )
 def test_what_is_not_known_to_run_on_is_not_met_by_silence(
     exchange: DriveExchange, drive: Registers, hand: Hand, values: dict[int, int]
 ) -> None:
-    """-32768 of 20000 is no speed; without bit 9 a person at the panel has it; 300 is 1.5 %."""
+    """Without bit 9 a person at the panel has it; -32768 of 20000 is no speed; 300 is 1.5 %."""
     run_at_half(exchange, drive, hand)
     drive.values.update(values)
     drive.on_write = lambda _address, _word: drive.values.update(values)
@@ -651,6 +655,117 @@ def test_what_is_not_known_to_run_on_is_not_met_by_silence(
         assert status is None or status.fault == ""
         time.sleep(0.02)
     assert not [each for each in problems if "nothing is sent" in each]
+
+
+@pytest.mark.usefixtures("soon")
+def test_a_drive_that_runs_on_behind_a_connection_that_breaks_is_left_in_silence(
+    exchange: DriveExchange, drive: Registers, wire: Wire, hand: Hand
+) -> None:
+    """Broken every 0.7 s, sooner than it is judged; what is known of the speed outlives that."""
+    drive.values[5815] = 15
+    times: list[float] = []
+    run_at_half(exchange, drive, hand)
+    wire.answer = asked_at(drive, times)
+    run_on(drive)
+    hand.speed = None
+    faults: set[str] = set()
+    ended = threading.Event()
+
+    def break_it() -> None:
+        while not ended.wait(0.7):
+            wire.drop()
+
+    breaks = threading.Thread(target=break_it)
+    breaks.start()
+
+    def left() -> bool:
+        status = exchange.snapshot.status
+        if status is not None:
+            faults.add(status.fault)
+        return f"{ACKNOWLEDGES} (it is 50.0%), so nothing" in exchange.snapshot.problem
+
+    try:
+        wait(left)
+        assert ACKNOWLEDGES in faults and wire.connections > 2
+        count = len(times)
+        wait(lambda: len(times) > count)
+        assert times[count] - times[count - 1] >= 2.5
+        # The same again, while it does not help.
+        wait(lambda: not left())
+        assert wait(left) > 2.0
+    finally:
+        ended.set()
+        breaks.join()
+
+
+@pytest.mark.usefixtures("soon")
+def test_a_drive_that_obeyed_and_a_run_order_begin_the_time_anew(
+    exchange: DriveExchange, drive: Registers, wire: Wire, hand: Hand
+) -> None:
+    """It stood, or was run, when the connection broke for longer than a fault takes (1 s)."""
+    run_at_half(exchange, drive, hand)
+    obeys = drive.on_write
+    for speed in (None, 0.5):
+        hand.speed = speed
+        wait(lambda speed=speed: drive.values[4] == (10000 if speed else 0))  # type: ignore[misc]
+        time.sleep(4 * PERIOD)
+        wire.answer = lambda _request: None
+        wire.drop()
+        wait(lambda: not exchange.snapshot.connected)
+        time.sleep(2.0)
+        # It turns, and obeys *stop* by a ramp that the first reading does not show yet.
+        drive.on_write = lambda _address, _word: None
+        drive.values.update({3: 0x1231, 4: 10000})
+        wire.answer = drive
+        hand.speed = None
+        wait(lambda: exchange.snapshot.status is not None)
+        assert exchange.snapshot.status is not None and exchange.snapshot.status.fault == ""
+        drive.values.update({3: 0x1231, 4: 0})
+        drive.on_write = obeys
+        wait(lambda: exchange.snapshot.status and exchange.snapshot.status.stands)
+
+
+UNREADABLE = {
+    "no speed": "(register 400005) is -32768", "exception": "reading register 4: refused",
+}
+
+
+@pytest.mark.usefixtures("soon")
+@pytest.mark.parametrize("way", UNREADABLE)
+def test_a_drive_that_takes_stop_and_whose_speed_cannot_be_read_is_left_in_silence(
+    exchange: DriveExchange, drive: Registers, wire: Wire, hand: Hand, way: str
+) -> None:
+    """Nobody knows whether it stands, and the node trusts in its own timeout, which must fall.
+
+    That is 1.5 s; a margin of 1 s makes 2.5 s. Between two silences it is asked for 3 s.
+    """
+    drive.values[5815] = 15
+    times: list[float] = []
+    run_at_half(exchange, drive, hand)
+    wire.answer = asked_at(drive, times)
+    if way == "exception":
+        del drive.values[4]
+        drive.on_write = lambda _address, _word: drive.values.pop(4, None)
+    else:
+        drive.on_write = lambda _address, _word: drive.values.update({4: 0x8000})
+
+    def is_left() -> bool:
+        return "so nothing is sent for 2.5 s" in exchange.snapshot.problem
+
+    wait(is_left)
+    for words in (UNREADABLE[way], "its speed cannot be read", "although *stop* is written"):
+        assert words in exchange.snapshot.problem
+    count = len(times)
+    wait(lambda: len(times) > count)
+    assert times[count] - times[count - 1] >= 2.5
+    wait(lambda: not is_left())
+    assert wait(is_left) > 2.5
+    assert drive.written[-1] in (OFF, (1, 0))
+    # It can be read again.
+    drive.on_write = lambda _address, _word: None
+    drive.values[4] = 0
+    wait(lambda: exchange.snapshot.connected)
+    assert exchange.snapshot.problem == ""
 
 
 # --- settings -------------------------------------------------------------------------------------
@@ -858,6 +973,59 @@ def test_a_thread_that_ends_says_so() -> None:
         cwd=CHECKOUT, capture_output=True, text=True, check=True, timeout=30,
     )
     assert "False None the exchange with the drive has ended: OSError(24" in done.stdout
+
+
+# --- a ramp as long as it may be ------------------------------------------------------------------
+
+
+def falls_for(drive: Registers, seconds: float) -> None:
+    """Have it turn at rated speed, and ramp down from the first *stop* on."""
+    began: list[float] = []
+
+    def falls(_address: int, _word: int) -> None:
+        began.append(time.monotonic())
+        left = max(0.0, 1.0 - (time.monotonic() - began[0]) / seconds)
+        drive.values.update({3: 0x1231, 4: round(20000 * left)})
+
+    drive.values.update({0: 0x047F, 1: 20000, 3: 0x1337, 4: 20000})
+    drive.on_write = falls
+
+
+def test_a_ramp_of_29_s_is_waited_for_at_the_end_and_by_the_supervisors_stop(
+    exchange: DriveExchange, file: DriveFile, drive: Registers, wire: Wire
+) -> None:
+    """real-pump.md allows 30 s."""
+    falls_for(drive, 29.0)
+    exchange.start()
+    wait(lambda: drive.written)
+    second = acs880()
+    other = Wire(second)
+    falls_for(second, 29.0)
+    said: list[str] = []
+    stop = threading.Thread(
+        target=lambda: said.append(str(stop_drive(file, parse_address(other.at))))
+    )
+    stop.start()
+    exchange.close()
+    stop.join()
+    other.close()
+    assert exchange.snapshot.status is not None and exchange.snapshot.status.stands
+    assert said[0].startswith("speed 0.")
+
+
+def test_the_waits_for_a_ramp_fit_into_those_of_bringup_and_the_service() -> None:
+    """The pump node's end; then the supervisor's stop, while another may be at work; the others."""
+    from greenroof_ros.drives.drive_file import LONGEST_RAMP_S
+    from greenroof_ros.drives.exchange import LEAVE_S, LONGEST_WAIT_S
+    from greenroof_ros.graph.node_processes import _ENDING_S, _KILLING_S, _PUMP_ENDING_S
+
+    assert LONGEST_RAMP_S < LEAVE_S < LEAVE_S + LONGEST_WAIT_S < _PUMP_ENDING_S
+    service = (CHECKOUT / "examples/greenroof.service").read_text()
+    (line,) = (one for one in service.splitlines() if one.startswith("TimeoutStopSec="))
+    others = 2 * (_ENDING_S + _KILLING_S)  # those, and the recorder
+    assert float(line.partition("=")[2]) > max(
+        _PUMP_ENDING_S + _KILLING_S + LEAVE_S, 2 * LEAVE_S
+    ) + others
 
 
 # --- the supervisor's stop ------------------------------------------------------------------------

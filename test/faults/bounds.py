@@ -46,6 +46,8 @@ def bounds(site: Site) -> dict[str, float]:
         for name in ("follow_time", "averaging_time", "level_tolerance", "least_delivery")
     )
     end = exchange + RAMP_S + SLACK_S
+    # It is left in silence when its speed has not fallen for so long.
+    runs_on = RUNS_ON_S + SEEN_S + SILENCE_MARGIN_S + DRIVE_TIMEOUT_S + exchange + end
     step = site.tau + end
     frozen, jump = 0.01, 0.02
     flow = flow_at(site, 1.0, 2.0)
@@ -75,8 +77,9 @@ def bounds(site: Site) -> dict[str, float]:
         # The same, where each request is answered by an exception and counts as life: two
         # connections are tried first, after the first wait and twice that.
         "refused": DRIVE_TIMEOUT_S + exchange + 3 * FIRST_WAIT_S + end,
-        # It is left in silence when its speed has not fallen for so long.
-        "runs on": RUNS_ON_S + SEEN_S + SILENCE_MARGIN_S + DRIVE_TIMEOUT_S + exchange + end,
+        "runs on": runs_on,
+        # Where it was judged, and once more before it was seen, the connection is made anew.
+        "runs on, breaks": runs_on + 2 * (FIRST_WAIT_S + exchange),
         # Two connections are tried on which nothing can be written.
         "refusing": DRIVE_TIMEOUT_S + 5.0 + end,
         "intermittent drive": 2.0 + DRIVE_TIMEOUT_S + end,

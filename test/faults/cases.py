@@ -168,6 +168,9 @@ def _drive_alone(repeats: int) -> Iterator[Case]:
             # It refuses what is written, and takes every request for a sign of life.
             yield Case(f"refusing:{drive}", "drive", "refuses writes", number, Expected(
                 bound="refusing", alarm=_LOST))
+            # The same behind a connection that breaks sooner than the drive can be judged on it.
+            yield Case(f"refusing:{drive}", "drive", "runs_on, breaks", number, Expected(
+                bound="runs on, breaks", alarm=r"acknowledges \*stop\*", recovery="latches"))
             # For some time after power-up some drives guard nothing.
             yield Case(f"guarded:{drive}", "power cycle, then kill", "drive", number, Expected(
                 bound="drive", recovery="ends"))

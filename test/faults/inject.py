@@ -167,12 +167,17 @@ def _drive(rig: Rig, case: Case) -> Undo:
     if case.target == "local":
         rig.truth.take_over(True)
         return lambda: rig.truth.take_over(False)
-    if case.target == "runs_on":
+    if case.target.startswith("runs_on"):
+        line = rig.lines["drive"] if case.target == "runs_on, breaks" else None
         rig.truth.inject_drive("runs_on")
+        if line is not None:
+            line.inject("breaks")
         rig.watcher.hold(True)
 
         def release() -> None:
             rig.truth.inject_drive("none")
+            if line is not None:
+                line.inject("none")
             rig.watcher.hold(False)
 
         return release

@@ -1,7 +1,7 @@
 """A Modbus TCP line that goes bad: it sits between a client and a simulator, which knows nothing.
 
-For what the simulators cannot be asked for: faults of the level sensors' lines, and a drive that
-refuses to be written to while every request keeps it alive.
+For what the simulators cannot be asked for: faults of the level sensors' lines, a drive that
+refuses to be written to while every request keeps it alive, and connections that do not last.
 """
 
 from __future__ import annotations
@@ -18,13 +18,16 @@ _SLOW_S, _LATE_S, _BYTE_S = 0.2, 1.5, 0.005
 _BUSY, _FAILURE = 6, 4
 # PX4's: on for 2 s, off for 7 s.
 ON_S, OFF_S = 2.0, 7.0
+# How long a connection lasts that breaks again and again: shorter than it takes to judge a drive.
+LASTS_S = 3.0
 
 
 class Line:
     """Listens at a port and asks a simulator at another, in a thread of its own.
 
     Attributes:
-        fault: what is wrong with it: one of `cases.WIRE`, ``refuses writes`` or ``none``.
+        fault: what is wrong with it: one of `cases.WIRE`, ``refuses writes``, ``breaks`` or
+            ``none``.
     """
 
     def __init__(self, port: int, behind: int) -> None:
@@ -79,9 +82,15 @@ class Line:
         behind: asyncio.StreamWriter | None = None
         try:
             answers, behind = await asyncio.open_connection("127.0.0.1", self._behind)
+            began = time.monotonic()
             while True:
                 request = await _frame(reader)
                 if self.fault == "dropped":
+                    writer.transport.abort()
+                    return
+                # Never at an order, so that it is known that *stop* was taken.
+                lasted = time.monotonic() - max(began, self._since) > LASTS_S
+                if self.fault == "breaks" and lasted and request[7] not in _WRITES:
                     writer.transport.abort()
                     return
                 if self.fault == "half_open":

@@ -522,7 +522,7 @@ class SerialRig(PumpRig):
 
 
 class RefusingRig(PumpRig):
-    """The same with a drive that can refuse to be written to."""
+    """The same with a line to the drive that can go bad."""
 
     drive_refuses = True
 
