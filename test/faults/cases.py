@@ -423,9 +423,11 @@ def _relayed(repeats: int) -> Iterator[Case]:
                 "garbage": refused,
                 "wrong": wrong.get(topic, _RUNS_ON),
                 "ok": _RUNS_ON,
-                # Later than a command may be, and sooner than the run ends.
-                "slow": Expected(bound="command", alarm="no command has come"),
-                "delayed": Expected(stops=False, watch=6.0),
+                # Later than a command may be, and sooner than the run ends: it stops, but goes on
+                # before it stands.
+                "slow": Expected(stops=None, bound="command", alarm="no command has come"),
+                # A tick of a second and these two are about as long as a command may be late.
+                "delayed": Expected(stops=None, watch=6.0),
                 "intermittent": Expected(bound="intermittent", alarm=stalled, recovery="ends"),
             }.items():
                 if number and mode in ("ok", "slow", "delayed", "intermittent"):
