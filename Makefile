@@ -53,7 +53,7 @@ help:
 	@echo "make lint   ruff, mypy, and which room imports from which"
 	@echo "make docs   the documentation, doc/_build/index.html"
 	@echo "make bench  the speed of graph and controller, as ratios"
-	@echo "make faults every process, cable and message made to fail, 1,300 times: an hour"
+	@echo "make faults every process, cable and message made to fail, 1,400 times: over an hour"
 	@echo "make clean  remove .venv and all else that can be made again; runs/ stays"
 
 run: $(FOR_RUN)
