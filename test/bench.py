@@ -33,7 +33,7 @@ def echo(role: str) -> None:
     from std_msgs.msg import Float64
 
     from greenroof_ros.common.interface import read_topics
-    from greenroof_ros.graph.node_process import make_executor
+    from greenroof_ros.graph.executors import make_executor
     from greenroof_ros.graph.qos import qos_profile
 
     rclpy.init(args=[])

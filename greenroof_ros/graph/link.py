@@ -24,6 +24,7 @@ from rclpy.time import Time
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.interface import read_live_topics, read_topics
 from greenroof_ros.graph.errors import LockstepError
+from greenroof_ros.graph.executors import waiting_in
 from greenroof_ros.graph.inputs import Inputs
 from greenroof_ros.graph.live import Live, LivePublishers
 from greenroof_ros.graph.lockstep import Lockstep
@@ -300,12 +301,8 @@ class LinkedNode(Node):
         """
         for name in names:
             subscription, _ = self._subscriptions_while_joining[name]
-            with subscription.handle:
-                while True:
-                    taken = subscription.handle.take_message(subscription.msg_type, True)
-                    if taken is None:
-                        break
-                    subscription.callback(*taken)
+            for message, information in waiting_in(subscription):
+                subscription.callback(message, information)
 
     def taken(self, name: str) -> int:
         """Return how many messages of a topic, one a tick, the node has had."""

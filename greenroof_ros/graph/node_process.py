@@ -15,21 +15,13 @@ from rclpy.signals import SignalHandlerOptions
 from greenroof_ros.common.command_line import EXIT_DONE, EXIT_FAILED, EXIT_USAGE, exit_code
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.graph.errors import LockstepError
+from greenroof_ros.graph.executors import hand_over, make_executor
 from greenroof_ros.graph.link import LinkedNode
 from greenroof_ros.graph.parameters import refuse_unknown
 from greenroof_ros.graph.transport import choose_transport
 
 # How long the middleware may take to go (s); it is a fraction of a second, but on a busy machine.
 _TAKING_DOWN_S = 6
-
-
-def make_executor() -> Any:
-    """Return the fastest executor that this rclpy has; it does not say the number of a message."""
-    try:
-        from rclpy.experimental import EventsExecutor
-    except ImportError:
-        return SingleThreadedExecutor()
-    return EventsExecutor()
 
 
 def run_node(make: Callable[[], LinkedNode]) -> int:
@@ -79,9 +71,7 @@ def run_node(make: Callable[[], LinkedNode]) -> int:
             node.check()
             if joining and not node.joining:
                 joining = False
-                executor.remove_node(node)
-                executor = make_executor()
-                executor.add_node(node)
+                executor = hand_over(node, executor)
     except ConfigurationError as error:
         print(f"error: {error}", file=sys.stderr)
         code, failure = exit_code(error), str(error)

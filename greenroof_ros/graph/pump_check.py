@@ -22,7 +22,7 @@ from std_msgs.msg import Float64, String
 from greenroof_ros.common.errors import ConfigurationError, OccupiedError
 from greenroof_ros.common.findings import Finding
 from greenroof_ros.common.interface import read_topics
-from greenroof_ros.graph.node_process import make_executor
+from greenroof_ros.graph.executors import make_executor
 from greenroof_ros.graph.qos import message_class, qos_profile
 from greenroof_ros.graph.serialization import encoder
 from greenroof_ros.graph.transport import choose_transport
