@@ -211,9 +211,10 @@ def _outputs(choice: ControllerChoice, site: Site) -> None:
     controller = _made(choice, site)
     _asked(controller, *next(_inputs(choice, site)))
     for topic, attribute in choice.outputs.items():
-        if topic not in topics or "controller" not in topics[topic].publishers:
+        if topic not in topics or not topics[topic].optional:
             raise _ProblemError(
-                f"{topic} is no topic of a controller (msg_defs/topics.yaml)"
+                f"{topic} is no output of a controller; see the optional ones in "
+                "msg_defs/topics.yaml"
             )
         if not isinstance(getattr(controller, attribute, None), (int, float)):
             raise _ProblemError(f"{topic}: there is no number in the attribute {attribute}")

@@ -23,6 +23,7 @@ from greenroof_ros.common.errors import ConfigurationError, OccupiedError
 from greenroof_ros.common.findings import Finding
 from greenroof_ros.common.interface import read_topics
 from greenroof_ros.graph.executors import make_executor
+from greenroof_ros.graph.publishers import call_node
 from greenroof_ros.graph.qos import message_class, qos_profile
 from greenroof_ros.graph.serialization import encoder
 from greenroof_ros.graph.transport import choose_transport
@@ -206,7 +207,7 @@ class PumpCheck:
             others = self._node.get_publishers_info_by_topic(self._name(topic))
             if others:
                 raise OccupiedError(
-                    f"{self._name(topic)} has a publisher already, node {others[0].node_name}: the "
+                    f"{self._name(topic)} has a publisher already, {call_node(others[0].node_name)}: the "
                     "check plays plant, weather and controller itself; end the graph first"
                 )
 
@@ -215,7 +216,7 @@ class PumpCheck:
             *self._node.get_publishers_info_by_topic(flow),
             *self._node.get_subscriptions_info_by_topic(command),
         ]
-        seen = ", ".join(sorted({info.node_name for info in infos})) or "no node"
+        seen = ", ".join(sorted({call_node(info.node_name) for info in infos})) or "no node"
         return (
             f"no node {self._driver} publishes {flow} and subscribes to {command} within "
             f"{self._limits.arrival:g} s; there is {seen}. Start the driver first, in the same "

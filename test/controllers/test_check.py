@@ -74,6 +74,19 @@ def test_broken_controllers(tmp_path: Path, code: str) -> None:
     assert "Traceback" not in result.stderr
 
 
+def test_an_output_that_is_none_of_a_controller(tmp_path: Path) -> None:
+    """/pump/command is a controller's topic, but no output beside the command."""
+    text = (CHECKOUT / "examples" / "proportional.py").read_text()
+    head = "    parameters = (\n"
+    assert head in text
+    (tmp_path / "broken.py").write_text(
+        text.replace(head, f'    outputs = {{"/pump/command": "gain"}}\n{head}')
+    )
+    result = check(tmp_path, "broken:Proportional")
+    assert result.returncode == 1, result.stderr
+    assert "/pump/command is no output of a controller" in result.stdout
+
+
 def test_the_command(tmp_path: Path) -> None:
     """The example passes all, exit code 0; what cannot be imported is refused with 2."""
     result = check(CHECKOUT, EXAMPLE)
