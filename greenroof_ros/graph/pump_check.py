@@ -207,8 +207,8 @@ class PumpCheck:
             others = self._node.get_publishers_info_by_topic(self._name(topic))
             if others:
                 raise OccupiedError(
-                    f"{self._name(topic)} has a publisher already, "
-                    f"{call_node(others[0].node_name)}: the check plays plant, weather and "
+                    f"{self._name(topic)} has a publisher already "
+                    f"({call_node(others[0].node_name)}): the check plays plant, weather and "
                     "controller itself; end the graph first"
                 )
 

@@ -154,7 +154,7 @@ def test_without_a_driver_or_beside_a_graph_it_says_what_to_do(
         assert absent.wait(60) == 2
         assert "no node pumpe publishes /pump/flow" in absent.stderr()
         assert taken.wait(60) == 3
-        assert "/taken/pump/command has a publisher already, node pump" in taken.stderr()
+        assert "/taken/pump/command has a publisher already (pump)" in taken.stderr()
     finally:
         driver.terminate()
         assert driver.wait(60) == 0  # no traceback, and no failure, at SIGTERM
