@@ -52,6 +52,11 @@ _NODES = "greenroof_ros.nodes"
 _START_LIMIT_S = 30.0
 # How long a drive may take until it may run (s); an ABB's timeout guards 30 s after power-up only.
 _DRIVE_LIMIT_S = 60.0
+_NOT_AT_REAL_TIME = (
+    "not at real time, which is for a simulated drive alone: a real motor would start and run as "
+    "many times more often as time goes faster, since starts of an hour, times on and off and the "
+    "day's limits count in simulated time"
+)
 
 
 def _parser() -> argparse.ArgumentParser:
@@ -231,6 +236,9 @@ def _run_graph(run: Run, arguments: argparse.Namespace, signals: Signals) -> int
                         f"stops and faults of the drive are kept in {of_drive['state_file']}",
                         file=sys.stderr,
                     )
+                    speed = _speed(arguments.speed, drive)
+                    if speed != 1:
+                        print(_NOT_AT_REAL_TIME, file=sys.stderr)
                     _wait_for_drive(run, supervisor, signals, of_drive["state_file"])
                 for name, module in nodes.items():
                     if name == controller.name:

@@ -118,6 +118,13 @@ def read_sensors(path: Path, level_limit: float = math.inf) -> Sensors:
                 "nobody takes the level, and the pump stands",
             )
     cistern, roof = sensors.cistern, sensors.roof
+    line = parse_address(roof.address).line
+    if line and Path(line).resolve() == Path(parse_address(cistern.address).line).resolve():
+        raise _refused(
+            path, content["roof"], "roof", "address",
+            "is the cistern's serial line, which one program alone can open: put a Modbus TCP "
+            "gateway on it (tcp://HOST:PORT), or take another line",
+        )
     if _place(cistern) == _place(roof):
         raise _refused(
             path, content["roof"], "roof", "register",

@@ -224,7 +224,7 @@ class LinkedNode(Node):
         if not optional:
             self.inputs.publishers[name] = publishers
         events = publishers.events()
-        events.incompatible_qos = self._unfit.on_event(topic)
+        events.incompatible_qos = self._unfit.on_event(topic, events.incompatible_qos)
         guarded = self._guarded(on_message)
         first = guarded
         if isinstance(self._trigger, Lockstep) and self._trigger.joining:
@@ -247,7 +247,7 @@ class LinkedNode(Node):
         topic = self.interface[name]
         publishers = LivePublishers(self, topic, self.peers, recorded=True)
         events = publishers.events()
-        events.incompatible_qos = self._unfit.on_event(topic)
+        events.incompatible_qos = self._unfit.on_event(topic, events.incompatible_qos)
         self.create_subscription(
             message_class(topic.type), topic.graph_name, self._guarded(callback),
             publishers.profile(), raw=True, event_callbacks=events,

@@ -11,6 +11,7 @@ import math
 import struct
 import time
 from collections.abc import Callable, Iterable
+from dataclasses import replace
 from typing import Any, Protocol
 
 from rclpy.event_handler import SubscriptionEventCallbacks
@@ -25,6 +26,7 @@ from greenroof_ros.graph.peers import Peers
 from greenroof_ros.graph.publishers import call_node
 from greenroof_ros.graph.qos import qos_profile
 from greenroof_ros.graph.reports import ERROR, OK, WARN, Report
+from greenroof_ros.graph.unfit_publishers import lacks, requirements
 from greenroof_ros.graph.validation import Input
 from greenroof_ros.pumping.input_rules import InputRules, LevelRule, Verdict
 
@@ -122,6 +124,7 @@ class LivePublishers:
         self._peers = peers
         self._recorded = recorded
         self._lease = math.isfinite(topic.qos.lease_s) and not recorded
+        self._unfit = False  # one was there that cannot be heard
 
     def profile(self) -> QoSProfile:
         """Return the profile of the subscription."""
@@ -135,15 +138,21 @@ class LivePublishers:
     def events(self) -> SubscriptionEventCallbacks:
         """Return the callbacks of the subscription, which count."""
         if self._lease:
-            return SubscriptionEventCallbacks(liveliness=self._on_liveliness)
-        return SubscriptionEventCallbacks(matched=self._on_matched)
+            return SubscriptionEventCallbacks(
+                liveliness=self._on_liveliness, incompatible_qos=self._on_unfit
+            )
+        return SubscriptionEventCallbacks(
+            matched=self._on_matched, incompatible_qos=self._on_unfit
+        )
 
     def names(self) -> list[str]:
         """Return what to call the publishers' nodes."""
         return sorted({call_node(info.node_name) for info in self._known()})
 
     def problem(self, now: float) -> str:
-        """Say that there are two, if there are.
+        """Say that there are two, if there are, or one that is not heard.
+
+        What a second one says may be meant to stop the pump, heard or not.
 
         One that was killed is known for 20 s more where the topic has no lease. It does not count
         if its node was started again since, and alone reports: another process of that name, beside
@@ -153,6 +162,19 @@ class LivePublishers:
         Args:
             now: of the steady clock (s).
         """
+        if self._unfit:
+            required = replace(
+                self._topic.qos, lease_s=self._topic.qos.lease_s if self._lease else math.inf,
+                durability=self._topic.qos.durability if self._past else "volatile",
+            )
+            unheard = [one for one in self._known() if lacks(one.qos_profile, required)]
+            self._unfit = bool(unheard)
+            if unheard:
+                who = ", ".join(sorted({call_node(one.node_name) for one in unheard}))
+                return (
+                    f"has a publisher that cannot be heard ({who}): end it, or make it "
+                    f"{requirements(required)}"
+                )
         if self.count < 2 or len(self._known()) < 2:
             return ""
         names = self.names()
@@ -172,6 +194,10 @@ class LivePublishers:
 
     def _on_matched(self, event: Any) -> None:
         self.count = event.current_count
+        self.on_change()
+
+    def _on_unfit(self, event: Any) -> None:
+        self._unfit = True
         self.on_change()
 
 

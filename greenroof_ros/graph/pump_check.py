@@ -48,10 +48,10 @@ _AT_REST = 0.5
 # What a driver must refuse. NaN comes first, and to a running pump: drivers that keep the command
 # before it would go on.
 _HOSTILE = (math.nan, math.inf, -math.inf, -1.0, -1e300)
-# The cistern's level begins so far above the suction level, and falls with what is pumped to so
-# little above it (m): a driver may stop 2 cm above it already, for a sensor that is wrong. At the
-# end it falls to just below it.
-_ABOVE_SUCTION, _LEAST_ABOVE_SUCTION, _DRY = 0.03, 0.022, -0.001
+# The cistern's level begins so far above the suction level, enough for all checks but the last, and
+# falls with what is pumped, at most to so little above it (m): a driver may stop 2 cm above it
+# already, for a sensor that is wrong. At the end it falls to just below it.
+_ABOVE_SUCTION, _LEAST_ABOVE_SUCTION, _DRY = 0.06, 0.022, -0.001
 # To so far above the suction level rain lifts it after that (m): more than a driver may ask for.
 _REFILLED = 0.5
 

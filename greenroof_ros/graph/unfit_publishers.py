@@ -40,11 +40,20 @@ class UnfitPublishers:
         self._node = node
         self._due: dict[Topic, float] = {}  # to look at, each with since when
 
-    def on_event(self, topic: Topic) -> Callable[[Any], None]:
-        """Return what a subscription to a topic calls when a publisher does not fit it."""
+    def on_event(
+        self, topic: Topic, also: Callable[[Any], None] | None
+    ) -> Callable[[Any], None]:
+        """Return what a subscription to a topic calls when a publisher does not fit it.
+
+        Args:
+            topic: the interface's.
+            also: what is called then, too.
+        """
 
         def note(event: Any) -> None:
             self._due.setdefault(topic, time.monotonic())
+            if also is not None:
+                also(event)
 
         return note
 

@@ -10,6 +10,8 @@ from greenroof_ros.common.command_line import within
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.files import shared_directory
 from greenroof_ros.controllers.registry import ControllerChoice
+from greenroof_ros.drives.address import parse_address
+from greenroof_ros.drives.sensor_file import TANKS, read_sensors
 from greenroof_ros.experiment.options import controller_from_arguments
 from greenroof_ros.forecast.choice import FILE, choose
 from greenroof_ros.live.drive import DriveChoice, chosen_drive, own_parameters
@@ -119,13 +121,16 @@ def live_site(parser: argparse.ArgumentParser, arguments: argparse.Namespace) ->
             "is missing: live, it says which drive the pump has, and --drive-at where; or --pump "
             "external, where a node of your own takes /pump/command", key="--drive NAME",
         )
+    sensors = None
+    if arguments.sensors != EXTERNAL:
+        sensors = _readable(Path(arguments.sensors), "--sensors")
+        if drive is not None:
+            _refuse_shared_line(drive, sensors)
     return LiveSite(
         site_file=site_file,
         controller=controller,
         parameters=parameters,
-        sensors=None if arguments.sensors == EXTERNAL else _readable(
-            Path(arguments.sensors), "--sensors"
-        ),
+        sensors=sensors,
         forecast=_forecast(parser, arguments),
         drive=drive,
         state=arguments.state or Path("live"),
@@ -136,6 +141,24 @@ def live_site(parser: argparse.ArgumentParser, arguments: argparse.Namespace) ->
         bag_limit=arguments.bag_limit,
         node_parameters=own_parameters(arguments),
     )
+
+
+def _refuse_shared_line(drive: DriveChoice, sensors: Path) -> None:
+    """Refuse a serial line that a sensor shares with the drive: one program alone can open it.
+
+    Raises:
+        ConfigurationError: it is shared, or a file or the address is wrong.
+    """
+    _, address = drive.read()
+    levels = read_sensors(sensors)
+    for tank in TANKS:
+        line = parse_address(getattr(levels, tank).address).line
+        if address.line and line and Path(line).resolve() == Path(address.line).resolve():
+            raise ConfigurationError(
+                f"is the serial line of the {tank}'s sensor, too, which one program alone can "
+                "open: put a Modbus TCP gateway on it, or take another line",
+                key="--drive-at", value=drive.at,
+            )
 
 
 def refuse_live_options(parser: argparse.ArgumentParser, arguments: argparse.Namespace) -> None:

@@ -142,6 +142,16 @@ class Site:
         """Lowest cistern level at which the pumps work, z_pump + z_H (m), Eq. (3a)."""
         return self.z_pump + self.z_H
 
+    @property
+    def highest_cistern_level(self) -> float:
+        """Three times the outlet's level (m): a reading above is no level in metres."""
+        return 3 * self.z_o
+
+    @property
+    def highest_roof_level(self) -> float:
+        """Twice the soil's depth (m): a reading above is no level in metres."""
+        return 2 * self.z_soil
+
     def cistern_level(self, x1: float) -> float:
         """Depth of a water volume x1 (m3) in the cistern (m)."""
         return x1 / self.a1

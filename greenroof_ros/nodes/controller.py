@@ -36,9 +36,9 @@ from greenroof_ros.model.plant import pump_flow
 from greenroof_ros.model.site import Site
 from greenroof_ros.pumping.input_rules import (
     LevelRule,
-    cistern_speeds,
+    cistern_reach,
     expected_rise,
-    roof_speeds,
+    roof_reach,
 )
 
 # The inputs that it needs; live it looks at two more, if they are there.
@@ -102,8 +102,8 @@ class ControllerNode(LinkedNode):
         self._parameter_change_count = 0
         self._shown: dict[str, float | None] = {}
         cistern_rule, roof_rule = (
-            LevelRule(speeds, live[FROZEN_MOVEMENT.name], live[JUMP_TOLERANCE.name])
-            for speeds in (cistern_speeds(site), roof_speeds(site))
+            LevelRule(reach, live[FROZEN_MOVEMENT.name], live[JUMP_TOLERANCE.name])
+            for reach in (cistern_reach(site), roof_reach(site))
         )
         self._cistern = self.subscribe("/cistern/level", level=cistern_rule)
         self._roof = self.subscribe("/roof/level", level=roof_rule)

@@ -60,9 +60,9 @@ from greenroof_ros.graph.validation import Input
 from greenroof_ros.model.site import Site
 from greenroof_ros.pumping.input_rules import (
     LevelRule,
-    cistern_speeds,
+    cistern_reach,
     expected_rise,
-    roof_speeds,
+    roof_reach,
 )
 from greenroof_ros.pumping.ledger import Ledger, state_directory
 from greenroof_ros.pumping.pump_control import Decision, Observation, PumpControl
@@ -289,8 +289,8 @@ class PumpNode(Lifecycle, LinkedNode):
         self._decided = now
         self._tried = self._looked_at = -_AGAIN_S
         self._rules = [
-            LevelRule(speeds, values[FROZEN_MOVEMENT.name], values[JUMP_TOLERANCE.name])
-            for speeds in (cistern_speeds(site), roof_speeds(site))
+            LevelRule(reach, values[FROZEN_MOVEMENT.name], values[JUMP_TOLERANCE.name])
+            for reach in (cistern_reach(site), roof_reach(site))
         ]
         on_command = self._on_command if self.live else None
         self._command = self.subscribe("/pump/command", on_command, heals=True)

@@ -1,6 +1,6 @@
 """The delivery check: what was pumped against what the levels did.
 
-Two balances are kept, each of water (m3) that the levels do not account for:
+Three balances are kept, each of water (m3) that the levels do not account for:
 
 - *missing on the roof*: a share ``least_delivery`` of the pumped volume (as measured, or as the
   speed should deliver it where that is more: a closed valve has no flow), less the rise of the
@@ -10,6 +10,12 @@ Two balances are kept, each of water (m3) that the levels do not account for:
   less ``greatest_loss`` for a drifting sensor. It grows where water leaves and the pump stands:
   leak, stuck contactor. Rain only lets it fall, and what the outlet takes does not count, since
   the cistern counts up to the outlet only.
+- *not from the cistern*: a share ``least_delivery`` of the pumped volume, less the fall of the
+  cistern, less ``greatest_loss`` for a drifting sensor. It grows where a pump runs and the cistern
+  does not fall: its sensor is stuck, with some noise perhaps, or drifts up, and the pump would run
+  dry. It is never more than that share of what was pumped, so that rain on a pump that stands is no
+  fault; rain meanwhile explains ``a_in / a2`` of what the roof rose beyond that share. Where a_in
+  is not less than a2 that is so much that only the first balance is left.
 
 Water is counted while a level is unknown, too, and the balances go on when it is known again: a
 sensor that is silent now and then hides nothing. By how much a level has jumped, as no water can,
@@ -59,6 +65,8 @@ class _Sums(NamedTuple):
     """what it holds (m3)"""
     roof: float = 0.0
     """what it holds (m3)"""
+    overfull_cistern: float = 0.0
+    """what it holds, above its outlet too (m3)"""
 
     def plus(self, other: _Sums, share: float = 1.0) -> _Sums:
         return _Sums(*(mine + share * added for mine, added in zip(self, other, strict=True)))
@@ -73,9 +81,17 @@ class _Balance:
         self.over = _Sums()
         """what was added to the sums since it was least"""
 
-    def add(self, unaccounted: float, change: _Sums) -> float:
-        """Add what cannot be accounted for (m3) of a change, and return the rise."""
+    def add(self, unaccounted: float, change: _Sums, share: float | None = None) -> float:
+        """Add what cannot be accounted for (m3) of a change, and return the rise.
+
+        Args:
+            unaccounted: of the change (m3).
+            change: of the sums.
+            share: of what was pumped, beyond which the balance cannot rise.
+        """
         self.rise, self.over = self.rise + unaccounted, self.over.plus(change)
+        if share is not None:
+            self.rise = min(self.rise, share * self.over.least_pumped)
         if self.rise <= 0:
             self.rise, self.over = 0.0, _Sums()
         return self.rise
@@ -95,7 +111,7 @@ class _Still:
 
 
 class DeliveryCheck:
-    """Keeps both balances, step by step."""
+    """Keeps the balances, step by step."""
 
     def __init__(self, site: Site, settings: PumpSettings) -> None:
         self._site = site
@@ -106,7 +122,7 @@ class DeliveryCheck:
     def restart(self) -> None:
         """Begin again, as after a reset."""
         self._elapsed = self._least_pumped = self._most_pumped = 0.0
-        self._missing, self._lost = _Balance(), _Balance()
+        self._missing, self._lost, self._kept = _Balance(), _Balance(), _Balance()
         self._cistern_still, self._roof_still = _Still(), _Still()
         self._mean: _Sums | None = None
         self._watched = 0.0
@@ -150,6 +166,7 @@ class DeliveryCheck:
             self._elapsed, self._least_pumped, self._most_pumped,
             min(cistern, site.z_o - settings.level_offset) * site.a1,
             min(roof, site.z_veg + settings.level_offset) * site.a2,
+            cistern * site.a1,
         )
         self._cistern_still.see(cistern_level, present)
         self._roof_still.see(roof_level, present)
@@ -168,7 +185,27 @@ class DeliveryCheck:
             return _missing_on_roof(self._missing.over)
         if self._lost.add(lost, change) > settings.level_tolerance * site.a1:
             return _lost_from_cistern(self._lost.over)
-        return ""
+        return self._kept_in_cistern(change)
+
+    def _kept_in_cistern(self, change: _Sums) -> str:
+        """Return the fault of a cistern that does not fall though water is pumped out of it."""
+        site, share = self._site, self._settings.least_delivery
+        kept = share * change.least_pumped + change.overfull_cistern
+        kept -= self._loss * site.a1 * change.elapsed
+        rise = self._kept.add(kept, change, share)
+        over = self._kept.over
+        rain_on_roof = over.roof - share * over.least_pumped + self._loss * site.a2 * over.elapsed
+        rise -= site.a_in / site.a2 * max(0.0, rain_on_roof)
+        if rise <= self._settings.level_tolerance * site.a1:
+            return ""
+        if over.roof < share * over.least_pumped:
+            return _missing_on_roof(over)
+        return (
+            f"delivery: {over.least_pumped:.2f} m3 were pumped in {over.elapsed / 60:.1f} min and "
+            f"came to the roof, but the cistern's level changed by "
+            f"{1000 * over.overfull_cistern / site.a1:+.0f} mm: perhaps its sensor is stuck or "
+            "drifts, so that the pump would run dry; or water flows into the cistern"
+        )
 
     def _change_of_mean(self, dt: float, present: _Sums) -> _Sums:
         """Return by how much the moving mean changes.
@@ -203,7 +240,7 @@ def _missing_on_roof(over: _Sums) -> str:
     fell = max(0.0, -over.cistern)
     cause = (
         "a burst pipe or a leak behind the pump" if fell > over.least_pumped / 2
-        else "a closed valve, a blocked pump or an empty pipe"
+        else "a closed valve, a blocked pump, an empty pipe or an empty cistern"
     )
     return (
         f"delivery: {over.least_pumped:.2f} m3 were pumped in {over.elapsed / 60:.1f} min, but the "

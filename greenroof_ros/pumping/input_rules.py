@@ -53,32 +53,40 @@ class Verdict:
 
 
 @dataclass(frozen=True)
-class Speeds:
-    """How fast the water in a tank can rise and fall at most, at a level (m): m/s, not negative."""
+class Reach:
+    """What the water in a tank can do.
+
+    Attributes:
+        rise: how fast it can rise at most, at a level (m): m/s, not negative.
+        fall: how fast it can fall at most.
+        highest: level (m).
+    """
 
     rise: Callable[[float], float]
     fall: Callable[[float], float]
+    highest: float
 
 
-def cistern_speeds(site: Site) -> Speeds:
-    """Return those of the cistern: rain into it, and pumps and outlet out of it."""
+def cistern_reach(site: Site) -> Reach:
+    """Return that of the cistern: rain into it, and pumps and outlet out of it."""
 
     def fall(level: float) -> float:
         volume = site.cistern_volume(level)
         return _MARGIN * (maximum_pump_flow(site, volume) + outlet_flow(site, volume)) / site.a1
 
-    return Speeds(lambda level: _MARGIN * _MOST_RAIN * site.a_in / site.a1, fall)
+    rise = _MARGIN * _MOST_RAIN * site.a_in / site.a1
+    return Reach(lambda level: rise, fall, site.highest_cistern_level)
 
 
-def roof_speeds(site: Site) -> Speeds:
-    """Return those of the roof: rain and full pumps, and evapotranspiration and drainage."""
+def roof_reach(site: Site) -> Reach:
+    """Return that of the roof: rain and full pumps, and evapotranspiration and drainage."""
     pump = maximum_pump_flow(site, site.cistern_volume(site.z_o)) / site.a2
 
     def fall(level: float) -> float:
         drainage = site.K * (level + site.z_soil) / site.z_soil  # Eq. (4), at any level
         return _MARGIN * (_MOST_EVAPOTRANSPIRATION + drainage)
 
-    return Speeds(lambda level: _MARGIN * (_MOST_RAIN + pump), fall)
+    return Reach(lambda level: _MARGIN * (_MOST_RAIN + pump), fall, site.highest_roof_level)
 
 
 def expected_rise(
@@ -102,7 +110,9 @@ def expected_rise(
 
 
 class LevelRule:
-    """What a level cannot do: stand still while its tank is filled or emptied, or jump.
+    """What a level cannot do: stand still while its tank is filled or emptied, jump, or be absurd.
+
+    A value above the highest is refused, and else counts for nothing: its unit is wrong.
 
     For the jump it keeps the interval in which the true level must be: it widens as fast as water
     can rise and fall, and each value narrows it to within half the tolerance of that value. Where
@@ -115,17 +125,17 @@ class LevelRule:
             can be since before a jump was a spike, and moved nothing.
     """
 
-    def __init__(self, speeds: Speeds, frozen_movement: float, jump_tolerance: float) -> None:
+    def __init__(self, reach: Reach, frozen_movement: float, jump_tolerance: float) -> None:
         """Know no value yet.
 
         Args:
-            speeds: of the tank's water.
+            reach: of the tank's water.
             frozen_movement: how far the level must have moved to be called frozen (m), if it does
                 not; more than the sensor resolves.
             jump_tolerance: how far two values may be apart beyond what water can do (m).
         """
         self.displacement = 0.0
-        self._speeds = speeds
+        self._reach = reach
         self._frozen_movement = frozen_movement
         self._tolerance = jump_tolerance
         self._value = math.nan
@@ -144,6 +154,11 @@ class LevelRule:
 
     def came(self, now: float, value: float) -> Verdict:
         """Take a value (m), and say whether water can have moved to it."""
+        if value > self._reach.highest:
+            return Verdict(
+                REFUSED, f"is {value:.4g} m, and here no level is above {self._reach.highest:g} m: "
+                "is its unit wrong?",
+            )
         if value != self._value:
             self._expected = 0.0
             self._frozen = False
@@ -153,7 +168,7 @@ class LevelRule:
         if math.isnan(before):
             self._low, self._high = value - half, value + half
             return Verdict()
-        fall, rise = self._speeds.fall(before) * passed, self._speeds.rise(before) * passed
+        fall, rise = self._reach.fall(before) * passed, self._reach.rise(before) * passed
         low, high = self._low - fall, self._high + rise
         self._old_low, self._old_high = self._old_low - fall, self._old_high + rise
         self._low, self._high = max(low, value - half), min(high, value + half)

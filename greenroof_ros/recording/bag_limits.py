@@ -65,14 +65,16 @@ def refuse(values: dict[str, Values], *, external_pump: bool) -> list[str]:
 
 def limits_of(site: Site, values: Mapping[str, Values]) -> dict[str, Limit]:
     """Return what the values of each topic in a bag can be: by the interface, and by the site."""
-    full, outlet = maximum_pump_flow(site, site.a1 * site.z_o), site.z_o
+    full = maximum_pump_flow(site, site.a1 * site.z_o)
     _, _, rain = QUANTITIES[PRECIPITATION]
     _, _, evaporation = QUANTITIES[EVAPOTRANSPIRATION]
     # A crop takes that many times the most that grass does.
     evaporation *= max(1.0, site.crop_coefficient)
     highs = {
-        "/roof/level": (2 * site.z_soil, f"twice the soil's depth of {site.z_soil:g} m"),
-        "/cistern/level": (3 * outlet, f"three times the outlet's level of {site.z_o:g} m"),
+        "/roof/level": (site.highest_roof_level, f"twice the soil's depth of {site.z_soil:g} m"),
+        "/cistern/level": (
+            site.highest_cistern_level, f"three times the outlet's level of {site.z_o:g} m"
+        ),
         "/pump/flow": (3 * full, "three times what the pumps can give"),
         "/weather/precipitation": (rain / 3.6e6, f"{rain:g} mm/h"),
         "/weather/evapotranspiration": (

@@ -184,8 +184,21 @@ def test_the_shipped_file_is_read_and_says_what_is_assumed() -> None:
 def test_a_wrong_file_is_refused_with_line_key_and_value(
     tmp_path: Path, change: tuple[str, str], line: int | None, said: str
 ) -> None:
+    refused(tmp_path, SHIPPED.replace(*change, 1), line, said)
+
+
+def test_two_sensors_on_one_serial_line_are_refused(tmp_path: Path) -> None:
+    """One process for each sensor, and one alone can open the line, by whichever of its names."""
+    (tmp_path / "line").symlink_to("/dev/ttyS0")
+    text = SHIPPED.replace("tcp://127.0.0.1:5030", "/dev/ttyS0")
+    text = text.replace("tcp://127.0.0.1:5031", str(tmp_path / "line"))
+    refused(tmp_path, text, 25, "is the cistern's serial line, which one program alone can open")
+
+
+def refused(tmp_path: Path, text: str, line: int | None, said: str) -> None:
+    """Expect that a file is refused with its line, and so."""
     file = tmp_path / "own.yaml"
-    file.write_text(SHIPPED.replace(*change, 1))
+    file.write_text(text)
     with pytest.raises(ConfigurationError) as caught:
         read_sensors(file)
     assert said in str(caught.value)

@@ -10,6 +10,7 @@ import pytest
 from commands import run_command
 from graphs import environment, wait_for
 from modbus_wire import Wire, acs880
+from places import CHECKOUT
 
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.controllers.registry import find_controller
@@ -134,6 +135,22 @@ def test_what_is_wrong_is_said(tmp_path: Path, case: str) -> None:
     assert message in done.stderr
     assert "Traceback" not in done.stderr
     assert not list(tmp_path.iterdir())
+
+
+def test_a_serial_line_of_a_sensor_and_the_drive(tmp_path: Path) -> None:
+    """One program alone can open it, so that one of both would never be heard."""
+    sensors = tmp_path / "sensors.yaml"
+    shipped = (CHECKOUT / "config" / "sensors.yaml").read_text()
+    sensors.write_text(shipped.replace("tcp://127.0.0.1:5031", "/dev/ttyS0"))
+    done = bringup(
+        tmp_path, *LIVE, "--weather", "external", "--sensors", str(sensors),
+        "--drive", "danfoss_fc202", "--drive-at", "/dev/ttyS0,1",
+    )
+    assert done.returncode == 2
+    assert done.stderr.startswith(
+        "error: --drive-at = '/dev/ttyS0,1': is the serial line of the roof's sensor, too"
+    )
+    assert [each.name for each in tmp_path.iterdir()] == ["sensors.yaml"]
 
 
 @pytest.mark.parametrize(

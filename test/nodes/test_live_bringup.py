@@ -362,6 +362,7 @@ def test_a_drive_in_the_loop(domain: int, tmp_path: Path) -> None:
     wait_for(lambda: hardware.speed() > 0.9, 120, "the pump")
     os.kill(early.nodes()["pump"], signal.SIGKILL)
     assert early.wait(60) == 1
+    assert "not at real time" not in early.stderr()
     assert "node pump ended (SIGKILL)" in early.stderr()
     assert "bringup told the drive to stop" in early.stderr()
     wait_for(lambda: hardware.speed() == 0, 60, "the pump's stop")
@@ -421,6 +422,7 @@ def test_a_fault_of_an_earlier_run_in_the_loop(domain: int, tmp_path: Path) -> N
     held = Process(domain, "bringup", "--output", "held", *run, cwd=tmp_path)
     assert held.wait(60) == 0, held.stderr()
     assert f"off, by {state}: the drive reports: overload" in held.stderr()
+    assert "a real motor would start and run as many times more often" in held.stderr()
     assert summary_of(tmp_path / "held")["pumped_m3"] == 0
     other = Process(
         domain, "bringup", "--output", "other", *run, "--state", "another's", cwd=tmp_path

@@ -412,6 +412,14 @@ def test_commands_that_must_not_pump(rig: PumpRig, drive: SimulatedDrive) -> Non
     intruder.destroy_node()
     rig.run(drive)
     assert rig.says("command", OK)
+    # One that a graph cannot hear, as by ros2 topic pub: whoever publishes 0 means a stop.
+    unheard = Node("unheard", context=rig.observer.context)
+    unheard.create_publisher(Float64, "/pump/command", 10)
+    rig.tick_until(0.5, lambda: drive.speed() == 0.0 and rig.flows[-1] == 0.0, 6, "its stop")
+    rig.tick_until(0.5, lambda: rig.says("command", ERROR, "cannot be heard (unheard)"), 6, "why")
+    unheard.destroy_node()
+    rig.run(drive)
+    assert rig.says("command", OK)
 
 
 def test_a_drive_that_is_lost_stops_and_comes_back(rig: PumpRig, drive: SimulatedDrive) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 
 import pytest
@@ -12,14 +13,14 @@ from paper import PAPER_SITE
 from greenroof_ros.pumping.input_rules import (
     InputRules,
     LevelRule,
-    Speeds,
-    cistern_speeds,
+    Reach,
+    cistern_reach,
     expected_rise,
-    roof_speeds,
+    roof_reach,
 )
 
 # A tank whose water rises by at most 1 mm/s and falls by at most 2 mm/s.
-TANK = Speeds(lambda level: 0.001, lambda level: 0.002)
+TANK = Reach(lambda level: 0.001, lambda level: 0.002, math.inf)
 
 
 def level_rule(frozen: float = 0.01, tolerance: float = 0.02) -> LevelRule:
@@ -29,6 +30,20 @@ def level_rule(frozen: float = 0.01, tolerance: float = 0.02) -> LevelRule:
 def rules_of(values: dict[float, float], rules: InputRules) -> list[str]:
     """Return the rule that each value breaks, by the time at which it comes."""
     return [rules.came(now, value).rule for now, value in values.items()]
+
+
+def test_a_level_in_another_unit_is_refused() -> None:
+    """81 cm are no 81 m, at any time; nor are 457 mm on the roof; what is plausible goes on."""
+    cistern = InputRules(0.0, 5.0, 0.0, level=LevelRule(cistern_reach(PAPER_SITE), 0.01, 0.02))
+    assert rules_of({0.0: 81.0, 1.0: 0.81, 2.0: 81.0, 3.0: 0.81}, cistern) == [
+        "refused", "", "refused", "",
+    ]
+    why = cistern.came(4.0, 81.0).why
+    assert why == "is 81 m, and here no level is above 9 m: is its unit wrong?"
+    roof = LevelRule(roof_reach(PAPER_SITE), 0.01, 0.02)
+    assert roof.came(0.0, 45.7).rule == "refused"
+    assert roof.came(1.0, 0.0457).good
+    assert roof.displacement == 0.0
 
 
 def test_an_input_is_waited_for_then_good_after_the_recovery_time() -> None:
@@ -211,7 +226,7 @@ def test_speeds_of_the_paper_s_site() -> None:
     578,000: sqrt(42.2 / 594,945) = 0.008422 m3/s. Over 25 m2 0.3369 mm/s, over 68.8 m2 0.1224 mm/s.
     500 mm/h are 0.13889 mm/s.
     """
-    cistern, roof = cistern_speeds(PAPER_SITE), roof_speeds(PAPER_SITE)
+    cistern, roof = cistern_reach(PAPER_SITE), roof_reach(PAPER_SITE)
     assert cistern.fall(3.0) == pytest.approx(1.5 * 0.3369e-3, rel=1e-3)
     assert cistern.rise(1.0) == pytest.approx(1.5 * 0.13889e-3 * 0.29225 / 25, rel=1e-3)
     assert roof.rise(0.0) == pytest.approx(1.5 * (0.13889e-3 + 0.1224e-3), rel=1e-3)
@@ -240,9 +255,9 @@ def test_what_is_expected_is_no_jump(
     site = replace(PAPER_SITE)
     flow = share * 0.008422
     rises = expected_rise(site, flow, rain, cistern, roof)
-    for level, rise, speeds in (
-        (cistern, rises[0], cistern_speeds(site)), (roof, rises[1], roof_speeds(site)),
+    for level, rise, reach in (
+        (cistern, rises[0], cistern_reach(site)), (roof, rises[1], roof_reach(site)),
     ):
-        rules = InputRules(0.0, 1e9, 0.0, level=LevelRule(speeds, 1e9, 1e-9))
+        rules = InputRules(0.0, 1e9, 0.0, level=LevelRule(reach, 1e9, 1e-9))
         assert rules.came(0.0, level).good
         assert rules.came(10.0, level + 10 * rise).good
