@@ -63,11 +63,11 @@ study: $(FOR_STUDY)
 	@$(BIN)/python -m greenroof_ros.study; code=$$?; \
 	    $(BIN)/python -m greenroof_ros.report studies/paper --force && exit $$code
 
-# Without ARGS every test, two processes more than there are cores, since graphs mostly wait.
+# Without ARGS every test, three processes more than there are cores, since graphs mostly wait.
 # Which tests may run side by side, test/conftest.py says.
 test: $(FOR_TEST)
 ifeq ($(ARGS),)
-	@$(BIN)/python -m pytest --numprocesses $$(($$(nproc) + 2)) --dist loadgroup --no-loadscope-reorder
+	@$(BIN)/python -m pytest --numprocesses $$(($$(nproc) + 3)) --dist loadgroup --no-loadscope-reorder
 else
 	@$(BIN)/python -m pytest $(ARGS)
 endif
@@ -81,7 +81,7 @@ lint: $(FOR_TEST)
 docs: $(FOR_DOCS)
 	@$(BIN)/python doc/generate.py
 	@rm -rf doc/api/modules
-	@$(BIN)/python -m sphinx -W --keep-going -q -b html doc doc/_build
+	@$(BIN)/python -m sphinx -W --keep-going -q --jobs auto -b html doc doc/_build
 	@echo "written: doc/_build/index.html"
 
 bench: $(FOR_BENCH)
