@@ -19,7 +19,8 @@ Three balances are kept, each of water (m3) that the levels do not account for:
 
 Water is counted while a level is unknown, too, and the balances go on when it is known again: a
 sensor that is silent now and then hides nothing. By how much a level has jumped, as no water can,
-does not count.
+does not count; but a jump down of the cistern is a fall to the third balance, so that a drift that
+is over by a jump back is no fault later.
 
 Each is averaged over ``averaging_time``, levels and volumes alike, so that no lag comes between
 them. A balance that rises by more than ``level_tolerance`` times the area above the least that it
@@ -66,7 +67,7 @@ class _Sums(NamedTuple):
     roof: float = 0.0
     """what it holds (m3)"""
     overfull_cistern: float = 0.0
-    """what it holds, above its outlet too (m3)"""
+    """what it holds, above its outlet too, less what jumps up have added (m3)"""
 
     def plus(self, other: _Sums, share: float = 1.0) -> _Sums:
         return _Sums(*(mine + share * added for mine, added in zip(self, other, strict=True)))
@@ -117,6 +118,7 @@ class DeliveryCheck:
         self._site = site
         self._settings = settings
         self._loss = settings.greatest_loss * _M_PER_S
+        self._displaced = 0.0  # by jumps of the cistern's reading, when it was last known (m)
         self.restart()
 
     def restart(self) -> None:
@@ -127,6 +129,7 @@ class DeliveryCheck:
         self._mean: _Sums | None = None
         self._watched = 0.0
         self._origin: tuple[float, float] | None = None
+        self._raised = 0.0  # by jumps of the cistern's reading (m)
 
     @property
     def watches(self) -> bool:
@@ -159,6 +162,8 @@ class DeliveryCheck:
         if cistern_level is None or roof_level is None:
             return ""
         self._watched += dt
+        before, self._displaced = self._displaced, displacements[0]
+        self._raised = max(0.0, self._raised + displacements[0] - before)
         self._origin = self._origin or displacements
         cistern = cistern_level - displacements[0] + self._origin[0]
         roof = roof_level - displacements[1] + self._origin[1]
@@ -166,7 +171,7 @@ class DeliveryCheck:
             self._elapsed, self._least_pumped, self._most_pumped,
             min(cistern, site.z_o - settings.level_offset) * site.a1,
             min(roof, site.z_veg + settings.level_offset) * site.a2,
-            cistern * site.a1,
+            (cistern_level - self._raised) * site.a1,
         )
         self._cistern_still.see(cistern_level, present)
         self._roof_still.see(roof_level, present)

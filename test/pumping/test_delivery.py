@@ -326,6 +326,20 @@ class Ruled:
 
 
 @pytest.mark.parametrize("noise", [0.0, 0.002])
+def test_a_drift_that_is_over_is_no_fault_later(noise: float) -> None:
+    """The cistern's reading rises by 5 cm a minute, until it jumps, and is right again."""
+    site = Ruled(noise, x2=0.2)
+    assert site.time_to_fault(100, 1.0) == math.inf
+    for drifting in range(45):
+        site.rig.cistern_offset = 0.05 * drifting / 60
+        assert site.time_to_fault(1, 1.0) == math.inf
+    assert any("cistern" in one.why for one in site.rig.decisions)
+    site.rig.cistern_offset = 0.0
+    assert site.time_to_fault(600, 1.0) == math.inf
+    assert any(one.state == "running" for one in site.rig.decisions[160:])
+
+
+@pytest.mark.parametrize("noise", [0.0, 0.002])
 def test_a_sensor_that_is_set_anew_is_no_leak(noise: float) -> None:
     """By 5 cm of the cistern, 1.25 m3, down and, an hour later, up again."""
     site = Ruled(noise, x2=0.5)
