@@ -26,7 +26,7 @@ from greenroof_ros.graph.peers import Peers
 from greenroof_ros.graph.publishers import call_node
 from greenroof_ros.graph.qos import qos_profile
 from greenroof_ros.graph.reports import ERROR, OK, WARN, Report
-from greenroof_ros.graph.unfit_publishers import lacks, requirements
+from greenroof_ros.graph.unfit_publishers import DISCOVERY_S, lacks, requirements
 from greenroof_ros.graph.validation import Input
 from greenroof_ros.pumping.input_rules import InputRules, LevelRule, Verdict
 
@@ -44,7 +44,8 @@ FROZEN_MOVEMENT = NodeParameter(
 )
 JUMP_TOLERANCE = NodeParameter(
     "jump_tolerance", 0.02, "live: how far two values of a level may be apart beyond what water "
-    "can do between them (m); above the sensor's noise", 1e-6, 10.0,
+    "can do between them (m); at least 10 times the sensor's noise (standard deviation)",
+    1e-6, 10.0,
 )
 LEVEL_PARAMETERS = [FROZEN_MOVEMENT, JUMP_TOLERANCE]
 
@@ -124,7 +125,7 @@ class LivePublishers:
         self._peers = peers
         self._recorded = recorded
         self._lease = math.isfinite(topic.qos.lease_s) and not recorded
-        self._unfit = False  # one was there that cannot be heard
+        self._unfit_since = -math.inf  # when the middleware last said that one is not heard
 
     def profile(self) -> QoSProfile:
         """Return the profile of the subscription."""
@@ -162,13 +163,14 @@ class LivePublishers:
         Args:
             now: of the steady clock (s).
         """
-        if self._unfit:
+        if self._unfit_since > -math.inf:
             required = replace(
                 self._topic.qos, lease_s=self._topic.qos.lease_s if self._lease else math.inf,
                 durability=self._topic.qos.durability if self._past else "volatile",
             )
             unheard = [one for one in self._known() if lacks(one.qos_profile, required)]
-            self._unfit = bool(unheard)
+            if not unheard and now - self._unfit_since > DISCOVERY_S:
+                self._unfit_since = -math.inf  # it went
             if unheard:
                 who = ", ".join(sorted({call_node(one.node_name) for one in unheard}))
                 return (
@@ -197,7 +199,7 @@ class LivePublishers:
         self.on_change()
 
     def _on_unfit(self, event: Any) -> None:
-        self._unfit = True
+        self._unfit_since = time.monotonic()
         self.on_change()
 
 

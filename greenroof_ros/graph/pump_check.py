@@ -48,10 +48,11 @@ _AT_REST = 0.5
 # What a driver must refuse. NaN comes first, and to a running pump: drivers that keep the command
 # before it would go on.
 _HOSTILE = (math.nan, math.inf, -math.inf, -1.0, -1e300)
-# The cistern's level begins so far above the suction level, enough for all checks but the last, and
-# falls with what is pumped, at most to so little above it (m): a driver may stop 2 cm above it
-# already, for a sensor that is wrong. At the end it falls to just below it.
-_ABOVE_SUCTION, _LEAST_ABOVE_SUCTION, _DRY = 0.06, 0.022, -0.001
+# The cistern begins with so much water above the suction level (m3), enough for all checks but the
+# last, and its level falls with what is pumped, at most to so little above it (m): a driver may
+# stop 2 cm above it already, for a sensor that is wrong. At the end it falls to just below it.
+_WATER = 1.5
+_LEAST_ABOVE_SUCTION, _DRY = 0.022, -0.001
 # To so far above the suction level rain lifts it after that (m): more than a driver may ask for.
 _REFILLED = 0.5
 
@@ -111,7 +112,7 @@ class PumpCheck:
         self._executor.add_node(node)
         # On the roof there is room for what will be pumped.
         self._empty_roof = 0.5 * initial_state(site, "low-low")[1]
-        self._volumes = [(site.suction_level + _ABOVE_SUCTION) * site.a1, self._empty_roof]
+        self._volumes = [site.suction_level * site.a1 + _WATER, self._empty_roof]
         self._least_above_suction = _LEAST_ABOVE_SUCTION
         # What is said instead of the truth, by topic.
         self._said_instead: dict[str, float] = {}

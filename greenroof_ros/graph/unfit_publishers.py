@@ -20,7 +20,7 @@ from greenroof_ros.common.interface import Qos, Topic, read_topics
 from greenroof_ros.graph.publishers import UNKNOWN_NAME, call_node
 
 # The name of a node and its other ends are known a moment after its publisher (s).
-_DISCOVERY_S = 1.0
+DISCOVERY_S = 1.0
 
 
 class UnfitPublishers:
@@ -62,7 +62,7 @@ class UnfitPublishers:
         if not self._due:
             return
         now = time.monotonic()
-        for topic in [one for one, since in self._due.items() if now - since > _DISCOVERY_S]:
+        for topic in [one for one, since in self._due.items() if now - since > DISCOVERY_S]:
             del self._due[topic]
             for publisher in self._node.get_publishers_info_by_topic(topic.graph_name):
                 lacking = lacks(publisher.qos_profile, topic.qos)

@@ -56,7 +56,9 @@ class Site:
     """
 
     a1: float = _parameter("m2", "bottom surface area of the cistern")
-    a_in: float = _parameter("m2", "area of flow through the cistern's inlet")
+    a_in: float = _parameter(
+        "m2", "area whose rain flows into the cistern; in Table I that of its inlet"
+    )
     z_o: float = _parameter("m", "elevation of the cistern's outlet")
     r_o: float = _parameter("m", "radius of the cistern's outlet")
     c_d: float = _parameter("1", "discharge coefficient of the outlet")

@@ -130,6 +130,7 @@ class DeliveryCheck:
         self._watched = 0.0
         self._origin: tuple[float, float] | None = None
         self._raised = 0.0  # by jumps of the cistern's reading (m)
+        self._rain_on_roof = 0.0  # the most that it showed since the third balance was least (m3)
 
     @property
     def watches(self) -> bool:
@@ -200,7 +201,9 @@ class DeliveryCheck:
         rise = self._kept.add(kept, change, share)
         over = self._kept.over
         rain_on_roof = over.roof - share * over.least_pumped + self._loss * site.a2 * over.elapsed
-        rise -= site.a_in / site.a2 * max(0.0, rain_on_roof)
+        # What fell stays in the cistern when it has drained off the roof.
+        self._rain_on_roof = max(self._rain_on_roof, rain_on_roof) if rise else 0.0
+        rise -= site.a_in / site.a2 * self._rain_on_roof
         if rise <= self._settings.level_tolerance * site.a1:
             return ""
         if over.roof < share * over.least_pumped:

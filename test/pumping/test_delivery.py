@@ -295,12 +295,12 @@ def test_a_closed_valve_and_a_sensor_that_is_frozen_at_times() -> None:
 class Ruled:
     """A rig whose sensors keep the rules of a live graph, one reading a second, with noise."""
 
-    def __init__(self, noise: float, **volumes: float) -> None:
+    def __init__(self, noise: float, *, tolerance: float = 0.02, **volumes: float) -> None:
         self.rig = Rig(**volumes)  # type: ignore[arg-type]
         self.spikes: tuple[int, int] | None = None
         """a reading of a tank is 10 cm off each so many seconds"""
         reaches = cistern_reach(PAPER_SITE), roof_reach(PAPER_SITE)
-        self._levels = [LevelRule(each, 0.01, 0.02) for each in reaches]
+        self._levels = [LevelRule(each, 0.01, tolerance) for each in reaches]
         self._rules = [InputRules(self.rig.now, 5.0, 10.0, level=each) for each in self._levels]
         self._errors = noise * np.random.default_rng(1).standard_normal((100_000, 2))
 
@@ -470,6 +470,26 @@ def test_rain_into_a_cistern_that_is_emptied_is_no_alarm(
         rain = rate / 3.6e6 if 900 <= second < 4500 else 0.0
         decision = rig.step(command, rain, 1e-5)
         assert decision.state != "fault", f"{second} s: {decision.why}"
+
+
+def test_rain_that_has_drained_off_the_roof_is_no_alarm() -> None:
+    """20 mm/h for an hour on 50 m2 of catchment, while little is pumped; then the roof drains."""
+    rig = Rig(x1=30.0, x2=1.4, site=site_with(a_in=50.0))
+    for second in range(4 * 3600):
+        decision = rig.step(
+            0.05 if second < 4500 else 0.0, 20 / 3.6e6 if 900 <= second < 4500 else 0.0
+        )
+        assert decision.state != "fault", f"{second} s: {decision.why}"
+        drained = 13.3 / 3.6e6 * rig.site.a2
+        if second >= 4500 and rig.plant.x2 - drained > 0.02 * rig.site.a2:
+            rig.plant.x2 -= drained
+
+
+@pytest.mark.parametrize(("noise", "tolerance"), [(0.002, 0.02), (NOISE, 0.05)])
+def test_hours_of_noise_behind_the_jump_rule_are_no_leak(noise: float, tolerance: float) -> None:
+    """Ten standard deviations are tolerance enough."""
+    site = Ruled(noise, tolerance=tolerance, x2=0.5)
+    assert site.time_to_fault(6 * 3600, 0.0) == math.inf
 
 
 def test_cloudbursts_are_no_alarm() -> None:
