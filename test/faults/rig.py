@@ -383,6 +383,8 @@ class SiteRig(Rig):
 
     def levels(self) -> tuple[float, float]:
         """Return the true levels of cistern and roof (m)."""
+        # A simulator that was started again begins with the head of its table.
+        wait(lambda: self.csv.read_text().count("\n") > 1, 10, "no level of the site")
         _, cistern, roof = self.csv.read_text().splitlines()[-1].split(",")[:3]
         return float(cistern), float(roof)
 
