@@ -209,10 +209,11 @@ def _run_graph(run: Run, arguments: argparse.Namespace, signals: Signals) -> int
         refuse_other_nodes(namespace, names, signals.check)
         directory = make_run_directory(arguments.output, controller.name)
         of_drive = {} if drive is None else drive.parameters(arguments.state)
+        speed = _speed(arguments.speed, drive)
         parameters = write_configuration(
             directory, run,
             {
-                "speed": _speed(arguments.speed, drive),
+                "speed": speed,
                 "pump": arguments.pump if drive is None else "external",
                 "record": not arguments.no_record,
                 # The plant, and the recorder at the end, wait for a node that is started again.
@@ -220,7 +221,7 @@ def _run_graph(run: Run, arguments: argparse.Namespace, signals: Signals) -> int
             },
             {} if drive is None else {PUMP: {
                 **of_drive,
-                "exchange_period": _exchange_period(run, _speed(arguments.speed, drive)),
+                "exchange_period": _exchange_period(run, speed),
             }},
         )
         summary.write(summary.build_unfinished(run, summary.RUNNING), directory)
@@ -236,7 +237,6 @@ def _run_graph(run: Run, arguments: argparse.Namespace, signals: Signals) -> int
                         f"stops and faults of the drive are kept in {of_drive['state_file']}",
                         file=sys.stderr,
                     )
-                    speed = _speed(arguments.speed, drive)
                     if speed != 1:
                         print(_NOT_AT_REAL_TIME, file=sys.stderr)
                     _wait_for_drive(run, supervisor, signals, of_drive["state_file"])

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.findings import Finding
-from greenroof_ros.common.interface import read_topics
+from greenroof_ros.common.interface import optional_topics
 from greenroof_ros.controllers.protocol import Controller
 from greenroof_ros.controllers.registry import ControllerChoice
 from greenroof_ros.model.look_ahead import growing_steps
@@ -207,17 +207,15 @@ def _may_change(choice: ControllerChoice, site: Site) -> None:
 
 
 def _outputs(choice: ControllerChoice, site: Site) -> None:
-    topics = read_topics()
+    try:
+        topics = optional_topics(choice.outputs)
+    except ConfigurationError as error:
+        raise _ProblemError(str(error)) from error
     controller = _made(choice, site)
     _asked(controller, *next(_inputs(choice, site)))
-    for topic, attribute in choice.outputs.items():
-        if topic not in topics or not topics[topic].optional:
-            raise _ProblemError(
-                f"{topic} is no output of a controller; see the optional ones in "
-                "msg_defs/topics.yaml"
-            )
+    for topic, attribute in topics:
         if not isinstance(getattr(controller, attribute, None), (int, float)):
-            raise _ProblemError(f"{topic}: there is no number in the attribute {attribute}")
+            raise _ProblemError(f"{topic.name}: there is no number in the attribute {attribute}")
 
 
 def _statistics(choice: ControllerChoice, site: Site) -> None:

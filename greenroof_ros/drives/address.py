@@ -66,6 +66,12 @@ class Address:
         """
         return "serial" if self.line or self.gateway else "tcp"
 
+    def shares_line(self, other: Address) -> bool:
+        """Whether both are on one serial line, by whatever name; one program alone can open it."""
+        return bool(self.line and other.line) and (
+            Path(self.line).resolve() == Path(other.line).resolve()
+        )
+
     def place(self, port: int) -> str:
         """Return where it leads, by the same name for each way to write it, but for the device.
 

@@ -118,8 +118,7 @@ def read_sensors(path: Path, level_limit: float = math.inf) -> Sensors:
                 "nobody takes the level, and the pump stands",
             )
     cistern, roof = sensors.cistern, sensors.roof
-    line = parse_address(roof.address).line
-    if line and Path(line).resolve() == Path(parse_address(cistern.address).line).resolve():
+    if parse_address(roof.address).shares_line(parse_address(cistern.address)):
         raise _refused(
             path, content["roof"], "roof", "address",
             "is the cistern's serial line, which one program alone can open: put a Modbus TCP "

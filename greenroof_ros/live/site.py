@@ -152,8 +152,7 @@ def _refuse_shared_line(drive: DriveChoice, sensors: Path) -> None:
     _, address = drive.read()
     levels = read_sensors(sensors)
     for tank in TANKS:
-        line = parse_address(getattr(levels, tank).address).line
-        if address.line and line and Path(line).resolve() == Path(address.line).resolve():
+        if address.shares_line(parse_address(getattr(levels, tank).address)):
             raise ConfigurationError(
                 f"is the serial line of the {tank}'s sensor, too, which one program alone can "
                 "open: put a Modbus TCP gateway on it, or take another line",

@@ -84,7 +84,7 @@ def test_an_output_that_is_none_of_a_controller(tmp_path: Path) -> None:
     )
     result = check(tmp_path, "broken:Proportional")
     assert result.returncode == 1, result.stderr
-    assert "/pump/command is no output of a controller" in result.stdout
+    assert "outputs = '/pump/command': is no output of a controller" in result.stdout
 
 
 def test_the_command(tmp_path: Path) -> None:

@@ -12,7 +12,7 @@ pytest.importorskip("rclpy", reason="the module needs ROS 2")
 
 
 def test_messages_that_come_while_a_node_changes_its_executor() -> None:
-    """A sample of test/swaps.py; without the repair one in 5,000 swaps leaves a message behind."""
+    """A sample of test/swaps.py; without the repair 3 of 20,000 left a message behind."""
     script = Path(__file__).parents[1] / "swaps.py"
     done = subprocess.run(
         [sys.executable, str(script), "--rounds", "1000"],
