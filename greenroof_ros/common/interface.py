@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import sys
+from array import array
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -33,6 +34,23 @@ class Qos:
 
 
 @dataclass(frozen=True)
+class Display:
+    """How an operator is shown a topic's values; what tools show is made from it.
+
+    Attributes:
+        label: what the value is, in an operator's words.
+        unit: of the value as shown, such as ``mm``; empty for a plain number.
+        factor: from the topic's unit to the one shown: 1000 from m to mm.
+        decimals: behind the point, as shown.
+    """
+
+    label: str
+    unit: str
+    factor: float
+    decimals: int
+
+
+@dataclass(frozen=True)
 class Topic:
     """One topic of the graph; ``msg_defs/topics.yaml`` explains each attribute."""
 
@@ -47,7 +65,9 @@ class Topic:
     qos: Qos
     meaning: str
     optional: bool = False
-    undecided: float = math.nan
+    display: Display | None = None
+    dimensions: tuple[str, ...] = ()
+    undecided: float | array[float] = math.nan
     absolute: bool = False
     live: bool = True
     live_publishers: tuple[str, ...] = ()
@@ -66,6 +86,7 @@ def read_topics() -> dict[str, Topic]:
     topics = {}
     for name, entry in interface["topics"].items():
         low, high = entry.get("range", (-math.inf, math.inf))
+        undecided = entry.get("undecided", math.nan)
         topics[name] = Topic(
             name=name,
             type=entry["type"],
@@ -79,7 +100,9 @@ def read_topics() -> dict[str, Topic]:
             qos=profiles[entry["qos"]],
             meaning=entry["meaning"],
             optional=entry.get("optional", False),
-            undecided=entry.get("undecided", math.nan),
+            display=Display(**entry["display"]) if "display" in entry else None,
+            dimensions=tuple(entry.get("dimensions", ())),
+            undecided=array("d", undecided) if isinstance(undecided, list) else undecided,
             absolute=entry.get("absolute", False),
             live=entry.get("live", True),
             live_publishers=tuple(entry.get("live_publishers", ())),

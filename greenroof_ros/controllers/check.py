@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from array import array
 from collections.abc import Callable, Iterator
 from itertools import product
 from typing import Any
@@ -214,8 +215,21 @@ def _outputs(choice: ControllerChoice, site: Site) -> None:
     controller = _made(choice, site)
     _asked(controller, *next(_inputs(choice, site)))
     for topic, attribute in topics:
-        if not isinstance(getattr(controller, attribute, None), (int, float)):
-            raise _ProblemError(f"{topic.name}: there is no number in the attribute {attribute}")
+        value = getattr(controller, attribute, None)
+        if not isinstance(topic.undecided, array):
+            if not isinstance(value, (int, float)):
+                raise _ProblemError(
+                    f"{topic.name}: there is no number in the attribute {attribute}"
+                )
+            continue
+        columns = len(topic.undecided)
+        if not isinstance(value, np.ndarray) or value.dtype != float or (
+            value.shape[1:] != (columns,)
+        ):
+            raise _ProblemError(
+                f"{topic.name}: there is no numpy array of floats, of shape (n, {columns}), in the "
+                f"attribute {attribute}"
+            )
 
 
 def _statistics(choice: ControllerChoice, site: Site) -> None:
@@ -248,7 +262,7 @@ _CHECKS: dict[str, Callable[[ControllerChoice, Site], None]] = {
         _wrong_forecasts,
     "a parameter that may change is an attribute, and it may":
         _may_change,
-    "each of its outputs is a topic of the interface and a number after a command":
+    "each of its outputs is a topic of the interface and has its value after a command":
         _outputs,
     "its statistics are None, or the figures of its solver":
         _statistics,

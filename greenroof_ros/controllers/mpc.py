@@ -9,8 +9,6 @@ from collections.abc import Mapping, Sequence
 from typing import ClassVar
 
 import numpy as np
-import osqp
-import scipy.sparse
 from numpy.typing import NDArray
 
 from greenroof_ros.common.errors import ConfigurationError
@@ -91,6 +89,10 @@ class Mpc:
             max_command: upper bound of the commands, ``inf`` for none as in the paper.
             max_iterations: OSQP's limit, beyond which a tick falls back.
         """
+        # Half a second, which those who ask for the parameters alone are spared.
+        import osqp
+        import scipy.sparse
+
         self._site = site
         self.weight = weight
         self.cost = math.nan
@@ -110,6 +112,7 @@ class Mpc:
         # The upper triangle of P, column by column, which is how OSQP stores it.
         self._columns, self._rows = np.tril_indices(size)
         pattern = scipy.sparse.csc_matrix(np.triu(np.ones((size, size))))
+        self._statuses = osqp.SolverStatus
         self._solver = osqp.OSQP()
         self._solver.setup(
             P=pattern,
@@ -215,13 +218,13 @@ class Mpc:
         hessian = P[self._rows, self._columns]
         if not (np.isfinite(hessian).all() and np.isfinite(q).all()):
             # OSQP does not refuse these; it returns numbers.
-            self.status = int(osqp.SolverStatus.OSQP_UNSOLVED)
+            self.status = int(self._statuses.OSQP_UNSOLVED)
             _log.warning("the prediction is not finite; falling back to no pumping for one tick")
             return None
         self._solver.update(Px=hessian, q=q)
         result = self._solver.solve(raise_error=False)
         self.status = int(result.info.status_val)
-        if self.status != osqp.SolverStatus.OSQP_SOLVED or not math.isfinite(result.x[0]):
+        if self.status != self._statuses.OSQP_SOLVED or not math.isfinite(result.x[0]):
             _log.warning(
                 "OSQP reports '%s'; falling back to no pumping for one tick", result.info.status
             )

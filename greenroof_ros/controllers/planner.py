@@ -13,13 +13,7 @@ from numpy.typing import NDArray
 
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.parameter import Parameter
-from greenroof_ros.controllers.planning_program import (
-    MEAN_OF_ALL,
-    NO_PRICES,
-    Ensemble,
-    PlanningProgram,
-    Prices,
-)
+from greenroof_ros.controllers.objective import MEAN_OF_ALL, NO_PRICES, Ensemble, Prices
 from greenroof_ros.controllers.protocol import solver_statistics
 from greenroof_ros.controllers.regret_limit import RegretLimit
 from greenroof_ros.controllers.roof_observer import RoofObserver
@@ -47,6 +41,10 @@ MAX_COMMAND = Parameter(
 )
 
 Array = NDArray[np.float64]
+
+# What is published in place of a plan: none was made, or the controller did not decide.
+_NO_NEW_PLAN: Array = np.empty((0, 3))
+_UNDECIDED: Array = np.full((1, 3), np.nan)
 
 
 class Planner:
@@ -93,12 +91,20 @@ class Planner:
     The children are the controllers: each has its table of parameters.
 
     Attributes:
+        plan: a plan that was made in this tick, a row for each step, shape (steps, 3): the step's
+            end (s from this tick), the mean flow of the pumps in it (m3/s), and the level of the
+            roof that the program expects at its end (m), at least 0; what would drain off a roof
+            that is too full is still on it. With an ensemble flow and level are the means over the
+            members: until ``recourse`` the flow is that of all, from then on that of none. Shape
+            (0, 3) where the last plan is followed on, also because the new program had no solution;
+            one row of NaN where the controller did not decide.
         solves: how many programs were solved, or tried.
         fallbacks: how many of them had no solution.
         solve_seconds: wall time of each :meth:`command` (s), most of which solve nothing.
     """
 
     outputs: ClassVar[Mapping[str, str]] = {
+        "/controller/plan": "plan",
         "/controller/planned_deviation": "planned_deviation",
         "/controller/solver_status": "status",
     }
@@ -143,6 +149,7 @@ class Planner:
         self._set_up(members=1)
         self._observer = RoofObserver(site, observer_time_constant)
         self._regret_limit = RegretLimit(site, max_waiting_loss)
+        self.plan = _UNDECIDED
         self.solves = 0
         self.fallbacks = 0
         self.solve_seconds: list[float] = []
@@ -154,6 +161,9 @@ class Planner:
 
     def _set_up(self, members: int) -> None:
         """Set the program up for forecasts of so many members; what is planned for now stays."""
+        # Its solver takes half a second, which those who ask for the parameters alone are spared.
+        from greenroof_ros.controllers.planning_program import PlanningProgram
+
         self._members = members
         self._program = PlanningProgram(
             self._site, self._edges, self._max_command, self._power, self._prices,
@@ -198,7 +208,8 @@ class Planner:
         """
         started = time.perf_counter()
         site, steps = self._site, len(self._lengths)
-        rain = np.array(precipitation, dtype=float, ndmin=2)
+        # In one order in memory, whatever the caller's: that of numpy's sums follows it.
+        rain = np.array(precipitation, dtype=float, order="C", ndmin=2)
         members = len(rain)
         most = 1 if self._ensemble is None else MOST_MEMBERS
         if rain.shape[1] != steps or len(evapotranspiration) != steps or members > most:
@@ -216,6 +227,7 @@ class Planner:
             # Nothing can be planned on it, and OSQP would not refuse it.
             self.skip()
             return 0.0
+        self.plan = _NO_NEW_PLAN
         x2 = self._observer.correct(roof_level)
         self._off_plan += x2 - self._expected
         fraction = min(self._max_command, 1.0)
@@ -253,6 +265,7 @@ class Planner:
         """Wait for the next reading; what the plan expected of this tick has not happened."""
         self._observer.skip()
         self._regret_limit.skip()
+        self.plan = _UNDECIDED
         self._flow, self._expected = 0.0, math.nan
         self._pass_tick()
 
@@ -324,6 +337,11 @@ class Planner:
             return
         self._pumped = np.hstack([start, pumped])
         self._age = self._off_plan = 0.0
+        flows = np.diff(self._pumped) / self._lengths
+        levels = np.maximum(before[:, 1:] + pumped + site.x2_star, 0.0) / site.a2
+        self.plan = np.column_stack(
+            (self._edges[1:], flows.mean(axis=0), levels.mean(axis=0))
+        )
 
     def _moved_on(self) -> Array | None:
         """Return the plan as it is from now on, shape (members, steps)."""

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import math
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 import osqp
 import scipy.sparse
 from numpy.typing import NDArray
 
+from greenroof_ros.controllers.objective import Ensemble, Prices
 from greenroof_ros.model.plant import JOULES_PER_KWH, WATER_DENSITY, maximum_pump_flow
 from greenroof_ros.model.site import Site
 
@@ -40,28 +41,6 @@ _USABLE = (osqp.SolverStatus.OSQP_SOLVED, osqp.SolverStatus.OSQP_SOLVED_INACCURA
 
 Array = NDArray[np.float64]
 Matrix = Any  # scipy's sparse matrices have no types
-
-
-class Prices(NamedTuple):
-    """What counts beside the deviation."""
-
-    energy: float = 0.0
-    """of a kWh of hydraulic energy, as deviation (m3 s, or m6 s where that is squared)"""
-    start: float = 0.0
-    """of a pump start at full flow, likewise"""
-
-
-class Ensemble(NamedTuple):
-    """How a program looks at several forecasts at once."""
-
-    level: float = 0.0
-    """of the conditional value-at-risk: 0 is the mean of all, 0.9 that of the worst tenth"""
-    recourse: float = 0.0
-    """until then (s) one plan serves all members; later each has its own"""
-
-
-NO_PRICES = Prices()
-MEAN_OF_ALL = Ensemble()
 
 
 class PlanningProgram:

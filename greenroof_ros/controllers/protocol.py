@@ -26,7 +26,8 @@ class Controller(Protocol):
     - ``ensemble = True``: it takes all members of an ensemble of forecasts. ``precipitation`` is
       then an array of shape (members, steps); a single forecast has one member.
     - ``outputs``: topics of ``msg_defs/topics.yaml`` that its node publishes after each command,
-      each with the attribute that holds the value: ``{"/controller/cost": "cost"}``.
+      each with the attribute that holds the value: ``{"/controller/cost": "cost"}``. It is a
+      number, of ``/controller/plan`` a numpy array of shape (steps, 3).
 
     Attributes:
         parameters: its parameters. One named ``horizon`` (h) says how far the forecasts reach, as

@@ -9,7 +9,6 @@ import inspect
 import re
 import sys
 from dataclasses import dataclass
-from importlib import metadata
 from pathlib import Path
 from typing import cast
 
@@ -61,7 +60,7 @@ class ControllerChoice:
 
     @functools.cached_property
     def kind(self) -> ControllerClass:
-        """The class; the solver's library is imported only with a class that uses it.
+        """The class; a solver's library is imported only when one is made.
 
         Raises:
             ConfigurationError: it cannot be imported, or is no controller.
@@ -73,10 +72,7 @@ class ControllerChoice:
         try:
             kind = getattr(importlib.import_module(module_name), class_name)
         except Exception as error:  # whatever a user's module raises
-            raise ConfigurationError(
-                f"cannot be imported: {type(error).__name__}: {error}",
-                key="controller", value=self.reference,
-            ) from error
+            raise self._not_imported(error) from error
         lacking = [
             name for name in ("parameters", "command", "skip", "statistics")
             if not hasattr(kind, name)
@@ -119,8 +115,21 @@ class ControllerChoice:
         return hashlib.sha256(Path(file).read_bytes()).hexdigest()[:12] if file else ""
 
     def make(self, site: Site, parameters: dict[str, float]) -> Controller:
-        """Make the controller."""
-        return self.kind(site, **parameters)
+        """Make the controller.
+
+        Raises:
+            ConfigurationError: what it solves its program with cannot be imported.
+        """
+        try:
+            return self.kind(site, **parameters)
+        except ImportError as error:
+            raise self._not_imported(error) from error
+
+    def _not_imported(self, error: Exception) -> ConfigurationError:
+        return ConfigurationError(
+            f"cannot be imported: {type(error).__name__}: {error}",
+            key="controller", value=self.reference,
+        )
 
     def defaults(self) -> dict[str, float]:
         """Return the value of each parameter unless a user gives another.
@@ -188,7 +197,7 @@ def find_controller(reference: str) -> ControllerChoice:
         ConfigurationError: there is none of that name.
     """
     if ":" not in reference:
-        path = {**_of_other_packages(), **BUILT_IN}.get(reference)
+        path = BUILT_IN.get(reference) or _of_other_packages().get(reference)
         if path is None:
             raise ConfigurationError(
                 f"must be one of {', '.join(controller_names())}, or package.module:Class",
@@ -210,6 +219,8 @@ def find_controller(reference: str) -> ControllerChoice:
 
 def _of_other_packages() -> dict[str, str]:
     """Return the path of each controller that an installed package registers, by name."""
+    from importlib import metadata  # a tenth of a node's imports, and most need none of it
+
     return {entry.name: entry.value for entry in metadata.entry_points(group=GROUP)}
 
 

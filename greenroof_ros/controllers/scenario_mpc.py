@@ -5,8 +5,8 @@ from __future__ import annotations
 from typing import ClassVar
 
 from greenroof_ros.common.parameter import Parameter
+from greenroof_ros.controllers.objective import Ensemble
 from greenroof_ros.controllers.planner import MAX_COMMAND, Planner
-from greenroof_ros.controllers.planning_program import Ensemble
 from greenroof_ros.controllers.protocol import HORIZON
 from greenroof_ros.controllers.regret_limit import MAX_WAITING_LOSS
 from greenroof_ros.controllers.roof_observer import OBSERVER_TIME_CONSTANT

@@ -11,13 +11,14 @@ import logging
 import socket
 import struct
 import termios
-from asyncio.trsock import TransportSocket
 from typing import TYPE_CHECKING
 
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.drives.address import Address, Serial
 
 if TYPE_CHECKING:
+    from asyncio.trsock import TransportSocket
+
     from pymodbus.client import AsyncModbusSerialClient, AsyncModbusTcpClient
     from pymodbus.pdu import ModbusPDU
 

@@ -9,8 +9,6 @@ from typing import ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import linprog
-from scipy.sparse import diags, hstack, identity
 
 from greenroof_ros.common.parameter import Parameter
 from greenroof_ros.experiment.closed_loop import closed_loop
@@ -258,6 +256,10 @@ def _solve(run: Run, limits: _Limits, edges: NDArray[np.int64]) -> tuple[Values,
     Raises:
         NoBoundError: the solver found no optimum.
     """
+    # Half a second, which a study's first process, which solves nothing, is spared.
+    from scipy.optimize import linprog
+    from scipy.sparse import diags, hstack, identity
+
     unit = run.site.x2_star
     ticks = np.diff(edges, append=run.steps + 1)
 

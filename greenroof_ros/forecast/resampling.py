@@ -164,7 +164,10 @@ def sums_of_hours(rates: Array) -> Array:
 
 
 def means_of_hours(rates: Array, sums: Array, ends: Array, lengths: Array) -> Array:
-    """Return the mean rate of each step, shape (..., steps).
+    """Return the mean rate of each step, shape (..., steps), row by row in memory.
+
+    numpy's choice of columns turns that around, and the order of numpy's sums follows that in
+    memory: the last bit of a sum over members would differ from that on what a message brings.
 
     Args:
         rates: of each hour (1/s), shape (..., hours).
@@ -174,8 +177,8 @@ def means_of_hours(rates: Array, sums: Array, ends: Array, lengths: Array) -> Ar
     """
     # The end of the last step may be that of the last hour.
     index = np.minimum(ends // _HOUR_S, rates.shape[1] - 1).astype(np.intp)
-    means: Array = np.diff(sums[:, index] + rates[:, index] * (ends - index * _HOUR_S)) / lengths
-    return means
+    means = np.diff(sums[:, index] + rates[:, index] * (ends - index * _HOUR_S)) / lengths
+    return np.ascontiguousarray(means)
 
 
 def look_ahead_ends(site: Site, horizon: float) -> Array:

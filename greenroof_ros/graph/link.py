@@ -10,6 +10,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Collection
 from inspect import signature
+from pathlib import Path
 from typing import Any, cast
 
 from rclpy.clock import ROSClock
@@ -28,7 +29,7 @@ from greenroof_ros.graph.executors import waiting_in
 from greenroof_ros.graph.inputs import Inputs
 from greenroof_ros.graph.live import Live, LivePublishers
 from greenroof_ros.graph.lockstep import Lockstep
-from greenroof_ros.graph.parameters import LIVE, declare
+from greenroof_ros.graph.parameters import LIVE, declare, site_file
 from greenroof_ros.graph.peers import Peers
 from greenroof_ros.graph.qos import message_class, qos_profile
 from greenroof_ros.graph.reports import OK, WARN, Diagnosis, Report, Reports
@@ -36,6 +37,7 @@ from greenroof_ros.graph.serialization import encoder
 from greenroof_ros.graph.states import ENDED, FINISHED, READY, STARTING
 from greenroof_ros.graph.unfit_publishers import UnfitPublishers
 from greenroof_ros.graph.validation import Input
+from greenroof_ros.model.site import Site, read_site
 from greenroof_ros.pumping.input_rules import LevelRule
 
 CLOCK = "/clock"
@@ -107,6 +109,7 @@ class LinkedNode(Node):
         self._outputs: list[Publisher] = []
         self._looked = self._reported = 0.0
         self._final_values: dict[str, Any] = {}
+        self._site_file: dict[str, str] = {}
         self._trigger = Live(self) if self.live else Lockstep(self)
         self._is_good = self._trigger.good
         simulated = Parameter("use_sim_time", Parameter.Type.BOOL, self._trigger.simulated_time)
@@ -163,6 +166,19 @@ class LinkedNode(Node):
 
     # --- setting up -------------------------------------------------------------------------
 
+    def declare_site(self) -> Site:
+        """Declare the parameter ``site_file``, and read the site.
+
+        Each report says from then on which file it was, as ``site``, an absolute path: who looks on
+        judges by the same site.
+
+        Raises:
+            ConfigurationError: the file, or a value in it, is wrong.
+        """
+        file = Path(declare(self, [site_file()])["site_file"])
+        self._site_file = {"site": str(file.resolve())}
+        return read_site(file)
+
     def create_subscription(self, msg_type: Any, topic: str, *args: Any, **options: Any) -> Any:
         """Open a subscription, but not rclpy's own to the clock.
 
@@ -190,7 +206,8 @@ class LinkedNode(Node):
         )
         self._outputs.append(publisher)
         self.sent[name] = 0
-        encode, send, sent = encoder(topic.type), publisher.publish, self.sent
+        encode = encoder(topic.type, topic.dimensions)
+        send, sent = publisher.publish, self.sent
 
         def publish(value: Any) -> None:
             sent[name] += 1
@@ -445,7 +462,7 @@ class LinkedNode(Node):
         }
         ticks = self._trigger.said() if isinstance(self._trigger, Lockstep) else {}
         self.reports.say({
-            **ticks, **self.progress(), **waiting, "refused": refused,
+            **self._site_file, **ticks, **self.progress(), **waiting, "refused": refused,
             "warnings": self._unfit.warnings, **self._final_values,
         })
 

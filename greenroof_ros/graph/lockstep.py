@@ -487,7 +487,7 @@ class Lockstep:
             self._end_with(report)
         known = self._handshake.nodes.get(report.role) == report.process
         again = self._handshake.hear(report)
-        if not known and self._handshake.nodes[report.role] == report.process:
+        if not known and self._handshake.nodes.get(report.role) == report.process:
             self._on_process(report, again=again)
         self._settle()
         if not node.acted and not (self.joining and node.reports.supervised):

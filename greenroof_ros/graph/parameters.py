@@ -162,15 +162,6 @@ def of_controller(table: Iterable[Parameter]) -> list[NodeParameter]:
     ]
 
 
-def declare_site(node: Node) -> Site:
-    """Declare the parameter ``site_file``, and read the site.
-
-    Raises:
-        ConfigurationError: the file, or a value in it, is wrong.
-    """
-    return read_site(Path(declare(node, [site_file()])["site_file"]))
-
-
 def default_site() -> Site:
     """Return the site of a node that is given no ``site_file``."""
     return read_site(Path(str(site_file().default)))

@@ -24,6 +24,9 @@ from greenroof_ros.model.site import Site
 
 _HOUR_S = 3600.0
 
+NEAR_TARGET = 0.05
+"""Half width of the band about the roof's target in which its level is good, as share of it."""
+
 Values = NDArray[np.float64]
 Totals = dict[str, float]
 """The value of each metric, by its name."""

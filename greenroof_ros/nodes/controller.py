@@ -29,7 +29,7 @@ from greenroof_ros.graph.live import (
 )
 from greenroof_ros.graph.node_help import NodeParser, node_help
 from greenroof_ros.graph.node_process import run_node
-from greenroof_ros.graph.parameters import LIVE, declare, declare_site, of_controller, site_file
+from greenroof_ros.graph.parameters import LIVE, declare, of_controller, site_file
 from greenroof_ros.graph.serialization import decode_clock
 from greenroof_ros.graph.validation import Input
 from greenroof_ros.model.plant import pump_flow
@@ -85,7 +85,7 @@ class ControllerNode(LinkedNode):
     def __init__(self, choice: ControllerChoice) -> None:
         """Declare the controller's parameters and open the topics."""
         super().__init__(choice.name, "controller")
-        site = declare_site(self)
+        site = self.declare_site()
         self.act_every(site.tau)
         values = declare(self, of_controller(choice.kind.parameters))
         live = declare(self, LIVE_PARAMETERS)

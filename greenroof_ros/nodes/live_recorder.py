@@ -79,8 +79,10 @@ class LiveRecorderNode(LinkedNode):
         return LISTEN_S
 
     def progress(self) -> dict[str, Any]:
-        """Return how many messages are in the bag since this start, and how many are lost."""
-        return {"recorded": self._bag.recorded, "lost": self._bag.lost}
+        """Return where the bag is, and how many messages came into it since this start, or not."""
+        return {
+            "bag": str(self._bag.directory), "recorded": self._bag.recorded, "lost": self._bag.lost,
+        }
 
     def on_stop(self) -> None:
         """Close the bag."""

@@ -19,7 +19,6 @@ from greenroof_ros.graph.node_process import run_node
 from greenroof_ros.graph.parameters import (
     NodeParameter,
     declare,
-    declare_site,
     default_site,
     site_file,
 )
@@ -79,7 +78,7 @@ class PlantNode(LinkedNode):
     def __init__(self) -> None:
         """Declare the parameters and open the topics."""
         super().__init__("plant", "plant", may_be_live=False)
-        site = declare_site(self)
+        site = self.declare_site()
         self._site = site
         values = declare(self, parameters(site))
         volumes = {key: values[key] for key in ("initial_cistern_volume", "initial_roof_volume")}

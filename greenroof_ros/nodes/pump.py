@@ -48,7 +48,6 @@ from greenroof_ros.graph.parameters import (
     LIVE,
     NodeParameter,
     declare,
-    declare_site,
     default_site,
     of_controller,
     site_file,
@@ -260,7 +259,7 @@ class PumpNode(Lifecycle, LinkedNode):
     def __init__(self) -> None:
         """Declare the parameters, and open topics and services."""
         LinkedNode.__init__(self, "pump", "pump")
-        self._site = site = declare_site(self)
+        self._site = site = self.declare_site()
         values = declare(self, parameters(site)[1:])  # the link declares the first
         self._drive = _Drive(values, self.get_name())
         self.act_every(site.tau)

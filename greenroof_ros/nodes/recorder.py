@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from array import array
 from collections import deque
 from collections.abc import Callable
 from dataclasses import replace
@@ -130,7 +131,7 @@ class RecorderNode(LinkedNode):
         if not self._waiting:
             self._write_ticks()
 
-    def _lost_value(self, name: str, tick: int) -> float:
+    def _lost_value(self, name: str, tick: int) -> float | array[float]:
         """Return what stands in the bag for a message that a killed node gave the plant alone."""
         entry = self.inputs.entries[name]
         received: dict[str, tuple[int, list[float]]] = self.peers.said_by("plant")["received"]
@@ -144,15 +145,15 @@ class RecorderNode(LinkedNode):
                 "nodes and start the run again"
             )
         self.get_logger().warning(
-            f"{entry.name} of tick {tick} was lost with the node that published it; it is "
-            f"{entry.topic.undecided:g} in the bag"
+            f"{entry.name} of tick {tick} was lost with the node that published it; in the bag it "
+            "is as if the controller had not decided"
         )
         self._lost.append((name, tick))
         return entry.topic.undecided
 
     def progress(self) -> dict[str, Any]:
-        """Return what was lost with killed nodes."""
-        return {"lost": self._lost}
+        """Return where the bag is, an absolute path, and what was lost with killed nodes."""
+        return {"bag": str(self._bag.directory.resolve()), "lost": self._lost}
 
     def _write_ticks(self) -> None:
         """Write every tick that is whole."""

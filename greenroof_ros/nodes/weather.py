@@ -37,7 +37,6 @@ from greenroof_ros.graph.parameters import (
     LIVE,
     NodeParameter,
     declare,
-    declare_site,
     default_site,
     site_file,
 )
@@ -156,7 +155,7 @@ class WeatherNode(LinkedNode):
     def __init__(self) -> None:
         """Declare the parameters and open the topics."""
         super().__init__("weather", "weather")
-        site = declare_site(self)
+        site = self.declare_site()
         self.act_every(site.tau)
         values = declare(self, parameters(site))
         if self.live:

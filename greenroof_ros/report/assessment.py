@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from greenroof_ros.model.metrics import Samples, Totals, totals_of
+from greenroof_ros.model.metrics import NEAR_TARGET, Samples, Totals, totals_of
 from greenroof_ros.model.site import Site
 from greenroof_ros.recording.trajectory import Trajectory
 
@@ -30,7 +30,7 @@ class Assumptions:
     energy_price: float = 0.115
     water_price: float = 4.1346
     currency: str = "CAD"
-    band: float = 0.05
+    band: float = NEAR_TARGET
 
 
 @dataclass(frozen=True)

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import altair as alt
+import vl_convert
 
 # Okabe and Ito's colours without yellow, which is too pale on white.
 COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#000000", "#E69F00", "#56B4E9")
@@ -15,6 +16,7 @@ COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#000000", "#E69F00", "#5
 _DASHES = ([1, 0], [8, 3], [2, 2], [10, 3, 2, 3], [5, 2, 1, 2, 1, 2])
 SHAPES = ("circle", "diamond", "square", "triangle-up", "cross", "triangle-down")
 _PANEL_WIDTH = 400
+_VEGA_LITE = ".".join(alt.SCHEMA_VERSION.removeprefix("v").split(".")[:2])
 # Of a legend (px): its symbols with what is about them, its widest label, and a letter of those.
 _LEGEND_SYMBOL, _LEGEND_LABEL, _LETTER = 46, 240, 7
 CONFIG: dict[str, Any] = {
@@ -144,9 +146,12 @@ class Figure:
         whole = alt.concat(*charts, columns=self.columns).resolve_scale(
             color="independent", shape="independent", strokeDash="independent"
         )
-        whole = whole.properties(datasets=self.data, title=self.title).configure(**CONFIG)
-        whole.save(str(directory / f"{self.name}.svg"))
-        whole.save(str(directory / f"{self.name}.png"), scale_factor=2)
+        specification = whole.properties(title=self.title).configure(**CONFIG).to_dict()
+        # Past altair, which would hold every row against its schema, and lay out each file anew.
+        specification.setdefault("datasets", {}).update(self.data)
+        vectors = vl_convert.vegalite_to_svg(specification, _VEGA_LITE)
+        (directory / f"{self.name}.svg").write_text(vectors, encoding="utf-8")
+        (directory / f"{self.name}.png").write_bytes(vl_convert.svg_to_png(vectors, scale=2))
 
 
 def distinct(name: str, values: list[str], title: str) -> dict[str, Any]:

@@ -20,7 +20,7 @@ from greenroof_ros.common.versions import versions
 # What each worker would otherwise import.
 _PRELOADED = [
     "greenroof_ros.study.case_run", "greenroof_ros.controllers.mpc",
-    "greenroof_ros.controllers.planning_mpc", "polars",
+    "greenroof_ros.controllers.planner", "osqp", "polars", "scipy.optimize",
 ]
 _CONNECT_S = 10
 # A worker that its nanny starts again is back sooner.

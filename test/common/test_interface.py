@@ -48,14 +48,33 @@ def test_design_of_the_interface() -> None:
         "/forecast/evapotranspiration": ("std_msgs/msg/Float64MultiArray", "m3/s"),
         "/controller/cost": ("std_msgs/msg/Float64", "m2"),
         "/controller/planned_deviation": ("std_msgs/msg/Float64", "m3"),
+        "/controller/plan": ("std_msgs/msg/Float64MultiArray", ""),
         "/recorder/written": ("std_msgs/msg/Float64", "1"),
     }
     for name, (kind, unit) in expected.items():
         assert (topics[name].type, topics[name].unit) == (kind, unit)
     assert [name for name, topic in topics.items() if topic.optional] == [
-        "/controller/cost", "/controller/planned_deviation", "/controller/solver_status"
+        "/controller/cost", "/controller/planned_deviation", "/controller/solver_status",
+        "/controller/plan",
     ]
     assert all(topic.qos.depth > 32 for topic in topics.values() if topic.per_tick)
+
+
+def test_numbers_have_a_display() -> None:
+    """What has a unit is shown in one that belongs to it: m as mm, m/s as mm/h, m3/s as L/min."""
+    factors = {
+        ("s", "s"): 1, ("m", "mm"): 1e3, ("m/s", "mm/h"): 1e3 * 3600, ("m3/s", "L/min"): 1e3 * 60,
+        ("1", ""): 1, ("1", "%"): 100, ("m2", "mm²"): 1e6, ("m3", "m³"): 1, ("degC", "°C"): 1,
+    }
+    labels = []
+    for topic in read_topics().values():
+        display = topic.display
+        assert (display is None) == (topic.unit == ""), topic.name
+        if display is not None:
+            assert factors[topic.unit, display.unit] == display.factor, topic.name
+            assert display.decimals in range(4), topic.name
+            labels.append(display.label)
+    assert len(set(labels)) == len(labels)
 
 
 def test_namespace_of_a_bag() -> None:

@@ -87,6 +87,24 @@ def test_an_output_that_is_none_of_a_controller(tmp_path: Path) -> None:
     assert "outputs = '/pump/command': is no output of a controller" in result.stdout
 
 
+def test_plans_that_are_none(tmp_path: Path) -> None:
+    """A plan is an array of floats with the interface's columns; the node can send no other."""
+    text = (CHECKOUT / "examples" / "proportional.py").read_text()
+    head = "    parameters = (\n"
+    for name, plan in {
+        "rows": "[[10.0, 0.0, 0.04]]", "whole": "numpy.zeros((2, 3), dtype=int)",
+        "narrow": "numpy.zeros((2, 2))",
+    }.items():
+        own = f'    outputs = {{"/controller/plan": "plan"}}\n    plan = {plan}\n'
+        module = text.replace(head, own + head).replace(
+            "from greenroof_ros.model.site", "import numpy\nfrom greenroof_ros.model.site"
+        )
+        (tmp_path / f"{name}.py").write_text(module)
+        result = check(tmp_path, f"{name}:Proportional")
+        assert result.returncode == 1, result.stderr
+        assert "no numpy array of floats, of shape (n, 3), in the attribute plan" in result.stdout
+
+
 def test_the_command(tmp_path: Path) -> None:
     """The example passes all, exit code 0; what cannot be imported is refused with 2."""
     result = check(CHECKOUT, EXAMPLE)

@@ -24,8 +24,9 @@ from scipy.optimize import linprog
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.files import shared_directory
 from greenroof_ros.controllers.anticipating_onoff import AnticipatingOnOff
+from greenroof_ros.controllers.objective import NO_PRICES, Ensemble, Prices
 from greenroof_ros.controllers.planner import Planner
-from greenroof_ros.controllers.planning_program import NO_PRICES, Ensemble, PlanningProgram, Prices
+from greenroof_ros.controllers.planning_program import PlanningProgram
 from greenroof_ros.controllers.registry import find_controller
 from greenroof_ros.experiment.clairvoyant import clairvoyant_bound
 from greenroof_ros.experiment.closed_loop import closed_loop
@@ -403,6 +404,70 @@ def test_solver_that_gives_up() -> None:
     assert controller.command(2.3, 0.03, *dry({12: 1e-6, 20: 1e-6})) == 0.0
     assert (controller.solves, controller.fallbacks) == (1, 1)
     assert math.isnan(controller.planned_deviation)
+    assert controller.plan.shape == (0, 3)  # no new one
+
+
+def test_the_plan_is_what_comes() -> None:
+    """A new plan once a minute, none between; flows and levels of its minute are those of the run.
+
+    In frost there is nothing to say, and then there is a new plan.
+    """
+    run = paper_run("--controller", "planning_mpc", "--hours", "0.2")
+    controller = run.make_controller()
+    assert isinstance(controller, Planner)
+    assert np.isnan(controller.plan).all() and controller.plan.shape == (1, 3)
+    plans, ticks = [], []
+    for tick in closed_loop(run, controller, Metrics()):
+        plans.append(controller.plan)
+        ticks.append(tick)
+    made = [k for k, plan in enumerate(plans) if len(plan)]
+    assert made == list(range(0, 721, 60))
+    flows = np.array([tick.flows.pump for tick in ticks])
+    assert flows[:60].min() > 0
+    for k in made[:-1]:
+        ends, planned, levels = plans[k].T
+        assert list(ends) == list(EDGES[1:])
+        begin = 0
+        for end, flow, level in zip(EDGES[1:9].astype(int), planned, levels, strict=False):
+            # The cistern's level, which the program takes as constant, falls by 0.2 mm a minute.
+            assert flows[k + begin : k + end].mean() == pytest.approx(flow, rel=0.01, abs=2e-5)
+            assert ticks[k + end].roof_level == pytest.approx(level, abs=2e-5)
+            begin = end
+            if end == 60:
+                break
+    controller.skip()
+    assert np.isnan(controller.plan).all() and controller.plan.shape == (1, 3)
+    controller.command(2.3, ticks[-1].roof_level, *dry())
+    assert controller.plan.shape == (STEPS, 3)
+
+
+def test_plan_of_an_ensemble_is_the_mean() -> None:
+    """Until recourse its flow is that of all members; then flow and level are means over them."""
+    none, evaporated = dry()
+    storm = [0.0] * 8 + [4e-6] * (STEPS - 8)
+    controller = planner(ensemble=Ensemble(0.0, 30.0))
+    controller.command(2.3, 0.03, [none, none, storm], evaporated)
+    pumped = controller._pumped
+    assert pumped is not None
+    flows = np.diff(pumped) / LENGTHS
+    common = EDGES[1:] <= 30
+    between = np.ptp(flows, axis=0)
+    assert between[common].max() < 1e-9 and between[~common].max() > 1e-4
+    rain = np.array([none, none, storm])
+    volumes = 0.03 * PAPER_SITE.a2 + np.cumsum(
+        (rain * PAPER_SITE.a2 - evaporated) * LENGTHS, axis=1
+    ) + pumped[:, 1:]
+    ends, planned, levels = controller.plan.T
+    assert list(ends) == list(EDGES[1:])
+    assert planned == pytest.approx(flows.mean(axis=0), abs=1e-12)
+    assert levels == pytest.approx(volumes.mean(axis=0) / PAPER_SITE.a2, abs=1e-12)
+
+
+def test_an_expected_level_is_not_below_the_ground() -> None:
+    """More evaporates than is there, and nothing is to be pumped: the roof is empty, not less."""
+    controller = planner()
+    controller.command(0.0, 0.01, [0.0] * STEPS, [1e-4] * STEPS)
+    assert controller.plan[-1].tolist() == [12 * 3600, 0.0, 0.0]
 
 
 def test_it_decides_when_something_changed() -> None:
@@ -491,6 +556,24 @@ def test_members_are_those_of_the_forecast() -> None:
     assert of_many.solves == before + 1
     with pytest.raises(ConfigurationError, match="only scenario_mpc all members"):
         of_one.command(2.3, 0.03, [rain, rain], evaporated)
+
+
+def test_a_forecast_in_any_order_in_memory() -> None:
+    """An ensemble whose columns lie one after the other gives each bit of the same plans."""
+    run = paper_run(
+        "--controller", "scenario_mpc", "--forecast", "ensemble", "--forecast-seed", "3",
+        "--forecast-members", "30", "--start", "2021-07-08T05:58", "--hours", "0.01",
+        "--roof-noise", "0.002",
+    )
+    by_rows, by_columns = run.make_controller(), run.make_controller()
+    assert isinstance(by_rows, Planner) and isinstance(by_columns, Planner)
+    for tick in closed_loop(run, by_rows, Metrics()):
+        rain = np.asfortranarray(run.forecast.precipitation(tick.k))
+        by_columns.command(
+            tick.cistern_level, tick.roof_level, rain, run.forecast.evapotranspiration(tick.k)
+        )
+        assert by_columns.plan.tobytes() == by_rows.plan.tobytes(), tick.k
+    assert by_rows.solves > 10
 
 
 def test_the_last_plan_outlives_its_members(monkeypatch: pytest.MonkeyPatch) -> None:

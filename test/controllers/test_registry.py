@@ -10,6 +10,7 @@ from pathlib import Path
 
 import pytest
 import yaml
+from paper import PAPER_SITE
 from places import CHECKOUT, CONFIG
 
 from greenroof_ros.common.errors import ConfigurationError
@@ -41,6 +42,41 @@ def test_the_file_a_user_edits_has_the_defaults(name: str) -> None:
     defaults = {one.name: one.default for one in find_controller(name).kind.parameters}
     assert list(given.items()) == list(defaults.items())
     assert [type(value) for value in given.values()] == [type(value) for value in defaults.values()]
+
+
+ALL_BUT_MADE = """
+import sys
+from greenroof_ros import bringup
+from greenroof_ros.controllers.registry import BUILT_IN, find_controller
+from greenroof_ros.study import __main__
+choices = [find_controller(name) for name in BUILT_IN]
+print([list(choice.defaults()) + list(choice.outputs) + [choice.ensemble] for choice in choices])
+print({"scipy", "osqp"} & set(sys.modules))
+"""
+
+
+def test_no_solver_is_imported_for_what_a_class_says() -> None:
+    """It takes longer than all else of a start; parameters and outputs are the class's."""
+    done = subprocess.run(
+        [sys.executable, "-c", ALL_BUT_MADE], cwd=CHECKOUT, capture_output=True, text=True,
+        check=False,
+    )
+    assert done.returncode == 0, done.stderr
+    said, imported = done.stdout.splitlines()
+    assert "/controller/solver_status" in said
+    assert imported == "set()"
+
+
+@pytest.mark.parametrize("name", ["mpc", "planning_mpc", "scenario_mpc"])
+def test_without_its_solver(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Where pip's part of the installation was left out, that is said instead of a traceback."""
+    monkeypatch.setitem(sys.modules, "osqp", None)
+    monkeypatch.delitem(
+        sys.modules, "greenroof_ros.controllers.planning_program", raising=False
+    )
+    choice = find_controller(name)
+    with pytest.raises(ConfigurationError, match=f"'{name}': cannot be imported: .*osqp"):
+        choice.make(PAPER_SITE, choice.defaults())
 
 
 def test_a_file_may_leave_parameters_out(tmp_path: Path) -> None:

@@ -23,7 +23,6 @@ from greenroof_ros import bound as module
 from greenroof_ros.bound import main
 from greenroof_ros.controllers.protocol import Controller
 from greenroof_ros.controllers.registry import find_controller
-from greenroof_ros.experiment import clairvoyant
 from greenroof_ros.experiment.clairvoyant import NoBoundError, clairvoyant_bound
 from greenroof_ros.experiment.closed_loop import closed_loop
 from greenroof_ros.experiment.run import Run
@@ -413,7 +412,7 @@ def test_no_optimum(
 ) -> None:
     """The solver's own words, and exit code 1."""
     monkeypatch.setattr(
-        clairvoyant, "linprog",
+        "scipy.optimize.linprog",
         lambda *_, **__: SimpleNamespace(status=4, message="numbers too large"),
     )
     with pytest.raises(NoBoundError, match="numbers too large"):

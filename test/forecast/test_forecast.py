@@ -394,6 +394,8 @@ def test_who_gets_which_members() -> None:
         assert member_0.tobytes() == single.forecast.precipitation(tick).tobytes()
         members = everything.precipitation(tick)
         assert np.shape(members) == (4, len(member_0))
+        # As it comes out of a message: numpy's sums follow the order in memory.
+        assert isinstance(members, np.ndarray) and members.flags.c_contiguous
         assert members[0].tobytes() == member_0.tobytes()
         dry = run.forecast.evapotranspiration(tick)
         assert everything.evapotranspiration(tick).tobytes() == dry.tobytes()

@@ -9,7 +9,7 @@ import multiprocessing
 import struct
 import subprocess
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, nullcontext
 from pathlib import Path
 
@@ -17,10 +17,17 @@ import pytest
 from bag_topics import MPC_TOPICS
 from graphs import bag_file, bring_up, environment
 from mcap.reader import make_reader
+from paper import paper_run
 
 from greenroof_ros.common.files import shared_directory
+from greenroof_ros.common.interface import read_topics
+from greenroof_ros.controllers.planner import Planner
+from greenroof_ros.experiment.closed_loop import closed_loop
+from greenroof_ros.model.metrics import Metrics
 
 pytest.importorskip("rclpy", reason="the graph needs ROS 2")
+
+from greenroof_ros.graph.serialization import encoder
 
 # Of the authors' published code, under GNU Octave: see test/data.
 PUBLISHED_M3 = {"mpc": 7151.7686}
@@ -81,6 +88,45 @@ def assert_same(directory: Path, graph: str) -> list[dict[str, str]]:
     return rows
 
 
+def assert_same_plans(directory: Path, options: Sequence[str]) -> list[int]:
+    """The bag in run/ has each byte of the plans that its controller makes in this process.
+
+    Returns:
+        How many rows each tick's message has.
+    """
+    run = paper_run(*options)
+    controller = run.make_controller()
+    assert isinstance(controller, Planner)
+    topic = read_topics()["/controller/plan"]
+    encode = encoder(topic.type, topic.dimensions)
+    plans = [(encode(controller.plan), len(controller.plan))
+             for _ in closed_loop(run, controller, Metrics())]
+    with bag_file(directory / "run").open("rb") as stream:
+        found = [
+            message.data
+            for _, _, message in make_reader(stream).iter_messages(topics=[topic.name])
+        ]
+    assert found == [plan for plan, _ in plans]
+    return [rows for _, rows in plans]
+
+
+def test_same_plans_of_an_ensemble(domain: int, tmp_path: Path) -> None:
+    """Bit for bit, with noise that makes a new plan in every third tick.
+
+    A difference in the last bit of any sum over the members would be seen in most of them.
+    """
+    options = (
+        "--controller", "scenario_mpc", "--forecast", "ensemble", "--forecast-seed", "3",
+        "--forecast-members", "30", "--start", "2021-07-08T05:58", "--hours", "0.05",
+        "--roof-noise", "0.002",
+    )
+    bring_up(domain, tmp_path, *options)
+    rows = assert_same_plans(tmp_path, options)
+    assert len(rows) == 181
+    assert set(rows) == {0, 32}
+    assert rows.count(32) > 50
+
+
 @pytest.mark.parametrize("controller", OPTIONS)
 def test_same_bits_as_simulate(domain: int, tmp_path: Path, controller: str) -> None:
     """Graph and simulate: equal in every bit of every value; twelve hours of the paper's MPC."""
@@ -116,7 +162,8 @@ def test_same_bits_on_an_imperfect_site(domain: int, tmp_path: Path, controller:
             lines[index] = ",".join(cells)
     (tmp_path / "weather.csv").write_text("\n".join(lines) + "\n")
     words = [
-        *controller.split(), "--weather", "weather.csv", "--start", "2021-07-07T02:59",
+        *controller.split(), "--weather", str(tmp_path / "weather.csv"),
+        "--start", "2021-07-07T02:59",
         "--hours", "0.05", "--roof-noise", "0.0005", "--roof-offset=-1e-3", "--noise-seed", "8",
         "--minimum-on", "50", "--minimum-off", "20",
     ]
@@ -134,6 +181,9 @@ def test_same_bits_on_an_imperfect_site(domain: int, tmp_path: Path, controller:
     assert max(flows[:60]) > 0 and max(flows[60:]) == 0  # it freezes from 03:00 on
     if "onoff" in controller:
         assert flows[59] > 0
+    else:
+        plans = assert_same_plans(tmp_path, words)
+        assert (plans[0], set(plans[60:])) == (32, {1})  # a row of NaN in frost
     errors = [float(row["roof_level_m"]) - float(row["roof_m3"]) / 68.8 for row in rows]
     assert sum(errors) / 181 == pytest.approx(-1e-3, abs=2e-4)
 

@@ -28,6 +28,7 @@ from greenroof_ros.experiment.options import (
     parse_run_arguments,
     run_from_arguments,
 )
+from greenroof_ros.graph.serialization import decoder
 from greenroof_ros.model.plant import Plant
 from greenroof_ros.recording.bag_files import numbered_files
 from greenroof_ros.recording.bag_reader import count_ticks
@@ -262,12 +263,15 @@ def test_killed_in_a_pause(
 FRAGILE = '''
 import os, signal
 from pathlib import Path
+import numpy as np
 
 class Fragile:
     """Commands 0.001, 0.002 and so on; its first process kills itself at the tenth tick."""
     parameters = ()
-    outputs = {"/controller/cost": "cost", "/controller/solver_status": "status"}
+    outputs = {"/controller/cost": "cost", "/controller/solver_status": "status",
+               "/controller/plan": "plan"}
     status = 1
+    plan = np.empty((0, 3))
     def __init__(self, site):
         self.ticks = 0
     def command(self, cistern, roof, rain, evapotranspiration):
@@ -303,6 +307,7 @@ def test_killed_between_two_messages(
     summary = run.end()
     (incident,) = summary["incidents"]
     bag = run.bag()
+    decode = decoder("std_msgs/msg/Float64MultiArray")
     commands, costs = numbers(bag, "/pump/command"), numbers(bag, "/controller/cost")
     if when == "before":
         assert (incident["tick"], incident["lost"]) == (9, [])
@@ -310,12 +315,16 @@ def test_killed_between_two_messages(
         assert costs == [2.0 * tick for tick in ticks]
     else:
         assert (incident["tick"], incident["lost"]) == (
-            10, [["/controller/cost", 9], ["/controller/solver_status", 9]]
+            10,
+            [["/controller/cost", 9], ["/controller/solver_status", 9], ["/controller/plan", 9]],
         )
         ticks = [*range(1, 11), *range(1, 21)]
         assert math.isnan(costs.pop(9))
         assert costs == [2.0 * tick for tick in [*ticks[:9], *ticks[10:]]]
         assert numbers(bag, "/controller/solver_status") == [1.0] * 9 + [0.0] + [1.0] * 20
+        plans = [decode(data) for _, data in bag["/controller/plan"]]
+        assert [len(plan) for plan in plans] == [0] * 9 + [3] + [0] * 20
+        assert all(map(math.isnan, plans[9]))
     assert commands == [tick / 1000 for tick in ticks]
     assert {len(each) for each in bag.values()} == {30}
 

@@ -12,16 +12,20 @@ import pytest
 
 rclpy = pytest.importorskip("rclpy", reason="the message types come with ROS 2")
 
+from rclpy.logging import get_logger  # noqa: E402
 from rclpy.serialization import deserialize_message, serialize_message  # noqa: E402
 from rosgraph_msgs.msg import Clock  # noqa: E402
 from std_msgs.msg import Float64, Float64MultiArray  # noqa: E402
 
+from greenroof_ros.common.interface import read_topics  # noqa: E402
 from greenroof_ros.graph.errors import LockstepError  # noqa: E402
 from greenroof_ros.graph.serialization import decoder, encoder  # noqa: E402
+from greenroof_ros.graph.validation import Input  # noqa: E402
 
 NUMBER, NUMBERS, CLOCK = (
     "std_msgs/msg/Float64", "std_msgs/msg/Float64MultiArray", "rosgraph_msgs/msg/Clock"
 )
+ENSEMBLE = ("member", "step")
 VALUES = [0.0, -0.0, 1.0, -1 / 3, 5e-324, 1.7976931348623157e308, math.inf, -math.inf, math.nan]
 
 
@@ -64,7 +68,7 @@ def test_bytes_of_the_generated_code(kind: str, value: Any, message: Any) -> Non
 def test_members_travel_in_the_layout() -> None:
     """Rows of an ensemble: dimensions, sizes and strides as Float64MultiArray means them."""
     values = np.arange(6.0).reshape(2, 3)
-    written = encoder(NUMBERS)(values)
+    written = encoder(NUMBERS, ENSEMBLE)(values)
     message = deserialize_message(written, Float64MultiArray)
     assert [(one.label, one.size, one.stride) for one in message.layout.dim] == [
         ("member", 2, 6), ("step", 3, 3)
@@ -75,15 +79,55 @@ def test_members_travel_in_the_layout() -> None:
     assert again.tobytes() == values.tobytes()
 
 
+def test_padding_of_a_layout_is_zero() -> None:
+    """Each byte is that of the generated code, but where that leaves what was in memory.
+
+    Behind the header of four bytes the labels' ends, at 19 and 37, are padded to whole fours, and
+    the numbers begin at a whole eight.
+    """
+    written = encoder(NUMBERS, ENSEMBLE)(np.arange(6.0).reshape(2, 3))
+    generated = bytearray(serialize_message(deserialize_message(written, Float64MultiArray)))
+    for first, end in ((19, 20), (37, 40), (56, 60)):
+        assert written[first:end] == bytes(end - first)
+        generated[first:end] = bytes(end - first)
+    assert written == bytes(generated)
+
+
+def test_plans_travel_with_their_own_labels() -> None:
+    """Rows and columns by the interface; no rows, or one, are numbers without a layout."""
+    topic = read_topics()["/controller/plan"]
+    encode = encoder(topic.type, topic.dimensions)
+    plan = np.array([[10.0, 0.008, 0.036], [20.0, 0.0, 0.037]])
+    message = deserialize_message(encode(plan), Float64MultiArray)
+    assert [(one.label, one.size, one.stride) for one in message.layout.dim] == [
+        ("step", 2, 6), ("quantity", 3, 3)
+    ]
+    assert decoder(topic.type)(encode(plan)).tobytes() == plan.tobytes()
+    assert encode(np.empty((0, 3))) == encode(array("d"))
+    assert encode(np.full((1, 3), math.nan)) == encode(topic.undecided)
+
+
+def test_what_a_subscriber_takes_of_a_plan() -> None:
+    """Rows and emptiness are good; what was not decided is refused, as any NaN, and acts as 0."""
+    topic = read_topics()["/controller/plan"]
+    encode = encoder(topic.type, topic.dimensions)
+    entry = Input(topic, topic.name, get_logger("test"))
+    for value in (np.array([[10.0, 0.008, 0.036], [20.0, 0.0, 0.0]]), np.empty((0, 3))):
+        entry.receive(encode(value))
+        assert entry.good and np.asarray(entry.value).size == value.size
+    entry.receive(encode(topic.undecided))
+    assert not entry.good and list(entry.value) == [0.0] * 3
+
+
 def test_an_ensemble_of_one_is_a_single_forecast() -> None:
     """Its bytes are those of a row without a layout."""
     row = array("d", [1.0, 2.0])
-    assert encoder(NUMBERS)(np.array([row])) == encoder(NUMBERS)(row)
+    assert encoder(NUMBERS, ENSEMBLE)(np.array([row])) == encoder(NUMBERS)(row)
 
 
 def test_layout_that_does_not_fit() -> None:
     """A message whose layout says more than it holds ends the run by name, not in numpy."""
-    message = deserialize_message(encoder(NUMBERS)(np.ones((2, 3))), Float64MultiArray)
+    message = deserialize_message(encoder(NUMBERS, ENSEMBLE)(np.ones((2, 3))), Float64MultiArray)
     message.layout.dim[0].size = 4
     with pytest.raises(LockstepError, match="6 values"):
         decoder(NUMBERS)(serialize_message(message))

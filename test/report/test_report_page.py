@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import re
-import shutil
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from browsers import started_browser
 from test_report import SEEDED, START, ended_run, seeded_rows, simulate, write_study
 
 from greenroof_ros.recording.trajectory import Trajectory
@@ -20,9 +20,6 @@ from greenroof_ros.report.results import Report, result
 from greenroof_ros.report.runs import find_runs
 from greenroof_ros.report.seeds import split_by_seeds
 
-playwright = pytest.importorskip("playwright.sync_api", reason="the browser is driven by it")
-CHROMIUM = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))),
-                None)
 WEIGHTS = ("0.00001", "0.0001", "0.001", "0.01", "0.1")
 FRACTIONS = ("0.2", "0.5", "1", "1.5", "2")
 INITIALS = ("low-low", "high-low", "high-high")
@@ -154,16 +151,8 @@ def reported(directory: Path, *paths: str) -> Path:
 @pytest.fixture(scope="module")
 def browser() -> Iterator[Any]:
     """A browser without a window."""
-    if CHROMIUM is None:
-        pytest.skip("no Chromium on this machine")
-    with playwright.sync_playwright() as driver:
-        started = driver.chromium.launch(
-            executable_path=CHROMIUM,
-            args=["--no-sandbox", "--disable-background-networking",
-                  "--disable-component-update", "--disable-sync"],
-        )
+    with started_browser() as started:
         yield started
-        started.close()
 
 
 def opened(browser: Any, file: Path, width: int) -> Any:
