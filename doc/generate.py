@@ -2,7 +2,8 @@
 
 A table stands in a page between ``<!-- table: NAME -->`` and ``<!-- end of table -->``, so that it
 can be read without a build, too. ``make docs`` writes all of them again; a test holds them to what
-this writes. The nodes' tables need a ROS 2; without one they stay as they are.
+this writes. The nodes' tables need a ROS 2; without one they stay as they are. The layouts under
+``config/layouts/`` are written, too.
 """
 
 from __future__ import annotations
@@ -24,6 +25,8 @@ from unittest import mock
 DOC = Path(__file__).resolve().parent
 sys.path[:0] = [str(DOC), str(DOC.parent)]
 
+from layouts import LAYOUTS
+from layouts import rows as displays
 from who_publishes import WAYS, drawing
 
 from greenroof_ros.common.files import shared_directory
@@ -43,6 +46,7 @@ COMMANDS = {
     "simulate": "greenroof_ros.simulate",
     "study": "greenroof_ros.study.__main__",
     "report": "greenroof_ros.report.__main__",
+    "watch": "greenroof_ros.watch.__main__",
     "bound": "greenroof_ros.bound",
     "recover": "greenroof_ros.recover",
     "topics": "greenroof_ros.topics",
@@ -134,6 +138,11 @@ def quality() -> str:
             for topic in read_topics().values()
         ),
     )
+
+
+def shown_units() -> str:
+    """Return how tools show each topic's values."""
+    return markdown(("topic", "shown as", "unit", "shown in"), displays())
 
 
 # --- controllers and metrics ----------------------------------------------------------------------
@@ -434,6 +443,7 @@ def nodes() -> str | None:
 TABLES: dict[str, Callable[[], str | None]] = {
     "topics": topics,
     "quality of service": quality,
+    "shown units": shown_units,
     "controllers": controllers,
     "metrics": metrics,
     "site": site,
@@ -461,7 +471,7 @@ def renew(page: str) -> str:
 
 
 def main() -> None:
-    """Write all pages' tables."""
+    """Write all pages' tables, and the layouts."""
     os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
     for path in sorted(DOC.rglob("*.md")):
         before = path.read_text(encoding="utf-8")
@@ -469,6 +479,9 @@ def main() -> None:
         if after != before:
             path.write_text(after, encoding="utf-8")
             print(f"written: {path.relative_to(DOC.parent)}")
+    for name, layout in LAYOUTS.items():
+        path = DOC.parent / "config" / "layouts" / name
+        path.write_text(layout(), encoding="utf-8")
 
 
 if __name__ == "__main__":

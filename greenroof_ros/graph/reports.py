@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+from rclpy.clock import Clock
 from rclpy.node import Node
 
 from greenroof_ros.common.interface import read_topics
@@ -60,13 +61,14 @@ class Reports:
 
     /diagnostics is one topic for all nodes of a domain, as everywhere in ROS; a status has the
     node's fully qualified name, and its values are written as JSON. The status of a part has the
-    part's name behind it: ``/mpc: inputs``.
+    part's name behind it: ``/mpc: inputs``. Name and hardware of a status are the same after a
+    restart: tools take them for the identity of what they show.
 
     Attributes:
         state: of the node.
         process: that runs it; another one after a restart.
         diagnoses: of its parts, by name.
-        hardware: what its parts are about, where that is a device; otherwise they are the node's.
+        hardware: what its parts are about, where that is a device; otherwise the machine.
         publisher: of the reports.
         supervised: whether the process that started the node wants its reports, and ends it.
     """
@@ -85,7 +87,8 @@ class Reports:
         self._node = node
         self._role = role
         self._on_report = on_report
-        self.process = f"{socket.gethostname()} {os.getpid()}"
+        self._machine = socket.gethostname()
+        self.process = f"{self._machine} {os.getpid()}"
         self._pipe: int | None = None
         self.supervised = REPORT_PIPE in os.environ
         if self.supervised:
@@ -97,22 +100,29 @@ class Reports:
         node.create_subscription(DiagnosticArray, topic.graph_name, self._on_reports, profile)
 
     def say(self, values: dict[str, Any]) -> None:
-        """Publish the node's state with these values."""
-        values = {"role": self._role, **values}
+        """Publish the node's state with these values.
+
+        It is an error where they say why the node failed, and a warning where they have warnings.
+        The stamp is the node's time; until simulated time begins, that of the system: tools take 0
+        for a stamp that was forgotten.
+        """
+        level = ERROR if "failure" in values else WARN if values["warnings"] else OK
+        values = {"role": self._role, "process": self.process, **values}
         name = self._node.get_fully_qualified_name()
         status = DiagnosticStatus(
-            level=OK, name=name, message=self.state, hardware_id=self.process,
+            level=level, name=name, message=self.state, hardware_id=self._machine,
             values=[KeyValue(key=key, value=json.dumps(value)) for key, value in values.items()],
         )
         parts = [
             DiagnosticStatus(
                 level=one.level, name=f"{name}: {part}", message=one.message,
-                hardware_id=self.hardware or self.process,
+                hardware_id=self.hardware or self._machine,
             )
             for part, one in self.diagnoses.items()
         ]
         array = DiagnosticArray(status=[status, *parts])
-        array.header.stamp = self._node.get_clock().now().to_msg()
+        now = self._node.get_clock().now()
+        array.header.stamp = (now if now.nanoseconds else Clock().now()).to_msg()
         self.publisher.publish(array)
         if self._pipe is not None:
             # A reader that is stopped must not stop the node: what does not fit is dropped, and
@@ -131,14 +141,14 @@ class Reports:
             if (
                 status.message not in STATES
                 or (namespace or "/") != self._node.get_namespace()
-                or status.hardware_id == self.process
             ):
                 continue
             try:
                 values = {entry.key: json.loads(entry.value) for entry in status.values}
-                role = values["role"]
+                role, process = values["role"], values["process"]
             except (ValueError, RecursionError, KeyError):
                 continue  # another's status of that name
-            if not isinstance(role, str):
+            if not isinstance(role, str) or not isinstance(process, str):
                 continue
-            self._on_report(Report(name, role, status.hardware_id, status.message, values))
+            if process != self.process:
+                self._on_report(Report(name, role, process, status.message, values))

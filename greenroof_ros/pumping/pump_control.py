@@ -13,6 +13,11 @@ from greenroof_ros.pumping.limits import SiteLimits, SwitchLimits
 from greenroof_ros.pumping.pulses import Pulses
 from greenroof_ros.pumping.settings import PumpSettings
 
+# Words that others look for in what is said: a hold by hand, and a pump that is off and may turn.
+OPERATOR_STOPPED = "an operator stopped it"
+STILL_TURNS = "the pump still turns"
+STANDS_UNKNOWN = "whether the pump stands is not known"
+
 # Below this share of its rated speed, backwards too, a pump stands: noise of a drive's reading.
 _STANDS = 0.02
 # A measured flow above so many times the maximum flow is no flow of this pump.
@@ -120,7 +125,7 @@ class PumpControl:
 
         It takes effect with the next step.
         """
-        reason = self._ledger.record.held or "an operator stopped it"
+        reason = self._ledger.record.held or OPERATOR_STOPPED
         self._ledger.hold(reason if on else "")
 
     def reset(self) -> str:
@@ -200,12 +205,12 @@ class PumpControl:
         elif state == "off" and turning:
             state = "stopping"
         elif state in ("fault", "held") and turning:
-            why += f"; the pump still turns, at {seen.speed:.2f} of its speed"
+            why += f"; {STILL_TURNS}, at {seen.speed:.2f} of its speed"
         if seen.speed is None:
             # One that is heard, and says what cannot be, is not silent enough for its own timeout.
             stands = not heard and self._must_stand()
             if not stands and not backwards:
-                why += "; whether the pump stands is not known"
+                why += f"; {STANDS_UNKNOWN}"
         else:
             stands = asked is None and not turning
         return Decision(

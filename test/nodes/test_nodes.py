@@ -251,6 +251,7 @@ def test_simulated_time(domain: int, tmp_path: Path, observer: Observer) -> None
 
     start, ticks = 1_625_641_200, 1800  # 2021-07-07T02:00-05:00 in seconds since 1970
     stamps: dict[str, list[int]] = {}
+    began = time.time()
 
     def on_report(array: DiagnosticArray) -> None:
         for status in array.status:
@@ -281,8 +282,10 @@ def test_simulated_time(domain: int, tmp_path: Path, observer: Observer) -> None
     observer.until(ended, 60, "the end of the run")
     assert process.wait(60) == 0, process.stderr()
     for name in names:
-        # 0 until the first tick, as ROS has it; then it moves with the run, to its end.
-        moved = [stamp - start for stamp in stamps[name] if stamp]
+        # The system's time until the first tick; then it moves with the run, to its end.
+        first = next(i for i, stamp in enumerate(stamps[name]) if stamp < began - 1)
+        assert all(began - 1 < stamp < time.time() for stamp in stamps[name][:first]), name
+        moved = [stamp - start for stamp in stamps[name][first:]]
         assert moved == sorted(moved), name
         assert 0 <= moved[0] < moved[-1] <= ticks, name
 

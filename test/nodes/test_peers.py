@@ -409,7 +409,9 @@ def test_plant_beside_a_finished_one(nodes: Nodes) -> None:
     report = DiagnosticArray(status=[
         DiagnosticStatus(
             name="/plant", message="finished", hardware_id="another",
-            values=[KeyValue(key="role", value='"plant"')],
+            values=[
+                KeyValue(key="role", value='"plant"'), KeyValue(key="process", value='"another 1"')
+            ],
         )
     ])
     try:

@@ -1,0 +1,220 @@
+"""Layouts of Foxglove or Lichtblick, and of PlotJuggler, made from ``msg_defs/topics.yaml``.
+
+Both show a topic's values in the unit of its ``display``. No plot of either can scale what it
+shows: in Foxglove a user script makes a topic of its own of each, in PlotJuggler a custom function
+a series.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
+from typing import Any
+from xml.etree import ElementTree
+
+from greenroof_ros.common.files import shared_directory
+from greenroof_ros.common.interface import Display, read_topics
+from greenroof_ros.model.site import read_site
+
+
+@dataclass(frozen=True)
+class Panel:
+    """A plot.
+
+    Attributes:
+        title: for people.
+        topics: whose values it shows, each a number.
+        target: whether it shows the target of the roof's level, too.
+    """
+
+    title: str
+    topics: tuple[str, ...]
+    target: bool = False
+
+
+PANELS = (
+    Panel("Roof level", ("/roof/level",), target=True),
+    Panel("Pump", ("/pump/command", "/pump/flow", "/pump/meter")),
+    Panel("Cistern level", ("/cistern/level",)),
+    Panel(
+        "Weather", ("/weather/precipitation", "/weather/evapotranspiration", "/gauge/precipitation")
+    ),
+    Panel("Water that leaves", ("/roof/drainage", "/cistern/outflow")),
+)
+# Of Foxglove: where the topics of user scripts are.
+SCRIPTS = "/studio_script"
+# Of the categorical colours of both programs' own; the last is the target's.
+_COLOURS, _TARGET = ("#1f77b4", "#ff7f0e", "#2ca02c"), "#d62728"
+
+
+def display_of(topic: str) -> Display:
+    """Return how the values of a topic with a unit are shown."""
+    display = read_topics()[topic].display
+    assert display is not None, topic
+    return display
+
+
+def label(topic: str) -> str:
+    """Return what a topic's line is called: ``Roof level (mm)``."""
+    display = display_of(topic)
+    return f"{display.label} ({display.unit})"
+
+
+def target() -> float:
+    """Return the target of the roof's level as shown, that of the site that comes with this."""
+    site = read_site(shared_directory() / "config" / "site.yaml")
+    return round(site.z_veg * display_of("/roof/level").factor, 6)
+
+
+# --- Foxglove, Lichtblick -------------------------------------------------------------------------
+
+
+def foxglove() -> str:
+    """Return the layout that Foxglove and Lichtblick import."""
+    plots = {f"Plot!greenroof{number}": _plot(panel) for number, panel in enumerate(PANELS, 1)}
+    summary = "DiagnosticSummary!greenroof"
+    roof, pump, cistern, weather, water = plots
+    layout = {
+        "configById": {
+            **plots,
+            summary: {
+                "minLevel": 0, "pinnedIds": [], "hardwareIdFilter": "",
+                "topicToRender": "/diagnostics", "sortByLevel": True, "secondsUntilStale": 5,
+            },
+        },
+        "globalVariables": {},
+        "userNodes": {
+            topic.strip("/").replace("/", "_"): {"name": label(topic), "sourceCode": _script(topic)}
+            for panel in PANELS for topic in panel.topics
+        },
+        "playbackConfig": {"speed": 1},
+        "layout": _split(
+            "row", 50,
+            _split("column", 50, roof, pump),
+            _split("column", 34, cistern, _split("column", 50, weather, _split(
+                "row", 60, water, summary
+            ))),
+        ),
+    }
+    return json.dumps(layout, indent=1, ensure_ascii=False) + "\n"
+
+
+def _plot(panel: Panel) -> dict[str, Any]:
+    lines = [
+        _line(f"{SCRIPTS}{topic}.value", label(topic), colour)
+        for topic, colour in zip(panel.topics, _COLOURS, strict=False)
+    ]
+    if panel.target:
+        lines.append(_line(f"{target():g}", "Target", _TARGET))
+    return {
+        "foxglovePanelTitle": panel.title,
+        "paths": lines,
+        "showLegend": True,
+        "legendDisplay": "floating",
+        "showPlotValuesInLegend": True,
+        "showXAxisLabels": True,
+        "showYAxisLabels": True,
+        "isSynced": True,
+        "xAxisVal": "timestamp",
+        "minYValue": 0,
+    }
+
+
+def _line(path: str, name: str, colour: str) -> dict[str, Any]:
+    return {
+        "value": path, "label": name, "color": colour, "enabled": True, "showLine": True,
+        "timestampMethod": "receiveTime",
+    }
+
+
+def _script(topic: str) -> str:
+    display = display_of(topic)
+    return f"""\
+// {display.label} in {display.unit}, from {read_topics()[topic].unit}.
+export const inputs = ["{topic}"];
+export const output = "{SCRIPTS}{topic}";
+
+export default function script(event: {{ message: {{ data: number }} }}): {{ value: number }} {{
+  return {{ value: event.message.data * {display.factor:.15g} }};
+}}
+"""
+
+
+def _split(direction: str, share: int, first: object, second: object) -> dict[str, object]:
+    return {
+        "direction": direction, "first": first, "second": second, "splitPercentage": share,
+    }
+
+
+# --- PlotJuggler ----------------------------------------------------------------------------------
+
+
+def plotjuggler() -> str:
+    """Return the layout that PlotJuggler loads.
+
+    It asks what to do about a series that a bag has not: what only some sites have is left out.
+    """
+    root = ElementTree.Element("root")
+    widget = _add(root, "tabbed_widget", parent="main_window", name="Main Window")
+    tab = _add(widget, "Tab", tab_name="Green roof", containers="1")
+    columns = _dock(_add(tab, "Container"), "|", 2)
+    for panels in (PANELS[:2], PANELS[2:]):
+        rows = _dock(columns, "-", len(panels))
+        for panel in panels:
+            _draw(rows, replace(panel, topics=_in_every_run(panel)))
+    _add(widget, "currentTabIndex", index="0")
+    _add(root, "use_relative_time_offset", enabled="0")
+    functions = _add(root, "customMathEquations")
+    for topic in [topic for panel in PANELS for topic in _in_every_run(panel)]:
+        _function(functions, label(topic), topic, f"return value * {display_of(topic).factor:.15g}")
+    _function(functions, _target_name(), "/roof/level", f"return {target():g}")
+    _add(root, "snippets")
+    ElementTree.indent(root, " ")
+    text = ElementTree.tostring(root, encoding="unicode")
+    return f"<?xml version='1.0' encoding='UTF-8'?>\n{text}\n"
+
+
+def _in_every_run(panel: Panel) -> tuple[str, ...]:
+    return tuple(topic for topic in panel.topics if read_topics()[topic].per_tick)
+
+
+def _target_name() -> str:
+    return f"Target ({display_of('/roof/level').unit})"
+
+
+def _draw(rows: ElementTree.Element, panel: Panel) -> None:
+    area = _add(rows, "DockArea", name=panel.title)
+    plot = _add(area, "plot", style="Lines", mode="TimeSeries", flip_x="false", flip_y="false")
+    _add(plot, "limitY", min="0")
+    for topic, colour in zip(panel.topics, _COLOURS, strict=False):
+        _add(plot, "curve", name=label(topic), color=colour)
+    if panel.target:
+        _add(plot, "curve", name=_target_name(), color=_TARGET)
+
+
+def _dock(parent: ElementTree.Element, orientation: str, count: int) -> ElementTree.Element:
+    sizes = ";".join([f"{1 / count:.6f}"] * count)
+    return _add(parent, "DockSplitter", orientation=orientation, sizes=sizes, count=str(count))
+
+
+def _function(functions: ElementTree.Element, name: str, topic: str, code: str) -> None:
+    """Add a series made of the values of a topic, which PlotJuggler calls ``TOPIC/data``."""
+    snippet = _add(functions, "snippet", name=name)
+    _add(snippet, "global")
+    _add(snippet, "function").text = code
+    _add(snippet, "linked_source").text = f"{topic}/data"
+
+
+def _add(above: ElementTree.Element, tag: str, **attributes: str) -> ElementTree.Element:
+    return ElementTree.SubElement(above, tag, attributes)
+
+
+LAYOUTS = {"greenroof.foxglove.json": foxglove, "greenroof.plotjuggler.xml": plotjuggler}
+
+
+def rows() -> Iterable[tuple[str, str, str, str]]:
+    """Yield how each topic with a unit is shown: topic, label, unit and unit as shown."""
+    for topic in read_topics().values():
+        if topic.display is not None:
+            yield f"`{topic.name}`", topic.display.label, topic.unit, topic.display.unit
