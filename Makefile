@@ -20,18 +20,18 @@ ROS := wheels
 endif
 ifeq ($(ROS),sourced)
 VENV_OPTIONS := --system-site-packages
-RUN_EXTRAS := [pump]
+RUN_EXTRAS := [pump,watch]
 STUDY_EXTRAS := [study]
-TEST_EXTRAS := [pump,study,dask,test]
+TEST_EXTRAS := [pump,watch,study,dask,test]
 BENCH_EXTRAS := [study,bench]
-DOCS_EXTRAS := [pump,study,docs]
+DOCS_EXTRAS := [pump,watch,study,docs]
 else
 VENV_OPTIONS :=
-RUN_EXTRAS := [ros,pump]
+RUN_EXTRAS := [ros,pump,watch]
 STUDY_EXTRAS := [study]
-TEST_EXTRAS := [ros,pump,study,dask,test]
+TEST_EXTRAS := [ros,pump,watch,study,dask,test]
 BENCH_EXTRAS := [ros,study,bench]
-DOCS_EXTRAS := [ros,pump,study,docs]
+DOCS_EXTRAS := [ros,pump,watch,study,docs]
 endif
 
 # Stamp files: the environment was made; what a target needs was installed into it.

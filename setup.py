@@ -17,6 +17,8 @@ COMMANDS = (
     "bringup", "simulate", "bound", "recover", "topics", "check_controller", "check_pump",
     "drive_simulator", "site_simulator", "study.__main__", "report.__main__",
 )
+# `watch` alone is a command of Linux's own, which it would hide.
+WATCH = "greenroof_watch"
 
 
 def version() -> str:
@@ -47,7 +49,7 @@ setup(
     license_files=["LICENSE"],
     python_requires=">=3.10",
     packages=find_packages(include=[NAME, f"{NAME}.*"]),
-    package_data={f"{NAME}.report": ["template.html"]},
+    package_data={f"{NAME}.report": ["template.html"], f"{NAME}.watch": ["page/*"]},
     data_files=[
         ("share/ament_index/resource_index/packages", [f"resource/{NAME}"]),
         (SHARE.as_posix(), ["package.xml"]),
@@ -91,9 +93,17 @@ setup(
             "vl-convert-python>=1.8,<2",  # draws them without a browser; brings the page's scripts
             "Jinja2>=3,<4",  # the page
         ],
+        # The page that shows what the roof does.
+        "watch": [
+            # Server, pushing and files in one library, and no framework on top of it; 3.9 is that
+            # of ROS 2 Jazzy's Ubuntu
+            "aiohttp>=3.9.1,<4",
+            "vl-convert-python>=1.8,<2",  # as in [study]: the charts' scripts, without the internet
+        ],
         "dask": ["distributed>=2024.1"],  # study --scheduler: more than one machine
         "test": [
-            "pytest>=8",
+            # With 9.2, pytest-xdist 3.8 keeps no group together: fixtures are made once a worker.
+            "pytest>=8,<9.2",
             "pytest-xdist>=3.8,<4",  # the tests on all cores; 3.8 is the oldest that was tried
             "hypothesis>=6.100",  # properties of the plant and the controllers
             "playwright>=1.40",  # reads the report's page in the system's Chromium
@@ -121,6 +131,7 @@ setup(
             *(f"{name} = {NAME}.nodes.{name}:main" for name in NODES),
             *(f"{name} = {NAME}.nodes.controller:{name}" for name in CONTROLLERS),
             *(f"{name.split('.')[0]} = {NAME}.{name}:main" for name in COMMANDS),
+            f"{WATCH} = {NAME}.watch.__main__:main",
         ],
     },
     zip_safe=False,

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import argparse
-import re
+import contextlib
 import shlex
 import sys
 import time
@@ -19,6 +19,7 @@ from greenroof_ros.common.command_line import (
     within,
 )
 from greenroof_ros.common.errors import ConfigurationError
+from greenroof_ros.common.namespace import namespace
 from greenroof_ros.common.signals import InterruptedRun, Signals
 from greenroof_ros.controllers.registry import ControllerChoice, controller_names
 from greenroof_ros.experiment import summary, summary_table
@@ -46,6 +47,7 @@ from greenroof_ros.live.drive import (
 from greenroof_ros.live.run import nodes_of, run_live
 from greenroof_ros.live.site import EXTERNAL, add_live_arguments, live_site, refuse_live_options
 from greenroof_ros.recording.bag_reader import count_ticks
+from greenroof_ros.watch.beside import watcher
 
 _NODES = "greenroof_ros.nodes"
 # From the start of the processes to all being ready (s): imports on a busy machine take seconds.
@@ -91,7 +93,7 @@ def _parser() -> argparse.ArgumentParser:
         "(default: %(default)s)",
     )
     group.add_argument(
-        "--namespace", type=_namespace, default="", metavar="NAME",
+        "--namespace", type=namespace, default="", metavar="NAME",
         help="put the whole graph, its clock too, under /NAME, so that several run side by side "
         "in one domain (default: none)",
     )
@@ -108,21 +110,16 @@ def _parser() -> argparse.ArgumentParser:
         "restarts, the recorder in another file of the bag; the end of the plant, or what cannot "
         "be gone on with exactly, ends the run (default: %(default)s the run)",
     )
+    group.add_argument(
+        "--watch", action="store_true",
+        help="show the run on a page in a browser, whose address is printed. It ends with the run, "
+        "which goes on without it; python -m greenroof_ros.watch is a page that stays. Needs "
+        "greenroof_ros[watch]",
+    )
     add_drive_arguments(parser)
     add_live_arguments(parser)
     parser.set_defaults(speed=None)
     return parser
-
-
-def _namespace(text: str) -> str:
-    """Return a namespace as ROS writes it, ``/site1``; empty for none."""
-    name = text.strip("/")
-    if name and not re.fullmatch(r"([A-Za-z_]\w*/)*[A-Za-z_]\w*", name, re.ASCII):
-        raise ValueError
-    return f"/{name}" if name else ""
-
-
-_namespace.__name__ = "namespace: letters, digits and _, no digit first, such as site1"
 
 
 def _watch(
@@ -426,12 +423,24 @@ def main() -> int:
             site = live_site(parser, arguments)
             nodes = {name: module for name, module, *_ in nodes_of(site)}
             _refuse_unknown(site.node_parameters, site.namespace, nodes, site.controller)
-            return run_live(site, signals)
+            with _watcher(arguments, site.site_file):
+                return run_live(site, signals)
         refuse_live_options(parser, arguments)
-        return _run_graph(_simulated_run(arguments), arguments, signals)
+        run = _simulated_run(arguments)
+        with _watcher(arguments, run.site_file):
+            return _run_graph(run, arguments, signals)
     except InterruptedRun as error:  # before a node was started
         print(error, file=sys.stderr)
         return EXIT_INTERRUPTED
+
+
+def _watcher(
+    arguments: argparse.Namespace, site_file: Path
+) -> contextlib.AbstractContextManager[None]:
+    """Return what keeps a page beside the run, where one is asked for."""
+    if not arguments.watch:
+        return contextlib.nullcontext()
+    return watcher(arguments.namespace, site_file)
 
 
 def _simulated_run(arguments: argparse.Namespace) -> Run:

@@ -55,6 +55,8 @@ def _serve() -> None:
         for module in pkgutil.iter_modules(package.__path__, f"{package.__name__}."):
             if not module.name.endswith(".__main__"):
                 importlib.import_module(module.name)
+    for solver in ("osqp", "scipy.optimize"):  # which modules import once they solve something
+        importlib.import_module(solver)
     for line in sys.stdin:
         child = os.fork()
         if child == 0:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import fcntl
+import os
 import signal
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -22,6 +23,9 @@ LONGEST = (
     "test_same_bits_as_simulate[mpc]", "test_report_page.py", "test_report.py", "test_faults.py",
     "test_packaging.py", "test_planning.py",
 )
+
+# A thousand processes that import the package need not compile it each, whatever the user has set.
+os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
 
 # What a shell starts in its background ignores Ctrl-C, and so would the commands of the tests.
 signal.signal(signal.SIGINT, signal.default_int_handler)

@@ -25,6 +25,9 @@ _RECOVERY_S = 75.0
 _END_S = 25.0
 _LEAST_SPEED = 0.05
 _STEADY_S = 6.0
+# Within which no alarm of what is over is shown any more; a gauge or a forecast file that is good
+# again counts only after a while (s).
+_OVER_S = 15.0
 # How far below the suction level the cistern may be pumped: five seconds at full flow (m).
 _DRY_M = 0.002
 
@@ -156,6 +159,9 @@ def _alarm(rig: Rig, case: Case, began: float, printed: int, outcome: Outcome) -
             f"nothing said /{case.expected.alarm}/; said was {_said(rig, began)}, "
             f"{rig.main.stderr()[printed:][-400:]!r}"
         )
+    not_shown = rig.watcher.not_shown(case.expected.alarm, began)
+    if not_shown:
+        outcome.fail(f"no alarm with advice came of: {not_shown}")
 
 
 def _said(rig: Rig, began: float) -> list[str]:
@@ -182,6 +188,7 @@ def _recover(rig: Rig, case: Case, outcome: Outcome) -> None:
     while time.monotonic() < began + patience:
         if rig.runs():
             outcome.recovery = f"ran again after {time.monotonic() - began:.1f} s"
+            _over(rig, case, outcome)
             if expected == "latches":
                 outcome.fail("the fault did not latch: the pump ran again by itself")
             return
@@ -202,6 +209,16 @@ def _recover(rig: Rig, case: Case, outcome: Outcome) -> None:
         outcome.recovery = f"ran again after ~/reset ({answer[:80]})"
     except BrokenError as error:
         outcome.fail(f"did not run after ~/reset ({answer}): {error}")
+
+
+def _over(rig: Rig, case: Case, outcome: Outcome) -> None:
+    """See that no alarm of what is over stands."""
+    until = time.monotonic() + _OVER_S
+    while case.expected.alarm and (stands := rig.watcher.stands(case.expected.alarm)):
+        if time.monotonic() > until:
+            outcome.fail(f"an alarm stands although it is over: {stands}")
+            return
+        time.sleep(0.05)
 
 
 def _ends(rig: Rig, case: Case, outcome: Outcome) -> None:

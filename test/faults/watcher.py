@@ -23,6 +23,8 @@ from std_srvs.srv import SetBool, Trigger
 from greenroof_ros.common.interface import read_topics
 from greenroof_ros.graph.qos import message_class, qos_profile
 from greenroof_ros.graph.transport import choose_transport
+from greenroof_ros.watch.advice import OTHER
+from greenroof_ros.watch.alarms import Alarms, Status
 
 
 @contextmanager
@@ -43,11 +45,17 @@ class Watcher:
     Attributes:
         said: all that was said, as (time, who, text): states of the pump, and diagnoses that
             changed, with their level in front.
+        shown: the sentences of all alarms that an operator would have seen, as (time, sentence,
+            advice).
+        standing: the sentences of the alarms of now.
     """
 
     def __init__(self, domain: int, name: str = "watcher") -> None:
         self.said: list[tuple[float, str, str]] = []
         self.last: dict[str, str] = {}
+        self.shown: list[tuple[float, str, str]] = []
+        self.standing: set[str] = set()
+        self._alarms = Alarms()
         self._context = rclpy.Context()
         with _transport():
             rclpy.init(
@@ -94,6 +102,15 @@ class Watcher:
         self._say("/pump/state", message.data)
 
     def _on_diagnostics(self, message: Any) -> None:
+        now = time.monotonic()
+        self._alarms.hear(now, time.time(), [
+            Status(one.name, one.level[0], one.message, one.hardware_id,
+                   {entry.key: entry.value for entry in one.values})
+            for one in message.status
+        ])
+        alarms = {row["what"]: row["do"] for row in self._alarms.rows() if row["over"] is None}
+        self.shown += [(now, what, alarms[what]) for what in alarms.keys() - self.standing]
+        self.standing = set(alarms)
         for status in message.status:
             if ": " in status.name:  # a part of a node; the nodes' own states are no news
                 level = ("OK", "WARN", "ERROR", "STALE")[status.level[0]]
@@ -111,6 +128,22 @@ class Watcher:
             if at >= since and not text.startswith("OK ") and expression.search(text):
                 return f"{who}: {text}"
         return ""
+
+    def not_shown(self, pattern: str, since: float) -> str:
+        """Return what was said, matches, and was no alarm with advice; empty where it was one."""
+        advice = {
+            do for at, what, do in list(self.shown) if at >= since and re.search(pattern, what)
+        }
+        parts = [one for one in list(self.said) if ": " in one[1]]
+        said = next(
+            (text for at, _, text in parts
+             if at >= since and not text.startswith("OK ") and re.search(pattern, text)), "",
+        )
+        return "" if not said or advice - {OTHER} else said
+
+    def stands(self, pattern: str) -> str:
+        """Return the sentence of an alarm of now that matches; empty where there is none."""
+        return next((what for what in sorted(self.standing) if re.search(pattern, what)), "")
 
     def publishers(self, topic: str) -> int:
         """Return how many publishers of a topic are known."""

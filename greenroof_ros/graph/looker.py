@@ -1,0 +1,180 @@
+"""Looks at a graph from outside: hears what it is told to hear, and can have the pump stopped.
+
+It must hold nobody up. So it is best effort and volatile: no publisher keeps, repeats or waits for
+anything for it. It comes over UDP alone: over shared memory a process that is stopped can hold a
+lock that others need. And it is not woken by messages: it looks every now and then, and takes all
+that came with the number that its publisher gave it, which rclpy's fast executor does not say.
+"""
+
+from __future__ import annotations
+
+import os
+import signal
+import threading
+import time
+from collections.abc import Callable, Collection
+from typing import Any
+
+from greenroof_ros.common.interface import read_topics
+from greenroof_ros.graph.errors import no_ros
+from greenroof_ros.graph.transport import choose_transport
+
+# How many messages of a topic wait until the next look: those of 1 s at 60 times real time.
+_DEPTH = 64
+# How long the middleware may take to go (s): it can lock up, see node_process.py.
+_TAKING_DOWN_S = 6
+
+DIAGNOSTICS = "/diagnostics"
+
+
+class StopFailedError(Exception):
+    """The pump node did not say that it holds the pump off; the message says why."""
+
+
+class Looker:
+    """A node of its own, with a context of its own, for one thread.
+
+    Attributes:
+        topics: that it hears, by their names in the interface.
+    """
+
+    def __init__(
+        self, namespace: str, on_message: Callable[[str, bytes, int | None, int], None]
+    ) -> None:
+        """Join the graph's domain; /diagnostics is heard from now on.
+
+        Args:
+            namespace: of the graph, such as ``/site1``; empty for none.
+            on_message: called with a topic's name in the interface, a message as it came, its
+                number (1 for its publisher's first; None where the middleware does not number) and
+                when it came (ns of the system clock).
+
+        Raises:
+            ConfigurationError: ROS 2 is not installed.
+        """
+        try:
+            import rclpy
+            from rclpy.executors import SingleThreadedExecutor
+            from rclpy.node import Node
+            from rclpy.signals import SignalHandlerOptions
+            from std_srvs.srv import SetBool
+        except ImportError as error:
+            raise no_ros(error) from error
+        choose_transport()
+        self._context = rclpy.Context()
+        rclpy.init(
+            # Its log file would need a home directory, which a service may not have.
+            args=["--ros-args", "--disable-external-lib-logs"], context=self._context,
+            signal_handler_options=SignalHandlerOptions.NO,
+        )
+
+        def node(name: str) -> Node:
+            return Node(
+                f"{name}_{os.getpid()}", namespace=namespace or None, context=self._context,
+                start_parameter_services=False, enable_rosout=False, use_global_arguments=False,
+            )
+
+        # The one that calls is another: an executor takes what came for its node.
+        self._node, self._caller = node("watch"), node("watch_stop")
+        self._executor = SingleThreadedExecutor(context=self._context)
+        self._executor.add_node(self._caller)
+        self._stop_type = SetBool
+        self._stop: tuple[str, Any] | None = None
+        self._on_message = on_message
+        self._interface = read_topics()
+        self._subscriptions: dict[str, Any] = {}
+        self._wake = threading.Event()
+        self.listen(())
+
+    @property
+    def topics(self) -> Collection[str]:
+        """What is heard."""
+        return self._subscriptions.keys()
+
+    def listen(self, topics: Collection[str]) -> None:
+        """Hear these topics of the interface, /diagnostics and no others."""
+        from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
+
+        from greenroof_ros.graph.qos import message_class
+
+        wanted = {DIAGNOSTICS, *topics}
+        for name in self._subscriptions.keys() - wanted:
+            self._node.destroy_subscription(self._subscriptions.pop(name))
+        for name in wanted - self._subscriptions.keys():
+            topic = self._interface[name]
+            self._subscriptions[name] = self._node.create_subscription(
+                message_class(topic.type), topic.graph_name, lambda message: None,
+                QoSProfile(
+                    depth=_DEPTH, reliability=ReliabilityPolicy.BEST_EFFORT,
+                    durability=DurabilityPolicy.VOLATILE,
+                ),
+                raw=True,
+            )
+
+    def look(self, wait_s: float) -> None:
+        """Wait, unless woken, and hand over all that has come; /diagnostics first."""
+        from greenroof_ros.graph.executors import waiting_in
+
+        self._wake.wait(wait_s)
+        self._wake.clear()
+        for name in sorted(self._subscriptions, key=lambda name: name != DIAGNOSTICS):
+            subscription = self._subscriptions[name]
+            for _, (message, said) in zip(range(_DEPTH), waiting_in(subscription), strict=False):
+                number = said["publication_sequence_number"]
+                self._on_message(name, message, number, said["received_timestamp"])
+
+    def wake(self) -> None:
+        """End the present wait, from another thread."""
+        self._wake.set()
+
+    def prepare_stop(self, pump_node: str | None) -> None:
+        """Look for the stop service of a node, so that a call finds it at once.
+
+        Args:
+            pump_node: fully qualified; None where there is none.
+        """
+        if self._stop is not None and self._stop[0] != pump_node:
+            self._caller.destroy_client(self._stop[1])
+            self._stop = None
+        if self._stop is None and pump_node is not None:
+            client = self._caller.create_client(self._stop_type, f"{pump_node}/stop")
+            self._stop = pump_node, client
+
+    def stop_pump(self, timeout_s: float = 3.0) -> str:
+        """Have the pump held off until somebody releases it at its node.
+
+        Returns:
+            What the pump node says.
+
+        Raises:
+            StopFailedError: it did not say that it does.
+        """
+        if self._stop is None:
+            raise StopFailedError("There is no pump node that could be stopped from here.")
+        name, client = self._stop
+        until = time.monotonic() + timeout_s
+        while not client.service_is_ready():
+            if time.monotonic() > until:
+                raise StopFailedError(f"{name} has no stop service that answers.")
+            time.sleep(0.02)
+        answer = client.call_async(self._stop_type.Request(data=True))
+        self._executor.spin_until_future_complete(answer, max(0.0, until - time.monotonic()))
+        if not answer.done():
+            client.remove_pending_request(answer)
+            raise StopFailedError(
+                f"{name} did not answer within {timeout_s:g} s: whether it stops is not known."
+            )
+        result = answer.result()
+        if not result.success:
+            raise StopFailedError(str(result.message))  # it is held, but not over a restart
+        return str(result.message)
+
+    def close(self) -> None:
+        """Leave the domain."""
+        # No Python would run in a lock-up of the middleware, so that the kernel has to end it.
+        before = signal.alarm(_TAKING_DOWN_S)
+        self._executor.shutdown(timeout_sec=1)
+        self._node.destroy_node()
+        self._caller.destroy_node()
+        self._context.try_shutdown()
+        signal.alarm(before)

@@ -1,0 +1,152 @@
+"""What the roof does, on a page or in a terminal: ``python -m greenroof_ros.watch``."""
+
+from __future__ import annotations
+
+import argparse
+import os
+import secrets
+import sys
+from contextlib import suppress
+from pathlib import Path
+
+from greenroof_ros.common.command_line import EXIT_DONE, command, within
+from greenroof_ros.common.errors import ConfigurationError
+from greenroof_ros.common.namespace import namespace
+from greenroof_ros.common.signals import InterruptedRun, Signals
+from greenroof_ros.model.site import read_site
+from greenroof_ros.watch.feed import Feed
+from greenroof_ros.watch.listening import LOOPBACK, PORTS, is_loopback
+from greenroof_ros.watch.watched import Watched
+
+# A watcher holds nobody up: it has a tenth of a core where the others want all (nice).
+_GIVE_WAY = 10
+
+_DESCRIPTION = """\
+Show what the roof does, on a page in a browser: levels, pump, rain, what the controller intends,
+alarms and what to do, the water account. It shows any graph that runs in this ROS domain,
+simulated, with a drive in the loop or live, or a run that has ended. It may start late, stop, and
+be many: no run waits for it. The pump can be stopped there, and nothing started.
+
+The address is printed. Only this machine reaches it; from another one, by an ssh tunnel:
+  ssh -L 8080:localhost:8080 NAME_OF_THIS_MACHINE        and there, http://localhost:8080
+"""
+_EPILOG = """\
+examples:
+  python -m greenroof_ros.watch                       whatever runs here
+  python -m greenroof_ros.watch --terminal            the same in this terminal, over ssh too
+  python -m greenroof_ros.watch --bag runs/a/bag      a run that has ended
+  python -m greenroof_ros.watch --namespace site1 --port 8081
+  python -m greenroof_ros.watch --host 0.0.0.0        for other machines: with a token
+  python -m greenroof_ros.bringup --watch             a run, and its page beside it
+
+It goes on when a run ends, and shows the next one. Ctrl-C ends it.
+
+exit codes: 0 asked to end, 1 failed, 2 bad usage or configuration
+"""
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(
+        prog="python -m greenroof_ros.watch",
+        usage="%(prog)s [options]",
+        description=_DESCRIPTION,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+        epilog=_EPILOG,
+    )
+    parser.add_argument(
+        "--namespace", type=namespace, default="", metavar="NAME",
+        help="of the graph, as bringup was given it (default: none)",
+    )
+    parser.add_argument(
+        "--bag", type=Path, metavar="DIR",
+        help="bag to read, of a run that has ended or is being recorded (default: the one that the "
+        "graph's recorder says it writes, where it is on this machine)",
+    )
+    parser.add_argument(
+        "--site", type=Path, metavar="FILE",
+        help="site file that levels are judged by (default: the one that the graph's nodes say "
+        "they have, otherwise the paper's, config/site.yaml)",
+    )
+    parser.add_argument(
+        "--terminal", action="store_true", help="in this terminal instead of a page; q ends it",
+    )
+    parser.add_argument(
+        "--host", metavar="ADDRESS",
+        help="address of this machine for the page, for other machines to look at; 0.0.0.0 is all "
+        "of its addresses. Any but this machine's own 127.0.0.1 needs a token, which is printed "
+        f"with the address; nothing is encrypted (default: {LOOPBACK})",
+    )
+    parser.add_argument(
+        "--port", type=within(1, 65535, int), metavar="N",
+        help=f"TCP port of the page (default: {PORTS[0]}, and where it is taken the next free one)",
+    )
+    return parser
+
+
+def _refuse_wrong(arguments: argparse.Namespace) -> None:
+    """Refuse what cannot be shown.
+
+    Raises:
+        ConfigurationError: an option, or a file that it names, is wrong.
+    """
+    if arguments.terminal:
+        for key in ("host", "port"):
+            if getattr(arguments, key) is not None:
+                raise ConfigurationError("is of the page, not of --terminal", key=f"--{key}")
+    bag: Path | None = arguments.bag
+    if bag is not None and not (bag.is_dir() and any(bag.glob("*.mcap"))):
+        raise ConfigurationError(
+            "must be the directory of a bag, such as runs/a/bag", key="--bag", value=str(bag)
+        )
+    if arguments.site is not None:
+        read_site(arguments.site)
+
+
+def _say_address(url: str, host: str, port: int | None) -> None:
+    """Print where the page is, and what is to know about that."""
+    if port is None and f":{PORTS[0]}/" not in url:
+        print(f"port {PORTS[0]} is taken, by another watcher perhaps", file=sys.stderr)
+    if not is_loopback(host):
+        print(
+            "whoever has the address with its token may look, and stop the pump; what is sent is "
+            "not encrypted", file=sys.stderr,
+        )
+    print(url, flush=True)
+
+
+@command
+def main() -> int:
+    """Watch until asked to end."""
+    arguments = _parser().parse_args()
+    _refuse_wrong(arguments)
+    os.nice(_GIVE_WAY)
+    watched = Watched(arguments.namespace)
+    what = {"bag": arguments.bag, "site_file": arguments.site}
+    if arguments.terminal:
+        from greenroof_ros.watch.terminal import run
+
+        with Feed(watched, arguments.namespace, **what) as feed:
+            run(watched)
+        return EXIT_DONE
+    try:
+        from greenroof_ros.watch.server import serve
+    except ModuleNotFoundError as error:
+        raise ConfigurationError(
+            f"needs {error.name}: pip install 'greenroof_ros[watch]'; --terminal needs it not"
+        ) from error
+    host, port = arguments.host or LOOPBACK, arguments.port
+    token = None if is_loopback(host) else secrets.token_urlsafe(24)
+    signals = Signals()
+    with (
+        suppress(InterruptedRun),
+        Feed(watched, arguments.namespace, **what) as feed,
+    ):
+        serve(
+            watched, feed, host=host, port=port, token=token, signals=signals,
+            on_ready=lambda url: _say_address(url, host, port),
+        )
+    return EXIT_DONE
+
+
+if __name__ == "__main__":
+    main()

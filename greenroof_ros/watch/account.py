@@ -1,0 +1,289 @@
+"""The water account so far: what came to the roof and left it, from values as they are heard."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+
+import numpy as np
+from numpy.typing import NDArray
+
+from greenroof_ros.model.metrics import METRICS, Samples
+from greenroof_ros.model.plant import drainage_flow, outlet_flow
+from greenroof_ros.model.site import Site
+
+Stamps = NDArray[np.int64]
+Values = NDArray[np.float64]
+
+# How long a value of a live site holds at most; as for a report, more is a gap.
+HOLDS_NS = 600_000_000_000
+
+_ROOF, _CISTERN, _RAIN = "/roof/level", "/cistern/level", "/weather/precipitation"
+_EVAPORATED, _FLOW = "/weather/evapotranspiration", "/pump/flow"
+# The plant alone says these: who hears them, hears a simulation.
+_OUTFLOW, _DRAINAGE = "/cistern/outflow", "/roof/drainage"
+_OF_PLANT = (_OUTFLOW, _DRAINAGE)
+TOPICS = (_ROOF, _CISTERN, _RAIN, _EVAPORATED, _FLOW, *_OF_PLANT)
+
+# So many values are counted although nobody asks.
+_MOST_WAITING = 200_000
+
+# Each entry of the account that is a sum, and the metric that it is.
+_METRICS = {
+    "rain": "rain_roof_m3",
+    "pumped": "pumped_m3",
+    "drained": "drainage_m3",
+    "evapotranspired": "evapotranspiration_m3",
+    "inflow": "rain_cistern_m3",
+    "overflow": "outflow_m3",
+    "energy": "electric_energy_kwh",
+}
+# What must be known for each of them.
+_NEEDED = {
+    "rain": (_RAIN,), "pumped": (_FLOW,), "drained": (_DRAINAGE,),
+    "evapotranspired": (_EVAPORATED,), "inflow": (_RAIN,), "overflow": (_OUTFLOW,),
+    "energy": (_FLOW, _CISTERN),
+}
+_BY_NAME = {metric.name: metric for metric in METRICS}
+
+
+class _Pending:
+    """What was heard of a topic and is not yet counted, with the newest value that is."""
+
+    def __init__(self) -> None:
+        self._times: list[Stamps] = []
+        self._values: list[Values] = []
+        self.first = self.last = 0
+        self.adds = 0  # of any topic, when this one was added to last
+
+    def add(self, times: Stamps, values: Values) -> None:
+        if not self._times:
+            self.first = int(times[0])
+        self.last = int(times[-1])
+        self._times.append(times)
+        self._values.append(values)
+
+    def all(self) -> tuple[Stamps, Values]:
+        """Return all that is here, in one piece."""
+        if len(self._times) != 1:
+            self._times, self._values = [np.concatenate(self._times)], [
+                np.concatenate(self._values)
+            ]
+        return self._times[0], self._values[0]
+
+    def drop_before(self, time: int) -> None:
+        """Let go of what does not count after a time (ns): all but the newest value then."""
+        times, values = self.all()
+        place = max(0, int(np.searchsorted(times, time, side="right")) - 1)
+        # Copies: a view would keep the whole batch.
+        self._times, self._values = [times[place:].copy()], [values[place:].copy()]
+
+
+class Account:
+    """The sums of one run, or of a live site since it is watched.
+
+    A value holds from its time to the next of its topic. In a simulation that is a tick, and the
+    sums are those of the run's summary; a tick that was not heard is a gap. On a live site a value
+    holds for 10 min at most, and then there is a gap, too. Nothing is guessed in a gap.
+
+    What nobody measures on a live site is computed from the levels: the overflow by Eq. (2), and
+    the drainage by Eq. (4), which begins at the soil's capacity.
+
+    Attributes:
+        live: whether it is known that nobody says drainage and overflow, and they are not waited
+            for.
+        since: begin of the account (ns); None before it has one.
+        until: its end (ns).
+        gap_s: for how long something was unknown in it (s).
+    """
+
+    def __init__(self, site: Site) -> None:
+        """Begin without anything.
+
+        Args:
+            site: with the areas, the outlet, the soil and the pump.
+        """
+        self._site = site
+        self._topics: dict[str, _Pending] = {}
+        self._totals: dict[str, float] = {}
+        self._roofs: tuple[float, float] | None = None  # first and last volume (m3)
+        self._adds = 0
+        self._waiting = 0  # values, since they were counted last
+        self._ended = False
+        self.live = False
+        self.since: int | None = None
+        self.until = 0
+        self.gap_s = 0.0
+
+    @property
+    def measured(self) -> bool:
+        """Whether drainage and overflow are heard; on a live site they are computed."""
+        return any(topic in self._topics for topic in _OF_PLANT)
+
+    def add(self, topic: str, times: Stamps, values: Values) -> None:
+        """Take values of a topic in the order of time, newer than those before.
+
+        Args:
+            topic: one of :data:`TOPICS`.
+            times: since 1970 (ns), shape (n,).
+            values: shape (n,), NaN where one is not plausible.
+        """
+        self._adds += 1
+        self._ended = False
+        pending = self._topics.setdefault(topic, _Pending())
+        pending.adds = self._adds
+        pending.add(times, values)
+        self._waiting += len(times)
+        if self._waiting > _MOST_WAITING:
+            self._waiting = 0
+            self._count()
+
+    def end(self) -> None:
+        """Say that nothing more comes for now, so that no topic is waited for."""
+        self._ended = True
+
+    def totals(self) -> Mapping[str, float]:
+        """Return the sums so far (m3; energy in kWh), those that are known at all.
+
+        Their keys are those of the document's account; ``stored`` is the change of the roof, and
+        ``unexplained`` what the flows do not explain of it.
+        """
+        self._count()
+        totals = dict(self._totals)
+        if self._roofs is not None:
+            totals["stored"] = self._roofs[1] - self._roofs[0]
+            flows = [totals.get(key) for key in ("rain", "pumped", "drained", "evapotranspired")]
+            if None not in flows:
+                rain, pumped, drained, evaporated = (flow or 0.0 for flow in flows)
+                totals["unexplained"] = totals["stored"] - (rain + pumped - drained - evaporated)
+        return totals
+
+    def _complete(self) -> int | None:
+        """Return the time (ns) to which everything that is waited for has come."""
+        if not self._topics:
+            return None
+        newest = max(one.last for one in self._topics.values())
+        if self._ended:
+            return newest
+        wanted = TOPICS if self.measured or not self.live else TOPICS[:-len(_OF_PLANT)]
+        complete = newest
+        for topic in wanted:
+            pending = self._topics.get(topic)
+            last = -math.inf if pending is None else pending.last
+            heard_after = self._adds - (0 if pending is None else pending.adds)
+            # One that is behind comes in a moment: batches come topic by topic. What is not
+            # heard for so long, while the others were, does not count any more.
+            oldest = min(one.first for one in self._topics.values())
+            silent = newest - max(last, oldest) > HOLDS_NS and heard_after > 2 * len(TOPICS)
+            if not silent:
+                if pending is None:
+                    return None
+                complete = min(complete, pending.last)
+        return complete
+
+    def _count(self) -> None:
+        """Add up what is complete."""
+        end = self._complete()
+        if end is None:
+            return
+        if self.since is None:
+            begin = max(one.first for one in self._topics.values() if one.first <= end)
+            self.since = self.until = begin
+        if end > self.until:
+            self._add_up(self.until, end)
+            self.until = end
+            for pending in self._topics.values():
+                pending.drop_before(end)
+        self._look_at_roof()
+
+    def _look_at_roof(self) -> None:
+        """Take the roof's volume at the end of the account."""
+        values = self._at(_ROOF, np.array([self.until]), math.inf)
+        if np.isfinite(values[0]):
+            volume = self._site.roof_volume(float(values[0]))
+            self._roofs = (volume if self._roofs is None else self._roofs[0], volume)
+
+    def _at(self, topic: str, times: Stamps, holds: float) -> Values:
+        """Return the value of a topic at each time; NaN where it is unknown."""
+        if topic not in self._topics:
+            return np.full(len(times), np.nan)
+        stamps, values = self._topics[topic].all()
+        place = np.searchsorted(stamps, times, side="right") - 1
+        known = (place >= 0) & (times - stamps[np.maximum(place, 0)] < holds)
+        found = values[np.maximum(place, 0)]
+        if self.measured and topic in (_RAIN, _EVAPORATED, _FLOW):
+            # As for the plant: what it refused acted as 0.
+            found = np.nan_to_num(found)
+        return np.where(known, found, np.nan)
+
+    def _add_up(self, begin: int, end: int) -> None:
+        """Add what happened from one time to another (ns)."""
+        site = self._site
+        holds = round(site.tau * 1e9) if self.measured else HOLDS_NS
+        edges = self._edges(begin, end, holds)
+        times = edges[:-1]
+        duration = np.diff(edges) / 1e9
+        known = {topic: self._at(topic, times, holds) for topic in TOPICS}
+        if self._roofs is None:
+            first = known[_ROOF][np.isfinite(known[_ROOF])][:1]
+            if len(first):
+                self._roofs = (site.roof_volume(float(first[0])),) * 2
+        roof, cistern = known[_ROOF] * site.a2, known[_CISTERN] * site.a1
+        if not self.measured:
+            known[_DRAINAGE] = _flows(site, drainage_flow, roof, site.z_cap)
+            known[_OUTFLOW] = _flows(site, outlet_flow, cistern, site.cistern_volume(site.z_o))
+        unknown = np.any([np.isnan(one) for one in known.values()], axis=0)
+        self.gap_s += float(duration[unknown].sum())
+        rain, drainage = np.nan_to_num(known[_RAIN]), np.nan_to_num(known[_DRAINAGE])
+        outflow = np.nan_to_num(known[_OUTFLOW])
+        # As plant.Plant.flows: a tank gives no more than it holds. Drainage and outflow are those
+        # after that limit, so that the rest of what is there is left for the others.
+        flow = np.nan_to_num(known[_FLOW])
+        if self.measured:  # what a driver says that it pumps may be more than the plant gave it
+            left = cistern / duration + rain * site.a_in - outflow
+            flow = np.fmin(flow, np.maximum(left, 0.0))
+        left = np.maximum(roof / duration + rain * site.a2 + flow - drainage, 0.0)
+        samples = Samples(
+            duration=duration,
+            cistern=np.nan_to_num(cistern),
+            roof=np.nan_to_num(roof),
+            command=np.zeros(len(times)),
+            precipitation=rain,
+            outflow=outflow,
+            pump=flow,
+            drainage=drainage,
+            evapotranspiration=np.nan_to_num(np.fmin(known[_EVAPORATED], left)),
+        )
+        for key, name in _METRICS.items():
+            there = np.all([np.isfinite(known[topic]) for topic in _NEEDED[key]], axis=0)
+            metric = _BY_NAME[name]
+            values = metric.function(site, samples)
+            if values is not None and there.any():
+                values = np.where(there, values, 0.0)
+                self._totals[key] = metric.combine(self._totals.get(key, 0.0), values)
+
+    def _edges(self, begin: int, end: int, holds: int) -> Stamps:
+        """Return the times between which no value changes, or ceases to hold (ns)."""
+        edges: list[Stamps] = [np.array([begin, end])]
+        for pending in self._topics.values():
+            times, _ = pending.all()
+            over = times + holds
+            edges += [over[:-1][over[:-1] < times[1:]], over[-1:]]
+            # In lockstep all topics have the same.
+            if not any(np.array_equal(times, one) for one in edges):
+                edges.append(times)
+        found = np.unique(np.concatenate(edges))
+        return found[(found >= begin) & (found <= end)]
+
+
+def _flows(
+    site: Site, flow: Callable[[Site, float], float], volumes: Values, least: float
+) -> Values:
+    """Return what flows out of a tank at each volume (m3/s), nothing below the least; NaN at NaN.
+
+    Mostly it is nothing, which takes no time here.
+    """
+    flows = np.where(np.isnan(volumes), np.nan, 0.0)
+    for place in np.flatnonzero(volumes >= least):
+        flows[place] = flow(site, float(volumes[place]))
+    return flows

@@ -1,0 +1,62 @@
+"""A watcher beside a run: a process of its own, which no run waits for or fails by."""
+
+from __future__ import annotations
+
+import contextlib
+import signal
+import subprocess
+import sys
+import threading
+from collections.abc import Iterator
+from pathlib import Path
+
+from greenroof_ros.common.processes import end_with_parent
+
+# How long the watcher may take to end (s); then the kernel ends it.
+_ENDING_S = 3.0
+
+
+@contextlib.contextmanager
+def watcher(namespace: str, site_file: Path) -> Iterator[None]:
+    """Have a page while something runs; what the watcher prints, its address first, is said.
+
+    It ends with the run, however that ends. That it could not start, or ended early, is said in a
+    line, and nothing else comes of it.
+
+    Args:
+        namespace: of the graph.
+        site_file: what levels are judged by.
+    """
+    options = ["--site", str(site_file), *(["--namespace", namespace] if namespace else [])]
+    process = subprocess.Popen(
+        [sys.executable, "-m", "greenroof_ros.watch", *options],
+        stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True,
+        errors="replace",
+        start_new_session=True,  # Ctrl-C is for the run, which ends it
+        preexec_fn=end_with_parent,
+    )
+    ending = threading.Event()
+    said = threading.Thread(target=_hand_on, args=(process, ending), daemon=True)
+    said.start()
+    try:
+        yield
+    finally:
+        ending.set()
+        process.terminate()
+        try:
+            process.wait(_ENDING_S)
+        except subprocess.TimeoutExpired:
+            process.kill()
+        said.join(_ENDING_S)
+
+
+def _hand_on(process: subprocess.Popen[str], ending: threading.Event) -> None:
+    """Say what a watcher prints, and that it ended where it was not asked to."""
+    assert process.stdout is not None
+    for line in process.stdout:
+        if not ending.is_set():
+            print(f"watch: {line.rstrip()}", file=sys.stderr)
+    code = process.wait()
+    if not ending.is_set():
+        how = f"exit code {code}" if code >= 0 else signal.Signals(-code).name
+        print(f"watch: the page has ended ({how}); the run goes on", file=sys.stderr)

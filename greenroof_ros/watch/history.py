@@ -1,0 +1,96 @@
+"""The past of a value for its chart: least, greatest and last of short stretches of time."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+Stamps = NDArray[np.int64]
+Values = NDArray[np.float64]
+
+# A stretch (ns), and how many are kept: 12 h at 400 points and more, and a week.
+STRETCH_NS = 20_000_000_000
+KEPT = 7 * 24 * 3600 * 1_000_000_000 // STRETCH_NS
+
+
+class History:
+    """One value over the past week, in stretches of 20 s; its memory is bounded."""
+
+    def __init__(self) -> None:
+        """Know nothing yet."""
+        # Twice as many as are kept: the newest half is moved to the front once in a week.
+        self._times: Stamps = np.empty(0, dtype=np.int64)
+        self._rows: Values = np.empty((0, 3))
+        self._length = 0
+
+    def add(self, times: Stamps, values: Values) -> None:
+        """Take finite values in the order of time, none older than what is there.
+
+        Args:
+            times: since 1970 (ns), shape (n,).
+            values: shape (n,).
+        """
+        if not len(times):
+            return
+        stretch = times // STRETCH_NS
+        firsts, lasts = _groups(stretch)
+        rows, ends = np.empty((len(firsts), 3)), times[lasts]
+        rows[:, 0] = np.minimum.reduceat(values, firsts)
+        rows[:, 1] = np.maximum.reduceat(values, firsts)
+        rows[:, 2] = values[lasts]
+        if self._length and self._times[self._length - 1] // STRETCH_NS == stretch[0]:
+            self._length -= 1
+            low, high, _ = self._rows[self._length]
+            rows[0, 0], rows[0, 1] = min(rows[0, 0], low), max(rows[0, 1], high)
+        rows, ends = rows[-KEPT:], ends[-KEPT:]
+        self._make_room(len(rows))
+        place = slice(self._length, self._length + len(rows))
+        self._times[place], self._rows[place] = ends, rows
+        self._length = place.stop
+
+    def _make_room(self, more: int) -> None:
+        """Let go of what is oldest where it would become too much."""
+        if self._length + more <= len(self._times):
+            return
+        kept = max(0, min(self._length, KEPT - more))
+        room = min(2 * KEPT, max(256, 2 * (kept + more)))
+        place = slice(self._length - kept, self._length)
+        times, rows = np.empty(room, dtype=np.int64), np.empty((room, 3))
+        times[:kept], rows[:kept] = self._times[place], self._rows[place]
+        self._times, self._rows, self._length = times, rows, kept
+
+    def window(self, first: int, last: int, points: int) -> list[list[float]]:
+        """Return the values of a time, from ``first`` to ``last`` (ns, both included).
+
+        Args:
+            first: begin (ns).
+            last: end (ns).
+            points: how many rows there are at most, about.
+
+        Returns:
+            Rows of the time of the last value (s), least, greatest, and the last value.
+        """
+        times = self._times[: self._length]
+        place = slice(*np.searchsorted(times, (first, last + 1)))
+        times, rows = times[place], self._rows[: self._length][place]
+        if not len(times):
+            return []
+        # Whole stretches, at the same times whenever it is asked: a line that is drawn again
+        # and again stands still.
+        each = STRETCH_NS * max(1, -(-(last - first) // (STRETCH_NS * points)))
+        firsts, lasts = _groups(times // each)
+        columns = (
+            times[lasts] / 1e9, np.minimum.reduceat(rows[:, 0], firsts),
+            np.maximum.reduceat(rows[:, 1], firsts), rows[lasts, 2],
+        )
+        return [list(row) for row in zip(*(column.tolist() for column in columns), strict=True)]
+
+
+def _groups(numbers: Stamps) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    """Return the first and the last place of each run of equal numbers."""
+    (ends,) = (numbers[1:] != numbers[:-1]).nonzero()
+    firsts = np.zeros(len(ends) + 1, dtype=np.intp)
+    firsts[1:] = ends + 1
+    lasts = np.full(len(ends) + 1, len(numbers) - 1, dtype=np.intp)
+    lasts[:-1] = ends
+    return firsts, lasts

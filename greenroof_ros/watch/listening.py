@@ -1,0 +1,103 @@
+"""Where the page is served: the socket, the names by which it is asked for, its address."""
+
+from __future__ import annotations
+
+import errno
+import ipaddress
+import socket
+from dataclasses import dataclass
+
+from greenroof_ros.common.errors import ConfigurationError
+
+LOOPBACK = "127.0.0.1"
+# Which port is taken unless one is asked for: the first of these that is free.
+PORTS = range(8080, 8100)
+# What the kernel may hold for a reader who is slow (bytes): it would be old when he gets it.
+_SENDING = 65_536
+# An address for documentation (RFC 5737): the way there shows this machine's own address.
+_ELSEWHERE = ("192.0.2.1", 9)
+
+
+@dataclass(frozen=True)
+class Place:
+    """A socket that listens, and how it is reached.
+
+    Attributes:
+        socket: listens.
+        url: for a browser.
+        names: hosts that a request may ask for; None where any will do, as behind a wildcard.
+    """
+
+    socket: socket.socket
+    url: str
+    names: frozenset[str] | None
+
+
+def _addresses(host: str) -> list[tuple[socket.AddressFamily, str]]:
+    """Return the addresses of a host, in the order in which they are to be tried.
+
+    Raises:
+        ConfigurationError: it has none.
+    """
+    try:
+        found = socket.getaddrinfo(host, None, type=socket.SOCK_STREAM)
+    except (OSError, UnicodeError) as error:
+        raise ConfigurationError(
+            "is no address or name of this machine, such as 0.0.0.0 for all of its addresses",
+            key="--host", value=host,
+        ) from error
+    return [(family, str(address[0])) for family, _, _, _, address in found]
+
+
+def is_loopback(host: str) -> bool:
+    """Return whether only this machine reaches a host's addresses.
+
+    Raises:
+        ConfigurationError: it has none.
+    """
+    return all(ipaddress.ip_address(text.split("%")[0]).is_loopback for _, text in _addresses(host))
+
+
+def listen(host: str, port: int | None) -> Place:
+    """Listen on an address of this machine, and on no other.
+
+    Args:
+        host: address or name; 0.0.0.0 is every address.
+        port: TCP port; 0 for any that is free, None for the first free one from 8080 on.
+
+    Raises:
+        ConfigurationError: the host is not this machine's, or the port is not to be had.
+    """
+    family, address = _addresses(host)[0]
+    ports = PORTS if port is None else [port]
+    for each in ports:
+        try:
+            listening = socket.create_server((address, each), family=family)
+        except OSError as error:
+            if error.errno == errno.EADDRINUSE and each != ports[-1]:
+                continue
+            key, value = ("--host", host) if error.errno == errno.EADDRNOTAVAIL else (
+                "--port", f"{ports[0]} to {ports[-1]}" if port is None else str(port)
+            )
+            raise ConfigurationError(
+                f"cannot be listened on: {error.strerror}", key=key, value=value
+            ) from error
+        break
+    listening.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, _SENDING)  # of its connections
+    anywhere = ipaddress.ip_address(address.split("%")[0]).is_unspecified
+    shown = _own_address(address) if anywhere else host
+    url = f"http://{f'[{shown}]' if ':' in shown else shown}:{listening.getsockname()[1]}/"
+    names = None if anywhere else frozenset({host.lower(), address, LOOPBACK, "::1", "localhost"})
+    return Place(listening, url, names)
+
+
+def _own_address(wildcard: str) -> str:
+    """Return an address by which others reach this machine, as far as it knows; sends nothing."""
+    if ":" in wildcard:
+        return socket.gethostname()
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+        try:
+            probe.connect(_ELSEWHERE)
+        except OSError:  # no network at all
+            return socket.gethostname()
+        return str(probe.getsockname()[0])

@@ -1,0 +1,134 @@
+"""What is to come: the forecast of rain, and what the controller plans."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from greenroof_ros.model.look_ahead import growing_steps
+from greenroof_ros.model.site import Site
+
+Values = NDArray[np.float64]
+
+AHEAD_S = 12 * 3600.0
+"""How far people look ahead (s)."""
+
+# The longest look-ahead of a planner (h); no forecast is longer.
+_LONGEST_H = 48.0
+# Fewer members than these have no tenth: their range is from the least to the greatest.
+_TENTHS = 10
+# Less is rounding of the solver (m3/s): 6 mL/min.
+_PUMPS = 1e-7
+
+
+def step_ends(site: Site, steps: int) -> Values | None:
+    """Return the ends of a forecast's steps (s from now, shape (steps,)); None where unknown.
+
+    The message has no times: M entries are ticks, others the growing steps of a planner, which
+    looks ahead for whole hours where these are an hour each.
+    """
+    if steps == site.M:
+        return site.tau * np.arange(1, steps + 1, dtype=np.float64)
+    longest = growing_steps(_LONGEST_H)
+    if not 0 < steps < len(longest):
+        return None
+    hours = int(longest[steps] // 3600)
+    ends = growing_steps(hours) if hours else longest
+    return ends[1 : steps + 1] if len(ends) == steps + 1 else longest[1 : steps + 1]
+
+
+class Amount(NamedTuple):
+    """Rain that is forecast (m): the mean of the members, and their range."""
+
+    mean: float
+    low: float
+    high: float
+    reach_s: float
+    """For how long from now on it is (s)."""
+    members: int
+
+
+@dataclass(frozen=True)
+class Forecast:
+    """The newest forecast of rain.
+
+    Attributes:
+        at: when its first step begins (s since 1970).
+        ends: of its steps (s since 1970), shape (steps,).
+        rain: mean of each step (m/s), shape (members, steps).
+    """
+
+    at: float
+    ends: Values
+    rain: Values
+
+    def amount(self, now: float) -> Amount | None:
+        """Return the rain from now on to 12 h ahead; None where it does not reach so far as now."""
+        begins = np.append(self.at, self.ends[:-1])
+        until = now + AHEAD_S
+        lengths = np.clip(self.ends, now, until) - np.clip(begins, now, until)
+        reach = min(float(self.ends[-1]), until) - now
+        if reach <= 0:
+            return None
+        amounts = self.rain @ lengths
+        return Amount(float(amounts.mean()), *_range(amounts), reach, len(amounts))
+
+    def rows(self) -> list[list[float]]:
+        """Return begin and end (s since 1970), mean, low and high (m/s) of each step."""
+        begins = np.append(self.at, self.ends[:-1])
+        low, high = _ranges(self.rain)
+        columns = (begins, self.ends, self.rain.mean(axis=0), low, high)
+        return [list(row) for row in zip(*(column.tolist() for column in columns), strict=True)]
+
+
+def _ranges(values: Values) -> tuple[Values, Values]:
+    """Return where most of the members are: 10 to 90 %, of a few the least to the greatest."""
+    if len(values) < _TENTHS:
+        return values.min(axis=0), values.max(axis=0)
+    low, high = np.percentile(values, (10, 90), axis=0)
+    return low, high
+
+
+def _range(values: Values) -> tuple[float, float]:
+    low, high = _ranges(values[:, None])
+    return float(low[0]), float(high[0])
+
+
+@dataclass(frozen=True)
+class Plan:
+    """What the controller means to pump.
+
+    Attributes:
+        at: when it was made (s since 1970).
+        ends: of its steps (s since 1970), shape (steps,).
+        flow: mean of each step (m3/s).
+        level: of the roof at the end of each step, as expected (m).
+    """
+
+    at: float
+    ends: Values
+    flow: Values
+    level: Values
+
+    def pumped(self, now: float) -> tuple[float, float | None]:
+        """Return what is to be pumped from now on to 12 h ahead (m3), and when that begins.
+
+        The begin is s since 1970, None where nothing is to be pumped.
+        """
+        begins = np.append(self.at, self.ends[:-1])
+        until = now + AHEAD_S
+        lengths = np.clip(self.ends, now, until) - np.clip(begins, now, until)
+        pumps = np.flatnonzero((self.flow > _PUMPS) & (lengths > 0))
+        first = max(now, float(begins[pumps[0]])) if len(pumps) else None
+        return float(self.flow @ lengths), first
+
+    def rows(self, now: float) -> list[list[float]]:
+        """Return begin and end (s since 1970), flow and level at the end of each step to come."""
+        begins = np.append(self.at, self.ends[:-1])
+        ahead = self.ends > now
+        columns = (begins, self.ends, self.flow, self.level)
+        chosen = (column[ahead].tolist() for column in columns)
+        return [list(row) for row in zip(*chosen, strict=True)]

@@ -1,0 +1,438 @@
+// The page: takes the document and the series from the server and shows them. Every text is set as
+// text, never as HTML: some of it comes from other devices.
+
+import { Charts } from "/charts.js";
+
+const SILENT = 12_000; // ms: the server sends something every 5 s
+const LONGEST_WAIT = 8_000; // ms, between two tries to connect
+const WORDS = { error: "Alarm", warn: "Warning", stale: "Not heard" };
+const TILES = ["roof", "cistern", "pump", "rain", "controller"];
+// Of each state of a tile: its word, its shape and its tone.
+const STATES = {
+  good: ["good", "ok", "ok"], low: ["too low", "low", "warn"], high: ["too high", "high", "warn"],
+  alarm: ["alarm", "error", "error"], unknown: ["not known", "stale", "none"],
+  // Of the pump, whose word is its value.
+  off: ["", "off", "none"], starting: ["", "running", "ok"], running: ["", "running", "ok"],
+  stopping: ["", "off", "none"], held: ["", "held", "warn"], fault: ["", "error", "error"],
+};
+
+// Rain is neither good nor bad, and of a controller one says otherwise that all is well.
+const OTHERWISE = { rain: { good: ["", null, "none"] }, controller: { good: ["works", "ok", "ok"] } };
+
+const byId = (id) => document.getElementById(id);
+const setText = (one, text) => {
+  const wanted = text ?? "";
+  if (one.textContent !== wanted) one.textContent = wanted;
+};
+const element = (tag, name, text) => {
+  const made = document.createElement(tag);
+  if (name) made.className = name;
+  if (text !== undefined) made.textContent = text;
+  return made;
+};
+const shape = (name) => {
+  const space = "http://www.w3.org/2000/svg";
+  const drawn = document.createElementNS(space, "svg");
+  drawn.setAttribute("class", "shape");
+  drawn.setAttribute("aria-hidden", "true");
+  const use = document.createElementNS(space, "use");
+  use.setAttribute("href", `#shape-${name}`);
+  drawn.append(use);
+  return drawn;
+};
+const setShape = (drawn, name) => drawn.querySelector("use").setAttribute("href", `#shape-${name}`);
+
+// Make the children of a list those of the rows: each keeps its element, and so the focus.
+const keep = (list, rows, keyOf, make, fill) => {
+  const known = new Map([...list.children].map((one) => [one.dataset.key, one]));
+  const wanted = rows.map((row) => {
+    const key = keyOf(row);
+    const one = known.get(key) ?? make(row);
+    known.delete(key);
+    one.dataset.key = key;
+    fill(one, row);
+    return one;
+  });
+  known.forEach((one) => one.remove());
+  const focused = document.activeElement;
+  wanted.forEach((one, i) => {
+    if (list.children[i] !== one) list.insertBefore(one, list.children[i] ?? null);
+  });
+  // What is moved loses it.
+  if (list.contains(focused)) focused.focus({ preventScroll: true });
+};
+
+// Tiles
+
+const makeTile = (key) => {
+  const tile = element("article", "tile");
+  tile.dataset.key = key;
+  const title = element("h2");
+  const state = element("span", "state");
+  state.append(shape("stale"), " ", element("span"));
+  title.append(element("span"), state);
+  tile.append(title, element("p", "known", "Last known"), element("p", "value"), element("p", "sentence"), element("p", "why"));
+  if (key === "roof" || key === "cistern") {
+    const gauge = element("div", "gauge");
+    gauge.setAttribute("aria-hidden", "true");
+    tile.querySelector(".value").after(gauge);
+  }
+  return tile;
+};
+
+const fillTile = (tile, one) => {
+  const [word, form, tone] = OTHERWISE[tile.dataset.key]?.[one.state] ?? STATES[one.state] ?? ["", null, "none"];
+  tile.dataset.tone = tone;
+  tile.dataset.state = one.state ?? "";
+  tile.classList.toggle("stale", Boolean(one.stale));
+  setText(tile.querySelector("h2 > span"), one.label);
+  const state = tile.querySelector(".state");
+  state.hidden = form === null;
+  if (form !== null) setShape(state.firstChild, form);
+  setText(state.lastChild, word);
+  tile.querySelector(".known").hidden = !one.stale;
+  const value = tile.querySelector(".value");
+  // The number is to be read from afar; the words before it are above it.
+  setText(value, (one.value ?? "").replace(/^Last known: /, ""));
+  value.classList.toggle("long", value.textContent.length > 10);
+  setText(tile.querySelector(".sentence"), one.sentence);
+  const why = tile.querySelector(".why");
+  setText(why, one.why);
+  why.hidden = !one.why || one.sentence.includes(one.why);
+  const gauge = tile.querySelector(".gauge");
+  if (gauge) fillGauge(gauge, one);
+};
+
+const fillGauge = (gauge, one) => {
+  const known = Number.isFinite(one.low) && Number.isFinite(one.high) && one.high > one.low;
+  gauge.hidden = !known;
+  if (!known) return;
+  const share = (value) => Math.min(1, Math.max(0, (value - one.low) / (one.high - one.low)));
+  const percent = (value) => `${100 * share(value)}%`;
+  const shown = JSON.stringify([one.low, one.high, one.band, one.marks]);
+  if (gauge.dataset.shown !== shown) {
+    gauge.dataset.shown = shown;
+    const track = element("div", "track");
+    track.append(element("div", "fill"));
+    if (one.band) {
+      const band = element("div", "band");
+      band.style.left = percent(one.band[0]);
+      band.style.width = `${100 * (share(one.band[1]) - share(one.band[0]))}%`;
+      track.append(band);
+    }
+    gauge.replaceChildren(track);
+    (one.marks ?? []).filter(({ at }) => Number.isFinite(at)).forEach(({ at, label }, i) => {
+      const side = i % 2 ? "above" : "below";
+      const mark = element("div", `mark ${side}`);
+      mark.style.left = percent(at);
+      const text = element("div", `text ${side}`, label);
+      if (share(at) < 0.5) text.style.left = `min(${percent(at)}, 60%)`;
+      else text.style.right = `${100 * (1 - share(at))}%`;
+      gauge.append(mark, text);
+    });
+  }
+  const fill = gauge.querySelector(".fill");
+  fill.style.width = Number.isFinite(one.number) ? percent(one.number) : "0";
+};
+
+// Lists
+
+const makeAlarm = () => {
+  const row = element("li", "alarm");
+  const text = element("div");
+  const when = element("p", "when");
+  when.append(element("span", "word"), " ", element("span"));
+  text.append(element("p", "what"), element("p", "do"), when);
+  const button = element("button", "", "Acknowledge");
+  button.type = "button";
+  row.append(shape("stale"), text, button);
+  return row;
+};
+
+const fillAlarm = (row, alarm) => {
+  row.dataset.level = alarm.level;
+  row.dataset.alarm = alarm.id;
+  row.toggleAttribute("data-over", alarm.over !== null);
+  row.classList.toggle("over", alarm.over !== null);
+  setShape(row.firstChild, alarm.level);
+  setText(row.querySelector(".what"), alarm.what);
+  setText(row.querySelector(".do"), alarm.do);
+  setText(row.querySelector(".word"), alarm.over === null ? WORDS[alarm.level] : "Over");
+  const since = `${alarm.since_at_least ? "since before" : "since"} ${alarm.since_text}`;
+  const when = alarm.over === null ? since : `${since}, over at ${alarm.over_text}`;
+  const follows = alarm.follows ? `; follows from ${alarm.follows}` : "";
+  const seen = alarm.acknowledged ? "; acknowledged" : "";
+  setText(row.querySelector(".when").lastChild, `${alarm.id}, ${when}${follows}${seen}`);
+  const button = row.querySelector("button");
+  button.hidden = alarm.acknowledged || alarm.over !== null;
+  button.setAttribute("aria-label", `Acknowledge: ${alarm.what}`);
+  button.onclick = () => acknowledge(alarm.id);
+};
+
+const fillAccount = (row, entry) => {
+  setText(row.cells[0], entry.label);
+  setText(row.cells[1], entry.value);
+  row.classList.toggle("first", ["inflow", "saved"].includes(entry.key));
+};
+
+const makeAccount = () => {
+  const row = element("tr");
+  const label = element("th");
+  label.scope = "row";
+  row.append(label, element("td"));
+  return row;
+};
+
+// The document
+
+let shown = null;
+let announced = { text: "", at: 0 };
+
+const show = (document_) => {
+  shown = document_;
+  const { summary } = document_.tiles;
+  setText(byId("namespace"), document_.namespace ? ` ${document_.namespace}` : "");
+  setText(byId("heading"), document_.heading);
+  setText(byId("time"), document_.time.text);
+  byId("summary").dataset.level = summary.level;
+  byId("summary-shape").setAttribute("href", `#shape-${summary.level}`);
+  setText(byId("summary-word"), summary.word);
+  setText(byId("summary-sentence"), summary.sentence);
+  setText(byId("advice"), document_.advice);
+  document.title = `${summary.level === "ok" ? "" : `${summary.word} `}Green roof`;
+  keep(byId("notes"), document_.notes, (note) => note, () => element("li"), setText);
+  keep(byId("tiles"), TILES.filter((key) => document_.tiles[key]), (key) => key, makeTile,
+    (tile, key) => fillTile(tile, document_.tiles[key]));
+  keep(byId("alarms"), document_.alarms, (alarm) => JSON.stringify([alarm.id, alarm.since]), makeAlarm, fillAlarm);
+  byId("no-alarms").hidden = document_.alarms.length > 0;
+  keep(byId("events"), document_.events, (event) => JSON.stringify([event.at, event.what]), (event) => {
+    const row = element("li");
+    row.append(element("time", "", event.at_text), element("span", "", event.what));
+    return row;
+  }, () => {});
+  byId("no-events").hidden = document_.events.length > 0;
+  const { account } = document_;
+  setText(byId("account-since"), account.since_text);
+  setText(byId("account-sentence"), account.sentence);
+  keep(byId("account"), account.rows, (entry) => entry.key, makeAccount, fillAccount);
+  showStop(document_.stop);
+  announce(`${summary.word} ${summary.sentence}`);
+};
+
+// For a screen reader: what the summary says, when it changes, and not more often than it can be read.
+const announce = (text) => {
+  if (text === announced.text || performance.now() - announced.at < 5000) return;
+  announced = { text, at: performance.now() };
+  setText(byId("announced"), text);
+};
+
+// Stopping the pump
+
+let stopBefore = { held: false, warning: "" };
+
+const showStop = (stop) => {
+  byId("stop").hidden = !stop.possible;
+  byId("stop-button").disabled = stop.held;
+  setText(byId("stop-button"), stop.label);
+  setText(byId("ask-sentence"), stop.sentence);
+  setText(byId("stop-warning"), stop.warning);
+  byId("stop-warning").hidden = !stop.warning;
+  // An answer is of its time: it goes when the pump was released, or stands at last.
+  const place = byId("answer");
+  const unsure = place.classList.contains("failed") || stopBefore.warning;
+  if (stop.held !== stopBefore.held && (!stop.held || unsure)) place.hidden = true;
+  stopBefore = stop;
+};
+
+const answer = (text, failed) => {
+  const place = byId("answer");
+  const at = new Date().toLocaleTimeString("en-GB");
+  place.hidden = false;
+  place.classList.toggle("failed", failed);
+  setText(place, `${at}: ${text}`);
+};
+
+const headers = () => {
+  const token = new URLSearchParams(location.hash.slice(1)).get("token");
+  return { "X-Greenroof": "1", ...(token ? { Authorization: `Bearer ${token}` } : {}) };
+};
+
+const post = async (path, body) => {
+  const response = await fetch(path, {
+    method: "POST", headers: { ...headers(), "Content-Type": "application/json" },
+    body: JSON.stringify(body), signal: AbortSignal.timeout(10_000),
+  });
+  const said = await response.json();
+  if (!response.ok) throw new Error(said.sentence);
+  return said;
+};
+
+const stopPump = async () => {
+  byId("stop-button").disabled = true;
+  answer("The pump is told to stop ...", false);
+  // A browser has six connections to a server, and each open page holds one: this page's is given up.
+  stream.close();
+  try {
+    const { ok, sentence } = await post("/stop", {});
+    answer(sentence, !ok);
+  } catch (error) {
+    answer(`It is not known whether the pump stops: ${error.message}. Try again, or stop it at the pump itself.`, true);
+  } finally {
+    byId("stop-button").disabled = Boolean(shown?.stop.held);
+    stream.open();
+  }
+};
+
+const acknowledge = async (id) => {
+  stream.close();
+  try {
+    const { ok, sentence } = await post("/acknowledge", { id });
+    if (!ok) answer(sentence, true);
+  } catch (error) {
+    answer(`The alarm is not acknowledged: ${error.message}.`, true);
+  } finally {
+    stream.open();
+  }
+};
+
+byId("stop-button").addEventListener("click", () => byId("ask").showModal());
+byId("ask-no").addEventListener("click", () => byId("ask").close());
+byId("ask-yes").addEventListener("click", () => {
+  byId("ask").close();
+  stopPump();
+});
+
+// Charts
+
+const charts = new Charts(
+  byId("charts"),
+  () => {
+    byId("zoom-all").disabled = charts.zoomed === null;
+  },
+  (text) => setText(byId("announced"), text),
+);
+window.charts = charts; // for the console
+const zoom = { "zoom-in": () => charts.scale(0.5), "zoom-out": () => charts.scale(2), "zoom-all": () => charts.zoom(null) };
+for (const [id, act] of Object.entries(zoom)) byId(id).addEventListener("click", act);
+byId("pause").addEventListener("click", () => {
+  const paused = !charts.paused;
+  charts.pause(paused);
+  byId("pause").setAttribute("aria-pressed", String(paused));
+  setText(byId("pause"), paused ? "Go on" : "Pause");
+  setText(byId("charts-note"), paused ? "The charts stand still." : "");
+});
+for (const button of document.querySelectorAll("[data-hours]")) {
+  button.addEventListener("click", () => {
+    for (const one of document.querySelectorAll("[data-hours]")) one.setAttribute("aria-pressed", String(one === button));
+    charts.setHours(Number(button.dataset.hours));
+    stream.close();
+    stream.open();
+  });
+}
+
+const takeSeries = async (series) => {
+  try {
+    await charts.take(series, shown?.time.utc_offset ?? 0);
+    document.documentElement.dataset.drawn = "yes";
+  } catch (error) {
+    setText(byId("charts-note"), `The charts cannot be drawn: ${error.message}`);
+  }
+};
+
+// The stream: server-sent events, read with fetch so that the token can be a header.
+
+class Refused extends Error {}
+
+const stream = {
+  controller: null,
+  wait: 500,
+  timer: null,
+
+  open() {
+    clearTimeout(this.timer);
+    if (this.controller || document.hidden) return;
+    const controller = new AbortController();
+    this.controller = controller;
+    this.read(controller).catch((error) => error).then((reason) => {
+      if (this.controller !== controller) return; // closed on purpose
+      this.controller = null;
+      this.ended(reason);
+    });
+  },
+
+  close() {
+    clearTimeout(this.timer);
+    const { controller } = this;
+    this.controller = null;
+    controller?.abort();
+  },
+
+  async read(controller) {
+    // By the time of day: it goes on while the computer sleeps.
+    let heard = Date.now();
+    const watchdog = setInterval(() => {
+      if (Date.now() - heard > SILENT) controller.abort();
+    }, 1000);
+    try {
+      const response = await fetch(`/events?hours=${charts.hours}`, { headers: headers(), signal: controller.signal, cache: "no-store" });
+      if (!response.ok) throw new Refused((await response.json()).sentence);
+      const reader = response.body.pipeThrough(new TextDecoderStream()).getReader();
+      let text = "";
+      for (;;) {
+        const { done, value } = await reader.read();
+        if (done) return null;
+        heard = Date.now();
+        text += value;
+        const parts = text.split("\n\n");
+        text = parts.pop();
+        parts.forEach((part) => this.take(part, controller));
+      }
+    } finally {
+      clearInterval(watchdog);
+    }
+  },
+
+  take(part, controller) {
+    if (this.controller !== controller) return;
+    const lines = part.split("\n");
+    const name = lines.find((line) => line.startsWith("event: "))?.slice(7);
+    const data = lines.filter((line) => line.startsWith("data: ")).map((line) => line.slice(6)).join("\n");
+    if (name !== "state" && name !== "series") return;
+    this.wait = 500;
+    byId("lost").hidden = true;
+    document.body.classList.remove("lost-link");
+    const taken = JSON.parse(data);
+    if (name === "state") show(taken);
+    else takeSeries(taken);
+  },
+
+  // Until the next event, what is shown is old.
+  lost(why) {
+    const of = shown ? `what is shown is of ${shown.time.text}.` : "there is nothing to show yet.";
+    setText(byId("lost"), `Not connected: ${of}${why} Trying again ...`);
+    byId("lost").hidden = false;
+    document.body.classList.add("lost-link");
+  },
+
+  ended(reason) {
+    this.lost(reason instanceof Refused ? ` The server says: ${reason.message}.` : "");
+    this.timer = setTimeout(() => this.open(), this.wait);
+    this.wait = Math.min(2 * this.wait, LONGEST_WAIT);
+  },
+};
+
+// A page that nobody sees holds no connection: others of the same browser need it.
+document.addEventListener("visibilitychange", () => {
+  if (document.hidden) {
+    stream.close();
+    stream.lost("");
+  } else {
+    stream.open();
+  }
+});
+addEventListener("online", () => stream.open());
+addEventListener("hashchange", () => {
+  stream.close();
+  stream.open();
+});
+stream.open();

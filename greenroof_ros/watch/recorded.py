@@ -1,0 +1,352 @@
+"""Follows a bag: what stands in it by now, and from then on what is added to it, in batches.
+
+The files of this package's recorders grow by whole chunks. Where the last whole one ends is
+remembered, so that each byte is read once. A file may be cut short, damaged, removed as the oldest
+of its bag, or be another one under the same name: none of these raises anything here; it is in
+the note.
+"""
+
+from __future__ import annotations
+
+import struct
+from dataclasses import dataclass, field
+from io import BytesIO
+from pathlib import Path
+
+import numpy as np
+import zstandard
+from mcap.data_stream import ReadDataStream
+from mcap.exceptions import McapError
+from mcap.opcode import Opcode
+from mcap.records import Channel, Chunk
+from mcap.stream_reader import get_chunk_data_stream
+from numpy.typing import NDArray
+
+from greenroof_ros.common.interface import read_topics
+from greenroof_ros.recording.bag_files import content_of, numbered_files
+from greenroof_ros.watch import wire
+
+# How far back the past of a bag in many files is read, from its newest message (ns).
+_PAST_NS = 7 * 86_400 * 10**9
+# How much of a file is read for one batch (bytes), of which there is ten times as much unpacked.
+_BATCH = 1 << 20
+# A record or a chunk's content that says it is longer is not believed (bytes).
+_LONGEST = 1 << 28
+# What is left to read beyond this is worth a note (bytes).
+_MUCH = 1 << 23
+
+_MAGIC = b"\x89MCAP0\r\n"
+_HEAD = struct.Struct("<BQ")
+_MESSAGE = struct.Struct("<HIQQ")
+# A number with the record around it, and the CDR header before it.
+_NUMBER = np.dtype([
+    ("opcode", "u1"), ("length", "<u8"), ("channel", "<u2"), ("sequence", "<u4"), ("time", "<u8"),
+    ("published", "<u8"), ("header", "u1", 4), ("value", "<f8"),
+])
+_NUMBER_LENGTH = _NUMBER.itemsize - _HEAD.size
+
+_FLOAT, _ARRAY, _TEXT = (
+    "std_msgs/msg/Float64", "std_msgs/msg/Float64MultiArray", "std_msgs/msg/String",
+)
+_PLAN = "/controller/plan"
+
+Times = NDArray[np.int64]
+Values = NDArray[np.float64]
+
+
+@dataclass
+class Batch:
+    """What was read at a time; times are nanoseconds since 1970, names those of the interface.
+
+    Attributes:
+        numbers: times and values of each topic of numbers, in the order of the bag.
+        forecasts: the time and message of each forecast, the newest alone.
+        plans: the time and rows of each new plan.
+        texts: the time and text of each topic of texts.
+        newest_ns: the newest time of all of these.
+    """
+
+    numbers: dict[str, tuple[Times, Values]] = field(default_factory=dict)
+    forecasts: dict[str, tuple[int, bytes]] = field(default_factory=dict)
+    plans: list[tuple[int, Values]] = field(default_factory=list)
+    texts: list[tuple[str, int, str]] = field(default_factory=list)
+    newest_ns: int = 0
+
+
+@dataclass
+class _File:
+    """A file of the bag, as far as it was read."""
+
+    path: Path
+    inode: int
+    size: int = 0
+    offset: int = 0  # behind its last whole record
+    channels: dict[int, str] = field(default_factory=dict)  # topics on the wire
+    names: dict[int, str] = field(default_factory=dict)  # what each is in the interface
+    over: bool = False  # it has its end, or nothing more of it can be read
+    problem: str = ""
+
+
+class _DamagedError(Exception):
+    """A file does not go on as an mcap file does."""
+
+
+# What the libraries raise for what is no record, or no content of one: lz4 a RuntimeError.
+_DAMAGED = (
+    _DamagedError, McapError, EOFError, ValueError, struct.error, zstandard.ZstdError, RuntimeError,
+    MemoryError,
+)
+
+
+class Recorded:
+    """A bag that is being read.
+
+    Attributes:
+        bag: its directory.
+        newest_ns: the newest time that was read (ns since 1970); 0 before any was.
+        problem: why not all of it can be read; empty where it can.
+        progress: how far it has been read, where that takes long; otherwise empty.
+        more: whether there is more to be read at once.
+        replaced: whether it is another bag than the one that was read; it has to be begun anew.
+    """
+
+    def __init__(self, bag: Path, namespace: str | None = None) -> None:
+        """Begin before its first message.
+
+        Args:
+            bag: a directory with ``.mcap`` files, which need not exist yet.
+            namespace: of its topics, such as ``/site1``; None for that of the first level.
+        """
+        self.bag = bag
+        self.newest_ns = 0
+        self.problem = self.progress = ""
+        self.more = self.replaced = False
+        self._namespace = namespace
+        self._types = {
+            name: topic.type for name, topic in read_topics().items()
+            if topic.type in (_FLOAT, _ARRAY, _TEXT)
+        }
+        self._files: dict[Path, _File] = {}
+        self._begun = False
+
+    def read(self) -> Batch:
+        """Read on for some megabytes at most; what there is to know then is in the attributes."""
+        batch = Batch()
+        self.more = False
+        try:
+            self.problem = self._look()
+            self._read_files(batch)
+        except OSError as error:
+            self.problem = f"The recording {self.bag} cannot be read: {error.strerror or error}."
+        damages = [file.problem for file in self._files.values() if file.problem]
+        self.problem = self.problem or " ".join(damages[-1:])
+        self.progress = self._progress()
+        batch.newest_ns = max(
+            [self.newest_ns, *(int(times.max()) for times, _ in batch.numbers.values())]
+        )
+        self.newest_ns = batch.newest_ns
+        return batch
+
+    def _look(self) -> str:
+        """See which files there are, and how long each is by now; return what is wrong there."""
+        paths = [path for _, path in numbered_files(self.bag)]
+        if not paths:
+            return f"There is no recording at {self.bag}."
+        if not self._begun:
+            paths = _recent(paths)
+            self._begun = True
+        for path in self._files.keys() - set(paths):
+            del self._files[path]  # the oldest go when a bag is full
+        first = next(iter(self._files), paths[0])
+        for path in paths[paths.index(first) :]:
+            try:
+                status = path.stat()
+            except FileNotFoundError:
+                continue
+            file = self._files.setdefault(path, _File(path, status.st_ino))
+            if file.inode != status.st_ino or status.st_size < file.offset:
+                self.replaced = True
+            file.size = status.st_size
+        return ""
+
+    def _read_files(self, batch: Batch) -> None:
+        """Read on in the first file that was not read to its end."""
+        files = [file for file in self._files.values() if not file.over]
+        for file in files:
+            try:
+                self.more = self._read_on(file, batch)
+            except FileNotFoundError:
+                file.over = True
+            except _DAMAGED as error:
+                file.over = True
+                file.problem = _say_damage(file.path, error)
+            if self.more:
+                return
+            if file is not files[-1]:
+                file.over = True  # its writer was killed: another file was begun behind it
+
+    def _read_on(self, file: _File, batch: Batch) -> bool:
+        """Read the next whole records of a file; False where there is none."""
+        if file.size <= file.offset:
+            return False
+        with file.path.open("rb") as stream:
+            stream.seek(file.offset)
+            data = stream.read(min(_BATCH, file.size - file.offset))
+            start = 0
+            if file.offset == 0:
+                if len(data) < len(_MAGIC):
+                    return False
+                if not data.startswith(_MAGIC):
+                    raise _DamagedError("it is no mcap file")
+                start = len(_MAGIC)
+            needed = _needed(data, start)
+            if needed > len(data):
+                if file.offset + needed > file.size:
+                    return False  # its writer is not that far
+                data += stream.read(needed - len(data))
+        pieces: list[NDArray[np.void]] = []
+        try:
+            end = self._take(file, data, start, batch, pieces)
+        finally:
+            self._group(file, pieces, batch)
+        file.offset += end
+        return end > start
+
+    def _take(
+        self, file: _File, data: bytes, at: int, batch: Batch, pieces: list[NDArray[np.void]]
+    ) -> int:
+        """Take the whole records of some bytes of a file, and return where the last one ends."""
+        small: list[int] = []
+        head, size, last = _HEAD.unpack_from, _HEAD.size, len(data) - _HEAD.size
+        try:
+            while at <= last and not file.over:
+                opcode, length = head(data, at)
+                end = at + size + length
+                if end > len(data):
+                    break
+                if opcode == Opcode.MESSAGE:
+                    if length == _NUMBER_LENGTH:
+                        small.append(at)
+                    elif self._name(file, data[at + size] | data[at + size + 1] << 8):
+                        self._take_message(file, data[at + size : end], batch)
+                elif opcode == Opcode.CHUNK:
+                    try:
+                        self._take_chunk(file, data[at + size : end], batch, pieces)
+                    except _DAMAGED as error:
+                        file.problem = _say_damage(file.path, error)
+                elif opcode == Opcode.CHANNEL:
+                    self._take_channel(file, data[at + size : end])
+                elif opcode in (Opcode.DATA_END, Opcode.FOOTER):
+                    file.over = True
+                elif not 0 < opcode < 0x80:
+                    raise _DamagedError(f"there is no record {opcode:#x}")
+                at = end
+        finally:
+            if small:
+                whole = np.frombuffer(data, np.uint8)
+                places = np.array(small)[:, None] + np.arange(_NUMBER.itemsize)
+                pieces.append(whole[places].view(_NUMBER)[:, 0])
+        return at
+
+    def _take_chunk(
+        self, file: _File, content: bytes, batch: Batch, pieces: list[NDArray[np.void]]
+    ) -> None:
+        chunk = Chunk.read(ReadDataStream(BytesIO(content)))
+        if chunk.uncompressed_size > _LONGEST:
+            raise _DamagedError(f"a chunk says that it has {chunk.uncompressed_size} bytes")
+        stream, length = get_chunk_data_stream(chunk, validate_crc=True)
+        data = stream.read(length)
+        if self._take(file, data, 0, batch, pieces) < len(data):
+            raise _DamagedError("a chunk ends in a record")
+
+    def _take_channel(self, file: _File, content: bytes) -> None:
+        channel = Channel.read(ReadDataStream(BytesIO(content)))
+        if self._namespace is None and channel.topic.endswith("/roof/level"):
+            self._namespace = channel.topic.removesuffix("/roof/level")
+        if file.channels.get(channel.id) != channel.topic:
+            file.channels[channel.id] = channel.topic
+            file.names.clear()
+
+    def _name(self, file: _File, channel: int) -> str:
+        """Return the name of a channel's topic, if it is one of values; empty where it is not."""
+        name = file.names.get(channel)
+        if name is None:
+            name, namespace = file.channels.get(channel, ""), self._namespace or ""
+            name = name.removeprefix(namespace) if name.startswith(f"{namespace}/") else ""
+            file.names[channel] = name = name if name in self._types else ""
+        return name
+
+    def _group(self, file: _File, pieces: list[NDArray[np.void]], batch: Batch) -> None:
+        """Part records of numbers, or as long as one, by their topics."""
+        if not pieces:
+            return
+        found = np.concatenate(pieces)
+        values = found["value"].copy()
+        other = found["header"][:, 1] == 0  # of a machine with the other byte order
+        values[other] = values[other].byteswap()
+        times = found["time"].astype(np.int64)
+        channels = found["channel"]
+        for channel in np.unique(channels):
+            name = self._name(file, int(channel))
+            mine = channels == channel
+            if self._types.get(name) == _FLOAT:
+                batch.numbers[name] = times[mine], values[mine]
+            elif self._types.get(name) == _TEXT:  # a short one, such as "off"
+                for one in found[mine]:
+                    message = one["header"].tobytes() + one["value"].tobytes()
+                    self._take_text(name, int(one["time"]), message, batch)
+
+    def _take_message(self, file: _File, content: bytes, batch: Batch) -> None:
+        channel, _, time_ns, _ = _MESSAGE.unpack_from(content)
+        name = self._name(file, channel)
+        kind = self._types.get(name)
+        message = content[_MESSAGE.size :]
+        if kind == _TEXT:
+            self._take_text(name, time_ns, message, batch)
+        elif kind == _ARRAY and name != _PLAN:
+            batch.forecasts[name] = time_ns, message
+        elif kind == _ARRAY:
+            rows = wire.rows(message)
+            if rows is not None and len(rows):
+                batch.plans.append((time_ns, rows))
+
+    def _take_text(self, name: str, time_ns: int, message: bytes, batch: Batch) -> None:
+        text = wire.text(message)
+        if text is not None:
+            batch.texts.append((name, time_ns, text))
+
+    def _progress(self) -> str:
+        sizes = sum(file.size for file in self._files.values())
+        read = sum(file.size if file.over else file.offset for file in self._files.values())
+        if not self.more or sizes - read < _MUCH:
+            return ""
+        return f"The recording is being read: {100 * read // sizes} %."
+
+
+def _recent(paths: list[Path]) -> list[Path]:
+    """Return the files of a bag in which the last week is, the oldest first."""
+    newest: int | None = None
+    for place in range(len(paths) - 1, 0, -1):
+        content = content_of(paths[place])
+        if content is None:
+            continue  # it is being written, or its writer was killed
+        if newest is None:
+            newest = content.last_ns
+        elif content.last_ns < newest - _PAST_NS:
+            return paths[place + 1 :]
+    return paths
+
+
+def _say_damage(path: Path, error: Exception) -> str:
+    why = str(error) or type(error).__name__
+    return f"A part of the recording {path} is damaged, and left out ({why})."
+
+
+def _needed(data: bytes, start: int) -> int:
+    """Return how many bytes the first record at least needs."""
+    if len(data) < start + _HEAD.size:
+        return start + _HEAD.size
+    _, length = _HEAD.unpack_from(data, start)
+    if length > _LONGEST:
+        raise _DamagedError(f"a record says that it has {length} bytes")
+    return start + _HEAD.size + int(length)

@@ -1,0 +1,400 @@
+"""The five things to see at a glance, and the sentence above them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+from greenroof_ros.model.metrics import NEAR_TARGET
+from greenroof_ros.model.site import Site
+from greenroof_ros.watch import words
+from greenroof_ros.watch.outlook import Amount, Forecast, Plan
+
+PUMP_STATES = ("off", "starting", "running", "stopping", "held", "fault")
+
+# A planner looks hours ahead; a forecast of less says nothing of the rain to come (s).
+_SOON_S = 600.0
+# Weather services renew their forecasts hourly, and begin each from a run that comes every 6 h:
+# an older one has missed such a run (s).
+_RENEWED_S, _OLD_S = 3600.0, 6 * 3600.0
+
+
+@dataclass(frozen=True)
+class Value:
+    """The newest value of a topic.
+
+    Attributes:
+        number: in the topic's unit; None where it is not plausible.
+        stale: whether it is older than usual, so that it may have changed.
+        heard: of one that is, when it was heard last, as a time is written.
+    """
+
+    number: float | None
+    stale: bool = False
+    heard: str = ""
+
+
+def _known(value: Value | None) -> float | None:
+    """Return a value that is of now."""
+    return None if value is None or value.stale else value.number
+
+
+def band_of(site: Site) -> list[float]:
+    """Return the levels between which the roof is near its target (m)."""
+    return [site.z_veg * (1 - NEAR_TARGET), site.z_veg * (1 + NEAR_TARGET)]
+
+
+def _tile(
+    label: str, value: Value | None, text: str, state: str, sentence: str, *, past: str = "",
+    **more: Any,
+) -> dict[str, Any]:
+    """Return a tile; one whose value is stale says what was known last, and when.
+
+    Args:
+        label: what it is.
+        value: the newest one.
+        text: the value in words.
+        state: how to judge it.
+        sentence: more about it.
+        past: the same about a value that is stale, in the past tense.
+        more: of the tile.
+    """
+    stale = value is not None and value.stale
+    if value is not None and stale and past:
+        sentence = f"{past} when last heard at {value.heard}"
+    return {
+        "label": label, "value": f"Last known: {text}" if stale else text,
+        "number": None if value is None else value.number,
+        "state": "unknown" if stale else state, "sentence": sentence, "stale": stale, **more,
+    }
+
+
+def _without_number(label: str, value: Value | None, sentence: str, **more: Any) -> dict[str, Any]:
+    """Return the tile of a value that is not there, or is none."""
+    if value is None:
+        return _tile(label, value, words.UNKNOWN, "unknown", "nothing was heard of it yet", **more)
+    return _tile(label, value, words.NOT_PLAUSIBLE, "alarm", sentence, **more)
+
+
+def roof(value: Value | None, site: Site | None) -> dict[str, Any]:
+    """Return the tile of the roof's level."""
+    level = None if value is None else value.number
+    gauge: dict[str, Any] = {"low": 0.0, "high": None, "marks": [], "band": None}
+    if site is not None:
+        # The soil is ten times as deep as the water that is wanted; where there is more than
+        # twice that, the whole of it is shown.
+        deep = level is not None and level > 2 * site.z_veg
+        gauge["high"] = max(site.z_soil, level or 0.0) if deep else 2 * site.z_veg
+        gauge["marks"] = [{"at": site.z_veg, "label": f"target {words.depth(site.z_veg)}"}]
+        if deep:
+            gauge["marks"].append({
+                "at": site.z_soil, "label": f"soil is full at {words.depth(site.z_soil)}",
+            })
+        gauge["band"] = band_of(site)
+    if level is None:
+        return _without_number("Roof level", value, "its sensor says what cannot be", **gauge)
+    if site is None:
+        return _tile("Roof level", value, words.depth(level), "unknown",
+                     "what is right for this site is not known", **gauge)
+    low, high = band_of(site)
+    state = "low" if level < low else "high" if level > high else "good"
+    sentence = words.versus(level - site.z_veg, "its target")
+    past = f"was {sentence}"
+    if level >= site.z_soil:
+        sentence += "; the soil is full, and water drains off"
+    return _tile("Roof level", value, words.depth(level), state, sentence, past=past, **gauge)
+
+
+def cistern(value: Value | None, site: Site | None) -> dict[str, Any]:
+    """Return the tile of the cistern's level."""
+    level = None if value is None else value.number
+    gauge: dict[str, Any] = {"low": 0.0, "high": None, "marks": [], "band": None}
+    if site is not None:
+        gauge["high"] = max(1.1 * site.z_o, level or 0.0)
+        gauge["marks"] = [
+            {"at": site.suction_level, "label": f"suction level {_deep(site.suction_level)}"},
+            {"at": site.z_o, "label": f"outlet {_deep(site.z_o)}"},
+        ]
+        gauge["band"] = [site.suction_level, site.z_o]
+    if level is None:
+        return _without_number("Cistern level", value, "its sensor says what cannot be", **gauge)
+    if site is None:
+        return _tile("Cistern level", value, _deep(level), "unknown",
+                     "what is right for this site is not known", **gauge)
+    usable = site.cistern_volume(level - site.suction_level)
+    if usable <= 0:
+        state, sentence = "low", "too low for the pump: not above the suction level"
+        past = "was too low for the pump"
+    elif level > site.z_o:
+        state, sentence = "high", "above its outlet: it overflows to the sewer"
+        past = "was above its outlet"
+    else:
+        amount = words.quantity(usable, "m3", 1)
+        state, sentence = "good", f"{amount} above the suction level can be pumped"
+        past = f"{amount} could be pumped"
+    return _tile("Cistern level", value, _deep(level), state, sentence, past=past, **gauge)
+
+
+def _deep(metres: float) -> str:
+    """Write the level of a cistern, of which nobody wants tenths of a millimetre."""
+    return words.quantity(metres, "mm", 0, 1e3)
+
+
+@dataclass(frozen=True)
+class Pumping:
+    """What is known of the pump.
+
+    Attributes:
+        said: the pump node's state and why, in its words; None where there is no such node.
+        gone: whether that node is not there any more.
+        flow: m3/s.
+        command: share of the greatest flow.
+        roof: level (m).
+        cistern: level (m).
+        frost: 1 where there is.
+    """
+
+    said: str | None
+    gone: bool
+    flow: Value | None
+    command: Value | None
+    roof: Value | None
+    cistern: Value | None
+    frost: Value | None
+
+    def state(self, site: Site | None) -> tuple[str, str]:
+        """Return the state, and why it is so; in a plain simulation, by the plant's own rules."""
+        if self.said is not None:
+            state, _, why = self.said.partition(": ")
+            return (state, why) if state in PUMP_STATES else ("unknown", self.said)
+        command = None if self.command is None else self.command.number
+        flow = None if self.flow is None else self.flow.number
+        why = self._why_off(site, command)
+        if flow is None:
+            if command is None:
+                return "unknown", "neither flow nor command is known"
+            return ("off", why) if command == 0 or why else ("running", "")
+        if flow > 0:
+            return "running", ""
+        return "off", why or "it rests between two runs"
+
+    def _why_off(self, site: Site | None, command: float | None) -> str:
+        """Return why a simulated pump stands; empty where nothing known says so."""
+        roof, cistern, frost = _known(self.roof), _known(self.cistern), _known(self.frost)
+        if frost:
+            return "there is frost"
+        if command == 0:
+            return "nothing is commanded"
+        if site is not None and roof is not None and roof >= site.z_veg:
+            return "the roof has reached its target"
+        if site is not None and cistern is not None and cistern < site.suction_level:
+            return "the cistern is below the suction level"
+        return "no command is known" if command is None else ""
+
+
+def pump(pumping: Pumping, site: Site | None) -> dict[str, Any]:
+    """Return the tile of the pump."""
+    state, why = pumping.state(site)
+    flow, command = pumping.flow, pumping.command
+    parts = []
+    if flow is not None:
+        parts.append(words.NOT_PLAUSIBLE if flow.number is None else words.flow(flow.number))
+    if command is not None:
+        if command.number is None:
+            parts.append(f"the command is {words.NOT_PLAUSIBLE}")
+        elif command.number:
+            parts.append(f"commanded {words.share(command.number)} of its greatest flow")
+        else:
+            parts.append("nothing is commanded")
+    heard = flow if flow is not None else command
+    stale = pumping.gone or (heard is not None and heard.stale)
+    if not parts and state == "unknown":
+        parts.append("nothing was heard of it yet")
+    return {
+        "label": "Pump", "value": f"Last known: {state}" if stale else state,
+        "number": None if flow is None else flow.number,
+        "state": "unknown" if stale else state,
+        "sentence": "; ".join(parts), "why": why, "stale": stale,
+    }
+
+
+def rain(
+    value: Value | None, forecast: Forecast | None, now: float | None, utc_offset: float,
+    *, ended: bool,
+) -> dict[str, Any]:
+    """Return the tile of the rain, now and to come.
+
+    Args:
+        value: the rain of now.
+        forecast: the newest.
+        now: s since 1970.
+        utc_offset: of the times (h).
+        ended: whether the run is over, so that nothing is to come.
+    """
+    sentence = _to_come(forecast, now, utc_offset, ended=ended)
+    rate = None if value is None else value.number
+    if rate is None:
+        if value is None:
+            return _tile("Rain", value, words.UNKNOWN, "unknown", sentence)
+        return _tile("Rain", value, words.NOT_PLAUSIBLE, "alarm", sentence)
+    return _tile("Rain", value, words.rate(rate), "good", sentence)
+
+
+def _to_come(
+    forecast: Forecast | None, now: float | None, utc_offset: float, *, ended: bool
+) -> str:
+    if forecast is None or now is None:
+        return "no forecast is known"
+    age, made = now - forecast.at, words.hour_and_minute(forecast.at, utc_offset, now)
+    amount = forecast.amount(now)
+    if amount is None:
+        return f"no forecast is known: that of {made} is over"
+    sentence = _amount(amount, ended=ended)
+    if age <= _RENEWED_S:
+        return sentence
+    if age <= _OLD_S or ended:
+        return f"{sentence}, by the forecast of {made}"
+    return f"the forecast is too old, of {made}: {_amount(amount, ended=True)}"
+
+
+def _amount(amount: Amount, *, ended: bool) -> str:
+    reach = words.length_of_time(amount.reach_s)
+    if amount.reach_s < _SOON_S:
+        return f"no forecast of the next hours: it reaches {reach} ahead"
+    sentence = f"{words.rain(amount.mean)} {'were ' if ended else ''}expected in the next {reach}"
+    if amount.members > 1:
+        low = words.rain(amount.low).removesuffix(" mm")
+        sentence += f" ({low} to {words.rain(amount.high)})"
+    return sentence
+
+
+def controller(
+    name: str | None, command: Value | None, plan: Plan | None, now: float | None,
+    utc_offset: float, *, alarm: str, ended: bool,
+) -> dict[str, Any]:
+    """Return the tile of the controller.
+
+    Args:
+        name: of the active one; None where none is known.
+        command: what it commands.
+        plan: its newest, where it makes any.
+        now: s since 1970.
+        utc_offset: of the times (h).
+        alarm: what is wrong with it; empty where nothing is.
+        ended: whether the run is over, so that nothing of the plan comes.
+    """
+    stale = command is not None and command.stale
+    known = name is not None and _known(command) is not None
+    state = "alarm" if alarm else "good" if known else "unknown"
+    if alarm:
+        sentence = alarm
+    elif plan is not None and now is not None:
+        sentence = _planned(plan, now, utc_offset, ended=ended)
+    elif name is None and command is None:
+        sentence = "no controller is known"
+    elif command is None or command.number is None:
+        sentence = "its command is unknown"
+    elif command.number:
+        sentence = f"commands {words.share(command.number)} of the pump's greatest flow"
+    else:
+        sentence = "commands no pumping now"
+    return {
+        "label": "Controller", "value": name or words.UNKNOWN, "number": None, "state": state,
+        "sentence": sentence, "stale": stale,
+    }
+
+
+def _planned(plan: Plan, now: float, utc_offset: float, *, ended: bool) -> str:
+    if now >= plan.ends[-1]:
+        return "its plan was over" if ended else "its plan is over"
+    volume, begin = plan.pumped(now)
+    reach = words.length_of_time(min(12 * 3600.0, float(plan.ends[-1]) - now))
+    if begin is None:
+        return f"{'planned not to' if ended else 'will not'} pump in the next {reach}"
+    start = "from now on"
+    if begin > now:
+        start = f"from {words.hour_and_minute(begin, utc_offset, now)} on"
+    will = "planned to" if ended else "will"
+    return f"{will} pump {words.quantity(volume, 'm3', 2)} in the next {reach}, {start}"
+
+
+def summary(
+    tiles: dict[str, dict[str, Any]], *, alarms: int, warnings: int, worst: str, mode: str
+) -> dict[str, str]:
+    """Return the words above the tiles: how many alarms, a sentence, and how bad it is.
+
+    Args:
+        tiles: of roof and pump, at least.
+        alarms: how many there are now.
+        warnings: how many there are now.
+        worst: of them: ok, warn or error.
+        mode: of the document.
+    """
+    if mode == "none":
+        return {
+            "word": "Nothing is heard yet:", "sentence": "no run and no site is found.",
+            "level": "warn",
+        }
+    parts = ["The run has ended."] if mode == "ended" else []
+    roof, pump = tiles["roof"], tiles["pump"]
+    verb = "was" if mode == "ended" else "is"
+    if roof["state"] in ("unknown", "alarm"):
+        known = roof["value"] if roof["stale"] else words.UNKNOWN
+        said = f"The roof's level is not known now ({known})" if roof["stale"] else (
+            f"The roof's level is {roof['value']}"
+        )
+    else:
+        judged = {"low": "too dry, ", "high": "wetter than it should be, "}.get(roof["state"], "")
+        said = f"The roof {verb} {judged}{roof['sentence']}"
+    parts.append(f"{said}; {_pump_clause(pump, verb)}.")
+    doubtful = any(tiles[name]["state"] in ("unknown", "alarm") for name in ("roof", "pump"))
+    attention = doubtful or roof["state"] in ("low", "high")
+    counts = [
+        f"{count} {name}" if count == 1 else f"{count} {name}s"
+        for count, name in ((alarms, "alarm"), (warnings, "warning")) if count
+    ]
+    return {
+        "word": f"{', '.join(counts) or 'No alarms'}.", "sentence": " ".join(parts),
+        "level": "warn" if attention and worst == "ok" else worst,
+    }
+
+
+def advice(tiles: dict[str, dict[str, Any]], *, mode: str) -> str:
+    """Return what to do where there is no alarm: what goes on, where something is not as wanted.
+
+    Args:
+        tiles: of roof and pump, at least.
+        mode: of the document.
+    """
+    roof, pump = tiles["roof"], tiles["pump"]
+    if mode in ("none", "ended"):
+        return "Nothing to do."
+    if any(tile["state"] in ("unknown", "alarm") for tile in (roof, pump)):
+        return (
+            "Nothing is reported as wrong, but not all is known: see whether sensors and programs "
+            "run."
+        )
+    if roof["state"] == "high":
+        return "Nothing to do: the roof drains and dries by itself."
+    if roof["state"] != "low":
+        return "Nothing to do."
+    if pump["state"] in ("starting", "running"):
+        return "Nothing to do: the pump waters the roof."
+    if pump["state"] == "off" and pump["why"] in ("", "nothing is commanded"):
+        return "Nothing to do now: the controller waits; what it intends is in its tile."
+    why = f": {pump['why']}" if pump["why"] else ""
+    return f"The roof is not watered, since the pump is {pump['state']}{why}."
+
+
+def _pump_clause(pump: dict[str, Any], verb: str) -> str:
+    state, why = pump["state"], pump["why"]
+    if state == "unknown":
+        return "what the pump does is not known"
+    if state in ("running", "starting", "stopping"):
+        clause = f"the pump {verb} {state}"
+        return f"{clause} at {words.flow(pump['number'])}" if pump["number"] else clause
+    if state == "fault":
+        return f"the pump {'had' if verb == 'was' else 'has'} a fault: {why}"
+    if state == "held":
+        return f"the pump {verb} held off: {why}"
+    return f"the pump {verb} off" + (f", since {why}" if why else "")

@@ -1,0 +1,700 @@
+"""All that is known of a graph, as it is heard or read; it gives the document that people see."""
+
+from __future__ import annotations
+
+import json
+import math
+import threading
+import time
+from collections import deque
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from greenroof_ros.common.interface import Topic, read_topics
+from greenroof_ros.graph.states import ENDED, FINISHED
+from greenroof_ros.model.look_ahead import MOST_MEMBERS
+from greenroof_ros.model.site import Site
+from greenroof_ros.pumping.pump_control import OPERATOR_STOPPED, STILL_TURNS
+from greenroof_ros.watch import tiles, words
+from greenroof_ros.watch.account import TOPICS as ACCOUNTED
+from greenroof_ros.watch.account import Account
+from greenroof_ros.watch.alarms import SILENT_S, Alarms, Status
+from greenroof_ros.watch.history import History
+from greenroof_ros.watch.outlook import AHEAD_S, Forecast, Plan, step_ends
+
+Stamps = NDArray[np.int64]
+Values = NDArray[np.float64]
+
+# Lines of the charts, each with its topic.
+LINES = {
+    "roof": "/roof/level",
+    "cistern": "/cistern/level",
+    "command": "/pump/command",
+    "flow": "/pump/flow",
+    "rain": "/weather/precipitation",
+    "evapotranspiration": "/weather/evapotranspiration",
+}
+_GAUGE = "/gauge/precipitation"
+_FORECAST, _PUMP_STATE = "/forecast/precipitation", "/pump/state"
+_MODES = ("none", "simulated", "loop", "live", "ended")
+# No quantity of any site is beyond this, in any unit, although a topic may have no limit.
+_LARGEST = 1e9
+# A value is stale after so many of its usual intervals, and after so long at least (s). That it
+# comes less often than the longest is never usual.
+_INTERVALS, _STALE_S, _LONGEST_S = 3, 5.0, 600.0
+# No time of a graph is beyond this (ns since 1970): the year 2116.
+_LATEST_NS = 2**62
+# An account waits for topics that are behind; when nothing came for so long (s), not any more.
+_QUIET_S = 2.0
+# By so much the system's clock may be set back, or a live site's values be ahead of it (s): less is
+# caught up with in a minute.
+_SET_BACK_S = 60.0
+# A forecast is another one where its rain differs by so much (m), once in so long (s).
+_NEW_FORECAST_M, _NEW_FORECAST_S = 2e-3, 3600.0
+_MOST_TEXT, _MOST_EVENTS = 500, 50
+# Characters of all alarms, and of all events, so that the document stays below 100 kB.
+_MOST_ALARMS, _MOST_OF_EVENTS = 55_000, 25_000
+# Steps of a forecast or a plan: of the longest look-ahead that there is.
+_MOST_STEPS = 1000
+_WEEK_H, _MOST_POINTS = 168.0, 2000
+
+# Entries of the account, in order, with their labels.
+_ENTRIES = {
+    "rain": "Rain on the roof",
+    "pumped": "Pumped onto the roof",
+    "drained": "Drained off the roof",
+    "evapotranspired": "Evapotranspired",
+    "stored": "Change of the water on the roof",
+    "unexplained": "Unexplained",
+    "inflow": "Rain into the cistern",
+    "overflow": "Overflow to the sewer",
+    "saved": "Potable water saved",
+    "energy": "Energy of the pump",
+}
+
+
+class _Newest:
+    """The newest value of a topic, and how often values come, by the looks at it."""
+
+    def __init__(self) -> None:
+        self.time_ns = 0
+        self.value: float | None = None  # None where it is not plausible
+        self.stale = False
+        self._came = False
+        self._heard: float | None = None  # wall time (s)
+        self._intervals: deque[float] = deque(maxlen=9)
+
+    def take(self, time_ns: int, value: float | None) -> None:
+        self.time_ns, self.value, self._came = time_ns, value, True
+
+    def look(self, wall: float) -> None:
+        """Note whether something came since the last look, or is overdue."""
+        if self._came or self._heard is None:
+            if self._heard is not None:
+                self._intervals.append(min(wall - self._heard, _LONGEST_S))
+            self._came, self._heard = False, wall
+        usual = float(np.median(self._intervals)) if self._intervals else 0.0
+        self.stale = wall - self._heard > max(_STALE_S, _INTERVALS * usual)
+
+    def silent_for(self, wall: float) -> float:
+        """Return how long ago something came (s of wall time)."""
+        return 0.0 if self._heard is None else max(0.0, wall - self._heard)
+
+
+class Watched:
+    """What is known of one graph; any thread may call any method.
+
+    Times of the graph are its own: simulated, or the system's. ``wall`` is the steady clock's time
+    (s): a system's clock that is set makes no value old or new.
+    """
+
+    def __init__(self, namespace: str = "") -> None:
+        """Know nothing yet.
+
+        Args:
+            namespace: of the graph; empty where it has none.
+        """
+        self._namespace = namespace
+        self._interface = read_topics()
+        self._lock = threading.Lock()
+        self._site: Site | None = None
+        self._site_note = ""
+        self._system: float | None = None  # the system's time at the last look (s since 1970)
+        self._forget()
+
+    def _forget(self) -> None:
+        self._alarms = Alarms(self._namespace)
+        self._mode, self._source, self._note = "none", "heard", ""
+        self._factor: float | None = None
+        self._pump_node: str | None = None
+        self._no_stop = ""
+        self._forget_values()
+
+    def _forget_values(self) -> None:
+        self._newest: dict[str, _Newest] = {}
+        self._histories: dict[str, History] = {}
+        self._expected = History()
+        self._expected_until = -math.inf  # of the plan's steps (s since 1970)
+        self._account = None if self._site is None else Account(self._site)
+        self._forecast: Forecast | None = None
+        self._announced: tuple[float, float] | None = None  # when (s), and rain (m)
+        self._plan: Plan | None = None
+        self._pump_state: tuple[int, str] | None = None
+        self._controller: tuple[object, object] | None = None  # name and process
+        self._controller_at = -math.inf  # when it was last heard (s since 1970)
+        self._came = False
+        self._quiet_since: float | None = None  # wall time (s)
+
+    # --- what comes -----------------------------------------------------------------------------
+
+    def set_site(self, site: Site, note: str = "") -> None:
+        """Say by which site levels are judged; with another one the account begins anew.
+
+        Args:
+            site: its parameters.
+            note: what an operator should know of that; empty where it is plain.
+        """
+        with self._lock:
+            if site != self._site:
+                self._account = Account(site)
+                self._account.live = self._mode == "live"
+            self._site = site
+            self._site_note = words.plain(note, _MOST_TEXT)
+
+    def set_present(self, *, mode: str, factor: float | None, source: str, note: str) -> None:
+        """Say what is watched now.
+
+        Args:
+            mode: ``none`` (nothing was heard yet), ``simulated``, ``loop`` (with the drive of a
+                real pump), ``live`` or ``ended``.
+            factor: simulated time per wall time; None where there is none.
+            source: where the values come from: ``heard``, ``bag`` or ``samples``.
+            note: what an operator should know of that; empty where it is plain.
+
+        Raises:
+            ValueError: there is no such mode.
+        """
+        if mode not in _MODES:
+            raise ValueError(f"no mode: {mode}")
+        with self._lock:
+            self._mode, self._source = mode, source
+            self._factor = factor if factor is not None and math.isfinite(factor) else None
+            self._note = words.plain(note, _MOST_TEXT)
+            if self._account is not None:
+                self._account.live = mode == "live"
+
+    def set_pump(self, node: str | None, no_stop: str = "") -> None:
+        """Say which pump node can be stopped.
+
+        Args:
+            node: fully qualified; None where none is present.
+            no_stop: why it cannot be stopped from here; empty where it can.
+        """
+        with self._lock:
+            self._pump_node, self._no_stop = node, words.plain(no_stop, _MOST_TEXT)
+
+    def begin_anew(self) -> None:
+        """Forget all of a graph: another one began."""
+        with self._lock:
+            self._forget()
+
+    def look(self, wall: float, system: float) -> None:
+        """Note what came, and what did not: often, be there a document to show or not.
+
+        Where the clock of a live site is set back, charts and account begin anew: what comes would
+        be older than what is there.
+
+        Args:
+            wall: now.
+            system: the system's time, which is that of a live site (s since 1970).
+        """
+        with self._lock:
+            before, self._system = self._system, system
+            if self._mode == "live" and before is not None and system < before - _SET_BACK_S:
+                self._forget_values()
+                if self._account is not None:
+                    self._account.live = True
+                back = words.length_of_time(before - system)
+                self._alarms.add_event(
+                    system, f"The system's clock was set back by {back}: charts and account begin "
+                    "anew",
+                )
+            self._look(wall)
+
+    def add(self, topic: str, times_ns: Stamps, values: Values) -> None:
+        """Take values of a topic of single numbers.
+
+        What is not newer than what is there is left out. What is out of the topic's range is shown
+        as not plausible, and counts nowhere.
+
+        Args:
+            topic: its name in the interface, without a namespace.
+            times_ns: since 1970, shape (n,), in their order.
+            values: in the topic's unit, shape (n,).
+        """
+        entry = self._interface.get(topic)
+        if entry is None or entry.type != "std_msgs/msg/Float64" or not len(times_ns):
+            return
+        # Copies: what is given may be a view of a longer batch. Minus zero becomes zero.
+        times = np.array(times_ns, dtype=np.int64)
+        numbers = np.asarray(values, dtype=np.float64) + 0.0
+        with self._lock:
+            newest = self._newest.get(topic) or _Newest()
+            possible = np.where(times < _LATEST_NS, times, 0)
+            before = np.empty_like(times)
+            before[0] = newest.time_ns
+            before[1:] = possible[:-1]
+            newer = possible > np.maximum.accumulate(before)
+            if self._mode == "live" and self._system is not None:
+                newer &= possible <= (self._system + _SET_BACK_S) * 1e9
+            if not newer.all():
+                times, numbers = times[newer], numbers[newer]
+            if not len(times):
+                return
+            if topic not in self._newest:
+                self._newest[topic], self._histories[topic] = newest, History()
+            history = self._histories[topic]
+            low, high = max(entry.low, -_LARGEST), min(entry.high, _LARGEST)
+            fine = (numbers >= low) & (numbers <= high)  # a NaN is neither
+            newest.take(int(times[-1]), float(numbers[-1]) if fine[-1] else None)
+            self._came = True
+            if fine.all():
+                history.add(times, numbers)
+            else:
+                history.add(times[fine], numbers[fine])
+                numbers = np.where(fine, numbers, np.nan)
+            if self._account is not None and topic in ACCOUNTED:
+                self._account.add(topic, times, numbers)
+
+    def add_forecast(self, topic: str, time_ns: int, values: Values) -> None:
+        """Take a forecast; that of rain is shown.
+
+        Args:
+            topic: its name in the interface.
+            time_ns: when its first step begins, since 1970.
+            values: in the topic's unit, shape (steps,), or (members, steps) of an ensemble.
+        """
+        if topic != _FORECAST or not 0 < time_ns < _LATEST_NS:
+            return
+        rain = np.atleast_2d(np.asarray(values, dtype=np.float64))
+        limits = self._interface[topic]
+        with self._lock:
+            members, steps = rain.shape if rain.ndim == 2 else (0, 0)
+            ends = None
+            if self._site is not None and 0 < members <= MOST_MEMBERS and 0 < steps <= _MOST_STEPS:
+                ends = step_ends(self._site, steps)
+            if ends is None or not np.all((rain >= limits.low) & (rain <= limits.high)):
+                self._forecast = None
+                return
+            at = time_ns / 1e9
+            if self._forecast is not None and at <= self._forecast.at:
+                return
+            self._forecast = Forecast(at, at + ends, rain)
+            self._announce(at)
+
+    def _announce(self, now: float) -> None:
+        """Note it as an event where the rain that is expected has become another."""
+        assert self._forecast is not None
+        amount = self._forecast.amount(now)
+        if amount is None or amount.reach_s < _NEW_FORECAST_S:
+            return
+        if self._announced is None:
+            self._announced = (now, amount.mean)
+            return
+        at, before = self._announced
+        if abs(amount.mean - before) >= _NEW_FORECAST_M and now - at >= _NEW_FORECAST_S:
+            self._announced = (now, amount.mean)
+            reach = words.length_of_time(amount.reach_s)
+            self._alarms.add_event(
+                now, f"New forecast: {words.rain(amount.mean)} of rain in the next {reach}; "
+                f"before, it was {words.rain(before)}",
+            )
+
+    def add_plan(self, time_ns: int, rows: Values) -> None:
+        """Take what the controller means to pump.
+
+        Args:
+            time_ns: when it was planned, since 1970.
+            rows: of each step its end (s from then), mean flow (m3/s), and the level of the roof
+                that is expected at its end (m), shape (steps, 3). Empty: nothing has changed. With
+                a number that cannot be: there is no plan now.
+        """
+        plan = np.asarray(rows, dtype=np.float64)
+        if not plan.size or not 0 < time_ns < _LATEST_NS:
+            return
+        at = time_ns / 1e9
+        with self._lock:
+            self._keep_expected(at)
+            self._plan = None
+            if plan.ndim != 2 or plan.shape[1] != 3 or len(plan) > _MOST_STEPS:
+                return
+            ends, flow, level = plan.T
+            if (
+                not np.all((plan >= 0) & (plan <= _LARGEST))
+                or ends[0] <= 0 or np.any(np.diff(ends) <= 0)
+            ):
+                return
+            self._plan = Plan(at, at + ends, flow, level)
+            self._expect(self._plan.ends[:1], level[:1])
+
+    def _keep_expected(self, now: float) -> None:
+        """Keep what the plan expected of the steps that are past by now."""
+        if self._plan is not None:
+            past = self._plan.ends <= now
+            self._expect(self._plan.ends[past], self._plan.level[past])
+
+    def _expect(self, ends: Values, levels: Values) -> None:
+        """Keep levels (m) that were expected at times (s since 1970)."""
+        later = ends > self._expected_until
+        if later.any():
+            self._expected.add((ends[later] * 1e9).astype(np.int64), levels[later])
+            self._expected_until = float(ends[later][-1])
+
+    def add_text(self, topic: str, time_ns: int, text: str) -> None:
+        """Take a text: the pump's state, such as ``off: nothing is commanded``."""
+        if topic != _PUMP_STATE:
+            return
+        with self._lock:
+            if self._pump_state is None or time_ns > self._pump_state[0]:
+                self._pump_state = (time_ns, words.plain(text, _MOST_TEXT))
+
+    def add_statuses(self, wall: float, statuses: Sequence[Status]) -> None:
+        """Take what nodes said on /diagnostics."""
+        with self._lock:
+            now = self._now_or_system()
+            self._alarms.hear(wall, now, statuses)
+            self._note_controller(now)
+
+    def _note_controller(self, now: float) -> None:
+        """Drop the plan of a controller in whose place another one, or another process, is."""
+        said = self._alarms.said("controller")
+        if said is None:
+            return
+        controller = said["name"], said["process"]
+        if self._controller not in (None, controller):
+            self._keep_expected(now)
+            # The new one's first plan may have come before its first word.
+            if self._plan is not None and self._plan.at <= self._controller_at:
+                self._plan = None
+        self._controller, self._controller_at = controller, now
+
+    def add_event(self, system: float, text: str) -> None:
+        """Note an event of now.
+
+        Args:
+            system: the system's time, for a graph that has said none yet (s since 1970).
+            text: what happened.
+        """
+        with self._lock:
+            now = self._now()
+            self._alarms.add_event(system if now is None else now, text)
+
+    def forgive(self, seconds: float) -> None:
+        """Take nobody for silent who was not heard while the watcher stood still, so long (s)."""
+        with self._lock:
+            self._alarms.forgive(seconds)
+
+    def acknowledge(self, alarm_id: str) -> bool:
+        """Note that somebody saw an alarm; False where there is none such."""
+        with self._lock:
+            return self._alarms.acknowledge(alarm_id)
+
+    # --- what is known --------------------------------------------------------------------------
+
+    def _now(self) -> float | None:
+        """Return the graph's time (s since 1970); None before any is known.
+
+        Of a live site it is the system's, otherwise that of the newest value.
+        """
+        if self._mode == "live" and self._system is not None:
+            return self._system
+        times = [newest.time_ns for newest in self._newest.values()]
+        return max(times) / 1e9 if times else None
+
+    def _now_or_system(self) -> float:
+        now = self._now()
+        return time.time() if now is None else now
+
+    @property
+    def _utc_offset(self) -> float:
+        """Of the times that are shown (h): the site's, UTC where it has none."""
+        offset = None if self._site is None else self._site.utc_offset
+        return 0.0 if offset is None else offset
+
+    def _value(self, topic: str) -> tiles.Value | None:
+        newest = self._newest.get(topic)
+        if newest is None:
+            return None
+        if not newest.stale or self._mode == "ended":
+            return tiles.Value(newest.value)
+        at, now = newest.time_ns / 1e9, self._now()
+        heard = words.time_of_day(at, self._utc_offset, at if now is None else now)
+        return tiles.Value(newest.value, stale=True, heard=heard)
+
+    def document(self, wall: float) -> dict[str, Any]:
+        """Return all that page and terminal show, as JSON has it: below 100 kB, in plain texts.
+
+        Args:
+            wall: now.
+        """
+        with self._lock:
+            return self._document(wall)
+
+    def _document(self, wall: float) -> dict[str, Any]:
+        self._look(wall)
+        now, offset = self._now(), self._utc_offset
+
+        def say_time(at: float) -> str:
+            return words.time_of_day(at, offset, at if now is None else now)
+
+        rows = self._alarms.rows(say_time)
+        present = [row for row in rows if row["over"] is None]
+        shown = self._tiles(wall, now, present)
+        stop = self._stop(wall)
+        worst = "error" if stop["warning"] else self._alarms.worst()
+        warnings = sum(row["level"] == "warn" for row in present)
+        shown["summary"] = tiles.summary(
+            shown, alarms=len(present) - warnings, warnings=warnings, worst=worst, mode=self._mode
+        )
+        alarms = _within(rows, _MOST_ALARMS)
+        notes = [self._site_note, self._note]
+        if len(alarms) < len(rows):
+            notes.append(f"{len(rows) - len(alarms)} more alarms are not shown.")
+        silent = min(
+            (newest.silent_for(wall) for newest in self._newest.values()), default=None
+        )
+        running = self._mode not in ("none", "ended")
+        if running and silent and all(newest.stale for newest in self._newest.values()):
+            notes.insert(0, f"No values have come for {words.length_of_time(silent)}.")
+        return {
+            "heading": self._heading(),
+            "mode": self._mode,
+            "namespace": self._namespace,
+            "time": {
+                "now": now,
+                "utc_offset": offset,
+                "factor": self._factor,
+                "text": words.UNKNOWN if now is None else words.date_time_and_zone(now, offset),
+                "silent_for": silent,
+            },
+            "source": self._source,
+            "notes": [note for note in notes if note],
+            "tiles": shown,
+            "advice": self._alarms.advice() if present else tiles.advice(shown, mode=self._mode),
+            "alarms": alarms,
+            "events": _within(self._alarms.events(say_time)[:_MOST_EVENTS], _MOST_OF_EVENTS),
+            "account": self._account_of(offset),
+            "stop": stop,
+        }
+
+    def _look(self, wall: float) -> None:
+        """Note what came since the last look."""
+        for newest in self._newest.values():
+            newest.look(wall)
+        self._alarms.look(wall, self._now_or_system())
+        if self._came or self._quiet_since is None:
+            self._came, self._quiet_since = False, wall
+        quiet = wall - self._quiet_since > _QUIET_S
+        if self._account is not None and self._mode == "ended" and quiet:
+            self._account.end()
+
+    def _heading(self) -> str:
+        if self._mode == "none":
+            return "Nothing is heard yet"
+        if self._mode == "ended":
+            return "Ended run"
+        if self._mode == "live":
+            return "Live site"
+        heading = "Simulated run" if self._mode == "simulated" else "Simulated site with a drive"
+        if self._factor is None:
+            return heading
+        factor = words.number(self._factor, 0 if self._factor >= 9.95 else 1).removesuffix(".0")
+        if factor == "1":
+            return f"{heading}, at real time"
+        return f"{heading}, {factor} times real time"
+
+    def _tiles(
+        self, wall: float, now: float | None, alarms: Sequence[dict[str, Any]]
+    ) -> dict[str, dict[str, Any]]:
+        values = {name: self._value(topic) for name, topic in LINES.items()}
+        pumping = tiles.Pumping(
+            said=self._pump_words(),
+            gone=self._mode != "ended" and self._pump_gone(wall),
+            flow=values["flow"],
+            command=values["command"],
+            roof=values["roof"],
+            cistern=values["cistern"],
+            frost=self._value("/weather/frost"),
+        )
+        name = self._alarms.controller()
+        said = self._alarms.said("controller")
+        node = None if said is None else said.get("name")
+        wrong = [
+            row["what"] for row in alarms
+            if row["level"] in ("error", "stale") and node
+            and (row["id"] == node or row["id"].startswith(f"{node}: "))
+        ]
+        rain = values["rain"]
+        if rain is None:
+            rain = self._value(_GAUGE)
+        return {
+            "roof": tiles.roof(values["roof"], self._site),
+            "cistern": tiles.cistern(values["cistern"], self._site),
+            "pump": tiles.pump(pumping, self._site),
+            "rain": tiles.rain(
+                rain, self._forecast, now, self._utc_offset, ended=self._mode == "ended"
+            ),
+            "controller": tiles.controller(
+                name, values["command"], self._plan, now, self._utc_offset,
+                alarm=wrong[0] if wrong else "", ended=self._mode == "ended",
+            ),
+        }
+
+    def _pump_words(self) -> str | None:
+        """Return the pump node's state and why; None where there is no such node."""
+        said = self._alarms.said("pump", self._pump_node)
+        text = None if said is None else said.get("pump")
+        if isinstance(text, str):
+            return words.plain(text, _MOST_TEXT)
+        return None if self._pump_state is None else self._pump_state[1]
+
+    def _pump_gone(self, wall: float) -> bool:
+        """Whether there was a pump node that is not heard now, or has ended."""
+        said = self._alarms.said("pump", self._pump_node)
+        return said is not None and (
+            said["state"] in (FINISHED, ENDED) or wall - said["heard"] > SILENT_S
+        )
+
+    def _stop(self, wall: float) -> dict[str, Any]:
+        """Return whether the pump can be held off from here, is so, and what is wrong with that.
+
+        It is held where an operator stopped it and it stands: a hold alone says that it should.
+        """
+        node = self._pump_node
+        said = None if node is None else self._alarms.said("pump", node)
+        if said is None or self._no_stop:
+            sentence = self._no_stop or "There is no pump node that could be stopped from here."
+            return {
+                "possible": False, "held": False, "node": None, "label": "Stop the pump",
+                "sentence": sentence, "warning": self._no_stop,
+            }
+        state, _, why = (self._pump_words() or "").partition(": ")
+        asked = state in ("held", "fault") and OPERATOR_STOPPED in why
+        gone = self._pump_gone(wall)
+        stands = not gone and said.get("stands") is True
+        warning = ""
+        if asked and not stands and not gone:
+            unknown = "it is not known whether the pump stands"
+            turns = STILL_TURNS if STILL_TURNS in why else unknown
+            warning = (
+                f"Stop was accepted, but {turns}. Stop it at its drive's panel if it does not "
+                "stand within seconds."
+            )
+        off = state in ("off", "held", "fault") and stands
+        held = asked and stands
+        return {
+            "possible": True, "held": held, "node": node,
+            "label": "The pump is held off" if held
+            else "Keep the pump off" if off else "Stop the pump",
+            "sentence": ("It was held off when last heard. " if asked and gone else "")
+            + ("The pump is held" if held else "Holds the pump")
+            + " off until somebody releases it at the pump node.",
+            "warning": warning,
+        }
+
+    def _account_of(self, utc_offset: float) -> dict[str, Any]:
+        account = self._account
+        totals = {} if account is None else dict(account.totals())
+        if "pumped" in totals:
+            totals["saved"] = totals["pumped"]
+        labels = dict(_ENTRIES)
+        since, sentence = "", "not known yet"
+        if account is not None and account.since is not None:
+            since = f"since {words.date_and_time(account.since / 1e9, utc_offset)}"
+            if not account.measured:
+                for key in ("drained", "overflow"):
+                    labels[key] += ", computed from the level"
+            if "unexplained" in totals:
+                sentence = f"{words.volume(abs(totals['unexplained']))} not accounted for"
+            if account.gap_s:
+                sentence += f", with gaps of {words.length_of_time(account.gap_s)}"
+        return {
+            "since_text": since,
+            "sentence": sentence,
+            "rows": [
+                {
+                    "key": key, "label": label, "number": totals.get(key),
+                    "value": words.UNKNOWN if key not in totals
+                    else words.quantity(totals[key], "kWh", 3) if key == "energy"
+                    else words.volume(totals[key]),
+                }
+                for key, label in labels.items()
+            ],
+        }
+
+    def series(self, hours: float, points: int = 400) -> dict[str, Any]:
+        """Return what the charts show, from some hours ago to 12 h ahead, in SI units.
+
+        Args:
+            hours: how far back, at most a week.
+            points: of each line, at most, about.
+        """
+        hours = min(max(hours, 0.1), _WEEK_H) if math.isfinite(hours) else 12.0
+        points = min(max(int(points), 10), _MOST_POINTS)
+        with self._lock:
+            now = self._now()
+            site = self._site
+            marks: dict[str, Any] = dict.fromkeys(("target", "band", "suction", "outlet"))
+            if site is not None:
+                marks = {
+                    "target": site.z_veg, "band": tiles.band_of(site),
+                    "suction": site.suction_level, "outlet": site.z_o,
+                }
+            lines: dict[str, list[list[float]]] = {
+                name: [] for name in ("roof", "roof_expected", *list(LINES)[1:])
+            }
+            if now is not None:
+                self._keep_expected(now)
+                newest = max((one.time_ns for one in self._newest.values()), default=0)
+                last = max(newest, round(now * 1e9))
+                first = last - round(hours * 3.6e12)
+                for name, topic in LINES.items():
+                    if topic in self._histories:
+                        lines[name] = self._histories[topic].window(first, last, points)
+                lines["roof_expected"] = self._expected.window(first, last, points)
+            return {
+                "now": now,
+                "from": None if now is None else now - hours * 3600,
+                "to": None if now is None else now + AHEAD_S,
+                "lines": lines,
+                "forecast": [] if self._forecast is None else self._forecast.rows(),
+                "plan": [] if self._plan is None or now is None else self._plan.rows(now),
+                "marks": marks,
+                "display": {
+                    name: _display(self._interface[topic])
+                    for name, topic in {**LINES, "forecast": _FORECAST}.items()
+                },
+            }
+
+
+def _display(topic: Topic) -> dict[str, Any]:
+    """Return how an operator is shown a topic's values."""
+    display = topic.display
+    assert display is not None
+    return {
+        "label": display.label, "unit": display.unit, "factor": display.factor,
+        "decimals": display.decimals,
+    }
+
+
+def _within(rows: list[dict[str, Any]], most: int) -> list[dict[str, Any]]:
+    """Return the first rows that together have at most so many characters as JSON."""
+    length = 0
+    for place, row in enumerate(rows):
+        length += len(json.dumps(row)) + 2
+        if length > most:
+            return rows[:place]
+    return rows

@@ -1,0 +1,150 @@
+"""Messages as they go over the wire and stand in bags (CDR), read without ROS.
+
+What is heard and what is read from a bag goes through the same functions, so that both show the
+same; and a bag can be read where no ROS is installed. Nothing here trusts a length that a message
+says: what is not whole is None.
+"""
+
+from __future__ import annotations
+
+import math
+import struct
+from collections.abc import Callable
+from typing import TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from greenroof_ros.watch.alarms import Status
+
+_Result = TypeVar("_Result")
+
+_HEADER = 4
+# What is taken of one array of /diagnostics: statuses, values of each, and bytes of each text. An
+# array of this package has under ten statuses; its longest value is a list of a hundred numbers.
+_STATUSES, _VALUES, _TEXT = 1000, 100, 20_000
+# The numbers of one message: an ensemble of forecasts has some thousands.
+_NUMBERS = 1_000_000
+
+
+class _Cursor:
+    """Goes through a message, field by field."""
+
+    def __init__(self, message: bytes) -> None:
+        if len(message) < _HEADER or message[0] != 0 or message[1] > 1:
+            raise ValueError
+        self.order = "<" if message[1] else ">"
+        self._message = message
+        self.at = _HEADER
+
+    def align(self, size: int) -> None:
+        self.at += (_HEADER - self.at) % size
+
+    def skip(self, size: int) -> None:
+        self.at += size
+        if self.at > len(self._message):
+            raise ValueError
+
+    def byte(self) -> int:
+        self.skip(1)
+        return self._message[self.at - 1]
+
+    def whole(self, kind: str = "I") -> int:
+        self.align(4)
+        (value,) = struct.unpack_from(self.order + kind, self._message, self.at)
+        self.at += 4
+        return int(value)
+
+    def text(self) -> str:
+        length = self.whole()
+        start = self.at
+        self.skip(length)
+        end = start + min(max(length - 1, 0), _TEXT)  # a NUL ends it
+        return self._message[start:end].decode("utf-8", errors="replace")
+
+    def numbers(self, count: int) -> NDArray[np.float64]:
+        if count == 0:
+            return np.empty(0)
+        if count > _NUMBERS:
+            raise ValueError
+        self.align(8)
+        start = self.at
+        self.skip(8 * count)
+        found = np.frombuffer(self._message, f"{self.order}f8", count, start)
+        return found.astype(np.float64)
+
+
+def _whole_or_none(
+    read: Callable[[_Cursor], _Result]
+) -> Callable[[bytes], _Result | None]:
+    """Return a reader that says None of what is not a whole message of its type."""
+
+    def reader(message: bytes) -> _Result | None:
+        try:
+            return read(_Cursor(message))
+        except (ValueError, struct.error):
+            return None
+
+    reader.__doc__ = read.__doc__
+    return reader
+
+
+@_whole_or_none
+def number(cursor: _Cursor) -> float:
+    """Read the value of a ``std_msgs/msg/Float64``."""
+    return float(cursor.numbers(1)[0])
+
+
+@_whole_or_none
+def clock(cursor: _Cursor) -> int:
+    """Read the time of a ``rosgraph_msgs/msg/Clock`` (ns since 1970)."""
+    return _stamp(cursor)
+
+
+@_whole_or_none
+def text(cursor: _Cursor) -> str:
+    """Read the text of a ``std_msgs/msg/String``."""
+    return cursor.text()
+
+
+@_whole_or_none
+def rows(cursor: _Cursor) -> NDArray[np.float64]:
+    """Read a ``std_msgs/msg/Float64MultiArray``, in the shape that its layout says, if it does."""
+    shape = []
+    for _ in range(min(cursor.whole(), 8)):
+        cursor.text()
+        shape.append(cursor.whole())
+        cursor.whole()  # the stride, which follows from the sizes
+    offset = cursor.whole()
+    found = cursor.numbers(cursor.whole())[offset:]
+    if len(shape) < 2:
+        return found
+    if math.prod(shape) != len(found):
+        raise ValueError
+    return found.reshape(shape)
+
+
+@_whole_or_none
+def statuses(cursor: _Cursor) -> tuple[int, list[Status]]:
+    """Read the time (ns) and the statuses of a ``diagnostic_msgs/msg/DiagnosticArray``.
+
+    What no sender in good faith says is cut: see the limits above.
+    """
+    stamp = _stamp(cursor)
+    cursor.text()
+    found = []
+    for _ in range(min(cursor.whole(), _STATUSES)):
+        level = cursor.byte()
+        name, message, hardware = cursor.text(), cursor.text(), cursor.text()
+        values = {}
+        for place in range(cursor.whole()):
+            key, value = cursor.text(), cursor.text()
+            if place < _VALUES:
+                values[key] = value
+        # A level that is none counts as the worst that somebody can do something about.
+        found.append(Status(name, level if level <= 3 else 2, message, hardware, values))
+    return stamp, found
+
+
+def _stamp(cursor: _Cursor) -> int:
+    return cursor.whole("i") * 1_000_000_000 + cursor.whole()

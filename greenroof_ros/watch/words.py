@@ -1,0 +1,133 @@
+"""Numbers, times and sentences as an operator reads them: one place for page and terminal."""
+
+from __future__ import annotations
+
+import math
+from datetime import datetime, timedelta, timezone
+
+NOT_PLAUSIBLE = "not a plausible value"
+UNKNOWN = "unknown"
+
+
+def number(value: float, decimals: int) -> str:
+    """Write a number with so many decimals; never as minus zero, and never an endless one."""
+    if not math.isfinite(value) or abs(value) >= 1e12:
+        return UNKNOWN
+    text = f"{value:.{decimals}f}"
+    return text.removeprefix("-") if float(text) == 0 else text
+
+
+def quantity(value: float, unit: str, decimals: int, factor: float = 1.0) -> str:
+    """Write a number with its unit, such as ``45.3 mm``.
+
+    Args:
+        value: in its SI unit.
+        unit: as it is shown.
+        decimals: of the number that is shown.
+        factor: from the SI unit to the one that is shown.
+    """
+    text = number(value * factor, decimals)
+    return text if text == UNKNOWN else f"{text} {unit}".rstrip()
+
+
+def depth(metres: float) -> str:
+    """Write a depth of water, or a difference of such: ``45.3 mm``."""
+    return quantity(metres, "mm", 1, 1e3)
+
+
+def rate(metres_per_second: float) -> str:
+    """Write a rate of rain: ``1.2 mm/h``."""
+    return quantity(metres_per_second, "mm/h", 1, 3.6e6)
+
+
+def rain(metres: float) -> str:
+    """Write an amount of rain: ``12 mm``, and below 10 mm ``1.2 mm``."""
+    return quantity(metres, "mm", 0 if abs(metres) >= 0.00995 else 1, 1e3)
+
+
+def flow(cubic_metres_per_second: float) -> str:
+    """Write a flow: ``12.3 L/min``."""
+    return quantity(cubic_metres_per_second, "L/min", 1, 6e4)
+
+
+def volume(cubic_metres: float) -> str:
+    """Write a volume: ``1.234 m3``."""
+    return quantity(cubic_metres, "m3", 3)
+
+
+def share(value: float) -> str:
+    """Write a share: ``40 %``; what is not nothing is not written as nothing."""
+    if 0 < value < 0.005:
+        return "less than 1 %"
+    return quantity(value, "%", 0, 100)
+
+
+def length_of_time(seconds: float) -> str:
+    """Write how long something takes, as people say it: ``40 s``, ``12 min``, ``3.5 h``."""
+    if not math.isfinite(seconds):
+        return UNKNOWN
+    if seconds < 90:
+        return f"{number(seconds, 0)} s"
+    if seconds < 5400:
+        return f"{number(seconds / 60, 0)} min"
+    if seconds < 172800:
+        return f"{number(seconds / 3600, 1).removesuffix('.0')} h"
+    return f"{number(seconds / 86400, 1).removesuffix('.0')} days"
+
+
+def moment(seconds: float, utc_offset: float) -> datetime | None:
+    """Return a time since 1970 (s) at an offset from UTC (h); None where no calendar has it."""
+    try:
+        return datetime.fromtimestamp(seconds, timezone(timedelta(hours=utc_offset)))
+    except (ValueError, OverflowError, OSError):
+        return None
+
+
+def date_and_time(seconds: float, utc_offset: float) -> str:
+    """Write a time since 1970 (s): ``2021-07-20 05:00:00``."""
+    at = moment(seconds, utc_offset)
+    return UNKNOWN if at is None else at.strftime("%Y-%m-%d %H:%M:%S")
+
+
+def date_time_and_zone(seconds: float, utc_offset: float) -> str:
+    """Write a time since 1970 (s): ``2021-07-20 05:00:00 UTC-04:00``."""
+    at = moment(seconds, utc_offset)
+    return UNKNOWN if at is None else at.strftime("%Y-%m-%d %H:%M:%S %Z")
+
+
+def time_of_day(seconds: float, utc_offset: float, now: float) -> str:
+    """Write a time since 1970 (s): ``05:00:00``, with its date where that is not today's."""
+    at, today = moment(seconds, utc_offset), moment(now, utc_offset)
+    if at is None:
+        return UNKNOWN
+    same = today is not None and at.date() == today.date()
+    return at.strftime("%H:%M:%S" if same else "%Y-%m-%d %H:%M:%S")
+
+
+def hour_and_minute(seconds: float, utc_offset: float, now: float) -> str:
+    """Write a time that comes (s since 1970): ``06:20``, tomorrow's as ``tomorrow 06:20``."""
+    at, today = moment(seconds, utc_offset), moment(now, utc_offset)
+    if at is None or today is None:
+        return UNKNOWN
+    days = (at.date() - today.date()).days
+    clock = at.strftime("%H:%M")
+    return clock if days == 0 else f"tomorrow {clock}" if days == 1 else at.strftime("%d %b %H:%M")
+
+
+def versus(difference: float, of: str) -> str:
+    """Write how far a level is from another (m): ``0.4 mm below its target``."""
+    text = depth(abs(difference))
+    if number(abs(difference) * 1e3, 1) == "0.0":
+        return f"at {of}"
+    return f"{text} {'below' if difference < 0 else 'above'} {of}"
+
+
+def plain(text: str, most: int) -> str:
+    """Return a text that can be shown anywhere: printable, and at most so long."""
+    short = text[:most] + ("…" if len(text) > most else "")
+    if short.isprintable():
+        return short
+    return "".join(
+        one if one.isprintable() else " " if one.isspace() else "\N{REPLACEMENT CHARACTER}"
+        for one in short
+    )

@@ -1,0 +1,188 @@
+"""What looks at a graph from outside: what it hears, how it is connected, and the stop."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+import threading
+import time
+from collections import defaultdict
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+from graphs import environment, files_of, udp_addresses_of, wait_for
+from lookers import Peer, in_domain
+
+pytest.importorskip("rclpy", reason="the graph needs ROS 2")
+
+from rclpy.executors import SingleThreadedExecutor
+from std_msgs.msg import Float64
+from std_srvs.srv import SetBool, Trigger
+
+from greenroof_ros.common.interface import read_topics
+from greenroof_ros.graph.looker import Looker, StopFailedError
+from greenroof_ros.graph.qos import qos_profile
+from greenroof_ros.graph.serialization import decoder, encoder
+
+LEVEL = "/roof/level"
+
+
+class Heard:
+    """A looker, and what it heard: number, value and time, by topic."""
+
+    def __init__(self, namespace: str = "") -> None:
+        self.messages: defaultdict[str, list[tuple[int | None, bytes, int]]] = defaultdict(list)
+        self.looker = Looker(namespace, self._take)
+
+    def _take(self, name: str, message: bytes, number: int | None, arrived_ns: int) -> None:
+        self.messages[name].append((number, message, arrived_ns))
+
+    def levels(self) -> list[tuple[int | None, float]]:
+        decode = decoder("std_msgs/msg/Float64")
+        return [(number, decode(message)) for number, message, _ in self.messages[LEVEL]]
+
+    def look_until(self, condition: Callable[[], Any]) -> None:
+        def look() -> bool:
+            self.looker.look(0.02)
+            return bool(condition())
+
+        wait_for(look, 20, "what was to be heard")
+
+
+@pytest.fixture
+def place(domain: int) -> Iterator[int]:
+    """A domain, also for nodes of this process."""
+    with in_domain(domain):
+        yield domain
+
+
+def test_messages_come_with_their_numbers(place: int) -> None:
+    """Those that are said while it listens and no older ones, under the graph's namespace."""
+    peer, heard = Peer(place, "gauge", "/site1"), Heard("/site1")
+    publisher = peer.node.create_publisher(
+        Float64, "roof/level", qos_profile(read_topics()[LEVEL].qos)
+    )
+    encode = encoder("std_msgs/msg/Float64")
+    for value in (1.0, 2.0, 3.0):
+        publisher.publish(encode(value))
+    heard.looker.listen([LEVEL])
+    assert set(heard.looker.topics) == {"/diagnostics", LEVEL}
+    wait_for(lambda: publisher.get_subscription_count() == 1, 20, "the subscription")
+    before = time.time_ns()
+    for number in range(4, 64):
+        publisher.publish(encode(float(number)))
+    heard.look_until(lambda: len(heard.messages[LEVEL]) >= 60)
+    assert heard.levels() == [(number, float(number)) for number in range(4, 64)]
+    assert all(before <= at <= time.time_ns() for _, _, at in heard.messages[LEVEL])
+    # It listens to other topics, or to none.
+    heard.looker.listen([])
+    wait_for(lambda: publisher.get_subscription_count() == 0, 20, "the end of the subscription")
+    publisher.publish(encode(64.0))
+    heard.looker.listen([LEVEL])
+    wait_for(lambda: publisher.get_subscription_count() == 1, 20, "the subscription")
+    publisher.publish(encode(65.0))
+    heard.look_until(lambda: len(heard.messages[LEVEL]) >= 61)
+    assert heard.levels()[60:] == [(65, 65.0)]
+    heard.looker.close()
+    peer.close()
+
+
+def test_it_uses_loopback_and_no_shared_memory(domain: int, tmp_path: Path) -> None:
+    """Over shared memory a watcher that is stopped could stop others."""
+    program = (
+        "from greenroof_ros.graph.looker import Looker\n"
+        "looker = Looker('', print)\n"
+        "looker.listen(['/roof/level'])\n"
+        "print('up', flush=True)\n"
+        "input()\n"
+        "looker.close()\n"
+        "print('down')\n"
+    )
+    process = subprocess.Popen(
+        [sys.executable, "-c", program], env=environment(domain), cwd=tmp_path, text=True,
+        stdin=subprocess.PIPE, stdout=subprocess.PIPE,
+    )
+    assert process.stdout is not None
+    assert process.stdout.readline() == "up\n"
+    assert set(udp_addresses_of(process.pid)) == {"127.0.0.1"}
+    maps = Path(f"/proc/{process.pid}/maps").read_text()
+    # Fast DDS calls its segments fastrtps_... and fast_datasharing_..., and their locks sem.fast...
+    assert "/dev/shm/fast" not in maps and "/dev/shm/sem.fast" not in maps
+    assert not [file for file in files_of(process.pid) if file.startswith("/dev/shm/")]
+    began = time.monotonic()
+    assert process.communicate("\n", timeout=20)[0] == "down\n"
+    assert time.monotonic() - began < 5
+    assert process.returncode == 0
+
+
+class Pump(Peer):
+    """A pump node's stop service, which answers as it is told."""
+
+    def __init__(self, domain: int, kind: Any = SetBool) -> None:
+        super().__init__(domain, "pump")
+        self.asked: list[bool] = []
+        self.success, self.words, self.answers_after = True, "held: an operator stopped it", 0.0
+        self.node.create_service(kind, "~/stop", self._on_stop)
+        self._executor = SingleThreadedExecutor(context=self.context)
+        self._executor.add_node(self.node)
+        self._over = False
+        self._thread = threading.Thread(target=self._spin)
+        self._thread.start()
+
+    def _on_stop(self, request: Any, response: Any) -> Any:
+        self.asked.append(request.data)
+        time.sleep(self.answers_after)
+        response.success, response.message = self.success, self.words
+        return response
+
+    def _spin(self) -> None:
+        while not self._over:
+            self._executor.spin_once(timeout_sec=0.05)
+
+    def close(self) -> None:
+        self._over = True
+        self._thread.join()
+        super().close()
+
+
+def test_stop(place: int) -> None:
+    """The pump node's words come back; where it does not say that it holds, that is an error."""
+    heard = Heard()
+    looker = heard.looker
+    with pytest.raises(StopFailedError, match="no pump node"):
+        looker.stop_pump()
+    looker.prepare_stop("/pump")
+    began = time.monotonic()
+    with pytest.raises(StopFailedError, match="/pump has no stop service that answers"):
+        looker.stop_pump(0.5)
+    assert time.monotonic() - began < 2
+    pump = Pump(place)
+    assert looker.stop_pump(20) == "held: an operator stopped it"
+    assert pump.asked == [True]
+    pump.success, pump.words = False, "held: an operator stopped it; but the disk is full"
+    with pytest.raises(StopFailedError, match="the disk is full"):
+        looker.stop_pump(20)
+    pump.answers_after = 2.0
+    began = time.monotonic()
+    with pytest.raises(StopFailedError, match=r"did not answer within 0\.5 s"):
+        looker.stop_pump(0.5)
+    assert time.monotonic() - began < 2
+    looker.prepare_stop(None)
+    with pytest.raises(StopFailedError, match="no pump node"):
+        looker.stop_pump()
+    looker.close()
+    pump.close()
+
+
+def test_a_service_of_another_type_is_not_called(place: int) -> None:
+    """Only what stops a pump as the pump node does."""
+    heard = Heard()
+    other = Pump(place, Trigger)
+    heard.looker.prepare_stop("/pump")
+    with pytest.raises(StopFailedError):
+        heard.looker.stop_pump(2)
+    assert other.asked == []
+    heard.looker.close()
+    other.close()

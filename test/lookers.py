@@ -1,0 +1,43 @@
+"""Nodes within the tests' own process, on the nodes' transport and in a domain of their own."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+
+@contextmanager
+def in_domain(domain: int) -> Iterator[None]:
+    """Set what nodes of this process need, and leave the environment as it was."""
+    before = dict(os.environ)
+    os.environ["ROS_DOMAIN_ID"] = str(domain)
+    os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
+    try:
+        yield
+    finally:
+        os.environ.clear()
+        os.environ.update(before)
+
+
+class Peer:
+    """A node of somebody else's, which publishes and serves."""
+
+    def __init__(self, domain: int, name: str, namespace: str = "") -> None:
+        import rclpy
+        from rclpy.node import Node
+        from rclpy.signals import SignalHandlerOptions
+
+        from greenroof_ros.graph.transport import choose_transport
+
+        self.context = rclpy.Context()
+        choose_transport()
+        rclpy.init(
+            args=[], context=self.context, domain_id=domain,
+            signal_handler_options=SignalHandlerOptions.NO,
+        )
+        self.node = Node(name, namespace=namespace or None, context=self.context)
+
+    def close(self) -> None:
+        self.node.destroy_node()
+        self.context.try_shutdown()

@@ -1,0 +1,136 @@
+"""The watcher's server in this process, over real sockets, and clients that speak by the byte."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import socket
+import threading
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+from greenroof_ros.watch.feed import Feed
+from greenroof_ros.watch.listening import LOOPBACK, listen
+from greenroof_ros.watch.server import serving
+from greenroof_ros.watch.watched import Watched
+
+
+@contextmanager
+def served(watched: Watched, token: str | None = None, port: int = 0) -> Iterator[int]:
+    """Serve what is watched on loopback, without a graph; yields the port."""
+    feed = Feed(watched, "", bag=None, site_file=None)  # not entered: nothing comes, none stops
+    loop = asyncio.new_event_loop()
+    thread = threading.Thread(target=loop.run_forever)
+    thread.start()
+
+    def run(call: Callable[[], Any]) -> Any:
+        return asyncio.run_coroutine_threadsafe(call(), loop).result(20)
+
+    place = listen(LOOPBACK, port)
+    context = serving(watched, feed, place, token)
+    run(context.__aenter__)
+    try:
+        yield place.socket.getsockname()[1]
+    finally:
+        run(lambda: context.__aexit__(None, None, None))
+        run(_cancel_others)
+        loop.call_soon_threadsafe(loop.stop)
+        thread.join(20)
+        loop.close()
+
+
+async def _cancel_others() -> None:
+    """End what still runs in this loop, as the end of a program does."""
+    others = asyncio.all_tasks() - {asyncio.current_task()}
+    for task in others:
+        task.cancel()
+    await asyncio.gather(*others, return_exceptions=True)
+
+
+class Answer:
+    """What a server answered: status, headers in small letters, and body."""
+
+    def __init__(self, data: bytes) -> None:
+        head, _, self.body = data.partition(b"\r\n\r\n")
+        first, *lines = head.decode("latin-1").split("\r\n")
+        self.status = int(first.split()[1]) if first else 0
+        pairs = (line.partition(":") for line in lines)
+        self.headers = {name.lower(): value.strip() for name, _, value in pairs}
+
+    def json(self) -> Any:
+        return json.loads(self.body)
+
+
+def send(port: int, data: bytes, seconds: float = 20) -> bytes:
+    """Send bytes, and return all that comes until the other side closes."""
+    with socket.create_connection((LOOPBACK, port), timeout=seconds) as connection:
+        connection.sendall(data)
+        parts = []
+        try:
+            while part := connection.recv(1 << 16):
+                parts.append(part)
+        except ConnectionResetError:
+            pass
+        return b"".join(parts)
+
+
+def request(
+    port: int, method: str, target: str, body: bytes = b"", *, host: str | None = "localhost",
+    **headers: str,
+) -> Answer:
+    """Ask once, by a target that is sent as it is."""
+    lines = [f"{method} {target} HTTP/1.1", "Connection: close"]
+    if host is not None:
+        lines.append(f"Host: {host}")
+    if body or method == "POST":
+        lines.append(f"Content-Length: {len(body)}")
+    lines += [f"{name.replace('_', '-')}: {value}" for name, value in headers.items()]
+    return Answer(send(port, "\r\n".join([*lines, "", ""]).encode("latin-1") + body))
+
+
+class Stream:
+    """A page's stream of events."""
+
+    def __init__(self, port: int, hours: str = "12", receiving: int | None = None,
+                 **headers: str) -> None:
+        self.socket = socket.socket()
+        if receiving is not None:
+            self.socket.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, receiving)
+        self.socket.settimeout(20)
+        self.socket.connect((LOOPBACK, port))
+        lines = [f"GET /events?hours={hours} HTTP/1.1", "Host: localhost"]
+        lines += [f"{name.replace('_', '-')}: {value}" for name, value in headers.items()]
+        self.socket.sendall("\r\n".join([*lines, "", ""]).encode())
+        self._file = self.socket.makefile("rb")
+
+    def head(self) -> str:
+        """Read the answer's head."""
+        lines = []
+        while (line := self._file.readline()) not in (b"\r\n", b""):
+            lines.append(line.decode())
+        return "".join(lines)
+
+    def chunks(self) -> Iterator[bytes]:
+        """Yield what comes, until its end."""
+        while size := int(self._file.readline() or b"0", 16):
+            yield self._file.read(size)
+            self._file.readline()
+
+    def events(self) -> Iterator[tuple[str, Any]]:
+        """Yield each event's name and content, after the head."""
+        for chunk in self.chunks():
+            name, data, *_ = chunk.decode().split("\n")
+            yield name.removeprefix("event: "), json.loads(data.removeprefix("data: "))
+
+    def close(self) -> None:
+        self._file.close()
+        self.socket.close()
+
+
+def page_files() -> list[Path]:
+    """Return the page's files."""
+    import greenroof_ros.watch
+
+    return sorted((Path(greenroof_ros.watch.__file__).parent / "page").iterdir())

@@ -1,0 +1,358 @@
+"""What a watcher is fed, from real graphs: each value at its tick, whatever the speed."""
+
+from __future__ import annotations
+
+import json
+import os
+import pickle
+import signal
+import subprocess
+import sys
+import threading
+import time
+from collections import defaultdict
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from bag_topics import MPC_TOPICS
+from graphs import Process, bag_file, bring_up, environment, wait_for
+from lookers import Peer, in_domain
+from mcap.reader import make_reader
+from numpy.typing import NDArray
+
+pytest.importorskip("rclpy", reason="the graph needs ROS 2")
+
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+
+from greenroof_ros.graph.looker import StopFailedError
+from greenroof_ros.watch import wire
+from greenroof_ros.watch.feed import Feed
+from greenroof_ros.watch.watched import Watched
+
+LEVEL = "/roof/level"
+FORECASTS = {"/forecast/precipitation", "/forecast/evapotranspiration"}
+HEARD, READ = "graph", "bag"  # the threads that hear and read
+
+
+class Kept(Watched):
+    """Keeps what it is fed, besides.
+
+    Attributes:
+        values: by the thread and the topic, the value of each time.
+        present: what it was told of the graph, each once.
+        runs: how often it began anew.
+    """
+
+    def __init__(self) -> None:
+        self.values: defaultdict[tuple[str, str], dict[int, Any]] = defaultdict(dict)
+        self.present: list[tuple[str, str, str]] = []
+        self.runs = 0
+        super().__init__()
+
+    def _keep(self, topic: str, time_ns: int, value: Any) -> None:
+        kept = self.values[threading.current_thread().name, topic]
+        assert kept.setdefault(time_ns, value) == value
+
+    def add(self, topic: str, times_ns: NDArray[np.int64], values: NDArray[np.float64]) -> None:
+        for time_ns, value in zip(times_ns.tolist(), values.tolist(), strict=True):
+            self._keep(topic, time_ns, value)
+        super().add(topic, times_ns, values)
+
+    def add_forecast(self, topic: str, time_ns: int, values: NDArray[np.float64]) -> None:
+        self._keep(topic, time_ns, values.tolist())
+        super().add_forecast(topic, time_ns, values)
+
+    def set_present(self, *, mode: str, factor: float | None, source: str, note: str) -> None:
+        if (mode, source, note) not in self.present:
+            self.present.append((mode, source, note))
+        super().set_present(mode=mode, factor=factor, source=source, note=note)
+
+    def begin_anew(self) -> None:
+        self.runs += 1
+        self.values.clear()
+        super().begin_anew()
+
+    @property
+    def mode(self) -> str:
+        return str(self.document(time.monotonic())["mode"])
+
+    def of(self, thread: str) -> dict[str, dict[int, Any]]:
+        return {topic: values for (by, topic), values in self.values.items() if by == thread}
+
+
+@contextmanager
+def fed(domain: int, bag: Path | None = None, namespace: str = "") -> Iterator[tuple[Kept, Feed]]:
+    watched = Kept()
+    with in_domain(domain), Feed(watched, namespace, bag=bag, site_file=None) as feed:
+        yield watched, feed
+
+
+def recorded(run: Path) -> dict[str, dict[int, Any]]:
+    """Return each value of a bag at its time."""
+    found: defaultdict[str, dict[int, Any]] = defaultdict(dict)
+    with bag_file(run).open("rb") as stream:
+        for schema, channel, message in make_reader(stream).iter_messages():
+            assert schema is not None
+            if schema.name.endswith("Float64"):
+                found[channel.topic][message.log_time] = wire.number(message.data)
+            elif schema.name.endswith("Float64MultiArray"):
+                rows = wire.rows(message.data)
+                assert rows is not None
+                found[channel.topic][message.log_time] = rows.tolist()
+    return dict(found)
+
+
+def _shown(watched: Kept) -> dict[str, Any]:
+    return watched.document(time.monotonic())
+
+
+def ended(watched: Kept, run: Path) -> None:
+    """Wait until the run has ended and its last tick is shown."""
+    wait_for(lambda: watched.mode == "ended", 120, "the end of the run")
+    last = max(recorded(run)[LEVEL])
+    wait_for(lambda: _shown(watched)["time"]["now"] == last / 1e9, 120, "the last tick")
+
+
+def check_heard(watched: Kept, run: Path, least: int) -> None:
+    """Hold what was heard against the bag: no value at another tick, and none is missing."""
+    bag, heard, read = recorded(run), watched.of(HEARD), watched.of(READ)
+    for topic in MPC_TOPICS - {"/clock"} - FORECASTS:
+        assert heard[topic].items() <= bag[topic].items(), topic
+        assert {**read[topic], **heard[topic]} == bag[topic], topic
+        assert len(heard[topic]) > least, topic
+
+
+def test_what_is_heard_is_the_bags(domain: int, tmp_path: Path) -> None:
+    """At 30 times real time: each value at its tick, those before the watcher came too."""
+    run = Process(
+        domain, "bringup", "--speed", "30", "--hours", "0.15", "--output", "run", cwd=tmp_path
+    )
+    wait_for(lambda: bag_file(tmp_path / "run").exists(), 60, "a bag")
+    with fed(domain) as (watched, feed):
+        wait_for(lambda: ("simulated", "heard", "") in watched.present, 60, "hearing")
+        with pytest.raises(StopFailedError, match="no pump node"):
+            feed.stop_pump()
+        assert run.wait(120) == 0, run.stderr()
+        ended(watched, tmp_path / "run")
+        bag, heard = recorded(tmp_path / "run"), watched.of(HEARD)
+        check_heard(watched, tmp_path / "run", 100)
+    assert set(bag) == set(heard) == MPC_TOPICS - {"/clock"}
+    for topic, values in heard.items():
+        if topic in FORECASTS:  # the newest is shown, and not each
+            assert all(bag[topic][at] == value for at, value in values.items())
+        else:  # none is missing from the first that was heard on
+            assert sorted(values) == [at for at in bag[topic] if at >= min(values)]
+    assert watched.runs == 0
+
+
+def test_at_full_speed_the_bag_is_read(domain: int, tmp_path: Path) -> None:
+    """/diagnostics alone is heard; the water account is that of the run's own summary."""
+    with fed(domain) as (watched, _):
+        first = bring_up(domain, tmp_path, "--hours", "0.5", output="first")
+        ended(watched, tmp_path / "first")
+        assert not watched.of(HEARD)
+        assert watched.of(READ)[LEVEL] == recorded(tmp_path / "first")[LEVEL]
+        rows = watched.document(time.monotonic())["account"]["rows"]
+        account = {row["key"]: row["number"] for row in rows}
+        assert account["pumped"] == pytest.approx(first["pumped_m3"], abs=1e-9)
+        assert watched.runs == 0
+        # Another run is picked up.
+        bring_up(domain, tmp_path, "--hours", "0.3", "--start", "2021-07-08T02:00",
+                 output="second")
+        ended(watched, tmp_path / "second")
+        assert watched.runs >= 1
+        assert watched.of(READ)[LEVEL] == recorded(tmp_path / "second")[LEVEL]
+    # An ended run is shown from its bag, where no graph is.
+    with fed(domain, tmp_path / "first" / "bag") as (watched, _):
+        ended(watched, tmp_path / "first")
+        assert watched.of(READ)[LEVEL] == recorded(tmp_path / "first")[LEVEL]
+
+
+def test_samples_where_there_is_no_bag(domain: int, tmp_path: Path) -> None:
+    """They are said to be such, and each is that of its tick."""
+    bring_up(domain, tmp_path, "--hours", "0.6", output="recorded")
+    with fed(domain) as (watched, _):
+        run = Process(
+            domain, "bringup", "--hours", "0.6", "--speed", "200", "--no-record",
+            "--output", "run", cwd=tmp_path,
+        )
+        assert run.wait(300) == 0, run.stderr()
+        wait_for(lambda: watched.mode == "ended", 30, "the end of the run")
+        heard = watched.of(HEARD)
+        notes = [note for _, source, note in watched.present if source == "samples"]
+    assert notes and all(note.startswith("Shows samples: ") for note in notes)
+    bag = recorded(tmp_path / "recorded")
+    assert set(heard) == {LEVEL, "/cistern/level", "/pump/command"}
+    for topic in (LEVEL, "/cistern/level"):
+        assert heard[topic].items() <= bag[topic].items()
+    assert len(heard[LEVEL]) > 3
+
+
+def test_hostile_diagnostics(domain: int) -> None:
+    """Whatever is said there, the feed goes on; a run that is not one changes nothing."""
+    values: list[dict[str, str]] = [
+        {"role": '"plant"', "process": '"a 1"', "tick": "1" * 4000},
+        {"role": '"plant"', "process": '"b 1"', "tick": "1e999", "answers_from": "-5"},
+        {"role": '"plant"', "process": '"c 1"', "tick": "true", "roof_level": "NaN"},
+        {"role": '"recorder"', "process": '"d 1"', "bag": '"/etc/passwd\\u0000"'},
+        {"role": '"recorder"', "process": '"x"', "bag": '"/proc"'},
+        {"role": "[" * 100_000, "process": "{"},
+        {"role": '"pump"', "process": '"e 1"', "flow": '"<script>"'},
+    ]
+    with fed(domain) as (watched, _), in_domain(domain):
+        peer = Peer(domain, "stranger")
+        publisher = peer.node.create_publisher(DiagnosticArray, "/diagnostics", 10)
+        wait_for(lambda: publisher.get_subscription_count() == 1, 20, "the subscription")
+        for state in ("ready", "finished", "none"):
+            for each in values:
+                pairs = [KeyValue(key=key, value=value) for key, value in each.items()]
+                status = DiagnosticStatus(name="/x", message=state, values=pairs)
+                publisher.publish(DiagnosticArray(status=[status] * 20))
+        publisher.publish(
+            DiagnosticArray(status=[DiagnosticStatus(name="/y" * 1000, message="m" * 10**5)] * 500)
+        )
+        time.sleep(1.0)
+        status = DiagnosticStatus(
+            level=DiagnosticStatus.ERROR, name="/fan", message="stands", hardware_id="fan"
+        )
+
+        def shown() -> bool:
+            publisher.publish(DiagnosticArray(status=[status]))
+            document = watched.document(time.monotonic())
+            assert len(json.dumps(document)) < 100_000
+            assert "could not be shown" not in json.dumps(document["notes"])
+            return any("stands" in alarm["what"] for alarm in document["alarms"])
+
+        wait_for(shown, 20, "an alarm")
+        peer.close()
+
+
+def test_stop_is_for_the_one_pump_node_that_is_shown(domain: int) -> None:
+    """A name that is none, and two nodes that claim the pump, are refused in words, and soon."""
+
+    def pump(name: str, process: str) -> DiagnosticStatus:
+        said = {"role": "pump", "process": process, "pump": "running: as commanded"}
+        pairs = [KeyValue(key=key, value=json.dumps(value)) for key, value in said.items()]
+        return DiagnosticStatus(name=name, message="ready", values=pairs)
+
+    def refusal(feed: Feed) -> str:
+        began = time.monotonic()
+        with pytest.raises(StopFailedError) as refused:
+            feed.stop_pump()
+        assert time.monotonic() - began < 4.5
+        return str(refused.value)
+
+    with fed(domain) as (watched, feed), in_domain(domain):
+        peer = Peer(domain, "stranger")
+        publisher = peer.node.create_publisher(DiagnosticArray, "/diagnostics", 10)
+        wait_for(lambda: publisher.get_subscription_count() == 1, 20, "the subscription")
+
+        def stop_of(*pumps: DiagnosticStatus) -> dict[str, Any]:
+            publisher.publish(DiagnosticArray(status=pumps))
+            document = watched.document(time.monotonic())
+            assert "met an error" not in json.dumps(document["notes"])
+            return document["stop"]
+
+        for _ in range(5):
+            assert not stop_of(pump("/no such name!", "x 1"))["possible"]
+            time.sleep(0.1)
+        assert "no pump node" in refusal(feed)
+        wait_for(lambda: stop_of(pump("/pump", "a 1"))["node"] == "/pump", 20, "the pump node")
+        assert refusal(feed) == "/pump has no stop service that answers."
+        both = pump("/pump", "a 1"), pump("/other", "b 1")
+        wait_for(lambda: stop_of(*both)["warning"], 20, "a warning")
+        stop = stop_of(*both)
+        assert not stop["possible"]
+        assert "/pump (a 1) and /other (b 1)" in refusal(feed)
+        peer.close()
+
+
+class Broken(Kept):
+    """Cannot be told what is watched."""
+
+    def set_present(self, **_: Any) -> None:
+        raise ValueError("broken")
+
+
+def test_a_stop_is_answered_whatever_else_fails(domain: int) -> None:
+    with in_domain(domain), Feed(Broken(), "", bag=None, site_file=None) as feed:
+        time.sleep(0.5)
+        began = time.monotonic()
+        with pytest.raises(StopFailedError, match="no pump node"):
+            feed.stop_pump()
+        assert time.monotonic() - began < 2
+
+
+def test_without_a_graph(domain: int, tmp_path: Path) -> None:
+    """Nothing is heard yet; a bag that is none is said; it ends at once."""
+    with fed(domain, tmp_path / "none") as (watched, _):
+        wait_for(lambda: watched.present, 20, "a word")
+        wait_for(
+            lambda: any("There is no recording at" in note for *_, note in watched.present), 20,
+            "the note",
+        )
+    with fed(domain) as (watched, _):
+        wait_for(lambda: watched.present, 20, "a word")
+        assert watched.present == [("none", "heard", "")]
+        began = time.monotonic()
+    assert time.monotonic() - began < 2
+    assert not [thread for thread in threading.enumerate() if thread.name == HEARD]
+
+
+def test_a_node_that_is_started_again(domain: int, tmp_path: Path) -> None:
+    """It numbers its messages from 1 again, and each still comes to its tick."""
+    with fed(domain) as (watched, _):
+        run = Process(
+            domain, "bringup", "--speed", "30", "--hours", "0.4", "--output", "run",
+            "--on-node-failure", "restart", cwd=tmp_path,
+        )
+        wait_for(lambda: ("simulated", "heard", "") in watched.present, 60, "hearing")
+        wait_for(lambda: len(watched.of(HEARD).get(LEVEL, ())) > 60, 60, "levels")
+        for node in ("controller", "weather"):
+            os.kill(run.nodes()[node], signal.SIGKILL)
+            count = len(watched.of(HEARD)[LEVEL])
+            wait_for(lambda count=count: len(watched.of(HEARD)[LEVEL]) > count + 60, 60, "more")
+        assert run.wait(120) == 0, run.stderr()
+        ended(watched, tmp_path / "run")
+        assert watched.runs == 0
+        check_heard(watched, tmp_path / "run", 150)
+
+
+def test_a_watcher_that_was_stopped(domain: int, tmp_path: Path) -> None:
+    """What it missed then comes from the bag, and nothing is at another tick."""
+    program = (
+        "import pickle, sys\n"
+        "from test_feed import fed, ended, Path, wait_for\n"
+        "with fed(int(sys.argv[1])) as (watched, _):\n"
+        "    wait_for(lambda: ('simulated', 'heard', '') in watched.present, 90, 'hearing')\n"
+        "    print('hears', flush=True)\n"
+        "    ended(watched, Path(sys.argv[2]))\n"
+        "with open(sys.argv[3], 'wb') as stream:\n"
+        "    pickle.dump((dict(watched.values), watched.runs), stream)\n"
+    )
+    run = Process(
+        domain, "bringup", "--speed", "30", "--hours", "0.2", "--output", "run", cwd=tmp_path
+    )
+    path = os.pathsep.join([str(Path(__file__).parent), *filter(None, sys.path)])
+    process = subprocess.Popen(
+        [sys.executable, "-c", program, str(domain), str(tmp_path / "run"), str(tmp_path / "kept")],
+        env={**environment(domain), "PYTHONPATH": path}, stdout=subprocess.PIPE, text=True,
+    )
+    assert process.stdout is not None
+    assert process.stdout.readline() == "hears\n"
+    for _ in range(2):
+        process.send_signal(signal.SIGSTOP)
+        time.sleep(4)
+        process.send_signal(signal.SIGCONT)
+        time.sleep(3)
+    assert run.wait(120) == 0, run.stderr()
+    assert process.wait(60) == 0
+    kept = Kept()
+    values, kept.runs = pickle.loads((tmp_path / "kept").read_bytes())
+    kept.values.update(values)
+    assert kept.runs == 0
+    check_heard(kept, tmp_path / "run", 100)

@@ -1,0 +1,57 @@
+"""Which graph is there, by what nodes say of themselves."""
+
+from __future__ import annotations
+
+import json
+from typing import Any
+
+import pytest
+
+from greenroof_ros.watch.alarms import Status
+from greenroof_ros.watch.graph_state import GraphState
+
+
+def say(graph: GraphState, now: float, role: str, state: str = "ready", **values: Any) -> None:
+    """Have a node of a lockstep graph say how it is."""
+    said = {"role": role, "process": "host 1", "answers_from": 0, "name": f"/{role}", **values}
+    texts = {key: json.dumps(value) for key, value in said.items()}
+    graph.hear(0, now, [Status(said["name"], 0, state, "host", texts)], now, 1.0)
+
+
+def test_a_run_has_not_ended_while_its_pump_is_there() -> None:
+    graph = GraphState("")
+    say(graph, 0.0, "plant")
+    say(graph, 0.0, "pump")
+    say(graph, 1.0, "plant", "ended")
+    say(graph, 1.0, "pump")
+    assert (graph.mode(1.0), graph.pump(1.0)) == ("loop", "/pump")
+    say(graph, 2.0, "pump", "ended")
+    assert (graph.mode(2.0), graph.pump(2.0)) == ("ended", None)
+
+
+def test_two_nodes_that_claim_the_pump() -> None:
+    graph = GraphState("")
+    for at in (0.0, 0.25):
+        say(graph, at, "pump")
+        say(graph, at, "pump", name="/other", process="host 2")
+    assert graph.pump(0.25) == "/pump"
+    assert graph.two_pumps(0.25) == "/pump (host 1) and /other (host 2)"
+    assert graph.two_pumps(3.0) == ""
+
+
+def test_a_pump_node_that_is_started_again_is_one() -> None:
+    graph = GraphState("")
+    say(graph, 0.0, "pump")
+    for at in (0.5, 1.0, 1.5, 2.0, 2.5):
+        say(graph, at, "pump", process="host 2")
+        assert graph.two_pumps(at) == ""
+        assert graph.pump(at) == "/pump"
+
+
+@pytest.mark.parametrize("name", [
+    "/no such name!", "pump", "/a//b", "/1", "/" + "p" * 300, "/x: y",
+])
+def test_what_ros_lets_no_node_be_called_is_none(name: str) -> None:
+    graph = GraphState("")
+    say(graph, 0.0, "pump", name=name)
+    assert graph.pump(0.0) is None

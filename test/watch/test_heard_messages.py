@@ -1,0 +1,133 @@
+"""Messages read without ROS, against those that rosbags writes; and what is no whole message."""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Callable
+from random import Random
+from typing import Any
+
+import numpy as np
+import pytest
+from rosbags.typesys import Stores, get_typestore
+
+from greenroof_ros.watch import wire
+from greenroof_ros.watch.alarms import Status
+
+STORE = get_typestore(Stores.ROS2_JAZZY)
+
+
+def written(name: str, *fields: Any, little: bool = True) -> bytes:
+    """Return a message of a type in CDR."""
+    package, _, kind = name.partition("/")
+    name = f"{package}/msg/{kind}"
+    return bytes(STORE.serialize_cdr(STORE.types[name](*fields), name, little_endian=little))
+
+
+def made(name: str, *fields: Any) -> Any:
+    package, _, kind = name.partition("/")
+    return STORE.types[f"{package}/msg/{kind}"](*fields)
+
+
+def rows_message(values: np.ndarray[Any, Any], shape: tuple[int, ...], offset: int = 0) -> Any:
+    dimensions = [
+        made("std_msgs/MultiArrayDimension", label, size, 0)
+        for label, size in zip(("member", "step", "third"), shape, strict=False)
+    ]
+    return made("std_msgs/MultiArrayLayout", dimensions, offset), values
+
+
+def diagnostics(little: bool = True) -> bytes:
+    stamp = made("builtin_interfaces/Time", 1_700_000_000, 5)
+    pair = made("diagnostic_msgs/KeyValue", "role", '"plant"')
+    return written(
+        "diagnostic_msgs/DiagnosticArray",
+        made("std_msgs/Header", stamp, "frame"),
+        [
+            made("diagnostic_msgs/DiagnosticStatus", 0, "/plant", "ready", "machine", [pair]),
+            made("diagnostic_msgs/DiagnosticStatus", 3, "/pump: drive", "ü <b>", "", []),
+        ],
+        little=little,
+    )
+
+
+@pytest.mark.parametrize("little", [True, False])
+def test_messages_are_read_as_written(little: bool) -> None:
+    """Of each type, in both byte orders, with rows of any shape."""
+    assert wire.number(written("std_msgs/Float64", -1.5e300, little=little)) == -1.5e300
+    assert wire.text(written("std_msgs/String", "läuft: 3", little=little)) == "läuft: 3"
+    assert wire.text(written("std_msgs/String", "", little=little)) == ""
+    clock = written(
+        "rosgraph_msgs/Clock", made("builtin_interfaces/Time", 1_700_000_000, 7), little=little
+    )
+    assert wire.clock(clock) == 1_700_000_000_000_000_007
+    values = np.arange(6.0)
+    for shape, offset, expected in (
+        ((), 0, values), ((6,), 0, values), ((2, 3), 0, values.reshape(2, 3)),
+        ((2, 2), 2, values[2:].reshape(2, 2)), ((3, 1, 2), 0, values.reshape(3, 1, 2)),
+    ):
+        message = written(
+            "std_msgs/Float64MultiArray", *rows_message(values, shape, offset), little=little
+        )
+        found = wire.rows(message)
+        assert found is not None
+        np.testing.assert_array_equal(found, expected, strict=True)
+    empty = written("std_msgs/Float64MultiArray", *rows_message(np.empty(0), ()), little=little)
+    found = wire.rows(empty)
+    assert found is not None and found.shape == (0,)
+    assert wire.statuses(diagnostics(little)) == (
+        1_700_000_000_000_000_005,
+        [
+            Status("/plant", 0, "ready", "machine", {"role": '"plant"'}),
+            Status("/pump: drive", 3, "ü <b>", "", {}),
+        ],
+    )
+
+
+READERS: list[tuple[Callable[[bytes], Any], bytes]] = [
+    (wire.number, written("std_msgs/Float64", 1.0)),
+    (wire.text, written("std_msgs/String", "some text")),
+    (wire.clock, written("rosgraph_msgs/Clock", made("builtin_interfaces/Time", 1, 2))),
+    (
+        wire.rows,
+        written("std_msgs/Float64MultiArray", *rows_message(np.arange(6.0), (2, 3))),
+    ),
+    (wire.statuses, diagnostics()),
+]
+
+
+@pytest.mark.parametrize(("reader", "message"), READERS)
+def test_what_is_not_whole_is_none(reader: Callable[[bytes], Any], message: bytes) -> None:
+    """Cut anywhere it is none; with any bytes changed it is something or none, and never raises."""
+    assert reader(message) is not None
+    for length in range(len(message)):
+        # What a message ends with may be left out where it is padding.
+        assert reader(message[:length]) is None or message[length:].strip(b"\0") == b""
+    random = Random(1)
+    for _ in range(3000):
+        changed = bytearray(message)
+        for _ in range(random.randint(1, 4)):
+            changed[random.randrange(len(changed))] = random.choice((0, 1, 127, 255))
+        reader(bytes(changed))
+
+
+def test_a_layout_of_another_size_is_none() -> None:
+    """As the nodes refuse it."""
+    message = written("std_msgs/Float64MultiArray", *rows_message(np.arange(6.0), (2, 4)))
+    assert wire.rows(message) is None
+
+
+def test_hostile_diagnostics_are_cut() -> None:
+    """Ten thousand statuses, a text of a megabyte, bytes that are no UTF-8, and no such level."""
+    many = written(
+        "diagnostic_msgs/DiagnosticArray",
+        made("std_msgs/Header", made("builtin_interfaces/Time", 0, 0), ""),
+        [made("diagnostic_msgs/DiagnosticStatus", 9, "/x", "m" * 1_000_000, "", [])]
+        + [made("diagnostic_msgs/DiagnosticStatus", 2, "/y", "", "", [])] * 9_999,
+    )
+    found = wire.statuses(many)
+    assert found is not None
+    assert len(found[1]) == 1000
+    assert (found[1][0].level, len(found[1][0].message)) == (2, 20_000)
+    assert wire.text(struct.pack("<III", 256, 4, 0x00FEFFFE)) == "\ufffd\ufffd\ufffd"
+    assert wire.text(struct.pack("<II", 256, 2**32 - 1) + b"text") is None

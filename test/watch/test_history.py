@@ -1,0 +1,118 @@
+"""The past of a value: nothing between least and greatest is lost, and memory has a bound."""
+
+from __future__ import annotations
+
+import random
+import time
+
+import numpy as np
+import pytest
+
+from greenroof_ros.watch.history import KEPT, STRETCH_NS, History
+
+SECOND = 10**9
+START = 1_626_757_200 * SECOND  # a multiple of 20 s
+
+
+def ticks(count: int, seed: int = 3) -> tuple[np.ndarray, np.ndarray]:
+    """Return times a second apart, and values that no two share."""
+    values = np.random.default_rng(seed).normal(size=count)
+    return START + SECOND * np.arange(count), values
+
+
+def in_plain_python(
+    times: np.ndarray, values: np.ndarray, each: int
+) -> list[list[float]]:
+    """Return last time (s), least, greatest and last of each stretch (ns)."""
+    found: dict[int, list[float]] = {}
+    for at, value in zip(times.tolist(), values.tolist(), strict=True):
+        row = found.setdefault(at // each, [0.0, value, value, 0.0])
+        found[at // each] = [at / 1e9, min(row[1], value), max(row[2], value), value]
+    return list(found.values())
+
+
+@pytest.mark.parametrize("batch", [1, 7, 20, 333, 5000])
+def test_batches_of_any_size_give_the_same(batch: int) -> None:
+    times, values = ticks(5000)
+    history = History()
+    for first in range(0, 5000, batch):
+        history.add(times[first : first + batch], values[first : first + batch])
+    rows = history.window(int(times[0]), int(times[-1]), 400)
+    assert rows == in_plain_python(times, values, STRETCH_NS)
+
+
+def test_a_wide_window_has_few_rows_and_every_extreme() -> None:
+    times, values = ticks(200_000)
+    history = History()
+    history.add(times, values)
+    rows = history.window(int(times[0]), int(times[-1]), 400)
+    each = 25 * STRETCH_NS  # 200,000 s in 400 points are 500 s each
+    assert rows == in_plain_python(times, values, each)
+    assert len(rows) <= 401
+
+
+def test_a_window_has_its_ends() -> None:
+    times, values = ticks(1000)
+    history = History()
+    history.add(times, values)
+    rows = history.window(int(times[300]), int(times[599]), 400)
+    # Stretches are whole: of each the last value is within the window.
+    assert [row[0] for row in rows] == [START / 1e9 + second for second in range(319, 600, 20)]
+    assert rows[-1][3] == values[599]
+
+
+def test_rows_stand_still_while_the_window_moves() -> None:
+    """A chart is drawn again every 2 s: what is past must not flicker."""
+    times, values = ticks(100_000)
+    history = History()
+    history.add(times[:90_000], values[:90_000])
+    before = history.window(int(times[40_000]), int(times[89_999]), 400)
+    history.add(times[90_000:90_002], values[90_000:90_002])
+    after = history.window(int(times[40_002]), int(times[90_001]), 400)
+    assert before[1:-1] == after[1:-1]
+
+
+def test_gaps_take_no_room_and_are_not_filled() -> None:
+    history = History()
+    days = START + 86_400 * SECOND * np.arange(1000)
+    history.add(days, np.arange(1000.0))
+    rows = history.window(int(days[-8]), int(days[-1]), 400)
+    assert [row[3] for row in rows] == [float(day) for day in range(992, 1000)]
+
+
+def test_a_week_is_kept_and_memory_is_bounded() -> None:
+    """Ten weeks at a value each 10 s, in batches of any size."""
+    history, chance = History(), random.Random(1)
+    times = START + 10 * SECOND * np.arange(10 * 7 * 8640)
+    first = 0
+    while first < len(times):
+        last = first + chance.choice([1, 100, 20_000])
+        history.add(times[first:last], np.arange(first, min(last, len(times)), dtype=float))
+        first = last
+        assert len(history._times) <= 3 * KEPT
+        assert len(history._rows) == len(history._times)
+    end = int(times[-1])
+    rows = history.window(end - 7 * 86_400 * SECOND, end, 400)
+    assert rows[0][0] < (end - 7 * 86_400 * SECOND) / 1e9 + 2000
+    assert rows[-1][3] == len(times) - 1
+
+
+def test_a_batch_longer_than_a_week_keeps_its_end() -> None:
+    history = History()
+    times = START + STRETCH_NS * np.arange(3 * KEPT)
+    history.add(times, np.arange(3.0 * KEPT))
+    rows = history.window(int(times[-KEPT]), int(times[-1]), KEPT)
+    assert len(rows) == KEPT
+    assert rows[-1][3] == 3 * KEPT - 1
+
+
+def test_ten_thousand_ticks_take_less_than_five_milliseconds() -> None:
+    """Of processor time, the best of some: other processes are not to count."""
+    times, values = ticks(10_000)
+    spent = []
+    for _ in range(5):
+        history = History()
+        began = time.thread_time()
+        history.add(times, values)
+        spent.append(time.thread_time() - began)
+    assert min(spent) < 5e-3

@@ -1,0 +1,302 @@
+"""A bag that is followed while it is written, cut, damaged, removed and replaced."""
+
+from __future__ import annotations
+
+import os
+import struct
+from collections import defaultdict
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+from random import Random
+
+import numpy as np
+import pytest
+from mcap.reader import make_reader
+
+from greenroof_ros.common.interface import read_topics, recorded_topics
+from greenroof_ros.recording.bag_writer import BagWriter
+from greenroof_ros.recording.continued_bag import continue_bag
+from greenroof_ros.recording.live_bag import FLUSH_S, LiveBag
+from greenroof_ros.watch import wire
+from greenroof_ros.watch.recorded import Recorded
+
+START_NS = 1_625_641_200 * 10**9
+DAY_NS = 86_400 * 10**9
+
+
+def number(value: float) -> bytes:
+    """Return a Float64 in CDR."""
+    return struct.pack("<Id", 256, value)
+
+
+def row(values: Sequence[float]) -> bytes:
+    """Return a Float64MultiArray of no layout in CDR."""
+    return struct.pack(f"<IIII4x{len(values)}d", 256, 0, 0, len(values), *values)
+
+
+class Run:
+    """A bag as the recorder of a simulation writes it, of any values."""
+
+    def __init__(self, bag: Path, namespace: str = "", start_ns: int = START_NS) -> None:
+        self.topics = recorded_topics({"/controller/cost": "cost"})
+        self._start_ns = start_ns
+        self._random = Random(start_ns)
+        named = [replace(topic, name=namespace + topic.name) for topic in self.topics]
+        self._named = named
+        self.writer = BagWriter(bag, named)
+
+    def go_on(self) -> None:
+        """Write on in another file, as after a kill of the recorder."""
+        self.writer = continue_bag(self.writer.directory, self._named)
+
+    def ticks(self, count: int) -> None:
+        for _ in range(count):
+            tick = self.writer.ticks
+            time_ns = self._start_ns + tick * 10**9
+            messages = []
+            for topic in self.topics:
+                if topic.type.endswith("Clock"):
+                    messages.append(struct.pack("<Iii", 256, time_ns // 10**9, 0))
+                elif topic.type.endswith("MultiArray"):
+                    messages.append(row([float(tick)] * 10))
+                else:
+                    messages.append(number(self._random.random()))
+            self.writer.write_tick(time_ns, messages)
+
+
+def whole(*files: Path) -> dict[str, list[tuple[int, float]]]:
+    """Return the numbers of finished files, as the mcap library reads them."""
+    found = defaultdict(list)
+    for path in files:
+        with path.open("rb") as stream:
+            for schema, channel, message in make_reader(stream).iter_messages():
+                assert schema is not None
+                if schema.name == "std_msgs/msg/Float64":
+                    value = struct.unpack_from("<d", message.data, 4)[0]
+                    found[channel.topic].append((message.log_time, value))
+    return dict(found)
+
+
+class Reader:
+    """Keeps what was read."""
+
+    def __init__(self, bag: Path, namespace: str | None = None) -> None:
+        self.recorded = Recorded(bag, namespace)
+        self.numbers: defaultdict[str, list[tuple[int, float]]] = defaultdict(list)
+        self.forecasts: list[tuple[int, bytes]] = []
+        self.texts: list[tuple[str, int, str]] = []
+
+    def read(self) -> None:
+        """Read all that there is."""
+        while True:
+            batch = self.recorded.read()
+            for topic, (times, values) in batch.numbers.items():
+                assert len(times) == len(values) > 0
+                self.numbers[topic] += zip(times.tolist(), values.tolist(), strict=True)
+            if "/forecast/precipitation" in batch.forecasts:
+                self.forecasts.append(batch.forecasts["/forecast/precipitation"])
+            self.texts += batch.texts
+            if not self.recorded.more:
+                return
+
+
+@pytest.fixture(scope="module")
+def finished(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The file of a run of 500 ticks."""
+    run = Run(tmp_path_factory.mktemp("finished") / "bag")
+    run.ticks(500)
+    run.writer.close()
+    return run.writer.directory / "bag_0.mcap"
+
+
+def test_each_byte_is_read_once(finished: Path, tmp_path: Path) -> None:
+    """A file that comes in pieces of any length gives each of its messages, in order, once."""
+    content = finished.read_bytes()
+    random = Random(2)
+    bag = tmp_path / "bag"
+    bag.mkdir()
+    reader = Reader(bag)
+    reader.read()
+    assert "no recording" in reader.recorded.problem
+    at = 0
+    with (bag / "bag_0.mcap").open("wb", buffering=0) as stream:
+        while at < len(content):
+            length = random.choice((1, 5, 60, 700, 9000))
+            stream.write(content[at : at + length])
+            at += length
+            reader.read()
+            assert not reader.recorded.problem
+    assert reader.numbers == whole(finished)
+    assert reader.recorded.newest_ns == START_NS + 499 * 10**9
+    time_ns, message = reader.forecasts[-1]
+    assert time_ns == START_NS + 499 * 10**9
+    rows = wire.rows(message)
+    assert rows is not None and rows.tolist() == [499.0] * 10
+
+
+def test_what_the_recorder_has_flushed_is_there(tmp_path: Path) -> None:
+    """Every 16 ticks, under a namespace too."""
+    run = Run(tmp_path / "bag", "/site1")
+    readers = [Reader(tmp_path / "bag", namespace) for namespace in (None, "/site1")]
+    other = Reader(tmp_path / "bag", "")
+    for ticks in (16, 1, 40):
+        run.ticks(ticks)
+        for reader in readers:
+            reader.read()
+            assert len(reader.numbers["/roof/level"]) == run.writer.safe
+    other.read()
+    assert not other.numbers
+    run.writer.close()
+
+
+def test_a_bag_that_is_gone_on_with(tmp_path: Path) -> None:
+    """The recorder was killed in the middle of a chunk; another one writes on in another file."""
+    run = Run(tmp_path / "bag")
+    run.ticks(40)
+    file = tmp_path / "bag" / "bag_0.mcap"
+    with file.open("ab") as stream:
+        stream.write(b"\x06" + struct.pack("<Q", 5000) + b"half a chunk")
+    reader = Reader(tmp_path / "bag")
+    reader.read()
+    assert len(reader.numbers["/roof/level"]) == 32
+    run.go_on()
+    run.ticks(40)
+    reader.read()
+    run.writer.close()
+    reader.read()
+    files = [tmp_path / "bag" / f"bag_{number}.mcap" for number in (0, 1)]
+    assert reader.numbers == whole(*files)
+    assert not reader.recorded.problem
+    assert not reader.recorded.replaced
+
+
+def test_damage_is_said_and_the_rest_is_read(finished: Path, tmp_path: Path) -> None:
+    """Any bytes of the file may be wrong: nothing raises, and other chunks are read."""
+    content = finished.read_bytes()
+    expected = {topic: dict(pairs) for topic, pairs in whole(finished).items()}
+    random = Random(3)
+    most = 0
+    for number in range(25):
+        bag = tmp_path / f"{number}"
+        bag.mkdir()
+        changed = bytearray(content)
+        place = random.randrange(len(changed) // 2)
+        changed[place : place + 4] = random.randbytes(4)
+        (bag / "bag_0.mcap").write_bytes(changed)
+        reader = Reader(bag, "")
+        reader.read()
+        if reader.recorded.problem:
+            assert "damaged" in reader.recorded.problem
+            most = max(most, len(reader.numbers["/roof/level"]))
+        for topic, pairs in reader.numbers.items():
+            # The checksum of a chunk is that of its content.
+            assert all(expected[topic][time_ns] == value for time_ns, value in pairs)
+    assert most >= 480  # a chunk that is damaged costs its 16 ticks alone
+
+
+def test_files_that_are_none(tmp_path: Path) -> None:
+    """An empty one is being begun; text, a directory and a record of any length are said."""
+    for name, content in (
+        ("empty", b""), ("begun", b"\x89MCAP0\r\n"), ("text", b"hello, this is text"),
+        ("long", b"\x89MCAP0\r\n\x06" + b"\xff" * 8), ("odd", b"\x89MCAP0\r\n\x00" + bytes(80)),
+    ):
+        bag = tmp_path / name
+        bag.mkdir()
+        (bag / "x_0.mcap").write_bytes(content)
+        reader = Reader(bag)
+        reader.read()
+        reader.read()
+        assert bool(reader.recorded.problem) == (name not in ("empty", "begun")), name
+    (tmp_path / "directory" / "x_0.mcap").mkdir(parents=True)
+    reader = Reader(tmp_path / "directory")
+    reader.read()
+    assert "cannot be read" in reader.recorded.problem
+
+
+def test_another_bag_in_its_place(tmp_path: Path) -> None:
+    """It is removed and made anew, or shorter than what was read."""
+    bag = tmp_path / "bag"
+    run = Run(bag)
+    run.ticks(100)
+    run.writer.close()
+    reader = Reader(bag)
+    reader.read()
+    # The file is kept under another name, so that its number on the disk is not used again.
+    bag.rename(tmp_path / "kept")
+    reader.read()
+    assert not reader.recorded.replaced
+    assert "no recording" in reader.recorded.problem
+    again = Run(bag, start_ns=START_NS - DAY_NS)
+    again.ticks(200)
+    again.writer.close()
+    reader.read()
+    assert reader.recorded.replaced
+    other = Reader(tmp_path / "kept")
+    other.read()
+    os.truncate(tmp_path / "kept" / "bag_0.mcap", 5000)
+    other.read()
+    assert other.recorded.replaced
+
+
+def live_bag(directory: Path) -> LiveBag:
+    interface = read_topics()
+    topics = [interface[name] for name in ("/roof/level", "/pump/state", "/diagnostics")]
+    return LiveBag(directory, topics, file_bytes=10**7, total_bytes=10**9)
+
+
+def test_a_live_bag(tmp_path: Path) -> None:
+    """Files by the day; the past is a week, and an oldest file that goes is no matter."""
+    bag = live_bag(tmp_path / "bag")
+    now = 0.0
+    text = struct.pack("<II4s", 256, 4, b"off\0")
+    for day in range(12):
+        for second in range(20):
+            time_ns = START_NS + day * DAY_NS + second * 10**9
+            bag.write("/roof/level", time_ns, number(day + second / 100), now)
+            bag.write("/diagnostics", time_ns, bytes(500), now)
+        bag.write("/pump/state", time_ns, text, now)
+    now += FLUSH_S + 1
+    bag.look(now)
+    reader = Reader(tmp_path / "bag", "")
+    reader.read()
+    # The newest file that has its end is of the day before the last.
+    assert {round(value) for _, value in reader.numbers["/roof/level"]} == set(range(3, 12))
+    assert reader.texts[-1] == ("/pump/state", time_ns, "off")
+    (tmp_path / "bag" / "bag_3.mcap").unlink()
+    (tmp_path / "bag" / "bag_0.mcap").unlink()
+    bag.write("/roof/level", time_ns + 10**9, number(99.0), now)
+    reader.read()
+    assert reader.numbers["/roof/level"][-1] != (time_ns + 10**9, 99.0)  # not yet flushed
+    now += FLUSH_S + 1
+    bag.look(now)
+    reader.read()
+    assert reader.numbers["/roof/level"][-1] == (time_ns + 10**9, 99.0)
+    times = [time_ns for time_ns, _ in reader.numbers["/roof/level"]]
+    assert times == sorted(set(times))
+    assert not reader.recorded.problem
+    bag.close()
+
+
+def test_much_is_read_in_pieces(tmp_path: Path) -> None:
+    """No batch holds all of a long run, and how far it is is said."""
+    bag = live_bag(tmp_path / "long")
+    values = np.random.default_rng(1).random(20_000)
+    for tick, value in enumerate(values):
+        bag.write("/roof/level", START_NS + tick * 10**6, number(value), 0.0)
+        if tick % 100 == 0:  # bytes that cannot be packed, 20 MB in all
+            bag.write("/diagnostics", START_NS + tick * 10**6, os.urandom(100_000), 0.0)
+    bag.close()
+    reader = Recorded(tmp_path / "long", "")
+    notes: set[str] = set()
+    batches = []
+    while True:
+        batch = reader.read()
+        notes.add(reader.progress)
+        batches.append(batch.numbers.get("/roof/level", (np.empty(0), np.empty(0)))[1])
+        if not reader.more:
+            break
+    assert np.array_equal(np.concatenate(batches), values)
+    assert max(map(len, batches)) < len(values) / 4
+    assert any(note.startswith("The recording is being read: ") for note in notes)
+    assert reader.progress == ""

@@ -1,0 +1,603 @@
+"""The page's server: what it answers, what it refuses, and that nobody holds it up."""
+
+from __future__ import annotations
+
+import gzip
+import json
+import resource
+import socket
+import threading
+import time
+import zlib
+from collections.abc import Iterator
+from contextlib import ExitStack, suppress
+from pathlib import Path
+
+import numpy as np
+import pytest
+from graphs import wait_for
+from page_server import Answer, Stream, page_files, request, send, served
+
+from greenroof_ros.watch import server
+from greenroof_ros.watch.alarms import Status
+from greenroof_ros.watch.charts_script import charts_script
+from greenroof_ros.watch.listening import LOOPBACK
+from greenroof_ros.watch.news import GZIP_HEAD, Message
+from greenroof_ros.watch.watched import Watched
+
+ALARM = Status("/mpc", 2, "cannot solve <b>", "", {"role": '"controller"'})
+ACT = {"X_Greenroof": "1"}
+
+
+@pytest.fixture
+def watched() -> Watched:
+    return Watched()
+
+
+@pytest.fixture
+def port(watched: Watched) -> Iterator[int]:
+    with served(watched) as number:
+        yield number
+
+
+def alarm_of(watched: Watched) -> str:
+    """Have an alarm, and return how it is called."""
+    watched.add_statuses(time.monotonic(), [ALARM])
+    return str(watched.document(time.monotonic())["alarms"][0]["id"])
+
+
+def acknowledged(watched: Watched) -> bool:
+    return bool(watched.document(time.monotonic())["alarms"][0]["acknowledged"])
+
+
+def set_level(watched: Watched, metres: float, seconds: int) -> None:
+    watched.add("/roof/level", np.array([seconds * 10**9]), np.array([metres]))
+
+
+def assert_goes_on(port: int) -> None:
+    """The page answers a newcomer at once."""
+    begun = time.monotonic()
+    assert request(port, "GET", "/").status == 200
+    assert time.monotonic() - begun < 2
+
+
+# ------------------------------------------------------------------------------------- the page
+
+
+def test_the_page_and_its_files_come_as_they_are_and_may_do_nothing_else(port: int) -> None:
+    for file in page_files():
+        target = "/" if file.name == "index.html" else f"/{file.name}"
+        answer = request(port, "GET", target)
+        assert (answer.status, answer.body) == (200, file.read_bytes())
+        policy = answer.headers["content-security-policy"]
+        assert policy.startswith("default-src 'none'; script-src 'self';")
+        assert "unsafe" not in policy and "http" not in policy
+        assert answer.headers["x-content-type-options"] == "nosniff"
+        assert answer.headers["referrer-policy"] == "no-referrer"
+        assert answer.headers["cache-control"] == "no-store"
+        assert not {"set-cookie", "access-control-allow-origin"} & answer.headers.keys()
+
+
+def test_charts_script_is_made_once_and_kept(
+    watched: Watched, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    with served(watched) as port:
+        answer = Answer(send(
+            port, b"GET /vega.js HTTP/1.1\r\nHost: localhost\r\nConnection: close\r\n\r\n", 300
+        ))
+    assert answer.status == 200 and answer.headers["content-encoding"] == "gzip"
+    script = gzip.decompress(answer.body)
+    assert b"vegaEmbed" in script and len(script) > 500_000
+    (kept,) = (tmp_path / "greenroof_ros").iterdir()
+    assert kept.read_bytes() == answer.body
+    kept.write_bytes(b"as kept")
+    assert charts_script() == b"as kept"
+
+
+def test_charts_script_that_cannot_be_kept_is_made_all_the_same(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "greenroof_ros").write_text("no directory")
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    assert len(gzip.decompress(charts_script())) > 500_000
+    assert [path.name for path in tmp_path.iterdir()] == ["greenroof_ros"]
+
+
+# ------------------------------------------------------------------------------------- refusals
+
+
+@pytest.mark.parametrize("target", [
+    "/../server.py", "/page/../../server.py", "/%2e%2e/server.py", "/..%2fserver.py",
+    "/..%5cserver.py", "/..\\server.py", "//etc/passwd", "/etc/passwd", "/%2fetc%2fpasswd",
+    "/page.js/../../server.py", "/page.js/", "/page.js%00.html", "/./server.py", "/server.py",
+    "/.", "/..", "/__init__.py", "/page", "/index.html", "*", "/PAGE.JS", "/page.js;/../server.py",
+    "/stop", "/acknowledge", "/" + "a" * 5000,
+], ids=lambda target: target[:30])
+def test_no_path_leads_anywhere_else(target: str, port: int) -> None:
+    answer = request(port, "GET", target)
+    assert answer.status in (400, 404)
+    assert b"import" not in answer.body and b"root:" not in answer.body
+    assert_goes_on(port)
+
+
+@pytest.mark.parametrize(("host", "status"), [
+    ("localhost", 200), ("LOCALHOST:9000", 200), ("127.0.0.1:8080", 200), ("[::1]:8080", 200),
+    ("evil.example", 403), ("127.0.0.1.evil.example", 403), ("localhost.evil.example:80", 403),
+    ("evil.example@localhost.evil", 403), ("192.168.0.1", 403), ("", 403), ("[", 403),
+    ("0.0.0.0", 403),
+])
+def test_a_request_names_this_host(host: str, status: int, port: int) -> None:
+    """A name of somebody's that leads here would make his page one of this server's."""
+    for target in ("/", "/page.js"):
+        assert request(port, "GET", target, host=host).status == status
+
+
+def test_no_host_and_two_are_none(port: int) -> None:
+    assert request(port, "GET", "/", host=None).status in (400, 403)
+    data = b"GET / HTTP/1.1\r\nHost: localhost\r\nHost: evil.example\r\nConnection: close\r\n\r\n"
+    assert Answer(send(port, data)).status in (400, 403)
+
+
+@pytest.mark.parametrize("headers", [
+    {}, {"X_Greenroof": "0"}, {"Content_Type": "application/json"},
+    {**ACT, "Origin": "http://evil.example"}, {**ACT, "Origin": "null"},
+    {**ACT, "Origin": "http://localhost:1"}, {**ACT, "Sec_Fetch_Site": "cross-site"},
+    {**ACT, "Sec_Fetch_Site": "same-site", "Origin": "http://localhost"},
+])
+def test_only_the_page_itself_acts(headers: dict[str, str], port: int, watched: Watched) -> None:
+    body = json.dumps({"id": alarm_of(watched)}).encode()
+    for target in ("/acknowledge", "/stop"):
+        assert request(port, "POST", target, body, **headers).status == 403
+    assert not acknowledged(watched)
+
+
+@pytest.mark.parametrize("headers", [
+    ACT, {**ACT, "Origin": "http://localhost"}, {**ACT, "Sec_Fetch_Site": "same-origin"},
+])
+def test_the_page_acknowledges(headers: dict[str, str], port: int, watched: Watched) -> None:
+    body = json.dumps({"id": alarm_of(watched)}).encode()
+    answer = request(port, "POST", "/acknowledge", body, **headers)
+    assert (answer.status, answer.json()["ok"]) == (200, True)
+    assert acknowledged(watched)
+    answer = request(port, "POST", "/acknowledge", b'{"id": "/nobody"}', **headers)
+    assert (answer.status, answer.json()["ok"]) == (200, False)
+
+
+def test_a_stop_that_did_not_take_hold_says_so(port: int, watched: Watched) -> None:
+    answer = request(port, "POST", "/stop", b"{}", **ACT)
+    assert answer.status == 200
+    assert answer.json() == {
+        "ok": False, "sentence": "The watcher is busy: whether the pump stops is not known.",
+    }
+    assert "Stop, from 127.0.0.1" in watched.document(time.monotonic())["events"][0]["what"]
+
+
+def test_many_stops_are_one(port: int, watched: Watched) -> None:
+    """Nobody waits for what others asked."""
+    asked = b"POST /stop HTTP/1.1\r\nHost: localhost\r\nX-Greenroof: 1\r\n"
+    asked += b"Content-Length: 2\r\n\r\n{}"
+    begun = time.monotonic()
+    with ExitStack() as stack:
+        for _ in range(20):
+            asker = stack.enter_context(socket.create_connection((LOOPBACK, port)))
+            asker.sendall(asked)
+        assert request(port, "POST", "/stop", b"{}", **ACT).status == 200
+        assert time.monotonic() - begun < 8
+    assert len(watched.document(time.monotonic())["events"]) == 1
+
+
+@pytest.mark.parametrize(
+    "method", ["PUT", "DELETE", "OPTIONS", "HEAD", "TRACE", "PATCH", "CONNECT", "BREW"]
+)
+def test_other_methods_are_refused(method: str, port: int) -> None:
+    answer = request(port, method, "/stop", **ACT, Origin="http://evil.example")
+    assert answer.status in (400, 405)
+    assert not any(name.startswith("access-control") for name in answer.headers)
+
+
+@pytest.mark.parametrize("given", [
+    None, "", "Bearer", "Bearer ", "Bearer secrex", "Bearer  secret", "bearer secret", "secret",
+    "Basic secret", "Bearer secr\xe9t", "Bearer " + "a" * 5000,
+], ids=lambda given: str(given)[:20])
+def test_without_the_token_nothing_is_shown_or_done(given: str | None, watched: Watched) -> None:
+    headers = {} if given is None else {"Authorization": given}
+    body = json.dumps({"id": alarm_of(watched)}).encode()
+    with served(watched, "secret") as port:
+        assert request(port, "GET", "/events", **headers).status == 401
+        for target in ("/acknowledge", "/stop"):
+            assert request(port, "POST", target, body, **ACT, **headers).status == 401
+        assert not acknowledged(watched)
+        right = {**ACT, "Authorization": "Bearer secret"}
+        assert request(port, "POST", "/acknowledge", body, **right).status == 200
+        assert acknowledged(watched)
+        # The page itself holds no secret; it has the token from its own address.
+        assert request(port, "GET", "/").status == 200
+        stream = Stream(port, Authorization="Bearer secret")
+        assert "200 OK" in stream.head()
+        stream.close()
+
+
+@pytest.mark.parametrize("body", [
+    b"", b"{", b"[]", b"null", b'"x"', b"{}", b'{"id": 1}', b'{"id": null}', b'{"id": {}}',
+    b"\xff\xfe", b"[" * 9000, b'{"id":' * 1500, b"1" * 9000,
+], ids=lambda body: repr(body[:20]))
+def test_a_body_that_says_nothing_is_refused(body: bytes, port: int) -> None:
+    assert request(port, "POST", "/acknowledge", body, **ACT).status == 400
+    assert_goes_on(port)
+
+
+@pytest.mark.parametrize("hours", ["0", "-1", "nan", "inf", "1e9", "x", "", "12;", "%00"])
+def test_hours_that_cannot_be_are_refused(hours: str, port: int) -> None:
+    assert request(port, "GET", f"/events?hours={hours}").status == 400
+
+
+# ------------------------------------------------------------------------------- too much of it
+
+
+def _flood(port: int, head: str, part: bytes, parts: int) -> Answer:
+    """Send 100 MB and more, for as long as they are taken."""
+    with socket.create_connection((LOOPBACK, port), timeout=20) as connection:
+        connection.sendall(head.encode())
+        sent = 0
+        try:
+            for _ in range(parts):
+                connection.sendall(part)
+                sent += len(part)
+        except (ConnectionError, TimeoutError):
+            pass
+        data = b""
+        try:
+            while more := connection.recv(1 << 16):
+                data += more
+        except ConnectionError:
+            pass
+        return Answer(data)
+
+
+@pytest.mark.parametrize("target", ["/acknowledge", "/stop"])
+def test_a_body_of_100_megabytes_is_refused_unread(target: str, port: int) -> None:
+    head = f"POST {target} HTTP/1.1\r\nHost: localhost\r\nX-Greenroof: 1\r\n"
+    length = 100_000_000
+    # It is told at once, without a byte of it.
+    answer = Answer(send(
+        port, f"{head}Connection: close\r\nContent-Length: {length}\r\n\r\n".encode()
+    ))
+    assert answer.status == 413
+    before = _memory()
+    megabyte = bytes(1_000_000)
+    _flood(port, f"{head}Content-Length: {length}\r\n\r\n", megabyte, 100)
+    chunk = b"f4240\r\n" + megabyte + b"\r\n"
+    _flood(port, f"{head}Transfer-Encoding: chunked\r\n\r\n", chunk, 100)
+    assert _memory() - before < 20e6
+    assert_goes_on(port)
+
+
+def test_a_compressed_body_is_not_unpacked(port: int) -> None:
+    body = gzip.compress(bytes(5_000_000))
+    assert len(body) < 10_000
+    before = _memory()
+    answer = request(port, "POST", "/acknowledge", body, **ACT, Content_Encoding="gzip")
+    assert answer.status == 400
+    assert _memory() - before < 4e6
+
+
+def test_a_body_that_does_not_come_is_waited_for_only_so_long(
+    port: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(server, "_BODY_S", 0.5)
+    head = b"POST /stop HTTP/1.1\r\nHost: localhost\r\nX-Greenroof: 1\r\n"
+    begun = time.monotonic()
+    assert Answer(send(port, head + b"Content-Length: 10\r\n\r\n{")).status == 408
+    assert time.monotonic() - begun < 5
+
+
+@pytest.mark.parametrize("data", [
+    b"\r\n" * 5000, b"\0" * 5000, b"GARBAGE\r\n\r\n", b"GET\r\n\r\n", b"GET / HTTP/9.9\r\n\r\n",
+    b"GET / HTTP/1.1\r\nHost localhost\r\n\r\n", b"GET / HTTP/1.1\r\nHost: local\0host\r\n\r\n",
+    b"\x16\x03\x01\x02\x00\x01\x00\x01\xfc\x03\x03",  # TLS
+    b"PRI * HTTP/2.0\r\n\r\nSM\r\n\r\n",
+    b"GET / HTTP/1.1\r\n" + b"a: b\r\n" * 20_000 + b"\r\n",
+    b"GET / HTTP/1.1\r\na: " + b"b" * 1_000_000 + b"\r\n\r\n",
+    b"GET /" + b"a" * 1_000_000 + b" HTTP/1.1\r\n\r\n",
+    b"POST /stop HTTP/1.1\r\nHost: localhost\r\nX-Greenroof: 1\r\nContent-Length: -1\r\n\r\n",
+    b"POST /stop HTTP/1.1\r\nHost: localhost\r\nX-Greenroof: 1\r\nContent-Length: x\r\n\r\n",
+    b"POST /stop HTTP/1.1\r\nHost: localhost\r\nX-Greenroof: 1\r\nContent-Length: 2\r\n"
+    b"Transfer-Encoding: chunked\r\n\r\n{}",
+    b"POST /stop HTTP/1.1\r\nHost: localhost\r\nX-Greenroof: 1\r\n"
+    b"Transfer-Encoding: chunked\r\n\r\nzzzz\r\n",
+    b"GET /events HTTP/1.1\r\nHost: localhost\r\nUpgrade: websocket\r\nConnection: Upgrade\r\n\r\n"
+    b"\x81\xfe\xff\xff\xff\xff",
+], ids=lambda data: repr(data[:40]) if len(data) < 200 else f"{data[:20]!r}, {len(data)}")
+def test_broken_requests_stop_nothing(
+    data: bytes, port: int, watched: Watched, capfd: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(server, "_FIRST_S", 1.0)
+    with socket.create_connection((LOOPBACK, port), timeout=10) as connection:
+        try:
+            connection.sendall(data)
+            connection.recv(1 << 16)
+        except (ConnectionError, TimeoutError):
+            pass
+        assert_goes_on(port)
+    assert watched.document(time.monotonic())["events"] == []  # nothing was stopped
+    assert "Traceback" not in capfd.readouterr().err
+
+
+def test_a_thousand_silent_connections_keep_nobody_away(
+    watched: Watched, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(server, "_FIRST_S", 1.0)
+    most = resource.getrlimit(resource.RLIMIT_NOFILE)[1]
+    resource.setrlimit(resource.RLIMIT_NOFILE, (most, most))
+    with served(watched) as port:
+        stream = Stream(port)
+        stream.head()
+        events = stream.events()
+        next(events)
+        silent: list[socket.socket] = []
+        before = _open_files()
+        try:
+            for number in range(1000):
+                connection = socket.create_connection((LOOPBACK, port), timeout=10)
+                if number % 3 == 0:
+                    connection.sendall(b"GET / HT")
+                silent.append(connection)
+                if number % 100 == 0:
+                    assert_goes_on(port)
+            assert_goes_on(port)
+            taken = _open_files() - before - len(silent)
+            assert taken <= server._MOST_CONNECTIONS + 10
+            set_level(watched, 0.03, 1)
+            for name, content in events:  # a page that was there goes on
+                if name == "state" and content["tiles"]["roof"]["number"] == 0.03:
+                    break
+            for connection in silent:  # those that still were there are ended, too
+                connection.settimeout(5)
+                with suppress(ConnectionResetError):
+                    assert connection.recv(1) == b""
+        finally:
+            for connection in silent:
+                connection.close()
+        stream.close()
+
+
+def test_there_is_a_most_of_streams(watched: Watched) -> None:
+    with served(watched) as port:
+        streams = [Stream(port) for _ in range(server._MOST_STREAMS)]
+        for stream in streams:
+            assert "200 OK" in stream.head()
+        answer = request(port, "GET", "/events")
+        assert answer.status == 503 and "too many pages" in answer.json()["sentence"]
+        assert_goes_on(port)
+        streams.pop().close()
+
+        def there_is_room() -> bool:
+            stream = Stream(port)
+            try:
+                return "200 OK" in stream.head()
+            finally:
+                stream.close()
+
+        wait_for(there_is_room, 2, "room for another page")
+        for stream in streams:
+            stream.close()
+
+
+# ------------------------------------------------------------------------------------- the stream
+
+
+class Counting(Watched):
+    """Counts how often it is asked."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.documents = 0
+        self.series_of: list[float] = []
+
+    def document(self, wall: float) -> dict:
+        self.documents += 1
+        return super().document(wall)
+
+    def series(self, hours: float, points: int = 400) -> dict:
+        self.series_of.append(hours)
+        return super().series(hours, points)
+
+
+def _week(watched: Watched) -> None:
+    """Have so much of the past that a series is large."""
+    times = np.arange(7 * 24 * 360, dtype=np.int64) * 10 * 10**9
+    noise = np.random.default_rng(0).random(len(times))
+    for topic, scale in (("/roof/level", 0.05), ("/cistern/level", 2.0), ("/pump/flow", 1e-3)):
+        watched.add(topic, times, noise * scale)
+
+
+def test_what_is_pushed_is_made_once_for_all_pages() -> None:
+    watched = Counting()
+    set_level(watched, 0.01, 1)
+    with served(watched) as port:
+        assert watched.documents == 0  # nobody looks
+        streams = [Stream(port, hours) for hours in ["3"] * 6 + ["12"] * 6]
+        seen: list[list[str]] = [[] for _ in streams]
+
+        def follow(number: int) -> None:
+            streams[number].head()
+            for name, content in streams[number].events():
+                seen[number].append(name)
+                if content.get("tiles", {}).get("roof", {}).get("number") == 0.05:
+                    return
+
+        begun = time.monotonic()
+        threads = [threading.Thread(target=follow, args=(n,)) for n in range(len(streams))]
+        for thread in threads:
+            thread.start()
+        for step in range(12):
+            time.sleep(0.25)
+            set_level(watched, 0.02 + step / 1000, 2 + step)
+        set_level(watched, 0.05, 100)
+        for thread in threads:
+            thread.join(20)
+            assert not thread.is_alive()
+        ticks = (time.monotonic() - begun) / 0.5 + 2
+        assert watched.documents <= ticks
+        assert all(watched.series_of.count(hours) <= ticks / 4 + 2 for hours in (3.0, 12.0))
+        assert {*watched.series_of} == {3.0, 12.0}
+        for names in seen:
+            assert 5 <= names.count("state") <= ticks and names.count("series") >= 2
+        for stream in streams:
+            stream.close()
+
+
+def test_a_change_comes_soon_and_nothing_new_every_few_seconds(watched: Watched) -> None:
+    set_level(watched, 0.01, 1)
+    with served(watched) as port:
+        stream = Stream(port)
+        head = stream.head()
+        assert "text/event-stream" in head and "no-store" in head
+        arrived: list[float] = []
+        changed_at = 0.0
+        for name, content in stream.events():
+            if name != "state":
+                continue
+            now = time.monotonic()
+            arrived.append(now)
+            if content["tiles"]["roof"]["number"] == 0.04:
+                assert now - changed_at < 2
+                break
+            if len(arrived) == 3:
+                set_level(watched, 0.04, 2)
+                changed_at = now
+        gaps = np.diff(arrived)
+        assert len(gaps) and gaps.max() < 7 and gaps.min() > 0.3
+        stream.close()
+
+
+def test_each_message_is_compressed_for_all_and_read_by_any(watched: Watched) -> None:
+    """As a browser reads gzip: one stream, from whichever message it began."""
+    messages = [Message("state", {"n": n, "text": "abc" * 100}) for n in range(20)]
+    for first in (0, 7):
+        unpacking = zlib.decompressobj(wbits=31)
+        assert unpacking.decompress(GZIP_HEAD) == b""
+        for message in messages[first::2]:
+            assert unpacking.decompress(message.compressed) == message.plain
+    assert len(messages[0].compressed) < len(messages[0].plain) / 3
+    with served(watched) as port:
+        stream = Stream(port, Accept_Encoding="gzip, deflate, br")
+        assert "Content-Encoding: gzip" in stream.head()
+        unpacking = zlib.decompressobj(wbits=31)
+        text = b""
+        for chunk in stream.chunks():
+            text += unpacking.decompress(chunk)
+            if text.count(b"event: state\n") == 2:
+                break
+        assert text.startswith(b"event: state\ndata: {")
+        stream.close()
+
+
+def test_who_does_not_read_is_skipped_and_costs_nobody_anything(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """It gets no queue; when it reads again, it soon has what is new."""
+    monkeypatch.setattr(server, "_UNREAD_S", 8.0)
+    watched = Counting()
+    _week(watched)
+    with served(watched) as port:
+        size = len(json.dumps(watched.series(168.0)))
+        assert size > 60_000
+        deaf = [Stream(port, "168", receiving=4096) for _ in range(8)]
+        reader = Stream(port, "168")
+        reader.head()
+        events = reader.events()
+        before = _memory()
+        gaps = [time.monotonic()]
+        for step in range(8):
+            set_level(watched, 0.02 + step / 1000, 700_000 + step)
+            while True:
+                name, content = next(events)
+                number = content["tiles"]["roof"]["number"] if name == "state" else None
+                if number == 0.02 + step / 1000:
+                    break
+            gaps.append(time.monotonic())
+            assert_goes_on(port)
+        assert np.diff(gaps).max() < 3
+        assert _memory() - before < 30e6
+        # One that reads again has first what was on its way, then what is newest.
+        deaf[0].socket.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 1 << 20)
+        deaf[0].head()
+        states = []
+        for name, content in deaf[0].events():
+            if name == "state":
+                states.append(content["tiles"]["roof"]["number"])
+                if states[-1] == 0.027:
+                    break
+        assert len(states) < 8  # those between were never kept
+        # The others are ended after a while, and make room.
+        for stream in deaf[1:]:
+            wait_for(lambda stream=stream: _is_ended(stream.socket), 20, "the end of a deaf one")
+        reader.close()
+        for stream in deaf:
+            stream.close()
+
+
+def _is_ended(connection: socket.socket) -> bool:
+    """Whether the other side has closed a connection; what it sent may still be on its way."""
+    lines = [line.split() for line in Path("/proc/net/tcp").read_text().splitlines()[1:]]
+    port = f":{connection.getsockname()[1]:04X}"
+    return not any(remote.endswith(port) and state == "01" for _, _, remote, state, *_ in lines)
+
+
+class Failing(Watched):
+    """Cannot say what it knows, for a while."""
+
+    fails = False
+
+    def document(self, wall: float) -> dict:
+        if self.fails:
+            raise RuntimeError("this document cannot be made")
+        return super().document(wall)
+
+
+def test_what_cannot_be_made_ends_the_streams_and_nothing_else(
+    capfd: pytest.CaptureFixture[str],
+) -> None:
+    """A page then says that it is not connected: nothing old is shown as if it were now."""
+    watched = Failing()
+    with served(watched) as port:
+        stream = Stream(port)
+        stream.head()
+        events = stream.events()
+        assert next(events)[0] == "state"
+        watched.fails = True
+        assert {name for name, _ in events} <= {"series", "state"}  # to their end
+        stream.close()
+        assert "this document cannot be made" in capfd.readouterr().err
+        assert_goes_on(port)
+        watched.fails = False
+        again = Stream(port)
+        again.head()
+        assert next(again.events())[0] == "state"
+        again.close()
+
+
+def test_hostile_text_stays_text(port: int, watched: Watched) -> None:
+    hostile = "</script><img src=x onerror=alert(1)>\n\nevent: state\ndata: {}\n\n\ud800\0\u2028"
+    status = Status("/x", 2, hostile * 3000, hostile, {hostile: hostile})
+    watched.add_statuses(time.monotonic(), [status])
+    watched.add_event(time.time(), hostile)
+    stream = Stream(port)
+    stream.head()
+    name, content = next(stream.events())
+    assert name == "state"
+    assert content["alarms"][0]["what"].startswith("</script><img")
+    assert len(json.dumps(content)) < 100_000
+    stream.close()
+
+
+def _open_files() -> int:
+    return len([*Path("/proc/self/fd").iterdir()])
+
+
+def _memory() -> int:
+    """Return what this process has in memory (bytes)."""
+    return int(Path("/proc/self/statm").read_text().split()[1]) * 4096

@@ -1,0 +1,369 @@
+"""The document in a terminal: what fits, in which characters, and how it begins and ends."""
+
+from __future__ import annotations
+
+import fcntl
+import os
+import pty
+import re
+import select
+import signal
+import struct
+import subprocess
+import sys
+import termios
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from paper import PAPER_SITE
+from places import CHECKOUT
+from rich.cells import cell_len
+from rich.console import Console
+from test_alarms import ERROR, WARN, node
+
+from greenroof_ros.watch.alarms import Status
+from greenroof_ros.watch.outlook import step_ends
+from greenroof_ros.watch.terminal import show
+from greenroof_ros.watch.watched import Watched
+
+SECOND = 10**9
+START = 1_626_757_200 * SECOND  # 2021-07-20 05:00 UTC
+
+
+def run_of(hours: float, mode: str = "simulated") -> Watched:
+    """Return a run in which the roof's level rises by 1 mm/h from 40 mm, and it rains now."""
+    one = Watched()
+    one.set_site(PAPER_SITE)
+    one.set_present(mode=mode, factor=30.0, source="heard", note="")
+    one.set_pump(None if mode == "ended" else "/pump")
+    times = START + 10 * SECOND * np.arange(int(hours * 360) + 1)
+    passed = (times - START) / 3.6e12
+    for topic, values in {
+        "/roof/level": 0.040 + 0.001 * passed, "/cistern/level": 2.5 - 0.01 * passed,
+        "/pump/command": np.full(len(times), 0.4), "/pump/flow": np.full(len(times), 0.0033),
+        "/weather/precipitation": np.where(passed > hours / 2, 1e-6, 0.0),
+    }.items():
+        one.add(topic, times, values)
+    one.add_statuses(99.0, [
+        *node("/mpc", "controller"),
+        *node("/pump", "pump", pump="running: as commanded", latched=""),
+    ])
+    return one
+
+
+def with_storm() -> Watched:
+    one = run_of(6.0)
+    now = START + round(6 * 3.6e12)
+    one.add_forecast("/forecast/precipitation", now, np.outer(np.arange(1.0, 12.0), [1e-7] * 32))
+    ends = step_ends(PAPER_SITE, 32)
+    assert ends is not None
+    levels = np.linspace(0.046, 0.050, 32)
+    one.add_plan(now, np.column_stack([ends, np.full(32, 1e-4), levels]))
+    return one
+
+
+def with_a_fault() -> Watched:
+    why = "fault: the drive reports: overcurrent (code 2310); the drive is not ready"
+    one = run_of(6.0, "loop")
+    one.add_statuses(99.5, node(
+        "/pump", "pump", ("pump", ERROR, why), ("drive", ERROR, "the drive reports a fault: over"),
+        pump=why, latched="the drive reports: overcurrent (code 2310)",
+    ))
+    return one
+
+
+def with_a_silent_sensor(others: int = 0) -> Watched:
+    silent = "/cistern/level is older than 5 s (level_limit)"
+    one = run_of(6.0, "live")
+    one.add_statuses(99.5, [
+        *node("/mpc", "controller", ("inputs", ERROR, silent)),
+        *node(
+            "/pump", "pump", ("pump", WARN, "held: the level of the cistern is unknown"),
+            ("levels", ERROR, silent), ("delivery", WARN, "blind for 3 s: a level is unknown"),
+            pump="held: the level of the cistern is unknown",
+        ),
+        *node("/cistern_sensor", "cistern_sensor", (
+            "sensor", ERROR, "tcp://10.0.0.7:502, device 1: reading register 16: no valid answer "
+            "within 0.5 s",
+        )),
+        *(Status(f"/camera{number}", ERROR, "no picture", "c", {}) for number in range(others)),
+    ])
+    return one
+
+
+def ended() -> Watched:
+    return run_of(30.0, "ended")
+
+
+STATES = {
+    "full speed": lambda: run_of(2.0), "storm": with_storm, "fault": with_a_fault,
+    "stale sensor": with_a_silent_sensor, "ended": ended, "nothing": Watched,
+    "many alarms": lambda: with_a_silent_sensor(90),
+}
+
+
+def drawn(
+    one: Watched, width: int = 80, height: int = 24, *, color: bool = False,
+    ascii_only: bool = False,
+) -> list[str]:
+    """Return what stands on the terminal, line by line."""
+    document, series = one.document(100.0), one.series(12.0)
+    console = Console(
+        width=width, height=height, force_terminal=True, highlight=False,
+        color_system="truecolor" if color else None,
+    )
+    with console.capture() as captured:
+        console.print(show(document, series, width, height, color, ascii_only=ascii_only))
+    return captured.get().splitlines()
+
+
+@pytest.mark.parametrize("size", [(80, 24), (120, 50), (200, 12), (50, 24), (40, 10), (10, 3)])
+@pytest.mark.parametrize("state", STATES)
+def test_it_fits(state: str, size: tuple[int, int]) -> None:
+    width, height = size
+    lines = drawn(STATES[state](), width, height)
+    assert len(lines) <= height * max(1, -(-40 // width))
+    if width >= 40:
+        assert len(lines) == height
+        assert max(map(cell_len, lines)) <= width
+
+
+@pytest.mark.parametrize(("state", "words"), [
+    ("full speed", ["Simulated run, 30 times real time", "No alarms.",
+                    "What to do: Nothing to do: the pump waters the roof."]),
+    ("storm", ["expected in the next 12 h", "next 12 h, as expected", "will pump"]),
+    ("fault", ["The drive has switched the pump off", "ros2 service call /pump/reset",
+               "fault", "overcurrent (code 2310)", "Alarm  /pump: pump"]),
+    ("stale sensor", ["The level sensor does not answer.", "Alarms: 5 now, 0 over",
+                      "Alarm  /cistern_sensor: sensor", "no valid answer", "Live site", "held",
+                      "follows from /cistern_sensor: sensor"]),
+    ("ended", ["Ended run", "Last 12 h"]),
+    ("nothing", ["Nothing is heard yet"]),
+    ("many alarms", ["/cistern_sensor: sensor", "The level sensor does not answer.", " more"]),
+])
+def test_what_must_be_seen_at_80_by_24(state: str, words: list[str]) -> None:
+    lines = drawn(STATES[state]())
+    text = " ".join(" ".join(lines).split())
+    for one in words:
+        assert " ".join(one.split()) in text, "\n".join(lines)
+    for tile in ("Roof level", "Cistern level", "Pump ", "Rain ", "Controller"):
+        assert any(line.startswith(tile) for line in lines), tile
+
+
+@pytest.mark.parametrize("width", [40, 64, 80, 120])
+@pytest.mark.parametrize("name", ["/pump", "/the_pump_of_the_cistern_below_the_house"])
+def test_how_the_pump_is_stopped_is_said_whole_or_not_at_all(name: str, width: int) -> None:
+    """The first part of that command releases the pump."""
+    one = run_of(1.0)
+    one.add_statuses(99.0, node(name, "pump", pump="running: as commanded", latched=""))
+    one.set_pump(name)
+    lines = drawn(one, width, 24)
+    call = f'ros2 service call {name}/stop std_srvs/srv/SetBool "{{data: true}}"'
+    assert any(call in line for line in lines) == (len(call) <= width)
+    assert any("ros2 service" in line for line in lines) == (len(call) <= width)
+    if len(call) > width:
+        assert any(line.startswith("stop the pump: see the page") for line in lines)
+    assert "SetBool" not in " ".join(drawn(Watched(), 120, 24))
+
+
+def test_bars_by_hand() -> None:
+    """Twelve hours in 26 columns, of which the greatest value counts: the first ends at 40.46 mm.
+
+    The range is from 40.0 mm, so that the bar of column c is round(7 (c + 1) / 26), in the
+    middle rounded down.
+    """
+    lines = drawn(run_of(12.0), 80, 30)
+    (roof,) = (line for line in lines if line.startswith("Roof     "))
+    assert roof[9:27].strip() == "40.0-52.0 mm"
+    assert roof[27:53] == "▁▂▂▂▂▃▃▃▃▄▄▄▄▅▅▅▆▆▆▆▇▇▇▇██"
+    (rain,) = (line for line in lines if line.startswith("Rain     ") and "|" in line)
+    assert rain[27:53] == "▁" * 13 + "█" * 13
+    (plain,) = (
+        line for line in drawn(run_of(12.0), 80, 30, ascii_only=True)
+        if line.startswith("Roof     ")
+    )
+    assert plain[27:53] == "_....::::----===++++****##"
+
+
+def test_the_range_of_a_chart_is_that_of_all_values() -> None:
+    """A gust of rain between two columns' last values is seen, and so is the least level."""
+    one = run_of(12.0)
+    times = START + 12 * 3600 * SECOND + SECOND * np.arange(1, 41)
+    rain = np.where(np.arange(40) == 5, 1e-5, 0.0)
+    one.add("/weather/precipitation", times, rain)
+    one.add("/cistern/level", times, np.where(np.arange(40) == 5, 1.0, 2.38))
+    lines = drawn(one, 80, 30)
+    (shown,) = (line for line in lines if line.startswith("Rain     ") and "|" in line)
+    assert "0.0-36.0 mm/h" in shown
+    assert shown[52] == "█"
+    assert any("1000-2500 mm" in line for line in lines)
+
+
+def test_the_advice_is_never_cut() -> None:
+    """Of four lines at 80 columns, the last one is the command."""
+    one = run_of(1.0, "loop")
+    one.add_statuses(99.5, node(
+        "/pump", "pump", ("pump", ERROR, "fault: the cistern falls: a burst pipe or a leak"),
+    ))
+    assert one.document(100.0)["advice"] in " ".join(" ".join(drawn(one, 60)).split())
+
+
+def test_without_colour_nothing_but_text() -> None:
+    """And with it the same words, so that none is said by colour alone."""
+    one = with_a_fault()
+    plain = "\n".join(drawn(one))
+    assert "\x1b" not in plain
+    coloured = "\n".join(drawn(one, color=True))
+    assert "\x1b[" in coloured
+    bare = re.sub(r"\x1b\[[0-9;]*m", "", coloured)
+    assert bare == plain
+
+
+def test_hostile_texts_do_nothing_to_the_terminal() -> None:
+    one = run_of(1.0)
+    evil = "\x1b]0;title\x07\x1b[2J[red]x[/red]\u202e\ud800 日本" * 5
+    one.add_statuses(99.5, [Status("/x\x1b[31m", ERROR, evil, evil, {})])
+    one.add_event(99.5, evil)
+    for ascii_only in (False, True):
+        text = "\n".join(drawn(one, 120, 50, ascii_only=ascii_only))
+        assert "\x1b" not in text
+        assert "\u202e" not in text
+        assert "[red]x[/red]" in text
+        assert text.isascii() == ascii_only
+
+
+# --- as a process on a terminal -------------------------------------------------------------------
+
+PROGRAM = """
+import sys
+sys.path[:0] = [{tests!r}, {here!r}]
+from test_terminal import with_a_silent_sensor
+from greenroof_ros.watch.terminal import run
+run(with_a_silent_sensor())
+"""
+
+
+class Terminal:
+    """A terminal of 80 by 24 with a process on it."""
+
+    def __init__(self, **environment: str) -> None:
+        self._main, self._of_process = pty.openpty()
+        self.resize(80, 24)
+        self.before = termios.tcgetattr(self._of_process)
+        program = PROGRAM.format(tests=str(CHECKOUT / "test"), here=str(Path(__file__).parent))
+        variables = {
+            key: value for key, value in os.environ.items()
+            if key not in ("NO_COLOR", "COLUMNS", "LINES", "FORCE_COLOR")
+        }
+        self.process = subprocess.Popen(
+            [sys.executable, "-c", program], stdin=self._of_process, stdout=self._of_process,
+            stderr=self._of_process, cwd=CHECKOUT, start_new_session=True,
+            env={**variables, "TERM": "xterm-256color", "PYTHONUTF8": "1", **environment},
+        )
+        self.text = ""
+
+    def resize(self, width: int, height: int) -> None:
+        size = struct.pack("HHHH", height, width, 0, 0)
+        fcntl.ioctl(self._of_process, termios.TIOCSWINSZ, size)
+
+    def read_until(self, words: str, seconds: float = 60.0) -> None:
+        """Read until something was written, from now on."""
+        self.text, until = "", time.monotonic() + seconds
+        while words not in self.text:
+            assert time.monotonic() < until, self.text
+            self._read(0.1)
+
+    def _read(self, seconds: float) -> None:
+        if select.select([self._main], [], [], seconds)[0]:
+            self.text += os.read(self._main, 65536).decode(errors="replace")
+
+    def press(self, keys: bytes) -> None:
+        os.write(self._main, keys)
+
+    def ends(self, seconds: float = 10.0) -> int:
+        """Return the exit code, and see that the terminal is as it was."""
+        until = time.monotonic() + seconds
+        while self.process.poll() is None:
+            assert time.monotonic() < until, "it does not end"
+            self._read(0.05)
+        self._read(0.2)
+        assert termios.tcgetattr(self._of_process) == self.before
+        assert "Traceback" not in self.text
+        return self.process.returncode
+
+    def close(self) -> None:
+        if self.process.poll() is None:
+            self.process.kill()
+            self.process.wait()
+        for end in (self._main, self._of_process):
+            os.close(end)
+
+
+@pytest.fixture
+def terminal(request: Any) -> Iterator[Terminal]:
+    made = Terminal(**getattr(request, "param", {}))
+    yield made
+    made.close()
+
+
+def test_it_is_drawn_anew_when_the_terminal_changes_and_ends_on_q(terminal: Terminal) -> None:
+    terminal.read_until("SetBool")
+    assert "\x1b[?1049h" in terminal.text  # a screen of its own
+    assert "Alarms: " in terminal.text
+    terminal.resize(120, 50)
+    terminal.process.send_signal(signal.SIGWINCH)
+    terminal.read_until("Last 6 h", 10.0)
+    terminal.press(b"x")
+    time.sleep(0.5)
+    assert terminal.process.poll() is None
+    began = time.monotonic()
+    terminal.press(b"q")
+    assert terminal.ends() == 0
+    assert time.monotonic() - began < 5.0
+    assert "\x1b[?1049l" in terminal.text  # what was there before is there again
+    assert "\x1b[?25h" in terminal.text
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_it_ends_cleanly_when_it_is_asked_to(terminal: Terminal, number: int) -> None:
+    terminal.read_until("SetBool")
+    terminal.process.send_signal(number)
+    assert terminal.ends() == 0
+    assert "\x1b[?1049l" in terminal.text
+
+
+@pytest.mark.parametrize("terminal", [{"TERM": "dumb"}], indirect=True)
+def test_a_dumb_terminal_gets_lines(terminal: Terminal) -> None:
+    terminal.read_until("SetBool")
+    assert "\x1b" not in terminal.text
+    terminal.press(b"q")
+    assert terminal.ends() == 0
+
+
+@pytest.mark.parametrize("terminal", [{"NO_COLOR": "1"}], indirect=True)
+def test_no_colour_where_none_is_wanted(terminal: Terminal) -> None:
+    terminal.read_until("SetBool")
+    assert "\x1b[?1049h" in terminal.text
+    assert not re.search(r"\x1b\[[0-9;]*m", terminal.text)
+    terminal.press(b"Q")
+    assert terminal.ends() == 0
+
+
+def test_into_a_file() -> None:
+    """It is printed, and ends with the reader."""
+    program = PROGRAM.format(tests=str(CHECKOUT / "test"), here=str(Path(__file__).parent))
+    with subprocess.Popen(
+        [sys.executable, "-c", program], stdin=subprocess.DEVNULL, stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE, text=True, cwd=CHECKOUT, env={**os.environ, "PYTHONUTF8": "1"},
+    ) as process:
+        assert process.stdout is not None
+        lines = [process.stdout.readline() for _ in range(10)]
+        assert lines[0].startswith("Live site")
+        process.terminate()
+        rest, errors = process.communicate(timeout=20)
+    assert "\x1b" not in rest
+    assert (process.returncode, errors) == (0, "")

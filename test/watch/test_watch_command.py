@@ -1,0 +1,312 @@
+"""``python -m greenroof_ros.watch`` and ``bringup --watch`` as processes."""
+
+from __future__ import annotations
+
+import contextlib
+import fcntl
+import os
+import pty
+import re
+import signal
+import socket
+import struct
+import subprocess
+import sys
+import termios
+import time
+from pathlib import Path
+
+import pytest
+from graphs import (
+    Process,
+    alive,
+    bag_file,
+    environment,
+    files_of,
+    free_ports,
+    summary_of,
+    udp_addresses_of,
+    wait_for,
+)
+from mcap.reader import make_reader
+from page_server import Stream, request
+from simulators import Simulator
+
+URL = re.compile(r"http://127\.0\.0\.1:(\d+)/\n")
+
+
+def port_of(text: str) -> int:
+    found = URL.search(text)
+    return int(found[1]) if found else 0
+
+
+def watcher(domain: int, cwd: Path, *arguments: str) -> tuple[Process, int]:
+    """Start one, and return it with its port when it is there."""
+    process = Process(domain, "watch", *arguments, cwd=cwd)
+
+    def ready() -> int:
+        assert process.process.poll() is None, process.stderr()
+        return port_of(process.stdout())
+
+    return process, wait_for(ready, 60, "an address")
+
+
+def document(port: int) -> dict:
+    """Return the newest document."""
+    stream = Stream(port)
+    try:
+        stream.head()
+        return next(content for name, content in stream.events() if name == "state")
+    finally:
+        stream.close()
+
+
+def tcp_addresses_of(pid: int) -> set[str]:
+    """Return the addresses at which a process listens."""
+    sockets, addresses = set(files_of(pid)), set()
+    for file in ("/proc/net/tcp", "/proc/net/tcp6"):
+        for line in Path(file).read_text().splitlines()[1:]:
+            fields = line.split()
+            if fields[3] == "0A" and f"socket:[{fields[9]}]" in sockets:
+                addresses.add(fields[1].partition(":")[0])
+    return addresses
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
+def test_it_waits_for_a_graph_on_loopback_and_ends_soon(
+    number: signal.Signals, domain: int, tmp_path: Path
+) -> None:
+    process, port = watcher(domain, tmp_path)
+    assert document(port)["mode"] == "none"
+    pid = process.process.pid
+    assert tcp_addresses_of(pid) == {"0100007F"}
+    assert {*udp_addresses_of(pid)} <= {"127.0.0.1", "239.255.0.1"}
+    stream = Stream(port)
+    stream.head()
+    silent = socket.create_connection(("127.0.0.1", port))
+    begun = time.monotonic()
+    process.process.send_signal(number)
+    assert process.wait(10) == 0
+    assert time.monotonic() - begun < 4  # 2 s, on a machine that does nothing else
+    assert "Traceback" not in process.stderr()
+    silent.close()
+    stream.close()
+
+
+def test_a_port_that_is_taken(domain: int, tmp_path: Path) -> None:
+    first, port = watcher(domain, tmp_path)
+    second, other = watcher(domain, tmp_path)
+    assert other > port >= 8080
+    assert "port 8080 is taken" in second.stderr()
+    third = Process(domain, "watch", "--port", str(port), cwd=tmp_path)
+    assert third.wait(60) == 2
+    assert f"error: --port = '{port}': cannot be listened on: Address" in third.stderr()
+    for process in (first, second):
+        process.process.send_signal(signal.SIGINT)
+        assert process.wait(10) == 0
+
+
+@pytest.mark.parametrize(("arguments", "message"), [
+    (("--bag", "nowhere"), "--bag = 'nowhere': must be the directory of a bag"),
+    (("--bag", "."), "--bag = '.': must be the directory of a bag"),
+    (("--site", "nowhere.yaml"), "nowhere.yaml: cannot be read: No such file"),
+    (("--namespace", "1"), "argument --namespace: invalid namespace"),
+    (("--port", "0"), "argument --port: invalid whole number from 1 to 65535 value: '0'"),
+    (("--host", "no.such.host.invalid"), "--host = 'no.such.host.invalid': is no address or name"),
+    (("--host", "192.0.2.1"), "--host = '192.0.2.1': cannot be listened on"),
+    (("--terminal", "--port", "8080"), "--port: is of the page, not of --terminal"),
+    (("--terminal", "--host", "localhost"), "--host: is of the page, not of --terminal"),
+    (("more",), "unrecognized arguments: more"),
+])
+def test_wrong_input_is_one_message(
+    arguments: tuple[str, ...], message: str, unused_domain: int, tmp_path: Path
+) -> None:
+    process = Process(unused_domain, "watch", *arguments, cwd=tmp_path)
+    assert process.wait(60) == 2
+    (line,) = [line for line in process.stderr().splitlines() if "error:" in line]
+    assert message in line
+    assert process.stdout() == ""
+
+
+def test_help_teaches(unused_domain: int, tmp_path: Path) -> None:
+    process = Process(unused_domain, "watch", "--help", cwd=tmp_path)
+    assert process.wait(60) == 0
+    for word in ("--terminal", "ssh -L", "--bag runs/", "Ctrl-C", "exit codes", "token"):
+        assert word in process.stdout()
+    assert max(map(len, process.stdout().splitlines())) <= 100
+
+
+WITHOUT = """
+import sys, runpy
+sys.modules[sys.argv[1]] = None
+del sys.argv[1]
+runpy.run_module("greenroof_ros.watch", run_name="__main__", alter_sys=True)
+"""
+
+
+@pytest.mark.parametrize(("missing", "message"), [
+    ("aiohttp", "needs aiohttp: pip install 'greenroof_ros[watch]'"),
+    ("rclpy", "ROS 2 is not here: source an installed ROS 2, or pip install 'greenroof_ros[ros]'"),
+])
+def test_what_is_missing_is_said(
+    missing: str, message: str, unused_domain: int, tmp_path: Path
+) -> None:
+    done = subprocess.run(
+        [sys.executable, "-c", WITHOUT, missing], cwd=tmp_path, env=environment(unused_domain),
+        capture_output=True, text=True, timeout=60, check=False,
+    )
+    assert done.returncode == 2
+    assert message in done.stderr and "Traceback" not in done.stderr
+
+
+def test_beyond_loopback_it_needs_its_token(domain: int, tmp_path: Path) -> None:
+    process = Process(domain, "watch", "--host", "0.0.0.0", "--port", "8199", cwd=tmp_path)
+    url = wait_for(process.stdout, 60, "an address")
+    token = re.fullmatch(r"http://[^/]+:8199/#token=([\w-]{32})\n", url)
+    assert token, url
+    assert "whoever has the address with its token" in process.stderr()
+    for headers, status in (({}, 401), ({"Authorization": f"Bearer {token[1]}"}, 200)):
+        answer = request(
+            8199, "POST", "/acknowledge", b'{"id": "x"}', host="a.name", X_Greenroof="1", **headers
+        )
+        assert answer.status == status
+    process.process.send_signal(signal.SIGTERM)
+    assert process.wait(10) == 0
+    other = Process(domain, "watch", "--host", "0.0.0.0", "--port", "8199", cwd=tmp_path)
+    assert token[1] not in wait_for(other.stdout, 60, "an address")  # another one each time
+    other.process.send_signal(signal.SIGTERM)
+    assert other.wait(10) == 0
+
+
+def _watcher_of(bringup: Process) -> int:
+    """Return the process of the watcher that a bringup has started; 0 for none."""
+    children = Path(f"/proc/{bringup.process.pid}/task/{bringup.process.pid}/children")
+    for pid in children.read_text().split():
+        if b"greenroof_ros.watch" in Path(f"/proc/{pid}/cmdline").read_bytes():
+            return int(pid)
+    return 0
+
+
+def _bag(run: Path) -> bytes:
+    """Return the messages of a run's bag, whatever the file says besides."""
+    with bag_file(run).open("rb") as stream:
+        return b"".join(
+            f"{channel.topic} {message.log_time} ".encode() + message.data
+            for _, channel, message in make_reader(stream).iter_messages()
+        )
+
+
+def test_a_page_beside_a_run_ends_with_it(domain: int, tmp_path: Path) -> None:
+    """It shows the run, and the run's bag is that of a run without."""
+    run = ("--hours", "0.05", "--speed", "20")
+    process = Process(domain, "bringup", *run, "--watch", "--output", "run", cwd=tmp_path)
+    port = wait_for(lambda: port_of(process.stderr()), 60, "an address")
+
+    def shown() -> bool:
+        found = document(port)
+        return found["mode"] == "simulated" and found["tiles"]["roof"]["number"] is not None
+
+    wait_for(shown, 30, "the run on the page")
+    pid = _watcher_of(process)
+    assert process.wait(120) == 0
+    assert not alive(pid)
+    assert "the page has ended" not in process.stderr()
+    alone = Process(domain, "bringup", *run, "--output", "alone", cwd=tmp_path)
+    assert alone.wait(120) == 0
+    assert _bag(tmp_path / "run") == _bag(tmp_path / "alone")
+
+
+def test_a_page_that_fails_ends_no_run(domain: int, tmp_path: Path) -> None:
+    process = Process(
+        domain, "bringup", "--hours", "0.05", "--speed", "20", "--watch", "--output", "run",
+        cwd=tmp_path,
+    )
+    wait_for(lambda: port_of(process.stderr()), 60, "an address")
+    os.kill(_watcher_of(process), signal.SIGKILL)
+    wait_for(lambda: "the page has ended (SIGKILL)" in process.stderr(), 10, "a line about it")
+    assert process.wait(120) == 0
+    assert summary_of(tmp_path / "run")["status"] == "done"
+
+
+def test_a_run_that_is_killed_leaves_no_page(domain: int, tmp_path: Path) -> None:
+    process = Process(
+        domain, "bringup", "--speed", "20", "--no-record", "--watch", cwd=tmp_path
+    )
+    wait_for(lambda: port_of(process.stderr()), 60, "an address")
+    pid = _watcher_of(process)
+    process.process.kill()
+    process.wait(10)
+    wait_for(lambda: not alive(pid), 15, "the page's end")
+
+
+def test_an_ended_run_needs_nothing_that_runs(domain: int, tmp_path: Path) -> None:
+    process = Process(
+        domain, "bringup", "--hours", "0.02", "--output", "run", cwd=tmp_path
+    )
+    assert process.wait(120) == 0
+    viewer, port = watcher(domain, tmp_path, "--bag", "run/bag")
+    wait_for(
+        lambda: document(port)["tiles"]["roof"]["number"] is not None, 30, "the run's last level"
+    )
+    found = document(port)
+    assert found["mode"] == "ended" and not found["tiles"]["roof"]["stale"]
+    viewer.process.send_signal(signal.SIGINT)
+    assert viewer.wait(10) == 0
+
+
+def test_stop_holds_the_pump_and_stays(domain: int, tmp_path: Path) -> None:
+    """Over a new watcher, too: what holds is the pump node's."""
+    at, bench = free_ports(2)
+    options = ("--drive", "danfoss_fc202", "--speed", "10")
+    ports = ("--port", str(at), "--workbench", str(bench))
+    with Simulator("drive_simulator", *options, *ports) as drive:
+        process = Process(
+            domain, "bringup", *options, "--drive-at", drive.ready.split()[2].rstrip(","),
+            "--hours", "1", "--watch", "--output", "run", cwd=tmp_path,
+        )
+        _stop_and_look_again(domain, tmp_path, process)
+        process.process.send_signal(signal.SIGINT)
+        assert process.wait(60) == 130
+
+
+def _stop_and_look_again(domain: int, tmp_path: Path, process: Process) -> None:
+    """Stop the pump on the page beside a run, and look at it on another page."""
+    port = wait_for(lambda: port_of(process.stderr()), 60, "an address")
+    wait_for(lambda: document(port)["stop"]["possible"], 60, "a pump that can be stopped")
+    answer = request(port, "POST", "/stop", b"{}", X_Greenroof="1")
+    assert answer.status == 200 and answer.json()["ok"], answer.json()
+    wait_for(lambda: document(port)["stop"]["held"], 10, "the pump held")
+    assert document(port)["tiles"]["pump"]["state"] == "held"
+    again, second = watcher(domain, tmp_path)
+    wait_for(lambda: document(second)["stop"]["held"], 20, "the pump held, as another one sees it")
+    again.process.send_signal(signal.SIGINT)
+    assert again.wait(10) == 0
+
+
+@pytest.mark.parametrize("key", [b"q", b"\x03"])
+def test_the_terminal_ends_on_q_and_on_ctrl_c(key: bytes, domain: int, tmp_path: Path) -> None:
+    """With the keys of a real terminal of 80 by 24."""
+    ours, theirs = pty.openpty()
+    fcntl.ioctl(theirs, termios.TIOCSWINSZ, struct.pack("HHHH", 24, 80, 0, 0))
+
+    def take() -> None:
+        os.setsid()
+        fcntl.ioctl(theirs, termios.TIOCSCTTY, 0)
+
+    process = subprocess.Popen(
+        [sys.executable, "-m", "greenroof_ros.watch", "--terminal"], cwd=tmp_path,
+        env={**environment(domain), "TERM": "xterm"}, stdin=theirs, stdout=theirs, stderr=theirs,
+        preexec_fn=take,
+    )
+    os.close(theirs)
+    said = b""
+    while b"Nothing is heard yet" not in said:
+        said += os.read(ours, 1 << 16)
+    os.write(ours, key)
+    begun = time.monotonic()
+    with contextlib.suppress(OSError):  # what it still draws; then its end
+        while os.read(ours, 1 << 16):
+            pass
+    assert process.wait(10) == 0
+    assert time.monotonic() - begun < 4
+    os.close(ours)

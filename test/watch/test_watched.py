@@ -1,0 +1,854 @@
+"""The document: what an operator is told, from values, plans, forecasts and statuses."""
+
+from __future__ import annotations
+
+import json
+import math
+import re
+import threading
+import time
+from collections.abc import Iterator
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from paper import PAPER_SITE, paper_run
+
+from greenroof_ros.common.interface import read_topics
+from greenroof_ros.experiment.closed_loop import closed_loop, record
+from greenroof_ros.model.look_ahead import growing_steps
+from greenroof_ros.model.metrics import Metrics
+from greenroof_ros.watch import words
+from greenroof_ros.watch.alarms import Status
+from greenroof_ros.watch.outlook import step_ends
+from greenroof_ros.watch.watched import LINES, Watched
+
+SITE = replace(PAPER_SITE, utc_offset=-5.0)
+SECOND = 10**9
+START = 1_626_757_200 * SECOND  # 2021-07-20 05:00 UTC, 00:00 at the paper's site
+QUIET = {
+    "/roof/level": 0.0457, "/cistern/level": 2.5, "/pump/command": 0.0, "/pump/flow": 0.0,
+    "/weather/precipitation": 0.0, "/weather/evapotranspiration": 0.0, "/weather/frost": 0.0,
+    "/cistern/outflow": 0.0, "/roof/drainage": 0.0,
+}
+ENSEMBLE = np.outer(np.arange(1.0, 12.0), np.full(32, 1e-7))  # 11 members, (member, step)
+
+
+def watched(**values: float) -> Watched:
+    """Return what is known after a minute in which these held; ``_`` stands for ``/``."""
+    given = {**QUIET, **{f"/{name.replace('_', '/')}": value for name, value in values.items()}}
+    one = Watched()
+    one.set_site(SITE)
+    one.set_present(mode="simulated", factor=30.0, source="heard", note="")
+    hear(one, 0, 61, given)
+    return one
+
+
+def hear(one: Watched, first: int, last: int, values: dict[str, float]) -> None:
+    times = START + SECOND * np.arange(first, last)
+    for topic, value in values.items():
+        one.add(topic, times, np.full(len(times), value))
+
+
+def leaves(value: Any) -> Iterator[Any]:
+    """Return each text and number of a document."""
+    if isinstance(value, dict):
+        value = list(value.values())
+    if isinstance(value, list):
+        for one in value:
+            yield from leaves(one)
+    else:
+        yield value
+
+
+def shown(one: Watched, wall: float = 100.0) -> dict[str, Any]:
+    """Return the document, which is JSON that a browser takes, and short."""
+    document = one.document(wall)
+    assert len(json.dumps(document, allow_nan=False)) < 100_000
+    for leaf in leaves(document):
+        if isinstance(leaf, float):
+            assert math.copysign(1, leaf) > 0 or leaf < 0, "minus zero"
+        if isinstance(leaf, str):
+            assert not re.search(r"(?<![\d.-])-0(\.0+)?(?![\d.])|\b(nan|inf)\b|\de\+", leaf), leaf
+    return document
+
+
+def node(role: str, name: str = "", process: str = "host 7", **values: Any) -> Status:
+    """Return the status of a node of this package."""
+    pairs = {"role": role, "process": process, **values}
+    texts = {key: json.dumps(value) for key, value in pairs.items()}
+    return Status(f"/{name or role}", 0, "ready", "host", texts)
+
+
+# --- tiles ------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(("level", "state", "sentence"), [
+    (0.0457, "good", "at its target"),
+    (0.04566, "good", "at its target"),
+    (0.0453, "good", "0.4 mm below its target"),
+    (0.0434, "low", "2.3 mm below its target"),
+    (0.0480, "high", "2.3 mm above its target"),
+    (0.55, "high", "504.3 mm above its target; the soil is full, and water drains off"),
+    (0.0, "low", "45.7 mm below its target"),
+])
+def test_roof(level: float, state: str, sentence: str) -> None:
+    """The band is 5 % of the target of 45.7 mm: from 43.415 to 47.985 mm."""
+    tile = shown(watched(roof_level=level))["tiles"]["roof"]
+    assert (tile["state"], tile["sentence"]) == (state, sentence)
+    assert tile["number"] == level
+    assert tile["band"] == pytest.approx([0.043415, 0.047985])
+    assert tile["low"] <= level <= tile["high"]
+
+
+@pytest.mark.parametrize(("level", "state", "sentence"), [
+    (2.5, "good", "43.8 m3 above the suction level can be pumped"),
+    (0.75, "low", "too low for the pump: not above the suction level"),
+    (3.01, "high", "above its outlet: it overflows to the sewer"),
+])
+def test_cistern(level: float, state: str, sentence: str) -> None:
+    tile = shown(watched(cistern_level=level))["tiles"]["cistern"]
+    assert (tile["state"], tile["sentence"]) == (state, sentence)
+    assert [mark["at"] for mark in tile["marks"]] == [0.75, 3.0]
+
+
+@pytest.mark.parametrize(("values", "state", "why"), [
+    ({}, "off", "nothing is commanded"),
+    ({"pump_command": 0.4, "pump_flow": 2e-4, "roof_level": 0.04}, "running", ""),
+    ({"pump_command": 0.4, "roof_level": 0.046}, "off", "the roof has reached its target"),
+    ({"pump_command": 0.4, "roof_level": 0.04, "cistern_level": 0.7}, "off",
+     "the cistern is below the suction level"),
+    ({"pump_command": 0.4, "roof_level": 0.04, "weather_frost": 1.0}, "off", "there is frost"),
+    ({"pump_command": 0.4, "roof_level": 0.04}, "off", "it rests between two runs"),
+])
+def test_the_simulated_pump_says_why_it_stands(
+    values: dict[str, float], state: str, why: str
+) -> None:
+    tile = shown(watched(**values))["tiles"]["pump"]
+    assert (tile["value"], tile["state"], tile["why"]) == (state, state, why)
+
+
+def test_the_flow_and_the_command_in_words() -> None:
+    tile = shown(watched(pump_command=0.4, pump_flow=2.05e-4, roof_level=0.04))["tiles"]["pump"]
+    assert tile["sentence"] == "12.3 L/min; commanded 40 % of its greatest flow"
+
+
+@pytest.mark.parametrize("state", ["off", "starting", "running", "stopping", "held", "fault"])
+def test_the_pump_node_says_how_it_is(state: str) -> None:
+    one = watched()
+    one.add_statuses(100.0, [node("pump", pump=f"{state}: by: its own words")])
+    tile = shown(one)["tiles"]["pump"]
+    assert (tile["state"], tile["why"]) == (state, "by: its own words")
+
+
+def test_the_pump_state_of_a_bag() -> None:
+    one = watched()
+    one.add_text("/pump/state", START + 5, "held: there is frost")
+    one.add_text("/pump/state", START + 4, "off: older")
+    assert shown(one)["tiles"]["pump"]["state"] == "held"
+    one.add_text("/pump/state", START + 6, "<b>dancing</b>: \x00 no such state")
+    tile = shown(one)["tiles"]["pump"]
+    assert tile["state"] == "unknown"
+    assert "\x00" not in tile["why"]
+
+
+def test_rain_and_what_is_to_come() -> None:
+    """Members of 1..11 times 1e-7 m/s for 12 h: 4.32 mm times 1 to 11, mean 6, tenths 2 and 10."""
+    one = watched(weather_precipitation=1 / 3.6e6)
+    one.add_forecast("/forecast/precipitation", START + 60 * SECOND, ENSEMBLE)
+    tile = shown(one)["tiles"]["rain"]
+    assert tile["value"] == "1.0 mm/h"
+    assert tile["sentence"] == "26 mm expected in the next 12 h (8.6 to 43 mm)"
+    one.add_forecast("/forecast/precipitation", START + 61 * SECOND, ENSEMBLE[:3])
+    tile = shown(one)["tiles"]["rain"]
+    assert tile["sentence"] == "8.6 mm expected in the next 12 h (4.3 to 13 mm)"
+    one.add_forecast("/forecast/precipitation", START + 62 * SECOND, ENSEMBLE[0])
+    assert shown(one)["tiles"]["rain"]["sentence"] == "4.3 mm expected in the next 12 h"
+
+
+def test_a_forecast_of_ten_ticks_is_none_of_the_next_hours() -> None:
+    one = watched()
+    one.add_forecast("/forecast/precipitation", START + 60 * SECOND, np.full(10, 1e-7))
+    sentence = shown(one)["tiles"]["rain"]["sentence"]
+    assert sentence == "no forecast of the next hours: it reaches 10 s ahead"
+
+
+@pytest.mark.parametrize("hours", [0.5, 1, 3, 6, 12, 24, 48])
+def test_the_steps_of_a_forecast_follow_from_their_number(hours: float) -> None:
+    ends = growing_steps(hours)[1:]
+    found = step_ends(PAPER_SITE, len(ends))
+    assert found is not None
+    if len(ends) == PAPER_SITE.M:
+        ends = np.arange(1.0, 11.0)
+    assert found[:-1] == pytest.approx(ends[:-1])
+    # The last one of a horizon of less than five hours may be cut.
+    assert found[-1] == pytest.approx(ends[-1]) or hours < 5
+
+
+@pytest.mark.parametrize(("values", "level", "advice"), [
+    ({}, "ok", "Nothing to do."),
+    ({"roof_level": 0.04, "pump_command": 0.4, "pump_flow": 2e-4}, "warn",
+     "Nothing to do: the pump waters the roof."),
+    ({"roof_level": 0.04}, "warn",
+     "Nothing to do now: the controller waits; what it intends is in its tile."),
+    ({"roof_level": 0.04, "pump_command": 0.4, "weather_frost": 1.0}, "warn",
+     "The roof is not watered, since the pump is off: there is frost."),
+    ({"roof_level": 0.05}, "warn", "Nothing to do: the roof drains and dries by itself."),
+    ({"roof_level": -1.0}, "warn",
+     "Nothing is reported as wrong, but not all is known: see whether sensors and programs run."),
+])
+def test_a_roof_that_is_not_as_wanted_is_no_alarm_and_not_fine(
+    values: dict[str, float], level: str, advice: str
+) -> None:
+    document = shown(watched(**values))
+    summary = document["tiles"]["summary"]
+    assert (summary["word"], summary["level"]) == ("No alarms.", level)
+    assert document["advice"] == advice
+
+
+def test_the_pump_state_alone_is_something_that_was_heard() -> None:
+    """And of a controller whose command nobody hears one cannot say that it works."""
+    one = Watched()
+    one.add_statuses(100.0, [
+        node("pump", pump="held: there is frost"), node("controller", "mpc"),
+    ])
+    tiles = shown(one)["tiles"]
+    assert (tiles["pump"]["value"], tiles["pump"]["sentence"]) == ("held", "")
+    assert (tiles["controller"]["value"], tiles["controller"]["state"]) == ("mpc", "unknown")
+    assert tiles["controller"]["sentence"] == "its command is unknown"
+
+
+def test_alarms_and_warnings_are_counted_as_they_are_listed() -> None:
+    one = watched()
+    parts = {"drive": 2, "levels": 2, "limits": 1, "delivery": 1, "drive file": 1}
+    one.add_statuses(100.0, [node("pump", pump="off: no command"), *(
+        Status(f"/pump: {part}", level, f"{part} is not well", "host 7")
+        for part, level in parts.items()
+    )])
+    assert shown(one)["tiles"]["summary"]["word"] == "2 alarms, 3 warnings."
+
+
+def test_the_plan_in_words() -> None:
+    """1e-3 m3/s from 01:20 to 02:00 are 2.4 m3."""
+    one = watched()
+    one.add_statuses(100.0, [node("controller", "scenario_mpc")])
+    plan = np.array([[4740.0, 0, 0.045], [7140.0, 1e-3, 0.047], [43200.0, 0, 0.046]])
+    one.add_plan(START + 60 * SECOND, plan)
+    tile = shown(one)["tiles"]["controller"]
+    assert tile["value"] == "scenario_mpc"
+    assert tile["state"] == "good"
+    assert tile["sentence"] == "will pump 2.40 m3 in the next 12 h, from 01:20 on"
+    one.add_plan(START + 61 * SECOND, plan * [1, 0, 1])
+    assert shown(one)["tiles"]["controller"]["sentence"] == "will not pump in the next 12 h"
+
+
+def test_a_plan_of_no_numbers_is_no_plan() -> None:
+    one = watched()
+    one.add_plan(START + 60 * SECOND, np.array([[3600.0, 1e-3, 0.045]]))
+    one.add_plan(START + 61 * SECOND, np.full((1, 3), np.nan))
+    assert shown(one)["tiles"]["controller"]["sentence"] == "commands no pumping now"
+    assert one.series(3)["plan"] == []
+
+
+def test_an_empty_plan_is_the_one_before() -> None:
+    one = watched()
+    one.add_plan(START + 60 * SECOND, np.array([[3600.0, 1e-3, 0.045]]))
+    one.add_plan(START + 61 * SECOND, np.empty((0, 3)))
+    assert "will pump 3.60 m3" in shown(one)["tiles"]["controller"]["sentence"]
+
+
+def test_a_controller_with_an_error() -> None:
+    one = watched()
+    one.add_statuses(100.0, [
+        node("controller", "mpc"),
+        Status("/mpc: inputs", 2, "/roof/level is frozen", "host 7"),
+    ])
+    tile = shown(one)["tiles"]["controller"]
+    assert (tile["state"], tile["sentence"]) == ("alarm", "/roof/level is frozen")
+
+
+@pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf, 1e300, -1.0, -1e300])
+def test_what_is_not_plausible_stands_nowhere(value: float) -> None:
+    one = watched()
+    before = one.document(100.0)["account"]["rows"]
+    for topic in QUIET:
+        one.add(topic, np.array([START + 61 * SECOND]), np.array([value]))
+    document = shown(one)
+    for name in ("roof", "cistern", "rain"):
+        tile = document["tiles"][name]
+        assert (tile["value"], tile["state"]) == ("not a plausible value", "alarm"), name
+        assert tile["number"] is None
+    assert "not a plausible value" in document["tiles"]["pump"]["sentence"]
+    series = one.series(3)
+    json.dumps(series, allow_nan=False)
+    assert {len(series["lines"][name]) for name in LINES} == {2}  # 0-39 and 40-60 s
+    after = document["account"]["rows"]
+    assert [row["number"] for row in after] == pytest.approx(
+        [row["number"] for row in before], abs=1e-9
+    )
+    assert document["tiles"]["summary"]["level"] == "warn"
+
+
+@pytest.mark.parametrize("at", [0, -5, 2**62, 2**63 - 1])
+def test_what_has_no_time_was_not_heard(at: int) -> None:
+    one = Watched()
+    one.add("/roof/level", np.array([at]), np.array([0.04]))
+    document = shown(one)
+    assert document["time"]["now"] is None
+    assert document["tiles"]["roof"]["value"] == "unknown"
+
+
+def test_minus_zero_is_zero() -> None:
+    one = watched()
+    for topic in QUIET:
+        one.add(topic, np.array([START + 61 * SECOND]), np.array([-0.0]))
+    document = shown(one)
+    assert document["tiles"]["roof"]["value"] == "0.0 mm"
+    assert "-0.0" not in json.dumps(one.series(3))
+
+
+def test_one_good_value_ends_it() -> None:
+    one = watched()
+    one.add("/roof/level", START + SECOND * np.array([61, 62]), np.array([math.nan, 0.0457]))
+    assert shown(one)["tiles"]["roof"]["state"] == "good"
+
+
+def test_hostile_forecasts_and_plans() -> None:
+    one = watched()
+    at = START + 60 * SECOND
+    for values in (
+        np.empty(0), np.empty((0, 0)), np.full((3, 3, 3), 1e-7), np.full(32, np.nan),
+        np.full(32, 1e300), np.full(32, -1e-9), np.full(100_000, 1e-7), np.full((5000, 32), 1e-7),
+        np.full(69, 1e-7),
+    ):
+        one.add_forecast("/forecast/precipitation", at, values)
+        assert shown(one)["tiles"]["rain"]["sentence"] == "no forecast is known"
+    for rows in (
+        np.ones(3), np.ones((2, 2)), np.ones((2, 3, 1)), np.full((2, 3), 1e300), np.ones((2, 3)),
+        np.array([[-1.0, 0, 0]]), np.array([[0.0, 0, 0]]), np.full((10_000, 3), 1.0),
+    ):
+        one.add_plan(at, rows)
+        assert one.series(3)["plan"] == []
+    one.add_plan(2**63, np.array([[1.0, 0, 0]]))
+    one.add("/roof/level", np.array([2**63 - 1, at + 5 * SECOND]), np.array([0.1, 0.02]))
+    one.add("/no/such/topic", np.array([at]), np.array([1.0]))
+    one.add("/pump/state", np.array([at]), np.array([1.0]))
+    document = shown(one)
+    assert document["tiles"]["roof"]["number"] == 0.02
+    assert document["time"]["text"] == "2021-07-20 00:01:05 UTC-05:00"
+
+
+# --- time, order, staleness ---------------------------------------------------------------------
+
+
+def test_what_is_not_newer_is_left_out() -> None:
+    one = watched(roof_level=0.04)
+    one.add("/roof/level", START + SECOND * np.array([60, 5]), np.array([0.01, 0.02]))
+    assert shown(one)["tiles"]["roof"]["number"] == 0.04
+    rows = one.series(3)["lines"]["roof"]
+    assert {low for _, low, _, _ in rows} == {0.04}
+
+
+def test_a_batch_out_of_order_is_put_right() -> None:
+    one = watched()
+    one.add("/roof/level", START + SECOND * np.array([70, 65, 80]), np.array([0.01, 0.5, 0.02]))
+    assert one.series(3)["lines"]["roof"][-1] == [START / 1e9 + 80, 0.02, 0.02, 0.02]
+    assert max(high for _, _, high, _ in one.series(3)["lines"]["roof"]) == 0.0457
+
+
+def test_a_value_that_does_not_come_any_more_is_stale() -> None:
+    """Each topic by its own interval: every second here, so that 5 s are too long."""
+    one = watched(roof_level=0.0453)
+    for second in range(10):
+        hear(one, 61 + second, 62 + second, {"/roof/level": 0.0453, "/cistern/level": 2.0})
+        shown(one, 100.0 + second)
+    for second in range(10, 14):
+        hear(one, 61 + second, 62 + second, {"/cistern/level": 2.0})
+        assert not shown(one, 100.0 + second)["tiles"]["roof"]["stale"]
+    for second in range(14, 17):
+        hear(one, 61 + second, 62 + second, {"/cistern/level": 2.0})
+        document = shown(one, 100.0 + second)
+    tile = document["tiles"]["roof"]
+    assert tile["stale"]
+    assert (tile["value"], tile["state"]) == ("Last known: 45.3 mm", "unknown")
+    assert tile["sentence"] == "was 0.4 mm below its target when last heard at 00:01:10"
+    assert not document["tiles"]["cistern"]["stale"]
+    assert document["tiles"]["summary"]["level"] == "warn"
+    assert document["time"]["silent_for"] == 0
+    hear(one, 90, 91, {"/roof/level": 0.0453})
+    assert shown(one, 118.0)["tiles"]["roof"]["state"] == "good"
+
+
+def test_what_comes_seldom_may_be_silent_for_longer() -> None:
+    """The bag of a live site grows every 10 s: three of these."""
+    one = watched()
+    for block in range(4):
+        hear(one, 61 + 10 * block, 71 + 10 * block, {"/roof/level": 0.0457})
+        shown(one, 100.0 + 10 * block)
+    assert not shown(one, 159.0)["tiles"]["roof"]["stale"]
+    assert shown(one, 161.0)["tiles"]["roof"]["stale"]
+
+
+def test_a_sensor_that_died_while_nobody_looked_is_stale() -> None:
+    """No page was open for half an hour: the feed looks all the same."""
+    one = watched()
+    for second in range(1800):
+        hear(one, 61 + second, 62 + second, {"/cistern/level": 2.0})
+        if second < 10:
+            hear(one, 61 + second, 62 + second, {"/roof/level": 0.0453})
+        one.look(100.0 + second, 0.0)
+    document = shown(one, 1899.5)
+    assert document["tiles"]["roof"]["stale"]
+    assert not document["tiles"]["cistern"]["stale"]
+
+
+def test_the_time_of_a_live_site_goes_on_without_values() -> None:
+    one = watched()
+    one.set_present(mode="live", factor=None, source="heard", note="")
+    one.look(100.0, START / 1e9 + 60)
+    assert shown(one, 101.0)["notes"] == []
+    one.look(112.0, START / 1e9 + 72)
+    document = shown(one, 112.0)
+    assert document["time"]["text"] == "2021-07-20 00:01:12 UTC-05:00"
+    assert document["notes"] == ["No values have come for 12 s."]
+    assert one.series(1.0)["now"] == START / 1e9 + 72
+
+
+def test_a_live_clock_that_is_set_back() -> None:
+    """By an hour: what comes then counts, and what the recording still says of later does not."""
+    one = watched()
+    one.set_present(mode="live", factor=None, source="heard", note="")
+    one.look(100.0, START / 1e9 + 60)
+    one.add_statuses(100.0, [node("pump", pump="off: nothing is commanded")])
+    one.look(100.5, START / 1e9 - 3539)
+    hear(one, 55, 62, {"/roof/level": 0.01})
+    hear(one, -3539, -3530, QUIET)
+    document = shown(one, 101.0)
+    assert document["tiles"]["roof"]["number"] == QUIET["/roof/level"]
+    assert document["tiles"]["pump"]["value"] == "off"
+    assert document["account"]["since_text"] == "since 2021-07-19 23:01:01"
+    assert document["events"][0]["what"] == (
+        "The system's clock was set back by 60 min: charts and account begin anew"
+    )
+
+
+def test_nothing_of_an_ended_run_is_stale() -> None:
+    one = watched()
+    shown(one, 100.0)
+    one.set_present(mode="ended", factor=None, source="bag", note="")
+    document = shown(one, 9999.0)
+    assert document["heading"] == "Ended run"
+    assert document["tiles"]["roof"]["state"] == "good"
+    assert document["tiles"]["summary"]["sentence"] == (
+        "The run has ended. The roof was at its target; the pump was off, since nothing "
+        "is commanded."
+    )
+
+
+@pytest.mark.parametrize(("mode", "factor", "heading"), [
+    ("none", None, "Nothing is heard yet"),
+    ("simulated", 30.0, "Simulated run, 30 times real time"),
+    ("simulated", 2.04, "Simulated run, 2 times real time"),
+    ("simulated", 1.01, "Simulated run, at real time"),
+    ("simulated", math.nan, "Simulated run"),
+    ("loop", 1.5, "Simulated site with a drive, 1.5 times real time"),
+    ("live", None, "Live site"),
+])
+def test_headings(mode: str, factor: float | None, heading: str) -> None:
+    one = Watched()
+    one.set_present(mode=mode, factor=factor, source="heard", note="")
+    assert shown(one)["heading"] == heading
+
+
+def test_a_watcher_that_knows_nothing() -> None:
+    one = Watched("/site1")
+    document = shown(one, 5.0)
+    assert document["namespace"] == "/site1"
+    assert document["time"] == {
+        "now": None, "utc_offset": 0.0, "factor": None, "text": "unknown", "silent_for": None,
+    }
+    assert {tile["state"] for name, tile in document["tiles"].items() if name != "summary"} == {
+        "unknown"
+    }
+    assert {row["value"] for row in document["account"]["rows"]} == {"unknown"}
+    series = one.series(12)
+    assert series["now"] is None
+    assert not any(series["lines"].values())
+
+
+def test_another_run_begins() -> None:
+    one = watched()
+    one.add_plan(START + 60 * SECOND, np.array([[3600.0, 1e-3, 0.045]]))
+    one.add_statuses(100.0, [node("pump", pump="held: an operator stopped it")])
+    one.begin_anew()
+    assert shown(one)["mode"] == "none"
+    assert shown(one)["tiles"]["roof"]["number"] is None
+    assert not shown(one)["stop"]["possible"]
+    # It may be of an earlier day.
+    one.set_present(mode="simulated", factor=1.0, source="heard", note="")
+    hear(one, -86_400, -86_300, QUIET)
+    assert shown(one)["tiles"]["roof"]["state"] == "good"
+    assert shown(one)["account"]["since_text"] == "since 2021-07-19 00:00:00"
+
+
+# --- account, notes, stop, events -------------------------------------------------------------
+
+
+def test_the_account_of_a_run_in_words() -> None:
+    """Each row is that of the run's summary; see test_account.py for its rules."""
+    run = paper_run("--hours", "0.2", "--controller", "onoff")
+    metrics = Metrics()
+    happened = record(run, closed_loop(run, run.make_controller(), metrics))
+    one = Watched()
+    one.set_site(run.site)
+    times = START + SECOND * np.arange(len(happened.time))
+    for topic, column in {
+        "/roof/level": happened.roof / run.site.a2, "/cistern/level": happened.cistern / 25,
+        "/weather/precipitation": happened.precipitation, "/pump/flow": happened.pump_flow,
+        "/weather/evapotranspiration": happened.evapotranspiration,
+        "/cistern/outflow": happened.outflow, "/roof/drainage": happened.drainage,
+    }.items():
+        one.add(topic, times, column)
+    account = shown(one)["account"]
+    assert account["sentence"] == "0.000 m3 not accounted for"
+    assert [row["key"] for row in account["rows"]] == [
+        "rain", "pumped", "drained", "evapotranspired", "stored", "unexplained", "inflow",
+        "overflow", "saved", "energy",
+    ]
+    rows = {row["key"]: row for row in account["rows"]}
+    results = metrics.results()
+    assert rows["pumped"]["number"] == pytest.approx(results["pumped_m3"], rel=0, abs=1e-9)
+    assert rows["pumped"]["value"] == f"{results['pumped_m3']:.3f} m3"
+    assert rows["saved"]["number"] == rows["pumped"]["number"] > 0.1
+    assert rows["energy"]["value"] == f"{results['electric_energy_kwh']:.3f} kWh"
+    assert rows["unexplained"]["value"] == "0.000 m3"
+
+
+def test_gaps_are_said() -> None:
+    one = watched()
+    hear(one, 361, 400, QUIET)
+    assert shown(one)["account"]["sentence"] == "0.000 m3 not accounted for, with gaps of 5 min"
+
+
+def test_an_ended_live_bag_has_its_account_to_the_end() -> None:
+    """Read in one batch, topic by topic: of what never comes nobody can say so but by waiting."""
+    one = Watched()
+    one.set_site(SITE)
+    one.set_present(mode="ended", factor=None, source="bag", note="")
+    live = {topic: value for topic, value in QUIET.items() if topic.count("/") == 2}
+    for topic in ("/cistern/outflow", "/roof/drainage"):
+        del live[topic]
+    hear(one, 0, 1000, {**live, "/pump/flow": 1e-3})
+    shown(one, 100.0)
+    rows = {row["key"]: row for row in shown(one, 103.0)["account"]["rows"]}
+    assert rows["pumped"]["number"] == pytest.approx(0.999)
+    assert rows["drained"]["label"] == "Drained off the roof, computed from the level"
+
+
+def test_notes() -> None:
+    one = watched()
+    assert shown(one)["notes"] == []
+    one.set_site(SITE, "Levels are judged by the paper's site, a.yaml.")
+    one.set_present(mode="live", factor=None, source="samples", note="Shows samples: no bag.")
+    assert shown(one)["notes"] == [
+        "Levels are judged by the paper's site, a.yaml.", "Shows samples: no bag.",
+    ]
+
+
+def stop_after(state: str, wall: float = 100.0, **said: Any) -> dict[str, Any]:
+    """Return the document when the pump node said so at 100 s."""
+    one = watched()
+    one.set_pump("/pump")
+    one.add_statuses(100.0, [node("pump", pump=state, **said)])
+    return shown(one, wall)
+
+
+def test_stop_is_there_with_a_pump_node_only() -> None:
+    one = watched()
+    assert not shown(one)["stop"]["possible"]
+    one.add_statuses(100.0, [node("pump", pump="running: as commanded", stands=False)])
+    assert not shown(one)["stop"]["possible"]  # it was there: whoever listens says whether it is
+    one.set_pump("/pump")
+    assert shown(one)["stop"] == {
+        "possible": True, "held": False, "node": "/pump", "label": "Stop the pump", "warning": "",
+        "sentence": "Holds the pump off until somebody releases it at the pump node.",
+    }
+    one.set_pump("/pump", "Two nodes say so.")
+    stop = shown(one)["stop"]
+    assert (stop["possible"], stop["warning"]) == (False, "Two nodes say so.")
+
+
+def test_a_pump_that_stands_is_held_off_by_a_stop() -> None:
+    document = stop_after("held: an operator stopped it; there is frost", stands=True)
+    assert document["stop"]["held"]
+    assert document["stop"]["label"] == "The pump is held off"
+    assert "the pump is held off: an operator stopped it" in (
+        document["tiles"]["summary"]["sentence"]
+    )
+
+
+@pytest.mark.parametrize("state", ["off: the command is 0", "held: there is frost", "fault: leak"])
+def test_a_pump_that_is_off_can_be_kept_off(state: str) -> None:
+    stop = stop_after(state, stands=True)["stop"]
+    assert (stop["possible"], stop["held"], stop["label"]) == (True, False, "Keep the pump off")
+
+
+@pytest.mark.parametrize(("why", "said"), [
+    ("the pump still turns, at 0.80 of its speed", "but the pump still turns"),
+    ("whether the pump stands is not known", "but it is not known whether the pump stands"),
+])
+@pytest.mark.parametrize("state", ["held: ", "fault: a leak; "])
+def test_a_stop_that_was_only_accepted(state: str, why: str, said: str) -> None:
+    """The pump may turn for all that: the button stays, and so does what to do."""
+    document = stop_after(f"{state}an operator stopped it; {why}", stands=False)
+    stop = document["stop"]
+    assert (stop["possible"], stop["held"], stop["label"]) == (True, False, "Stop the pump")
+    assert said in stop["warning"]
+    assert document["tiles"]["summary"]["level"] == "error"
+
+
+def test_nothing_is_held_off_by_a_node_that_is_gone() -> None:
+    document = stop_after("held: an operator stopped it", 103.0, stands=True)
+    assert not document["stop"]["held"]
+    assert document["stop"]["sentence"].startswith("It was held off when last heard.")
+    assert document["tiles"]["pump"]["value"] == "Last known: held"
+    assert "what the pump does is not known" in document["tiles"]["summary"]["sentence"]
+
+
+def test_an_ended_recording_has_no_stop() -> None:
+    one = watched()
+    one.set_present(mode="ended", factor=None, source="bag", note="")
+    one.add_text("/pump/state", START, "held: an operator stopped it")
+    document = shown(one)
+    assert document["tiles"]["pump"]["state"] == "held"
+    assert (document["stop"]["possible"], document["stop"]["held"]) == (False, False)
+
+
+def test_a_plan_goes_with_its_controller() -> None:
+    one = watched()
+    plan = np.array([[7200.0, 1e-3, 0.045]])
+    one.add_statuses(100.0, [node("controller", "mpc")])
+    one.add_plan(START + 60 * SECOND, plan)
+    one.add_statuses(100.2, [node("controller", "mpc")])
+    assert one.series(3)["plan"]
+    one.add_statuses(101.0, [node("controller", "mpc", "host 8")])
+    assert one.series(3)["plan"] == []
+    # Its own, which came before its next word, stays.
+    one.add_plan(START + 61 * SECOND, plan)
+    one.add_statuses(102.0, [node("controller", "mpc", "host 9")])
+    assert one.series(3)["plan"]
+
+
+def test_an_ended_run_has_no_future() -> None:
+    one = watched()
+    one.add_plan(START + 60 * SECOND, np.array([[43_200.0, 1e-4, 0.045]]))
+    one.add_forecast("/forecast/precipitation", START + 60 * SECOND, np.full(32, 1e-7))
+    one.set_present(mode="ended", factor=None, source="bag", note="")
+    tiles = shown(one)["tiles"]
+    assert tiles["controller"]["sentence"].startswith("planned to pump 4.32 m3")
+    assert tiles["rain"]["sentence"] == "4.3 mm were expected in the next 12 h"
+
+
+@pytest.mark.parametrize(("hours", "sentence"), [
+    (0.9, "4.3 mm expected in the next 12 h"),
+    (2.0, "4.3 mm expected in the next 12 h, by the forecast of 00:00"),
+    (7.0, "the forecast is too old, of 00:00: 4.3 mm were expected in the next 12 h"),
+    (49.0, "no forecast is known: that of 20 Jul 00:00 is over"),
+])
+def test_a_forecast_has_an_age(hours: float, sentence: str) -> None:
+    one = watched()
+    steps = len(growing_steps(48)) - 1
+    one.add_forecast("/forecast/precipitation", START, np.full(steps, 1e-7))
+    hear(one, round(hours * 3600), round(hours * 3600) + 1, QUIET)
+    assert shown(one)["tiles"]["rain"]["sentence"] == sentence
+
+
+def test_a_new_forecast_is_an_event_when_the_rain_is_another() -> None:
+    """The forecast moves on with each tick; that is not worth a line."""
+    one = watched()
+    for minute in range(0, 240, 10):
+        at = START + minute * 60 * SECOND
+        rain = np.full(32, (1 if minute < 120 else 4) * 1e-7 + minute * 1e-11)
+        one.add_forecast("/forecast/precipitation", at, rain)
+        hear(one, minute * 60, minute * 60 + 1, {"/roof/level": 0.0457})
+    events = shown(one)["events"]
+    assert [event["what"] for event in events] == [
+        "New forecast: 17 mm of rain in the next 12 h; before, it was 4.3 mm"
+    ]
+    assert events[0]["at_text"] == "02:00:00"
+
+
+def test_a_flood_of_statuses_leaves_a_short_document() -> None:
+    one = watched()
+    one.add_statuses(100.0, [node("pump", pump="fault: " + "ä" * 1_000_000)] + [
+        Status(f"/device {number}" + "ü" * 200, 2, "<script>ö" * 2000, "x" * 1000)
+        for number in range(2000)
+    ])
+    document = shown(one)
+    assert document["alarms"]
+    assert any("more alarms are not shown" in note for note in document["notes"])
+    assert "\n" not in document["tiles"]["pump"]["why"]
+
+
+def test_alarms_are_acknowledged_by_their_id() -> None:
+    one = watched()
+    one.add_statuses(100.0, [
+        node("pump", pump="off: no command"), Status("/pump: drive", 2, "not heard", "host 7"),
+    ])
+    (alarm,) = shown(one)["alarms"]
+    assert (alarm["level"], alarm["acknowledged"]) == ("error", False)
+    assert alarm["since_text"] == "00:01:00"
+    assert one.acknowledge(alarm["id"])
+    assert not one.acknowledge("/no: such")
+    assert shown(one)["alarms"][0]["acknowledged"]
+    assert shown(one)["tiles"]["summary"]["word"] == "1 alarm."
+    assert shown(one)["tiles"]["summary"]["level"] == "error"
+
+
+# --- charts -------------------------------------------------------------------------------------
+
+
+def test_the_charts_have_the_values_of_the_ticks() -> None:
+    one = Watched()
+    one.set_site(SITE)
+    values = np.random.default_rng(1).uniform(0.01, 0.05, 3600)
+    times = START + SECOND * np.arange(3600)
+    one.add("/roof/level", times, values)
+    series = one.series(12)
+    assert len(series["lines"]["roof"]) <= 401
+    for at, low, high, last in series["lines"]["roof"]:
+        tick = round(at - START / 1e9)
+        assert last == values[tick]
+        assert low <= last <= high
+    assert min(row[1] for row in series["lines"]["roof"]) == values.min()
+    assert max(row[2] for row in series["lines"]["roof"]) == values.max()
+    assert (series["now"], series["to"]) == (START / 1e9 + 3599, START / 1e9 + 3599 + 43_200)
+    assert series["marks"] == {
+        "target": 0.0457, "band": pytest.approx([0.043415, 0.047985]), "suction": 0.75,
+        "outlet": 3.0,
+    }
+    assert series["display"]["roof"] == {
+        "label": "Roof level", "unit": "mm", "factor": 1000, "decimals": 1,
+    }
+
+
+def test_what_was_expected_stays_where_it_is_past() -> None:
+    """Of each plan the end of its first step, and of further ones while it held."""
+    one = watched()
+    one.add_plan(START + 10 * SECOND, np.array([[10.0, 0, 0.041], [600.0, 0, 0.042]]))
+    one.add_plan(START + 15 * SECOND, np.array([[10.0, 0, 0.043], [30.0, 0, 0.044],
+                                                [600.0, 0, 0.045]]))
+    rows = one.series(3)["lines"]["roof_expected"]
+    # 20 and 25 s share a stretch of 20 s; what the first plan expected of 610 s it no longer does.
+    assert rows == [
+        [START / 1e9 + 25, 0.041, 0.043, 0.043], [START / 1e9 + 45, 0.044, 0.044, 0.044],
+    ]
+    assert one.series(3)["plan"] == [[START / 1e9 + 45, START / 1e9 + 615, 0.0, 0.045]]
+
+
+def test_the_forecast_of_the_charts() -> None:
+    one = watched()
+    one.add_forecast("/forecast/precipitation", START + 60 * SECOND, ENSEMBLE)
+    rows = one.series(3)["forecast"]
+    assert len(rows) == 32
+    assert rows[0] == pytest.approx([START / 1e9 + 60, START / 1e9 + 70, 6e-7, 2e-7, 1e-6])
+    assert rows[-1][1] == START / 1e9 + 60 + 43_200
+
+
+@pytest.mark.parametrize("hours", [-1.0, 0.0, 1e9, math.nan, math.inf])
+@pytest.mark.parametrize("points", [-5, 0, 10**9])
+def test_odd_windows(hours: float, points: int) -> None:
+    series = watched().series(hours, points)
+    assert series["lines"]["roof"]
+    assert 0.1 <= (series["now"] - series["from"]) / 3600 <= 168
+
+
+def test_every_line_is_a_topic_that_says_how_it_is_shown() -> None:
+    topics = read_topics()
+    for topic in LINES.values():
+        assert topics[topic].display is not None
+
+
+# --- threads and time ---------------------------------------------------------------------------
+
+
+def test_one_thread_writes_while_another_reads() -> None:
+    one = watched()
+    errors: list[BaseException] = []
+    done = threading.Event()
+
+    def read() -> None:
+        try:
+            while not done.is_set():
+                json.dumps(one.document(time.monotonic()), allow_nan=False)
+                json.dumps(one.series(1.0), allow_nan=False)
+        except BaseException as error:
+            errors.append(error)
+
+    thread = threading.Thread(target=read)
+    thread.start()
+    for block in range(100):
+        hear(one, 61 + 100 * block, 161 + 100 * block, QUIET)
+        one.add_statuses(time.monotonic(), [node("pump", pump=f"off: {block}")])
+        one.add_plan(START + block * SECOND, np.array([[600.0, 0, 0.01]]))
+        if block == 50:
+            one.begin_anew()
+    done.set()
+    thread.join()
+    assert not errors
+
+
+def test_ten_thousand_ticks_take_less_than_five_milliseconds_a_topic() -> None:
+    """Of processor time, the best of some."""
+    spent = []
+    for _ in range(5):
+        one = watched()
+        times = START + SECOND * np.arange(100, 10_100)
+        values = np.full(10_000, 0.0457)
+        began = time.thread_time()
+        one.add("/roof/level", times, values)
+        spent.append(time.thread_time() - began)
+    assert min(spent) < 5e-3
+
+
+# --- words --------------------------------------------------------------------------------------
+
+
+@given(st.floats())
+def test_numbers_never_stand_as_minus_nothing_or_endless(value: float) -> None:
+    for text in (
+        words.depth(value), words.rate(value), words.flow(value), words.volume(value),
+        words.share(value), words.rain(value), words.length_of_time(value),
+    ):
+        assert len(text) < 30
+        assert not text.startswith(("-0 ", "-0.0 ", "-0.000 "))
+        assert "nan" not in text
+        assert "inf" not in text
+
+
+@pytest.mark.parametrize(("text", "expected"), [
+    (words.depth(0.0453), "45.3 mm"),
+    (words.depth(-0.00001), "0.0 mm"),
+    (words.rate(1 / 3.6e6), "1.0 mm/h"),
+    (words.flow(2.05e-4), "12.3 L/min"),
+    (words.volume(1.2344), "1.234 m3"),
+    (words.share(0.4), "40 %"),
+    (words.share(0.001), "less than 1 %"),
+    (words.rain(0.00994), "9.9 mm"),
+    (words.rain(0.00996), "10 mm"),
+    (words.length_of_time(89), "89 s"),
+    (words.length_of_time(720), "12 min"),
+    (words.length_of_time(43_200), "12 h"),
+    (words.length_of_time(45_000), "12.5 h"),
+    (words.length_of_time(259_200), "3 days"),
+    (words.time_of_day(1_626_757_200, -5, 1_626_757_300), "00:00:00"),
+    (words.time_of_day(1_626_757_199, -5, 1_626_757_300), "2021-07-19 23:59:59"),
+    (words.hour_and_minute(1_626_757_200, -5, 1_626_757_100), "tomorrow 00:00"),
+    (words.date_and_time(1e30, 0), "unknown"),
+    (words.number(1e15, 1), "unknown"),
+])
+def test_as_an_operator_reads_it(text: str, expected: str) -> None:
+    assert text == expected
