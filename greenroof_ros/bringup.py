@@ -308,7 +308,8 @@ def _wait_for_drive(
             if time.monotonic() > until:
                 reason = f"the drive cannot be run, after {_DRIVE_LIMIT_S:g} s: {trouble}"
                 raise NodeFailed(reason, supervisor.quoted(PUMP), EXIT_FAILED, [PUMP], "no drive")
-    latched = supervisor.last[PUMP]["latched"]
+    said = supervisor.last[PUMP]
+    latched = said["fault"] or said["held"]
     if latched:
         print(
             f"warning: the pump stays off, by {state_file}: {latched}; a fault is cleared by the "

@@ -32,11 +32,7 @@ class StopFailedError(Exception):
 
 
 class Looker:
-    """A node of its own, with a context of its own, for one thread.
-
-    Attributes:
-        topics: that it hears, by their names in the interface.
-    """
+    """A node of its own, with a context of its own, for one thread."""
 
     def __init__(
         self, namespace: str, on_message: Callable[[str, bytes, int | None, int], None]
@@ -85,11 +81,6 @@ class Looker:
         self._subscriptions: dict[str, Any] = {}
         self._wake = threading.Event()
         self.listen(())
-
-    @property
-    def topics(self) -> Collection[str]:
-        """What is heard."""
-        return self._subscriptions.keys()
 
     def listen(self, topics: Collection[str]) -> None:
         """Hear these topics of the interface, /diagnostics and no others."""

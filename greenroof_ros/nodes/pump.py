@@ -528,7 +528,7 @@ class PumpNode(Lifecycle, LinkedNode):
         return {
             "pump": self._state, "flow": self._decision.flow, "stands": self._decision.stands,
             "active": self.lifecycle_state == ACTIVE and not self._drive.snapshot.hold,
-            "latched": self._ledger.record.fault or self._ledger.record.held,
+            "fault": self._ledger.record.fault, "held": self._ledger.record.held,
         }
 
     # --- the pump -------------------------------------------------------------------------------

@@ -16,7 +16,6 @@ from datetime import datetime, timezone
 from typing import Any
 
 from greenroof_ros.graph.states import ENDED, FINISHED, PUMP, STARTING, STATES
-from greenroof_ros.pumping.pump_control import OPERATOR_STOPPED
 from greenroof_ros.watch.advice import advise
 from greenroof_ros.watch.causes import Trouble, find_causes
 from greenroof_ros.watch.words import plain
@@ -237,15 +236,19 @@ class Alarms:
         ]
         if grown and before:
             node.refused_at, node.refused = wall, ", ".join(grown[:10])
-        was, latched = (_text(one, "latched") for one in (before, values))
-        if before and latched != was:
-            if latched == OPERATOR_STOPPED:
-                self.add_event(now, "stop was asked for: the pump is held off")
-            elif latched:
-                self.add_event(now, f"the pump is off until it is reset: {latched}")
-            else:
-                stopped = was == OPERATOR_STOPPED
-                self.add_event(now, "the stop was released" if stopped else "the fault was reset")
+        if not before:
+            return
+        was_held, held = (bool(_text(one, "held")) for one in (before, values))
+        if held != was_held:
+            self.add_event(
+                now, "stop was asked for: the pump is held off" if held else "the stop was released"
+            )
+        was, fault = (_text(one, "fault") for one in (before, values))
+        if fault != was:
+            self.add_event(
+                now, f"the pump is off until it is reset: {fault}" if fault
+                else "the fault was reset"
+            )
 
     def _hear_part(
         self, wall: float, node: _Node, part: str, status: Status, first: bool

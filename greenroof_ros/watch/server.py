@@ -36,7 +36,7 @@ from greenroof_ros.watch.watched import Watched
 
 _PAGE = Path(__file__).resolve().parent / "page"
 _TYPES = {
-    ".html": "text/html", ".css": "text/css", ".js": "text/javascript", ".svg": "image/svg+xml",
+    ".html": "text/html", ".css": "text/css", ".js": "text/javascript",
 }
 # Nothing but what this server sends, and no script or style within a page's own text.
 _POLICY = (
@@ -407,7 +407,7 @@ def serve(
     port: int | None,
     token: str | None,
     on_ready: Callable[[str], None],
-    signals: Signals | None = None,
+    signals: Signals,
 ) -> None:
     """Serve the page until a signal comes.
 
@@ -418,19 +418,17 @@ def serve(
         port: TCP port; 0 for any that is free, None for the first free one from 8080 on.
         token: that a page must send; None for none.
         on_ready: is given the address for a browser, with the token, once the page can be had.
-        signals: that end it; taken over from now on unless given.
+        signals: that end it.
 
     Raises:
         ConfigurationError: the address or the port is not to be had.
     """
-    until = signals or Signals()
-
     async def run() -> None:
         place = listen(host, port)
         async with serving(watched, feed, place, token):
             on_ready(place.url + (f"#token={token}" if token else ""))
             while True:
-                until.check()
+                signals.check()
                 await asyncio.sleep(0.1)
 
     with suppress(InterruptedRun):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 from greenroof_ros.model.metrics import NEAR_TARGET
@@ -17,6 +18,11 @@ _SOON_S = 600.0
 # Weather services renew their forecasts hourly, and begin each from a run that comes every 6 h:
 # an older one has missed such a run (s).
 _RENEWED_S, _OLD_S = 3600.0, 6 * 3600.0
+
+_roof_level = partial(words.value_of, "/roof/level")
+_cistern_level = partial(words.value_of, "/cistern/level")
+_flow = partial(words.value_of, "/pump/flow")
+_rain_rate = partial(words.value_of, "/weather/precipitation")
 
 
 @dataclass(frozen=True)
@@ -85,24 +91,32 @@ def roof(value: Value | None, site: Site | None) -> dict[str, Any]:
         # twice that, the whole of it is shown.
         deep = level is not None and level > 2 * site.z_veg
         gauge["high"] = max(site.z_soil, level or 0.0) if deep else 2 * site.z_veg
-        gauge["marks"] = [{"at": site.z_veg, "label": f"target {words.depth(site.z_veg)}"}]
+        gauge["marks"] = [{"at": site.z_veg, "label": f"target {_roof_level(site.z_veg)}"}]
         if deep:
             gauge["marks"].append({
-                "at": site.z_soil, "label": f"soil is full at {words.depth(site.z_soil)}",
+                "at": site.z_soil, "label": f"soil is full at {_roof_level(site.z_soil)}",
             })
         gauge["band"] = band_of(site)
     if level is None:
         return _without_number("Roof level", value, "its sensor says what cannot be", **gauge)
     if site is None:
-        return _tile("Roof level", value, words.depth(level), "unknown",
+        return _tile("Roof level", value, _roof_level(level), "unknown",
                      "what is right for this site is not known", **gauge)
     low, high = band_of(site)
     state = "low" if level < low else "high" if level > high else "good"
-    sentence = words.versus(level - site.z_veg, "its target")
+    sentence = _versus_target(level - site.z_veg)
     past = f"was {sentence}"
     if level >= site.z_soil:
         sentence += "; the soil is full, and water drains off"
-    return _tile("Roof level", value, words.depth(level), state, sentence, past=past, **gauge)
+    return _tile("Roof level", value, _roof_level(level), state, sentence, past=past, **gauge)
+
+
+def _versus_target(difference: float) -> str:
+    """Write how far the roof's level is from its target (m): ``0.4 mm below its target``."""
+    text = _roof_level(abs(difference))
+    if text == _roof_level(0.0):
+        return "at its target"
+    return f"{text} {'below' if difference < 0 else 'above'} its target"
 
 
 def cistern(value: Value | None, site: Site | None) -> dict[str, Any]:
@@ -112,14 +126,14 @@ def cistern(value: Value | None, site: Site | None) -> dict[str, Any]:
     if site is not None:
         gauge["high"] = max(1.1 * site.z_o, level or 0.0)
         gauge["marks"] = [
-            {"at": site.suction_level, "label": f"suction level {_deep(site.suction_level)}"},
-            {"at": site.z_o, "label": f"outlet {_deep(site.z_o)}"},
+            {"at": at, "label": f"{name} {_cistern_level(at)}"}
+            for name, at in (("suction level", site.suction_level), ("outlet", site.z_o))
         ]
         gauge["band"] = [site.suction_level, site.z_o]
     if level is None:
         return _without_number("Cistern level", value, "its sensor says what cannot be", **gauge)
     if site is None:
-        return _tile("Cistern level", value, _deep(level), "unknown",
+        return _tile("Cistern level", value, _cistern_level(level), "unknown",
                      "what is right for this site is not known", **gauge)
     usable = site.cistern_volume(level - site.suction_level)
     if usable <= 0:
@@ -132,12 +146,7 @@ def cistern(value: Value | None, site: Site | None) -> dict[str, Any]:
         amount = words.quantity(usable, "m3", 1)
         state, sentence = "good", f"{amount} above the suction level can be pumped"
         past = f"{amount} could be pumped"
-    return _tile("Cistern level", value, _deep(level), state, sentence, past=past, **gauge)
-
-
-def _deep(metres: float) -> str:
-    """Write the level of a cistern, of which nobody wants tenths of a millimetre."""
-    return words.quantity(metres, "mm", 0, 1e3)
+    return _tile("Cistern level", value, _cistern_level(level), state, sentence, past=past, **gauge)
 
 
 @dataclass(frozen=True)
@@ -198,12 +207,12 @@ def pump(pumping: Pumping, site: Site | None) -> dict[str, Any]:
     flow, command = pumping.flow, pumping.command
     parts = []
     if flow is not None:
-        parts.append(words.NOT_PLAUSIBLE if flow.number is None else words.flow(flow.number))
+        parts.append(words.NOT_PLAUSIBLE if flow.number is None else _flow(flow.number))
     if command is not None:
         if command.number is None:
             parts.append(f"the command is {words.NOT_PLAUSIBLE}")
         elif command.number:
-            parts.append(f"commanded {words.share(command.number)} of its greatest flow")
+            parts.append(f"commanded {words.command(command.number)} of its greatest flow")
         else:
             parts.append("nothing is commanded")
     heard = flow if flow is not None else command
@@ -237,7 +246,7 @@ def rain(
         if value is None:
             return _tile("Rain", value, words.UNKNOWN, "unknown", sentence)
         return _tile("Rain", value, words.NOT_PLAUSIBLE, "alarm", sentence)
-    return _tile("Rain", value, words.rate(rate), "good", sentence)
+    return _tile("Rain", value, _rain_rate(rate), "good", sentence)
 
 
 def _to_come(
@@ -295,7 +304,7 @@ def controller(
     elif command is None or command.number is None:
         sentence = "its command is unknown"
     elif command.number:
-        sentence = f"commands {words.share(command.number)} of the pump's greatest flow"
+        sentence = f"commands {words.command(command.number)} of the pump's greatest flow"
     else:
         sentence = "commands no pumping now"
     return {
@@ -392,7 +401,7 @@ def _pump_clause(pump: dict[str, Any], verb: str) -> str:
         return "what the pump does is not known"
     if state in ("running", "starting", "stopping"):
         clause = f"the pump {verb} {state}"
-        return f"{clause} at {words.flow(pump['number'])}" if pump["number"] else clause
+        return f"{clause} at {_flow(pump['number'])}" if pump["number"] else clause
     if state == "fault":
         return f"the pump {'had' if verb == 'was' else 'has'} a fault: {why}"
     if state == "held":

@@ -8,16 +8,16 @@ import threading
 import time
 from collections import deque
 from collections.abc import Sequence
+from dataclasses import asdict
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from greenroof_ros.common.interface import Topic, read_topics
+from greenroof_ros.common.interface import read_topics
 from greenroof_ros.graph.states import ENDED, FINISHED
 from greenroof_ros.model.look_ahead import MOST_MEMBERS
 from greenroof_ros.model.site import Site
-from greenroof_ros.pumping.pump_control import OPERATOR_STOPPED, STILL_TURNS
 from greenroof_ros.watch import tiles, words
 from greenroof_ros.watch.account import TOPICS as ACCOUNTED
 from greenroof_ros.watch.account import Account
@@ -478,7 +478,6 @@ class Watched:
                 "utc_offset": offset,
                 "factor": self._factor,
                 "text": words.UNKNOWN if now is None else words.date_time_and_zone(now, offset),
-                "silent_for": silent,
             },
             "source": self._source,
             "notes": [note for note in notes if note],
@@ -581,18 +580,16 @@ class Watched:
                 "possible": False, "held": False, "node": None, "label": "Stop the pump",
                 "sentence": sentence, "warning": self._no_stop,
             }
-        state, _, why = (self._pump_words() or "").partition(": ")
-        asked = state in ("held", "fault") and OPERATOR_STOPPED in why
+        asked = bool(said.get("held"))
         gone = self._pump_gone(wall)
         stands = not gone and said.get("stands") is True
         warning = ""
         if asked and not stands and not gone:
-            unknown = "it is not known whether the pump stands"
-            turns = STILL_TURNS if STILL_TURNS in why else unknown
             warning = (
-                f"Stop was accepted, but {turns}. Stop it at its drive's panel if it does not "
-                "stand within seconds."
+                "Stop was accepted, but the pump still turns, or it is not known whether it "
+                "stands. Stop it at its drive's panel if it does not stand within seconds."
             )
+        state = (self._pump_words() or "").partition(": ")[0]
         off = state in ("off", "held", "fault") and stands
         held = asked and stands
         return {
@@ -674,20 +671,10 @@ class Watched:
                 "plan": [] if self._plan is None or now is None else self._plan.rows(now),
                 "marks": marks,
                 "display": {
-                    name: _display(self._interface[topic])
+                    name: asdict(words.display_of(topic))
                     for name, topic in {**LINES, "forecast": _FORECAST}.items()
                 },
             }
-
-
-def _display(topic: Topic) -> dict[str, Any]:
-    """Return how an operator is shown a topic's values."""
-    display = topic.display
-    assert display is not None
-    return {
-        "label": display.label, "unit": display.unit, "factor": display.factor,
-        "decimals": display.decimals,
-    }
 
 
 def _within(rows: list[dict[str, Any]], most: int) -> list[dict[str, Any]]:

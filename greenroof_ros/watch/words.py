@@ -4,6 +4,9 @@ from __future__ import annotations
 
 import math
 from datetime import datetime, timedelta, timezone
+from functools import cache
+
+from greenroof_ros.common.interface import Display, read_topics
 
 NOT_PLAUSIBLE = "not a plausible value"
 UNKNOWN = "unknown"
@@ -30,14 +33,24 @@ def quantity(value: float, unit: str, decimals: int, factor: float = 1.0) -> str
     return text if text == UNKNOWN else f"{text} {unit}".rstrip()
 
 
-def depth(metres: float) -> str:
-    """Write a depth of water, or a difference of such: ``45.3 mm``."""
-    return quantity(metres, "mm", 1, 1e3)
+def value_of(topic: str, value: float) -> str:
+    """Write a value of a topic, or a difference of such, as the interface says: ``45.3 mm``.
+
+    Args:
+        topic: its name in the interface.
+        value: in the topic's unit.
+    """
+    display = display_of(topic)
+    return quantity(value, display.unit, display.decimals, display.factor)
 
 
-def rate(metres_per_second: float) -> str:
-    """Write a rate of rain: ``1.2 mm/h``."""
-    return quantity(metres_per_second, "mm/h", 1, 3.6e6)
+@cache
+def display_of(topic: str) -> Display:
+    """Return how the interface has the values of a topic shown."""
+    display = read_topics()[topic].display
+    if display is None:
+        raise KeyError(topic)
+    return display
 
 
 def rain(metres: float) -> str:
@@ -45,21 +58,16 @@ def rain(metres: float) -> str:
     return quantity(metres, "mm", 0 if abs(metres) >= 0.00995 else 1, 1e3)
 
 
-def flow(cubic_metres_per_second: float) -> str:
-    """Write a flow: ``12.3 L/min``."""
-    return quantity(cubic_metres_per_second, "L/min", 1, 6e4)
-
-
 def volume(cubic_metres: float) -> str:
     """Write a volume: ``1.234 m3``."""
     return quantity(cubic_metres, "m3", 3)
 
 
-def share(value: float) -> str:
-    """Write a share: ``40 %``; what is not nothing is not written as nothing."""
-    if 0 < value < 0.005:
+def command(share: float) -> str:
+    """Write a command: ``40 %``; what is not nothing is not written as nothing."""
+    if 0 < share < 0.005:
         return "less than 1 %"
-    return quantity(value, "%", 0, 100)
+    return value_of("/pump/command", share)
 
 
 def length_of_time(seconds: float) -> str:
@@ -112,14 +120,6 @@ def hour_and_minute(seconds: float, utc_offset: float, now: float) -> str:
     days = (at.date() - today.date()).days
     clock = at.strftime("%H:%M")
     return clock if days == 0 else f"tomorrow {clock}" if days == 1 else at.strftime("%d %b %H:%M")
-
-
-def versus(difference: float, of: str) -> str:
-    """Write how far a level is from another (m): ``0.4 mm below its target``."""
-    text = depth(abs(difference))
-    if number(abs(difference) * 1e3, 1) == "0.0":
-        return f"at {of}"
-    return f"{text} {'below' if difference < 0 else 'above'} {of}"
 
 
 def plain(text: str, most: int) -> str:

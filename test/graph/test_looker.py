@@ -68,7 +68,6 @@ def test_messages_come_with_their_numbers(place: int) -> None:
     for value in (1.0, 2.0, 3.0):
         publisher.publish(encode(value))
     heard.looker.listen([LEVEL])
-    assert set(heard.looker.topics) == {"/diagnostics", LEVEL}
     wait_for(lambda: publisher.get_subscription_count() == 1, 20, "the subscription")
     before = time.time_ns()
     for number in range(4, 64):

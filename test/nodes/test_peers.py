@@ -38,6 +38,7 @@ sys.stdin.readline()
 """
 # A publisher that knows nothing of the graph: it answers each level with a command.
 ROGUE = """
+import signal
 import rclpy
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from rclpy.duration import Duration
@@ -51,6 +52,7 @@ node.create_subscription(
     Float64, "/roof/level", lambda _: publisher.publish(Float64(data=0.77)), qos_profile=10
 )
 print("here", flush=True)
+signal.signal(signal.SIGINT, signal.SIG_DFL)  # the middleware may lock up when it is taken down
 rclpy.spin(node)
 """
 

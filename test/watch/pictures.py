@@ -62,24 +62,35 @@ def storm(domain: int, place: Path) -> Iterator[tuple[str, ...]]:
 
 
 @contextmanager
-def fault(domain: int, place: Path) -> Iterator[tuple[str, ...]]:
-    """A live site whose drive reports a fault."""
-    with SiteRig(place, domain, "danfoss_fc202") as rig:
+def site_with(domain: int, place: Path, drive: str, trouble: Callable[[SiteRig], None]) -> (
+    Iterator[tuple[str, ...]]
+):
+    """A live site whose pump ran, and which has this trouble since some seconds."""
+    with SiteRig(place, domain, drive) as rig:
         rig.until_running(seconds=120, steady_s=10.0)
+        trouble(rig)
+        yield ()
+
+
+def fault(domain: int, place: Path) -> Any:
+    """Its drive reports a fault."""
+
+    def trouble(rig: SiteRig) -> None:
         rig.truth.inject_drive("drive_fault")
         time.sleep(5)
         rig.truth.inject_drive("none")
-        yield ()
+
+    return site_with(domain, place, "danfoss_fc202", trouble)
 
 
-@contextmanager
-def stale(domain: int, place: Path) -> Iterator[tuple[str, ...]]:
-    """A live site whose roof sensor is silent."""
-    with SiteRig(place, domain, "grundfos_cim500") as rig:
-        rig.until_running(seconds=120, steady_s=10.0)
+def stale(domain: int, place: Path) -> Any:
+    """Its roof sensor is silent."""
+
+    def trouble(rig: SiteRig) -> None:
         rig.truth.inject_site("roof_silent")
         time.sleep(12)
-        yield ()
+
+    return site_with(domain, place, "grundfos_cim500", trouble)
 
 
 @contextmanager

@@ -234,8 +234,9 @@ def test_events_of_parameters() -> None:
 
 def test_events_of_a_stop_and_a_fault() -> None:
     alarms = Alarms()
-    for latched in ("", HELD, HELD, "", "the drive reports: overheat", ""):
-        alarms.hear(0.0, 5.0, node("/pump", "pump", latched=latched))
+    overheat = "the drive reports: overheat"
+    for held, fault in (("", ""), (HELD, ""), (HELD, ""), ("", ""), ("", overheat), ("", "")):
+        alarms.hear(0.0, 5.0, node("/pump", "pump", held=held, fault=fault))
     assert happened(alarms) == [
         "stop was asked for: the pump is held off", "the stop was released",
         "the pump is off until it is reset: the drive reports: overheat", "the fault was reset",
@@ -323,7 +324,7 @@ def test_a_namespace_has_its_own_alarms() -> None:
     """Another graph's nodes are other devices, and never say what this one's pump does."""
     alarms = Alarms("/site1")
     alarms.hear(0.0, 0.0, [
-        *node("/site2/pump", "pump", ("pump", ERROR, "fault: burst"), flow=2.0, latched=HELD),
+        *node("/site2/pump", "pump", ("pump", ERROR, "fault: burst"), flow=2.0, held=HELD),
         *node("/site1/pump", "pump", ("pump", WARN, f"held: {HELD}"), flow=1.0),
         *node("/site1/mpc", "controller"),
     ])
@@ -373,8 +374,8 @@ _STATUSES = st.builds(
     Status, _TEXTS, st.integers(-(2**70), 2**70) | st.sampled_from([0, 1, 2, 3]), _TEXTS, _TEXTS,
     st.dictionaries(
         st.sampled_from([
-            "role", "refused", "latched", "warnings", "waiting", "parameter_changes", "failure",
-            "parameter_change_count",
+            "role", "refused", "held", "fault", "warnings", "waiting", "parameter_changes",
+            "failure", "parameter_change_count",
         ]) | _TEXTS, _TEXTS, max_size=8,
     ),
 )
@@ -450,7 +451,7 @@ def test_values_that_are_no_numbers() -> None:
     texts = {
         "role": '"pump"', "process": '"p"',
         "flow": "NaN", "tick": "9" * 401, "pump": "1e999", "level": "-Infinity",
-        "active": "true", "latched": '"x"',
+        "active": "true", "fault": '"x"',
     }
     alarms.hear(0.0, 0.0, [Status("/pump", OK, "ready", "p", texts)])
     said = alarms.said("pump")

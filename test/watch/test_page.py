@@ -396,7 +396,7 @@ def test_a_stop_that_was_only_accepted_keeps_its_button(browser: Any) -> None:
         state = json.dumps(f"held: an operator stopped it{why}")
         return status(
             "/pump", 0, "ready", role='"pump"', process='"a 1"', pump=state,
-            stands=json.dumps(stands),
+            stands=json.dumps(stands), held=json.dumps("an operator stopped it"),
         )
 
     watched = site_watched("simulated")
@@ -405,7 +405,7 @@ def test_a_stop_that_was_only_accepted_keeps_its_button(browser: Any) -> None:
         page.locator("#ask-yes").click()
         until_shown(page, "#answer.failed", "is not known")
         said[:] = [pump("; the pump still turns, at 0.80 of its speed", stands=False)]
-        until_shown(page, "#stop-warning", "but the pump still turns")
+        until_shown(page, "#stop-warning", "Stop it at its drive's panel")
         until_shown(page, "#stop-button:enabled", "Stop the pump")
         said[:] = [pump("", stands=True)]
         until_shown(page, "#stop-button:disabled", "The pump is held off")

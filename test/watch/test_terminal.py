@@ -50,7 +50,7 @@ def run_of(hours: float, mode: str = "simulated") -> Watched:
         one.add(topic, times, values)
     one.add_statuses(99.0, [
         *node("/mpc", "controller"),
-        *node("/pump", "pump", pump="running: as commanded", latched=""),
+        *node("/pump", "pump", pump="running: as commanded"),
     ])
     return one
 
@@ -71,7 +71,7 @@ def with_a_fault() -> Watched:
     one = run_of(6.0, "loop")
     one.add_statuses(99.5, node(
         "/pump", "pump", ("pump", ERROR, why), ("drive", ERROR, "the drive reports a fault: over"),
-        pump=why, latched="the drive reports: overcurrent (code 2310)",
+        pump=why, fault="the drive reports: overcurrent (code 2310)",
     ))
     return one
 
@@ -159,7 +159,7 @@ def test_what_must_be_seen_at_80_by_24(state: str, words: list[str]) -> None:
 def test_how_the_pump_is_stopped_is_said_whole_or_not_at_all(name: str, width: int) -> None:
     """The first part of that command releases the pump."""
     one = run_of(1.0)
-    one.add_statuses(99.0, node(name, "pump", pump="running: as commanded", latched=""))
+    one.add_statuses(99.0, node(name, "pump", pump="running: as commanded"))
     one.set_pump(name)
     lines = drawn(one, width, 24)
     call = f'ros2 service call {name}/stop std_srvs/srv/SetBool "{{data: true}}"'
