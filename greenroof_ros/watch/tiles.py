@@ -308,8 +308,8 @@ def controller(
     else:
         sentence = "commands no pumping now"
     return {
-        "label": "Controller", "value": name or words.UNKNOWN, "number": None, "state": state,
-        "sentence": sentence, "stale": stale,
+        "label": "Controller", "value": name or ("not recorded" if ended else words.UNKNOWN),
+        "number": None, "state": state, "sentence": sentence, "stale": stale,
     }
 
 

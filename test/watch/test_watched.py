@@ -622,6 +622,7 @@ def test_an_ended_recording_has_no_stop() -> None:
     one.add_text("/pump/state", START, "held: an operator stopped it")
     document = shown(one)
     assert document["tiles"]["pump"]["state"] == "held"
+    assert document["tiles"]["controller"]["value"] == "not recorded"
     assert (document["stop"]["possible"], document["stop"]["held"]) == (False, False)
 
 
