@@ -51,7 +51,7 @@ const atText = (ms) => {
     + `${two(at.getUTCHours())}:${two(at.getUTCMinutes())}:${two(at.getUTCSeconds())}`;
 };
 
-const element = (tag, name, text) => {
+export const element = (tag, name, text) => {
   const made = document.createElement(tag);
   if (name) made.className = name;
   if (text !== undefined) made.textContent = text;

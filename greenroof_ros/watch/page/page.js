@@ -1,7 +1,7 @@
 // The page: takes the document and the series from the server and shows them. Every text is set as
 // text, never as HTML: some of it comes from other devices.
 
-import { Charts } from "/charts.js";
+import { Charts, element } from "/charts.js";
 
 const SILENT = 12_000; // ms: the server sends something every 5 s
 const LONGEST_WAIT = 8_000; // ms, between two tries to connect
@@ -23,12 +23,6 @@ const byId = (id) => document.getElementById(id);
 const setText = (one, text) => {
   const wanted = text ?? "";
   if (one.textContent !== wanted) one.textContent = wanted;
-};
-const element = (tag, name, text) => {
-  const made = document.createElement(tag);
-  if (name) made.className = name;
-  if (text !== undefined) made.textContent = text;
-  return made;
 };
 const shape = (name) => {
   const space = "http://www.w3.org/2000/svg";
