@@ -31,6 +31,8 @@ from rig import RIGS, BrokenError, Rig, SkippedError, wait  # noqa: E402
 # Within which a change of a status must be on the page (s), where the machine does nothing else.
 LIMIT_S = 2.0
 _LOOK_S = 0.1
+# So much of a sentence is compared, without its numbers: the page cuts it at 500 characters.
+_COMPARED = 300
 # What is on the page: of each alarm that stands the words, by the name of its status; the events.
 _ON_PAGE = """() => [Object.fromEntries(
   [...document.querySelectorAll("[data-alarm]:not([data-over])")].map(
@@ -128,7 +130,9 @@ def changes(
     for at, who, text in list(rig.watcher.said):
         if ": " not in who:
             continue
-        words = None if text.startswith("OK ") else _without_numbers(text.partition(" ")[2])
+        words = None
+        if not text.startswith("OK "):
+            words = _without_numbers(text.partition(" ")[2])[:_COMPARED]
         said = by_name.setdefault(who, [])
         if not said or said[-1][1] != words:
             said.append((at, words))
