@@ -18,6 +18,7 @@ from greenroof_ros.controllers.roof_observer import OBSERVER_TIME_CONSTANT, Roof
 from greenroof_ros.model.look_ahead import growing_steps
 from greenroof_ros.model.plant import pump_flow
 from greenroof_ros.model.site import Site
+from greenroof_ros.model.soil import free_changes
 
 Array = NDArray[np.float64]
 
@@ -31,7 +32,8 @@ class AnticipatingOnOff:
     evapotranspiration takes water off it. This one fills it to x2* - m only, where
 
         m = max(0, median of C(t) over the horizon),
-        C(t) = what rain less evapotranspiration bring to the roof from now until t.
+        C(t) = what rain less evapotranspiration bring to the roof from now until t,
+               of a measured roof without what percolates meanwhile.
 
     Why the median: pump a little now, and the roof is that much wetter at every later time. That is
     a gain at those times at which it would otherwise be below its target, and a loss at those at
@@ -113,11 +115,13 @@ class AnticipatingOnOff:
             return 0.0
         x2 = self._observer.correct(roof_level)
         waited = self._regret_limit.judge(x1, x2, self.fraction)
-        room = 0.0 if waited else self._room(rain, evaporated)
+        room = 0.0 if waited else self._room(x2, rain, evaporated)
         dry = x2 < site.x2_star - room and cistern_level >= site.suction_level
         command = self.fraction if dry else 0.0
         pumped = pump_flow(site, x1, x2, command)
-        self._regret_limit.move(x1, x2, self.fraction, pumped)
+        self._regret_limit.move(
+            x1, x2, self.fraction, pumped, float(rain[0]), float(evaporated[0])
+        )
         self._observer.predict(x2, float(rain[0]), float(evaporated[0]), pumped)
         return command
 
@@ -126,9 +130,9 @@ class AnticipatingOnOff:
         self._observer.skip()
         self._regret_limit.skip()
 
-    def _room(self, rain: Array, evaporated: Array) -> float:
+    def _room(self, x2: float, rain: Array, evaporated: Array) -> float:
         """Return m, what to leave room for (m3)."""
-        inflow = (rain * self._site.a2 - evaporated) * self._lengths
+        (inflow,) = free_changes(self._site, x2, rain[None], evaporated, self._lengths)
         # Half-way through each step, since there the sum is the step's mean.
         return max(0.0, _median(np.cumsum(inflow) - inflow / 2, self._lengths))
 

@@ -20,6 +20,7 @@ from greenroof_ros.controllers.roof_observer import RoofObserver
 from greenroof_ros.model.look_ahead import MOST_MEMBERS, growing_steps
 from greenroof_ros.model.plant import maximum_pump_flow
 from greenroof_ros.model.site import Site
+from greenroof_ros.model.soil import free_changes, kept_share, water_stress
 
 _log = logging.getLogger(__name__)
 
@@ -50,11 +51,14 @@ _UNDECIDED: Array = np.full((1, 3), np.nan)
 class Planner:
     """Plans the pumped flow over steps that grow, and follows the plan until something changes.
 
-    Decided are the volumes P_i (m3) pumped from now to the end of step i. The pump curve is
-    inverted exactly - a command is a flow over the maximum flow at the cistern's level - so that
-    the prediction is the exact mass balance of Eq. (1): the roof deviates from its target by
-    c_i + P_i at the end of step i, where c_i is what state, rain and evapotranspiration make of it
-    alone. With the deviation taken as linear within a step the program is
+    Decided are the volumes P_i (m3) pumped from now to the end of step i, of a measured roof those
+    that its soil keeps: the share 1 - S^2 that it keeps now. The pump curve is inverted exactly - a
+    command is a flow over the maximum flow at the cistern's level - so that the prediction is the
+    exact mass balance of Eq. (1): the roof deviates from its target by c_i + P_i at the end of step
+    i, where c_i is what state, rain and evapotranspiration make of it alone
+    (:func:`greenroof_ros.model.soil.free_changes`). That a measured roof which was pumped lets a
+    little more rain pass is left to the next plan. With the deviation taken as linear within a step
+    the program is
 
         minimise    sum_i h_i |m_i + (P_{i-1} + P_i) / 2|,  m_i = (c_{i-1} + c_i) / 2
         subject to  0 <= P_i - P_{i-1} <= h_i u_max q(x1)     what the pumps can do,
@@ -236,24 +240,30 @@ class Planner:
             rain[:, 1:] = 0.0
         inflow = np.cumsum((rain * site.a2 - evaporated) * self._lengths, axis=1)
         if self._must_decide(inflow, float(rain.max()), float(evaporated.max())):
-            self._decide(x1, x2, inflow, rain)
+            self._decide(x1, x2, rain, evaporated)
         self._inflow = inflow
         full = maximum_pump_flow(site, x1)
-        share = self._planned_flow() / full if full > 0 else 0.0
+        kept = self._kept(x2)
+        stays = kept * full
+        share = self._planned_flow() / stays if stays > 0 else 0.0
         dry = x2 < site.x2_star and cistern_level >= site.suction_level
         if dry and site.x2_star - x2 < _OFF_PLAN_M3:
             # The pumps are cut at the target, and would start again: no more than leads there.
             missing = site.x2_star - site.roof_volume(roof_level)
-            inflow_now = float(rain[0, 0]) * site.a2 - float(evaporated[0])
+            inflow_now = (
+                float(rain[0, 0]) * site.a2 * kept - float(evaporated[0]) * water_stress(site, x2)
+            )
             dry = missing > 0
-            share = min(share, ((missing - _BELOW_TARGET_M3) / site.tau - inflow_now) / full)
+            share = min(share, ((missing - _BELOW_TARGET_M3) / site.tau - inflow_now) / stays)
         if not dry or share < _LEAST_COMMAND:
             share = 0.0
         share = min(share, self._max_command)
         if not self._flow:
             share = self._start(share)
         self._flow = share * full
-        self._regret_limit.move(x1, x2, fraction, self._flow)
+        self._regret_limit.move(
+            x1, x2, fraction, self._flow, float(rain[0, 0]), float(evaporated[0])
+        )
         self._expected = self._observer.predict(
             x2, float(rain[0, 0]), float(evaporated[0]), self._flow
         )
@@ -300,17 +310,18 @@ class Planner:
         return bool(np.abs(inflow - self._inflow).max() > 2 * in_a_tick + 1e-9)
 
     def _planned_flow(self) -> float:
-        """Return the plan's mean flow in the present tick (m3/s); the same for all members."""
+        """Return the plan's mean flow into the soil in the present tick (m3/s), of all members."""
         if self._pumped is None or self._age >= self._edges[-1]:
             return 0.0
         tau = self._site.tau
         begin, end = np.interp((self._age, self._age + tau), self._edges, self._pumped[0])
         return float((end - begin) / tau)
 
-    def _decide(self, x1: float, x2: float, inflow: Array, rain: Array) -> None:
+    def _decide(self, x1: float, x2: float, rain: Array, evaporated: Array) -> None:
         """Make a new plan; keep the old one where the solver finds none."""
         site = self._site
         start = np.zeros((self._members, 1))
+        inflow = np.cumsum(free_changes(site, x2, rain, evaporated, self._lengths), axis=1)
         before = x2 - site.x2_star + np.hstack([start, inflow])
         missing = np.maximum.accumulate(np.maximum(-before, 0.0), axis=1)[:, 1:]
         # What will be above the suction level by then, and below the outlet.
@@ -319,12 +330,13 @@ class Planner:
         full = maximum_pump_flow(site, x1)
         slack = max(_LONGEST_PLAN_S, site.tau) * full
         above = np.maximum(there - site.a1 * site.suction_level + slack, 0.0)
+        kept = self._kept(x2)
         self.solves += 1
         pumped = self._program.solve(
             (before[:, :-1] + before[:, 1:]) / 2,
-            np.minimum(missing, above),
-            full,
-            self._flow,
+            np.minimum(missing, kept * above),
+            kept * full,
+            kept * self._flow,
             self._moved_on(),
         )
         if pumped is None:
@@ -337,11 +349,15 @@ class Planner:
             return
         self._pumped = np.hstack([start, pumped])
         self._age = self._off_plan = 0.0
-        flows = np.diff(self._pumped) / self._lengths
+        flows = np.diff(self._pumped) / self._lengths / kept
         levels = np.maximum(before[:, 1:] + pumped + site.x2_star, 0.0) / site.a2
         self.plan = np.column_stack(
             (self._edges[1:], flows.mean(axis=0), levels.mean(axis=0))
         )
+
+    def _kept(self, x2: float) -> float:
+        """Return the share of a pumped volume that the soil keeps; no more is on it than x2*."""
+        return kept_share(self._site, min(x2, self._site.x2_star))
 
     def _moved_on(self) -> Array | None:
         """Return the plan as it is from now on, shape (members, steps)."""

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from greenroof_ros.controllers.objective import Ensemble, Prices
 from greenroof_ros.model.plant import JOULES_PER_KWH, WATER_DENSITY, maximum_pump_flow
 from greenroof_ros.model.site import Site
+from greenroof_ros.model.soil import kept_share
 
 # The solver gets near, its polishing does the rest. The program is scaled here: with the solver's
 # own scaling some programs take ten times the iterations, and rho goes round in circles. The
@@ -92,7 +93,8 @@ class PlanningProgram:
         self._common = max(1, int(np.count_nonzero(edges[1:] <= ensemble.recourse)))
         self.shared_s = float(edges[self._common])
         self._risk = members > 1 and ensemble.level > 0
-        self._full = maximum_pump_flow(site, site.a1 * site.z_o)
+        # Volumes are those that the soil keeps, here about its target.
+        self._full = kept_share(site, site.x2_star) * maximum_pump_flow(site, site.a1 * site.z_o)
         n = len(self._lengths)
         self._infinite = np.full(n, np.inf)
         self._between = scipy.sparse.diags(
@@ -139,13 +141,13 @@ class PlanningProgram:
     def solve(
         self, mean: Array, most: Array, full: float, flow: float, guess: Array | None
     ) -> Array | None:
-        """Return the volumes pumped until the end of each step (m3), shape (members, n).
+        """Return the volumes pumped, and kept, until each step's end (m3), shape (members, n).
 
         Args:
             mean: of the roof's deviation in each step without pumping (m3), shape (members, n).
             most: upper bound of the volumes (m3), shape (members, n).
-            full: the pumps' flow at command 1 (m3/s).
-            flow: what is pumped now (m3/s).
+            full: the pumps' flow at command 1 (m3/s), as far as the soil keeps it.
+            flow: what is pumped now (m3/s), likewise.
             guess: of the answer.
 
         Returns:
@@ -193,11 +195,13 @@ class PlanningProgram:
     ) -> tuple[Matrix, Array]:
         """Return Hessian and linear part for one member, in the mean deviation's unit."""
         n = len(self._lengths)
-        price = prices.energy / seconds * WATER_DENSITY * site.g / JOULES_PER_KWH  # per m3 and m
+        # Per m and m3 that is kept: more is lifted.
+        kept = kept_share(site, site.x2_star)
+        price = prices.energy / seconds * WATER_DENSITY * site.g / JOULES_PER_KWH / kept
         volume = np.zeros(n)
         volume[-1] = price * (site.d - site.z_o)
         # Friction goes with the cube of the flow; here with its square, exact at full flow.
-        friction = 2 * price * site.pipe_resistance * self._full
+        friction = 2 * price * site.pipe_resistance * self._full / kept**2
         step = self._step()
         hessian = [step.T @ scipy.sparse.diags([friction / self._lengths], [0]) @ step]
         if power == 2:

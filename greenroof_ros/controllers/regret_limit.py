@@ -6,8 +6,9 @@ import logging
 import math
 
 from greenroof_ros.common.parameter import Parameter
-from greenroof_ros.model.plant import drainage_flow, maximum_pump_flow, pump_flow
+from greenroof_ros.model.plant import maximum_pump_flow, pump_flow, soil_losses
 from greenroof_ros.model.site import Site
+from greenroof_ros.model.soil import kept_share
 
 _log = logging.getLogger(__name__)
 
@@ -89,7 +90,10 @@ class RegretLimit:
         """Let a tick pass in which nothing was pumped and nothing was asked."""
         self._unseen += 1
 
-    def move(self, x1: float, x2: float, fraction: float, pumped: float) -> None:
+    def move(
+        self, x1: float, x2: float, fraction: float, pumped: float,
+        precipitation: float = 0.0, evapotranspiration: float = 0.0,
+    ) -> None:
         """Move on by one tick.
 
         Args:
@@ -97,15 +101,22 @@ class RegretLimit:
             x2: on the roof (m3).
             fraction: as for :meth:`judge`.
             pumped: what is pumped in truth (m3/s).
+            precipitation: rain in the tick (m/s); only of a measured roof it matters.
+            evapotranspiration: off the whole bed (m3/s), likewise.
         """
         site = self._site
         onoff = x2 + self._more
-        drained = drainage_flow(site, onoff) - drainage_flow(site, x2)
-        self._more += site.tau * (pump_flow(site, x1, onoff, fraction) - pumped - drained)
+        rain = precipitation * site.a2
+        flow = pump_flow(site, x1, onoff, fraction)
+        theirs = soil_losses(site, onoff, rain + flow, evapotranspiration)
+        ours = soil_losses(site, x2, rain + pumped, evapotranspiration)
+        drained = theirs.drained - ours.drained + (theirs.evaporated - ours.evaporated)
+        self._more += site.tau * (flow - pumped - drained)
 
     def _filling(self, x1: float, x2: float, fraction: float) -> float:
         """Return what it costs (m3 s) to follow on/off to the target, behind it all the way."""
-        flow = fraction * maximum_pump_flow(self._site, x1)
+        kept = kept_share(self._site, x2)
+        flow = fraction * kept * maximum_pump_flow(self._site, x1)
         if self._more <= 0 or flow <= 0:
             return 0.0
         missing = max(0.0, self._site.x2_star - x2 - self._more)  # to on/off

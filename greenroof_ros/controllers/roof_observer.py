@@ -6,7 +6,7 @@ from collections import deque
 from statistics import fmean
 
 from greenroof_ros.common.parameter import Parameter
-from greenroof_ros.model.plant import drainage_flow
+from greenroof_ros.model.plant import soil_losses
 from greenroof_ros.model.site import Site
 
 # Where all readings of so long (s), and so many at least, are further (m) off what was predicted,
@@ -101,5 +101,6 @@ class RoofObserver:
         """
         site = self._site
         into = precipitation * site.a2 + pumped
-        self._predicted = x2 + site.tau * (into - evapotranspiration - drainage_flow(site, x2))
+        drained, evaporated = soil_losses(site, x2, into, evapotranspiration)
+        self._predicted = x2 + site.tau * (into - evaporated - drained)
         return self._predicted

@@ -12,17 +12,15 @@ from numpy.typing import NDArray
 
 from greenroof_ros.common.parameter import Parameter
 from greenroof_ros.experiment.closed_loop import closed_loop
+from greenroof_ros.experiment.roof_range import ROUNDING, roof_range
 from greenroof_ros.experiment.run import Run
 from greenroof_ros.forecast.resampling import PerfectForecast
 from greenroof_ros.model.metrics import Metrics
-from greenroof_ros.model.plant import drainage_flow, maximum_pump_flow
+from greenroof_ros.model.plant import maximum_pump_flow
 from greenroof_ros.model.sensor_pump_errors import SensorPumpErrors
-from greenroof_ros.model.site import Site
+from greenroof_ros.model.soil import kept_share, water_stress
 
 Values = NDArray[np.float64]
-
-# Beyond the rounding of a year of ticks, and far below anything that shows in a bound.
-_ROUNDING = 1e-9
 
 # As tight as HiGHS takes them: a tick's evapotranspiration is not much above its usual 1e-7 of x2*.
 _TOLERANCES = {"primal_feasibility_tolerance": 1e-10, "dual_feasibility_tolerance": 1e-10}
@@ -157,79 +155,17 @@ def _limits(run: Run, max_command: float) -> _Limits:
     before = received[:-1]
     flow = np.fromiter((maximum_pump_flow(site, x1) for x1 in before), float, run.steps)
     usable = before - site.a1 * site.suction_level
-    full = np.where(usable < -_ROUNDING * before, 0, tau * max_command * flow)
+    full = np.where(usable < -ROUNDING * before, 0, tau * max_command * flow)
     given = np.where(full > 0, np.minimum(usable + full, received[1:]), 0)
     pumped = np.where(frost > 0, 0, full)
 
-    low, high, drained_least, drained_most = _reach(site, run.x2, still, pumped)
-    pumped[low[:-1] > (1 + _ROUNDING) * site.a2 * site.z_veg] = 0
-    # A roof that runs dry loses what it held, low at the least.
-    dry = np.maximum(still - drained_least, -low[:-1])
-    greatest = np.maximum(still - drained_least + pumped, -low[:-1])
-    supplied = _sums(run.x2, dry) + np.concatenate([[0], given])
+    roof = roof_range(site, run.x2, rain, evapotranspiration, pumped)
+    supplied = _sums(run.x2, roof.unpumped) + np.concatenate([[0], given])
     # The plant adds up in another order, so its last digits differ.
-    slack = _ROUNDING * (site.x2_star + high.max())
+    slack = ROUNDING * (site.x2_star + roof.high.max())
     return _Limits(
-        low - slack, np.minimum(high, supplied) + slack, still - drained_most, greatest, still
+        roof.low - slack, np.minimum(roof.high, supplied) + slack, roof.least, roof.greatest, still
     )
-
-
-def _reach(
-    site: Site, x2: float, still: Values, pumped: Values
-) -> tuple[Values, Values, Values, Values]:
-    """Follow the range of the roof's volume under all that the pumps can do.
-
-    Args:
-        site: its parameters.
-        x2: initial volume (m3).
-        still: change in each tick without pumping and drainage (m3), shape (N,).
-        pumped: the most that the pumps can lift in each tick (m3), shape (N,).
-
-    Returns:
-        The least and the largest volume (m3), shape (N+1,); the least and the largest volume that
-        drains in each tick (m3), shape (N,).
-    """
-    low = high = x2
-    lows, highs = array("d", [low]), array("d", [high])
-    drained_least, drained_most = array("d"), array("d")
-    target = (1 + _ROUNDING) * site.a2 * site.z_veg
-    for change, most in zip(array("d", still), array("d", pumped), strict=True):
-        drained = (0.0, 0.0)
-        driest, wettest = low, high
-        if high >= (1 - _ROUNDING) * site.z_cap:
-            driest, wettest, drained = _drain(site, low, high)
-        if low <= target:
-            wettest = max(wettest, min(high, target) + most)
-        low, high = max(0.0, driest + change), max(0.0, wettest + change)
-        lows.append(low)
-        highs.append(high)
-        drained_least.append(drained[0])
-        drained_most.append(drained[1])
-    return (
-        np.frombuffer(lows), np.frombuffer(highs),
-        np.frombuffer(drained_least), np.frombuffer(drained_most),
-    )
-
-
-def _drain(site: Site, low: float, high: float) -> tuple[float, float, tuple[float, float]]:
-    """Drain a roof for a tick that holds from low to high (m3), and high about z_cap or more.
-
-    Drainage sets in at z_cap with a jump and grows linearly from there, so the extremes are at the
-    ends of the range and on both sides of z_cap.
-
-    Returns:
-        The least and the largest volume left (m3); the least and the largest drained (m3).
-    """
-    left: list[float] = []
-    drained: list[float] = []
-    for x2 in (low, min(max(low, site.z_cap), high), high):
-        if x2 < (1 + _ROUNDING) * site.z_cap:
-            left.append(x2)
-            drained.append(0.0)
-        if x2 >= (1 - _ROUNDING) * site.z_cap:
-            drained.append(site.tau * drainage_flow(site, max(x2, site.z_cap)))
-            left.append(x2 - drained[-1])
-    return min(left), max(left), (min(drained), max(drained))
 
 
 def _solve(run: Run, limits: _Limits, edges: NDArray[np.int64]) -> tuple[Values, float, str]:
@@ -289,7 +225,7 @@ def _solve(run: Run, limits: _Limits, edges: NDArray[np.int64]) -> tuple[Values,
     prices = weights - balance.T @ result.eqlin.marginals
     cost = unit * float(ticks[0]) * float(np.minimum(prices * lower, prices * upper).sum())
     # What is left of a sum of zeros.
-    cost = cost if cost > _ROUNDING * unit * run.steps else 0.0
+    cost = cost if cost > ROUNDING * unit * run.steps else 0.0
     return deviation, cost, str(result.message)
 
 
@@ -342,10 +278,15 @@ class _Plan:
     ) -> float:
         """Decide from the levels (m) and the run's own weather; the forecast is not needed."""
         site, series = self._site, self._series
-        missing = self._targets[self.tick + 1] - site.roof_volume(roof_level)
-        gain = series.precipitation[self.tick] * site.a2 - series.evapotranspiration[self.tick]
+        x2 = site.roof_volume(roof_level)
+        kept = kept_share(site, x2)
+        missing = self._targets[self.tick + 1] - x2
+        gain = (
+            kept * series.precipitation[self.tick] * site.a2
+            - water_stress(site, x2) * series.evapotranspiration[self.tick]
+        )
         flow: float = missing / site.tau - gain
-        full = maximum_pump_flow(site, site.cistern_volume(cistern_level))
+        full = kept * maximum_pump_flow(site, site.cistern_volume(cistern_level))
         if flow <= 0 or full <= 0:
             return 0.0
         return min(flow / full, self._max_command)

@@ -1,4 +1,8 @@
-"""The exact plant: Eqs. (1)-(4) of the paper, stepped by Euler's rule."""
+"""The exact plant: Eqs. (1)-(4) of the paper, stepped by Euler's rule.
+
+A roof with a field capacity in its site file has the soil of :mod:`greenroof_ros.model.soil` in
+place of Eq. (4), and a third state: the water in its drainage layer.
+"""
 
 from __future__ import annotations
 
@@ -9,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from greenroof_ros.model.site import Site
+from greenroof_ros.model.soil import layer_outflow, percolation, water_stress
 
 WATER_DENSITY = 1000.0
 """kg/m3"""
@@ -55,6 +60,32 @@ def drainage_flow(site: Site, x2: float) -> float:
     return site.K * site.a2 * (x2 / site.a2 + site.z_soil) / site.z_soil
 
 
+class SoilLosses(NamedTuple):
+    """What leaves the soil (m3/s), where it holds enough."""
+
+    drained: float
+    """out of the soil, off the roof or into its drainage layer"""
+    evaporated: float
+
+
+def soil_losses(
+    site: Site, x2: float, arriving: float, evapotranspiration: float
+) -> SoilLosses:
+    """What leaves a soil holding x2 (m3) in a tick, by Eq. (4) or of a measured roof.
+
+    Args:
+        site: its parameters.
+        x2: volume on the roof (m3).
+        arriving: rain and pumped water (m3/s).
+        evapotranspiration: off the whole bed (m3/s), of plants that do not lack water.
+    """
+    if site.field_capacity is None:
+        return SoilLosses(drainage_flow(site, x2), evapotranspiration)
+    return SoilLosses(
+        percolation(site, x2, arriving, site.tau), evapotranspiration * water_stress(site, x2)
+    )
+
+
 class Flows(NamedTuple):
     """What moves during one tick (m3/s), after the limit to what each tank holds."""
 
@@ -71,20 +102,26 @@ class Flows(NamedTuple):
 
 
 class Plant:
-    """The two tanks, stepped tick by tick.
+    """Cistern and roof, stepped tick by tick.
 
     Attributes:
         x1: water volume in the cistern (m3).
-        x2: water volume in the green roof (m3).
+        x2: water volume in the green roof (m3), of a measured roof that in its substrate.
+        layer: water volume in the drainage layer of a measured roof (m3), at first and of other
+            roofs always 0.
     """
 
     def __init__(self, site: Site, x1: float, x2: float) -> None:
         self._site = site
         self.x1 = x1
         self.x2 = x2
+        self.layer = 0.0
 
     def levels(self) -> tuple[float, float]:
-        """Water depth in the cistern and on the roof (m), as sensors would measure them."""
+        """Water depth in the cistern and on the roof (m), as sensors would measure them.
+
+        The roof's sensor stands in the substrate; it does not see the drainage layer.
+        """
         return self._site.cistern_level(self.x1), self._site.roof_level(self.x2)
 
     def pump_flow(self, command: float) -> float:
@@ -99,12 +136,11 @@ class Plant:
 
         Args:
             precipitation: rain (m/s).
-            evapotranspiration: off the whole bed (m3/s).
+            evapotranspiration: off the whole bed (m3/s), of plants that do not lack water.
             pump: flow from the cistern to the roof (m3/s).
         """
         site = self._site
         outflow = outlet_flow(site, self.x1)
-        drainage = drainage_flow(site, self.x2)
         limited = False
         wanted = outflow + pump
         available = self.x1 / site.tau + precipitation * site.a_in
@@ -113,13 +149,23 @@ class Plant:
             outflow *= share
             pump *= share
             limited = True
-        wanted = evapotranspiration + drainage
         available = self.x2 / site.tau + precipitation * site.a2 + pump
-        if wanted > available:
-            share = available / wanted
-            evapotranspiration *= share
-            drainage *= share
-            limited = True
+        drainage, evapotranspiration = soil_losses(
+            site, self.x2, precipitation * site.a2 + pump, evapotranspiration
+        )
+        wanted = evapotranspiration + drainage
+        if site.field_capacity is None:
+            if wanted > available:
+                share = available / wanted
+                evapotranspiration *= share
+                drainage *= share
+                limited = True
+        else:
+            # What percolates is there; only what evaporates may not be.
+            if wanted > available:
+                evapotranspiration = max(0.0, available - drainage)
+                limited = True
+            drainage = layer_outflow(site, self.layer, drainage, site.tau)
         return Flows(outflow, pump, drainage, evapotranspiration, limited)
 
     def step(self, precipitation: float, flows: Flows) -> None:
@@ -132,7 +178,16 @@ class Plant:
         site = self._site
         into_cistern = precipitation * site.a_in
         into_roof = precipitation * site.a2 + flows.pump
-        out_of_roof = flows.evapotranspiration + flows.drainage
+        drained = flows.drainage
+        if site.field_capacity is not None:
+            drained = self._percolation(precipitation, flows.pump)
+            self.layer = max(0.0, self.layer + site.tau * (drained - flows.drainage))
+        out_of_roof = flows.evapotranspiration + drained
         # max: a limited tank ends at 0, not at the last bit below it.
         self.x1 = max(0.0, self.x1 + site.tau * (into_cistern - flows.outflow - flows.pump))
         self.x2 = max(0.0, self.x2 + site.tau * (into_roof - out_of_roof))
+
+    def _percolation(self, precipitation: float, pump: float) -> float:
+        """What leaves the substrate of a measured roof in the present tick (m3/s)."""
+        arriving = precipitation * self._site.a2 + pump
+        return percolation(self._site, self.x2, arriving, self._site.tau)

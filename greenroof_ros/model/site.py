@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from greenroof_ros.common.errors import ConfigurationError
-from greenroof_ros.common.files import number, read_yaml
+from greenroof_ros.common.files import YamlMapping, number, read_yaml
 
 _MAY_BE_ZERO = {"k_L", "z_pump", "z_H"}
 _MOST_TICKS = {"M": 1000, "N": 31_622_400}
@@ -18,11 +18,16 @@ _LEAST, _LARGEST = 1e-12, 1e9
 # A product that a person rounds when writing it down, such as x2_star, is still consistent.
 _ROUNDING = 1e-6
 _WHOLE = {"pumps_in_series", "pumps_in_parallel"}
-# What may be left out, with its range: how many pumps the curve stands for, which only the duty of
-# one of them needs, the pumps' efficiency, which only the electric energy does, their starts, which
-# only planners, pump and a warning do, and the place, which only a computed evapotranspiration
-# does.
+# What may be left out, with its range: what a measured roof has and the paper's soil has not, how
+# many pumps the curve stands for, which only the duty of one of them needs, the pumps' efficiency,
+# which only the electric energy does, their starts, which only planners, pump and a warning do, and
+# the place, which only a computed evapotranspiration does.
 _OPTIONAL = {
+    "field_capacity": (0.01, 0.9),
+    "wilting_point": (0.0, 0.5),
+    "depletion_fraction": (0.0, 0.95),
+    "drainage_storage": (0.0001, 1.0),
+    "drainage_time": (1.0, 1e6),
     "pumps_in_series": (1, 100),
     "pumps_in_parallel": (1, 100),
     "pump_efficiency": (0.001, 1.0),
@@ -36,6 +41,12 @@ _OPTIONAL = {
     "wind_height": (0.5, 100.0),
     "crop_coefficient": (0.01, 3.0),
 }
+# Of them these belong together: each needs the others of its line. A roof without a drainage layer
+# may be a measured one, too.
+_TOGETHER = (
+    (("field_capacity", "wilting_point", "depletion_fraction"), ()),
+    (("drainage_storage", "drainage_time"), ("field_capacity",)),
+)
 
 
 def _parameter(unit: str, meaning: str) -> Any:
@@ -66,7 +77,10 @@ class Site:
     z_veg: float = _parameter("m", "desired water depth on the roof")
     x2_star: float = _parameter("m3", "desired water volume on the roof, a2 z_veg")
     z_soil: float = _parameter("m", "soil depth of the roof")
-    z_cap: float = _parameter("m3", "soil capacity, a2 z_soil")
+    z_cap: float = _parameter(
+        "m3", "water that the soil holds before it drains; in Table I a2 z_soil, and of a measured "
+        "roof a2 z_soil field_capacity"
+    )
     K: float = _parameter("m/s", "saturated hydraulic conductivity")
     a_hat: float = _parameter("s2/m5", "coefficient of the pump curve, negative, Eq. (3b)")
     c_hat: float = _parameter("m", "coefficient of the pump curve, Eq. (3b)")
@@ -83,6 +97,24 @@ class Site:
     tau: float = _parameter("s", "duration of a tick")
     M: int = _parameter("ticks", "look-ahead of the controller")
     N: int = _parameter("ticks", "length of a run")
+    field_capacity: float | None = _may_be_left_out(
+        None, "1", "water that the substrate holds against gravity, per volume of it; makes the "
+        "roof a measured one, without it the roof drains by Eq. (4)",
+    )
+    wilting_point: float | None = _may_be_left_out(
+        None, "1", "water that plants cannot take, per volume of the substrate",
+    )
+    depletion_fraction: float | None = _may_be_left_out(
+        None, "1", "p of FAO-56 Eq. 84: share of the water between field capacity and wilting "
+        "point that plants take before they evaporate less",
+    )
+    drainage_storage: float | None = _may_be_left_out(
+        None, "m", "depth of water in the full drainage layer below the substrate; without it the "
+        "roof has none",
+    )
+    drainage_time: float | None = _may_be_left_out(
+        None, "s", "time constant of the full drainage layer: its storage over its outflow",
+    )
     pumps_in_series: int = _may_be_left_out(
         1, "pumps", "one behind another, for whose summed head the pump curve stands",
     )
@@ -144,6 +176,33 @@ class Site:
         """Lowest cistern level at which the pumps work, z_pump + z_H (m), Eq. (3a)."""
         return self.z_pump + self.z_H
 
+    @cached_property
+    def wilting_volume(self) -> float:
+        """Water on a measured roof that plants cannot take (m3)."""
+        return self.a2 * self.z_soil * (self.wilting_point or 0.0)
+
+    @cached_property
+    def available_volume(self) -> float:
+        """TAW: what plants can take from a measured roof at field capacity (m3), FAO-56 Eq. 82."""
+        return self.z_cap - self.wilting_volume
+
+    @cached_property
+    def stress_onset(self) -> float:
+        """Filled share below which plants evaporate less (1), 1 - p of FAO-56 Eq. 84."""
+        return 1 - (self.depletion_fraction or 0.0)
+
+    @cached_property
+    def layer_storage(self) -> float:
+        """Volume of the full drainage layer (m3); 0 where there is none."""
+        return self.a2 * (self.drainage_storage or 0.0)
+
+    @cached_property
+    def layer_coefficient(self) -> float:
+        """k of the drainage layer's outflow k V^2 (1/(m3 s)); 0 where there is no layer."""
+        if self.drainage_time is None:
+            return 0.0
+        return 1 / (self.layer_storage * self.drainage_time)
+
     @property
     def highest_cistern_level(self) -> float:
         """Three times the outlet's level (m): a reading above is no level in metres."""
@@ -159,7 +218,10 @@ class Site:
         return x1 / self.a1
 
     def roof_level(self, x2: float) -> float:
-        """Depth of a water volume x2 (m3) on the roof (m)."""
+        """Depth of a water volume x2 (m3) on the roof (m).
+
+        Of a measured roof that is the water in its substrate, without that in the drainage layer.
+        """
         return x2 / self.a2
 
     def cistern_volume(self, level: float) -> float:
@@ -249,18 +311,15 @@ def read_site(path: Path) -> Site:
             value = int(value)
         values[name] = value
     site = Site(**values)  # type: ignore[arg-type]  # what must be whole was made so above
-    for name, product, formula in (
-        ("x2_star", site.a2 * site.z_veg, "a2 z_veg"),
-        ("z_cap", site.a2 * site.z_soil, "a2 z_soil"),
-    ):
-        if not math.isclose(values[name], product, rel_tol=_ROUNDING):
-            raise ConfigurationError(
-                f"must be {formula} = {product:g} m3",
-                file=path, line=mapping.lines[name], key=name, value=mapping[name],
-            )
+    _check_soil(path, mapping, site)
     if site.z_veg >= site.z_soil:
         raise ConfigurationError(
             f"must be below z_soil = {site.z_soil:g} m: soil cannot hold more than its depth",
+            file=path, line=mapping.lines["z_veg"], key="z_veg", value=mapping["z_veg"],
+        )
+    if site.x2_star >= site.z_cap:
+        raise ConfigurationError(
+            f"must be below z_cap / a2 = {site.z_cap / site.a2:g} m: what is above drains off",
             file=path, line=mapping.lines["z_veg"], key="z_veg", value=mapping["z_veg"],
         )
     if site.c_hat - site.d + site.suction_level <= 0:
@@ -275,3 +334,40 @@ def read_site(path: Path) -> Site:
             file=path, line=mapping.lines["tau"], key="tau", value=mapping["tau"],
         )
     return site
+
+
+def _check_soil(path: Path, mapping: YamlMapping, site: Site) -> None:
+    """Refuse what the roof of a site cannot hold.
+
+    Raises:
+        ConfigurationError: a volume is not what others make it, or parameters of a measured roof
+            contradict each other; the message names the file, line, key and value.
+    """
+
+    def refuse(key: str, expected: str) -> ConfigurationError:
+        return ConfigurationError(
+            expected, file=path, line=mapping.lines[key], key=key, value=mapping[key]
+        )
+
+    for names, further in _TOGETHER:
+        there = [name for name in names if name in mapping]
+        missing = [name for name in (*names, *further) if name not in mapping]
+        if there and missing:
+            raise refuse(there[0], f"needs {', '.join(missing)} as well")
+    whole = site.a2 * site.z_soil
+    products = [("x2_star", site.x2_star, site.a2 * site.z_veg, "a2 z_veg")]
+    if site.field_capacity is not None:
+        if site.wilting_volume >= whole * site.field_capacity:
+            raise refuse(
+                "wilting_point", f"must be below field_capacity = {site.field_capacity:g}"
+            )
+        products.append(
+            ("z_cap", site.z_cap, whole * site.field_capacity, "a2 z_soil field_capacity")
+        )
+    for name, value, product, formula in products:
+        if not math.isclose(value, product, rel_tol=_ROUNDING):
+            raise refuse(name, f"must be {formula} = {product:g} m3")
+    if site.z_cap > whole * (1 + _ROUNDING):
+        raise refuse(
+            "z_cap", f"must be at most a2 z_soil = {whole:g} m3: soil holds no more than its volume"
+        )

@@ -1,11 +1,16 @@
-"""The smooth plant, Eqs. (5)-(9), and its linear model, Eq. (10). It serves only to linearise."""
+"""The smooth plant, Eqs. (5)-(9), and its linear model, Eq. (10). It serves only to linearise.
 
+The soil of a measured roof, in place of Eq. (9), is taken as it is: continuous, and between its
+wilting point, the onset of stress and field capacity as smooth as can be. At these three points
+the slopes are those of one side.
+"""
 from __future__ import annotations
 
 import math
 from typing import NamedTuple
 
 from greenroof_ros.model.site import Site
+from greenroof_ros.model.soil import filled_share, kept_share, water_stress
 
 
 def smooth_sqrt(y: float, epsilon: float) -> float:
@@ -85,20 +90,51 @@ def linearise(
     q_pump_1 = command * sigma_2 * (full_1 * sigma_1 + full * sigma_1_1)
     q_pump_2 = command * full * sigma_1 * sigma_2_2
 
-    # q_drain, Eq. (9)
-    darcy = site.K * site.a2 * (x2 / site.a2 + site.z_soil) / site.z_soil
-    sigma_3 = sigmoid((x2 - site.z_cap) / epsilon)
-    q_drain = darcy * sigma_3
-    q_drain_2 = site.K / site.z_soil * sigma_3 + darcy * sigma_3 * (1 - sigma_3) / epsilon
-
+    soil = _soil(site, x2)
+    into_roof = precipitation * site.a2 + q_pump
     f1 = precipitation * site.a_in - q_out - q_pump
-    f2 = precipitation * site.a2 + q_pump - evapotranspiration - q_drain
+    f2 = into_roof * soil.kept - evapotranspiration * soil.stress - soil.drain
+    f2_2 = (
+        q_pump_2 * soil.kept + into_roof * soil.kept_2 - evapotranspiration * soil.stress_2
+        - soil.drain_2
+    )
     return Linearisation(
         A=(
             (1 + tau * (-q_out_1 - q_pump_1), tau * -q_pump_2),
-            (tau * q_pump_1, 1 + tau * (q_pump_2 - q_drain_2)),
+            (tau * q_pump_1 * soil.kept, 1 + tau * f2_2),
         ),
-        B=(tau * -q_pump_u, tau * q_pump_u),
-        C=((tau * site.a_in, 0.0), (tau * site.a2, -tau)),
+        B=(tau * -q_pump_u, tau * q_pump_u * soil.kept),
+        C=((tau * site.a_in, 0.0), (tau * site.a2 * soil.kept, -tau * soil.stress)),
         b=(tau * f1, tau * f2),
+    )
+
+
+class _Soil(NamedTuple):
+    """What the soil makes of water, at a volume x2, and the derivatives by x2 (1/m3)."""
+
+    kept: float
+    """share of the arriving water that stays"""
+    kept_2: float
+    stress: float
+    """share of the evapotranspiration that it gives"""
+    stress_2: float
+    drain: float
+    """what drains beside the share that does not stay (m3/s)"""
+    drain_2: float
+
+
+def _soil(site: Site, x2: float) -> _Soil:
+    """Return Eq. (9) of the paper's soil, and the soil of a measured roof."""
+    if site.field_capacity is None:
+        darcy = site.K * site.a2 * (x2 / site.a2 + site.z_soil) / site.z_soil
+        sigma_3 = sigmoid((x2 - site.z_cap) / site.epsilon)
+        slope = site.K / site.z_soil * sigma_3 + darcy * sigma_3 * (1 - sigma_3) / site.epsilon
+        return _Soil(1.0, 0.0, 1.0, 0.0, darcy * sigma_3, slope)
+    stress = water_stress(site, x2)
+    excess = max(0.0, x2 - site.z_cap)
+    filled_2 = 1 / site.available_volume if site.wilting_volume <= x2 < site.z_cap else 0.0
+    return _Soil(
+        kept_share(site, x2), -2 * filled_share(site, x2) * filled_2,
+        stress, filled_2 / site.stress_onset if stress < 1 else 0.0,
+        excess / site.tau, 1 / site.tau if excess else 0.0,
     )

@@ -120,7 +120,7 @@ SITES: dict[str, tuple[bytes, tuple[str, ...]]] = {
     "rising-pump-curve": (
         replaced(SITE, "\na_hat: -5.78e+5", "\na_hat: 5.78e+5").encode(), ("a_hat", "negative")
     ),
-    "z_cap": (replaced(SITE, "\nz_cap: 34.4", "\nz_cap: 3.44").encode(), ("z_cap", "34.4 m3")),
+    "z_cap": (replaced(SITE, "\nz_cap: 34.4", "\nz_cap: 344").encode(), ("z_cap", "34.4 m3")),
     "x2_star": (replaced(SITE, "\nx2_star: 3.14416", "\nx2_star: 3").encode(), ("x2_star",)),
     "weak-pump": (replaced(SITE, "\nc_hat: 55.2", "\nc_hat: 5.52").encode(), ("c_hat", "15.25")),
     "long-look-ahead": (replaced(SITE, "\nM: 10", "\nM: 1000000").encode(), ("M", "1000")),

@@ -14,6 +14,12 @@ from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.files import shared_directory
 from greenroof_ros.model.site import Site, read_site
 
+MEASURED = {
+    "field_capacity": 0.6, "wilting_point": 0.1, "depletion_fraction": 0.5,
+    "drainage_storage": 0.01, "drainage_time": 600.0,
+}
+"""A measured roof."""
+
 
 def write(directory: Path, *extra: str, **changes: object) -> Path:
     """Write Table I as a site file, one key a line, with other values (None: without the key)."""
@@ -45,6 +51,8 @@ def test_packaged_site_is_table_i() -> None:
     assert site.pop("starts_per_hour") == 20
     # "We have multiplied the flow rate measurements by two": as of pumps side by side.
     assert (site.pop("pumps_in_series"), site.pop("pumps_in_parallel")) == (1, 2)
+    # The paper's soil drains by Eq. (4).
+    assert {site.pop(key) for key in MEASURED} == {None}
     place = {key: value for key, value in site.items() if key not in TABLE_I}
     # Toronto City Centre; FAO-56's reference grass; radiation "for coastal locations" (Eq. 50).
     assert place == {
@@ -122,7 +130,7 @@ def test_what_is_no_finite_number(tmp_path: Path, key: str, value: str, reason: 
         (["a_hat"], "5.78e+5", "must be negative"),
         (["M", "N"], "10.5", "must be a whole number of ticks"),
         (["x2_star"], "3.145", "must be a2 z_veg = 3.14416 m3"),
-        (["z_cap"], "34.5", "must be a2 z_soil = 34.4 m3"),
+        (["z_cap"], "34.5", "must be at most a2 z_soil = 34.4 m3"),
         (["c_hat"], "15.25", "must exceed d - z_pump - z_H = 15.25 m"),
         (["c_hat"], "1.0", "must exceed d - z_pump - z_H = 15.25 m"),
         (["tau"], "1.0000000001", "must be a whole number of nanoseconds"),
@@ -166,6 +174,79 @@ def test_wrong_optional_values(tmp_path: Path, key: str, value: str, reason: str
     message = refusal(path)
     assert message.startswith(f"{path}, line {len(TABLE_I) + 1}: {key} = ")
     assert message.endswith(reason)
+
+
+def test_a_soil_that_drains_early(tmp_path: Path) -> None:
+    """z_cap is what is held before a drop drains: less than the soil's volume, more than wanted."""
+    assert read_site(write(tmp_path, z_cap=3.2)).z_cap == 3.2
+    start = f"line {line_of('z_veg')}: z_veg = 0.0457: must be below z_cap / a2 = 0.0436"
+    assert start in refusal(write(tmp_path, z_cap=3.0))
+
+
+def test_a_measured_roof(tmp_path: Path) -> None:
+    """A soil of 34.4 m3 that holds 0.6 of it, of which 0.1 is not for plants; 10 mm in its layer.
+
+    Full, the layer loses 0.688 m3 in 600 s: k = 1 / (0.688 600).
+    """
+    site = read_site(write(tmp_path, z_cap=20.64, **MEASURED))
+    assert {key: getattr(site, key) for key in MEASURED} == MEASURED
+    assert site.wilting_volume == pytest.approx(3.44, rel=1e-12)
+    assert site.available_volume == pytest.approx(17.2, rel=1e-12)
+    assert site.stress_onset == 0.5
+    assert site.layer_storage == pytest.approx(0.688, rel=1e-12)
+    assert site.layer_coefficient == pytest.approx(1 / 412.8, rel=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("changes", "key", "reason"),
+    [
+        ({"field_capacity": "60"}, "field_capacity", "must be from 0.01 to 0.9"),
+        ({"field_capacity": "0"}, "field_capacity", "must be from 0.01 to 0.9"),
+        ({"field_capacity": ".nan"}, "field_capacity", "must be finite"),
+        ({"field_capacity": "full"}, "field_capacity", "must be a number"),
+        ({"field_capacity": None}, "wilting_point", "needs field_capacity as well"),
+        ({"wilting_point": None}, "field_capacity", "needs wilting_point as well"),
+        (
+            {"wilting_point": None, "depletion_fraction": None}, "field_capacity",
+            "needs wilting_point, depletion_fraction as well",
+        ),
+        ({"wilting_point": "-0.02"}, "wilting_point", "must be from 0 to 0.5"),
+        ({"wilting_point": "10.0"}, "wilting_point", "must be from 0 to 0.5"),
+        (
+            {"field_capacity": "0.1", "z_cap": "3.44"}, "wilting_point",
+            "must be below field_capacity = 0.1",
+        ),
+        ({"depletion_fraction": "1.0"}, "depletion_fraction", "must be from 0 to 0.95"),
+        ({"depletion_fraction": "-0.1"}, "depletion_fraction", "must be from 0 to 0.95"),
+        ({"depletion_fraction": "true"}, "depletion_fraction", "must be a number"),
+        ({"drainage_storage": "10"}, "drainage_storage", "must be from 0.0001 to 1"),
+        ({"drainage_storage": "0"}, "drainage_storage", "must be from 0.0001 to 1"),
+        ({"drainage_storage": None}, "drainage_time", "needs drainage_storage as well"),
+        ({"drainage_time": None}, "drainage_storage", "needs drainage_time as well"),
+        ({"drainage_time": "0.1"}, "drainage_time", "must be from 1 to 1e+06"),
+        ({"drainage_time": ".inf"}, "drainage_time", "must be finite"),
+        (
+            {"field_capacity": None, "wilting_point": None, "depletion_fraction": None},
+            "drainage_storage", "needs field_capacity as well",
+        ),
+        ({"z_cap": "34.4"}, "z_cap", "must be a2 z_soil field_capacity = 20.64 m3"),
+        ({"z_cap": "20.7"}, "z_cap", "must be a2 z_soil field_capacity = 20.64 m3"),
+        ({"z_veg": "0.3", "x2_star": "20.64"}, "z_veg", "must be below z_cap / a2 = 0.3 m"),
+    ],
+)
+def test_wrong_measured_roofs(
+    tmp_path: Path, changes: dict[str, str | None], key: str, reason: str
+) -> None:
+    """Named with file, line, key and value, and what would be right."""
+    given = {"z_cap": "20.64", **MEASURED, **changes}
+    path = write(tmp_path, **given)
+    [line] = [
+        number for number, text in enumerate(path.read_text().splitlines(), start=1)
+        if text.startswith(f"{key}: ")
+    ]
+    message = refusal(path)
+    assert message.startswith(f"{path}, line {line}: {key} = ")
+    assert f": {reason}" in message
 
 
 @pytest.mark.parametrize("key", ["k_L", "z_pump", "z_H"])
