@@ -38,6 +38,8 @@ _COLUMNS = {
     "drainage_m3_per_s": "flows.drainage",
     "frost": "frost",
 }
+# And of a measured roof.
+_LAYER = {"drainage_layer_m3": "layer"}
 
 
 @command
@@ -69,7 +71,8 @@ def main() -> int:
         directory = make_run_directory(arguments.output, run.controller.name)
         write_configuration(directory, run, {})
         rows: Any = None
-        values = attrgetter(*_COLUMNS.values())
+        columns = {**_COLUMNS, **(_LAYER if run.site.drainage_storage is not None else {})}
+        values = attrgetter(*columns.values())
         if arguments.trajectory is not None:
             try:
                 stream = stack.enter_context(arguments.trajectory.open("x", newline=""))
@@ -79,7 +82,7 @@ def main() -> int:
                     key="--trajectory", value=str(arguments.trajectory),
                 ) from error
             rows = csv.writer(stream)
-            rows.writerow(("time_s", *_COLUMNS))
+            rows.writerow(("time_s", *columns))
         controller = run.make_controller()
         metrics = Metrics()
         progress = stack.enter_context(RunProgress(run.steps, tau))

@@ -75,6 +75,22 @@ def sites(draw: st.DrawFn) -> Site:
     )
 
 
+@st.composite
+def measured_sites(draw: st.DrawFn) -> Site:
+    """Draw a site with a measured roof, with and without a drainage layer."""
+    site = draw(st.just(PAPER_SITE) | sites())
+    wilting = draw(st.just(0.0) | st.floats(0.0, 0.2))
+    capacity = wilting + draw(st.floats(0.05, 0.7))
+    # The target is below field capacity, and perhaps below the wilting point.
+    z_veg = site.z_soil * capacity * draw(st.floats(0.01, 0.99))
+    layer = draw(st.none() | st.tuples(st.floats(0.001, 0.1), st.floats(1.0, 1e5)))
+    return replace(
+        site, z_veg=z_veg, x2_star=site.a2 * z_veg, z_cap=site.a2 * site.z_soil * capacity,
+        field_capacity=capacity, wilting_point=wilting, depletion_fraction=draw(st.floats(0, 0.9)),
+        drainage_storage=layer and layer[0], drainage_time=layer and layer[1],
+    )
+
+
 def exact_flows(site: Site, x1: float, x2: float, u: float) -> tuple[float, float, float]:
     """Return q_out, q_pump and q_drain (m3/s) of Eqs. (2)-(4)."""
     outlet = site.c_d * math.pi * site.r_o**2

@@ -27,6 +27,8 @@ class Tick(NamedTuple):
     """volume in the cistern (m3)"""
     x2: float
     """volume on the roof (m3)"""
+    layer: float
+    """volume in the drainage layer of a measured roof (m3), else 0"""
     cistern_level: float
     """m"""
     roof_level: float
@@ -34,7 +36,7 @@ class Tick(NamedTuple):
     precipitation: float
     """m/s"""
     evapotranspiration: float
-    """m3/s, before the limit to what the roof holds"""
+    """m3/s, before the limits to what the roof holds and what dry plants evaporate"""
     frost: float
     """1 where there is frost, which commands 0; 0 where there is none or it is unknown"""
     command: float
@@ -60,9 +62,9 @@ def closed_loop(run: Run, controller: Controller, metrics: Metrics) -> Iterator[
         )
         pumped = pump.flow(plant, command, frost > 0)
         flows = plant.flows(precipitation, evapotranspiration, pumped)
-        metrics.observe(site, plant.x1, plant.x2)
+        metrics.observe(site, plant.x1, plant.x2, plant.layer)
         yield Tick(
-            k, plant.x1, plant.x2, cistern_level, roof_level,
+            k, plant.x1, plant.x2, plant.layer, cistern_level, roof_level,
             precipitation, evapotranspiration, frost, command, flows,
         )
         if k < run.steps:

@@ -21,8 +21,8 @@ from greenroof_ros.model.sensor_pump_errors import SensorPumpErrors
 def _metric_rows(summary: Mapping[str, Any]) -> Iterator[tuple[str, str, str]]:
     """Yield each metric; in capitals above its limit, and left out where it should be 0 and is."""
     for metric in METRICS:
-        value = summary[metric.name]
-        if value or metric.most:
+        value = summary.get(metric.name, 0)
+        if metric.name in summary and (value or metric.most):
             label = metric.label.upper() if value > metric.most else metric.label
             yield label, f"{value:{metric.form}}", metric.description
 

@@ -49,6 +49,7 @@ class Samples:
         pump: from the cistern to the roof (m3/s).
         drainage: off the roof (m3/s).
         evapotranspiration: off the roof, at most what it held (m3/s).
+        layer: water volume in the drainage layer of a measured roof (m3); None where unknown.
         limited: 1 where a tank held less than was asked of it, else 0; None where that is unknown.
         pumping_before: whether something was pumped in the sample before the first.
         earlier_starts: when the pumps started in the hour before the first sample (s, so negative).
@@ -63,6 +64,7 @@ class Samples:
     pump: Values
     drainage: Values
     evapotranspiration: Values
+    layer: Values | None = None
     limited: Values | None = None
     pumping_before: bool = False
     earlier_starts: Values = field(default_factory=lambda: np.empty(0))
@@ -181,6 +183,10 @@ METRICS = (
         lambda site, one: one.roof, _last, ".6g",
     ),
     Metric(
+        "final_layer_m3", "m3", "drainage layer at the end", "of a measured roof",
+        lambda site, one: None if site.drainage_storage is None else one.layer, _last, ".6g",
+    ),
+    Metric(
         "pumped_m3", "m3", "pumped", "from the cistern to the roof",
         lambda site, one: one.duration * one.pump,
     ),
@@ -278,7 +284,7 @@ def _add(totals: Mapping[str, float], site: Site, samples: Samples) -> Totals:
 
 
 # What a tick is made of: its state, then what happens until the next.
-_TICK = ("cistern", "roof", "command", "precipitation", *Flows._fields)
+_TICK = ("cistern", "roof", "layer", "command", "precipitation", *Flows._fields)
 _pack_tick = struct.Struct(f"{len(_TICK)}d").pack
 # Ticks that are added up together: less than half the time that a tick would take alone.
 _BLOCK_BYTES = 4096 * 8 * len(_TICK)
@@ -294,13 +300,12 @@ class Metrics:
         self._pumping = False
         self._starts = np.empty(0)
         self._site: Site
-        self._x1 = self._x2 = 0.0
+        self._state = (0.0, 0.0, 0.0)
 
-    def observe(self, site: Site, x1: float, x2: float) -> None:
+    def observe(self, site: Site, x1: float, x2: float, layer: float = 0.0) -> None:
         """Take the state of a tick (m3), for each tick 0..N."""
         self._site = site
-        self._x1 = x1
-        self._x2 = x2
+        self._state = (x1, x2, layer)
 
     def step(self, command: float, precipitation: float, flows: Flows) -> None:
         """Take what happens between a tick and the next, for each tick 0..N-1, once observed.
@@ -310,7 +315,7 @@ class Metrics:
             precipitation: rain (m/s).
             flows: what moves (m3/s).
         """
-        self._ticks += _pack_tick(self._x1, self._x2, command, precipitation, *flows)
+        self._ticks += _pack_tick(*self._state, command, precipitation, *flows)
         if len(self._ticks) == _BLOCK_BYTES:
             self._add_ticks()
 
@@ -318,7 +323,7 @@ class Metrics:
         """Return each metric by its name, of a run that ends in the tick observed last."""
         if self._ticks:
             self._add_ticks()
-        end = _pack_tick(self._x1, self._x2, *[0.0] * (len(_TICK) - 2))
+        end = _pack_tick(*self._state, *[0.0] * (len(_TICK) - len(self._state)))
         return _finished(self._site, _add(self._totals, self._site, self._samples(end)))
 
     def __getitem__(self, name: str) -> float:

@@ -1,14 +1,16 @@
 """A measured roof: what its substrate keeps, what evaporates, and how its drainage layer empties.
 
 Only roofs with a ``field_capacity`` in their site file have it; the paper's soil, Eq. (4), has not.
-The substrate is the soil routine of HBV (Bergstrom 1992, SMHI Reports RH No. 4; Seibert and Vis
-2012, doi:10.5194/hess-16-3315-2012, Eqs. 2-3) with its exponent beta = 2. The drainage layer is a
+The substrate is the soil routine of HBV (Bergstrom 1976, SMHI Reports RHO No. 7; Seibert and Vis
+2012, doi:10.5194/hess-16-3315-2012, soil moisture routine) with its exponent beta = 2. The drainage layer is a
 reservoir whose outflow goes with the square of what it holds.
 """
 
 from __future__ import annotations
 
 import math
+from array import array
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -88,6 +90,48 @@ def layer_outflow(site: Site, layer: float, inflow: float, seconds: float) -> fl
     g = math.tanh(rate * seconds) / rate if rate > 0 else seconds
     left = min((layer + inflow * g) / (1 + k * layer * g), site.layer_storage)
     return max(0.0, inflow + (layer - left) / seconds)
+
+
+class Followed(NamedTuple):
+    """What left a measured roof, and what its drainage layer held, sample by sample."""
+
+    evaporated: Values
+    """m3/s, shape (n,)"""
+    drained: Values
+    """out of the drainage layer, off the roof (m3/s), shape (n,)"""
+    layer: Values
+    """at the beginning of each sample (m3), shape (n,)"""
+    left: float
+    """in the layer at the end (m3)"""
+
+
+def follow(
+    site: Site, layer: float, x2: Values, arriving: Values, evapotranspiration: Values,
+    durations: Values,
+) -> Followed:
+    """Compute what nobody measures on a measured roof whose substrate's volume is known.
+
+    Args:
+        site: of a measured roof.
+        layer: what its drainage layer holds at first (m3).
+        x2: in the substrate at the beginning of each sample (m3), shape (n,).
+        arriving: rain and pumped water (m3/s), shape (n,).
+        evapotranspiration: off the whole bed, of plants that do not lack water (m3/s), shape (n,).
+        durations: of the samples (s), shape (n,).
+    """
+    evaporated, drained, layers = array("d"), array("d"), array("d")
+    for volume, comes, asked, seconds in zip(
+        *(array("d", one) for one in (x2, arriving, evapotranspiration, durations)), strict=True
+    ):
+        percolated = percolation(site, volume, comes, seconds)
+        left = volume / seconds + comes - percolated
+        evaporated.append(max(0.0, min(asked * water_stress(site, volume), left)))
+        drained.append(layer_outflow(site, layer, percolated, seconds))
+        layers.append(layer)
+        layer = max(0.0, layer + seconds * (percolated - drained[-1]))
+    return Followed(
+        np.frombuffer(evaporated), np.frombuffer(drained), np.frombuffer(layers), layer
+    )
 
 
 def free_changes(

@@ -183,7 +183,8 @@ class PlantNode(LinkedNode):
             frost = self._frost is not None and not (self._frost.good and self._frost.value == 0)
             pump = self._pump.flow(self._plant, command, frost)
         flows = self._plant.flows(rain, self._evapotranspiration.value, pump)
-        self._metrics.observe(self._site, self._plant.x1, self._plant.x2)
+        plant = self._plant
+        self._metrics.observe(self._site, plant.x1, plant.x2, plant.layer)
         if self._tick == self._run_length:
             self._publish_flows(flows)
             self._done = True

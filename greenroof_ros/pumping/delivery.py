@@ -22,6 +22,9 @@ sensor that is silent now and then hides nothing. By how much a level has jumped
 does not count; but a jump down of the cistern is a fall to the third balance, so that a drift that
 is over by a jump back is no fault later.
 
+Of a measured roof the pumped volume counts in what its soil keeps of it at the target, the least
+share that it keeps while anything is pumped: the rest percolates.
+
 Each is averaged over ``averaging_time``, levels and volumes alike, so that no lag comes between
 them. A balance that rises by more than ``level_tolerance`` times the area above the least that it
 ever was is a fault (Page's test, E. S. Page, Biometrika 41, 1954: nothing that went well before
@@ -47,6 +50,7 @@ import math
 from typing import NamedTuple
 
 from greenroof_ros.model.site import Site
+from greenroof_ros.model.soil import kept_share
 from greenroof_ros.pumping.settings import PumpSettings
 
 _M_PER_S = 1e-3 / 3600
@@ -118,6 +122,8 @@ class DeliveryCheck:
         self._site = site
         self._settings = settings
         self._loss = settings.greatest_loss * _M_PER_S
+        self._kept_share = kept_share(site, site.x2_star)
+        self._share_on_roof = settings.least_delivery * self._kept_share
         self._displaced = 0.0  # by jumps of the cistern's reading, when it was last known (m)
         self.restart()
 
@@ -181,13 +187,13 @@ class DeliveryCheck:
             return still
         change = self._change_of_mean(dt, present)
         share = settings.least_delivery
-        missing = share * change.least_pumped - change.roof
+        missing = self._share_on_roof * change.least_pumped - change.roof
         missing -= self._loss * site.a2 * change.elapsed
         lost = -change.cistern - change.most_pumped / share
         lost -= self._loss * site.a1 * change.elapsed
         tolerance = settings.level_tolerance * site.a2
         rise = self._missing.add(missing, change)
-        if min(rise, share * self._missing.over.least_pumped) > tolerance:
+        if min(rise, self._share_on_roof * self._missing.over.least_pumped) > tolerance:
             return _missing_on_roof(self._missing.over)
         if self._lost.add(lost, change) > settings.level_tolerance * site.a1:
             return _lost_from_cistern(self._lost.over)
@@ -200,13 +206,14 @@ class DeliveryCheck:
         kept -= self._loss * site.a1 * change.elapsed
         rise = self._kept.add(kept, change, share)
         over = self._kept.over
-        rain_on_roof = over.roof - share * over.least_pumped + self._loss * site.a2 * over.elapsed
+        rain_on_roof = over.roof - self._share_on_roof * over.least_pumped
+        rain_on_roof += self._loss * site.a2 * over.elapsed
         # What fell stays in the cistern when it has drained off the roof.
         self._rain_on_roof = max(self._rain_on_roof, rain_on_roof) if rise else 0.0
-        rise -= site.a_in / site.a2 * self._rain_on_roof
+        rise -= site.a_in / site.a2 / self._kept_share * self._rain_on_roof
         if rise <= self._settings.level_tolerance * site.a1:
             return ""
-        if over.roof < share * over.least_pumped:
+        if over.roof < self._share_on_roof * over.least_pumped:
             return _missing_on_roof(over)
         return (
             f"delivery: {over.least_pumped:.2f} m3 were pumped in {over.elapsed / 60:.1f} min and "
@@ -233,11 +240,11 @@ class DeliveryCheck:
         site = self._site
         roof, cistern = self._roof_still.since, self._cistern_still.since
         both = roof if roof.elapsed > cistern.elapsed else cistern
-        for since, area, stuck in (
-            (roof, site.a2, "the roof's sensor is stuck"),
-            (both, site.a1, "both sensors are stuck"),
+        for since, area, share, stuck in (
+            (roof, site.a2, self._kept_share, "the roof's sensor is stuck"),
+            (both, site.a1, 1.0, "both sensors are stuck"),
         ):
-            unseen = now.least_pumped - since.least_pumped
+            unseen = share * (now.least_pumped - since.least_pumped)
             unseen -= self._loss * area * (now.elapsed - since.elapsed)
             if unseen > self._settings.level_tolerance * area:
                 return f"{_missing_on_roof(now.plus(since, -1.0))}, or {stuck}"

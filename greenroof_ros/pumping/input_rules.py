@@ -11,6 +11,7 @@ from dataclasses import dataclass
 
 from greenroof_ros.model.plant import maximum_pump_flow, outlet_flow
 from greenroof_ros.model.site import Site
+from greenroof_ros.model.soil import kept_share
 from greenroof_ros.weather.records import EVAPOTRANSPIRATION, PRECIPITATION, QUANTITIES
 
 # For how long an input that has not come since the start is only awaited (s).
@@ -83,7 +84,10 @@ def roof_reach(site: Site) -> Reach:
     pump = maximum_pump_flow(site, site.cistern_volume(site.z_o)) / site.a2
 
     def fall(level: float) -> float:
-        drainage = site.K * (level + site.z_soil) / site.z_soil  # Eq. (4), at any level
+        if site.field_capacity is None:
+            drainage = site.K * (level + site.z_soil) / site.z_soil  # Eq. (4), at any level
+        else:
+            drainage = max(0.0, level - site.roof_level(site.z_cap)) / site.tau
         return _MARGIN * (_MOST_EVAPOTRANSPIRATION + drainage)
 
     return Reach(lambda level: _MARGIN * (_MOST_RAIN + pump), fall, site.highest_roof_level)
@@ -95,7 +99,7 @@ def expected_rise(
     """Return how fast the levels must be rising (m/s), negative where they must fall.
 
     A tank that spills is expected to do nothing, since what enters it leaves it: the cistern at its
-    outlet, the roof at the depth of its soil.
+    outlet, the roof at the depth of its soil, a measured one where that keeps nothing more.
 
     Args:
         site: with the tanks.
@@ -106,7 +110,7 @@ def expected_rise(
     """
     cistern = (rain * site.a_in - flow) / site.a1 if cistern_level < site.z_o else 0.0
     roof = rain + flow / site.a2 if roof_level < site.z_soil else 0.0
-    return cistern, roof
+    return cistern, roof * kept_share(site, site.roof_volume(roof_level))
 
 
 class LevelRule:

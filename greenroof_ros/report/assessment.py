@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from greenroof_ros.model.metrics import NEAR_TARGET, Samples, Totals, totals_of
 from greenroof_ros.model.site import Site
+from greenroof_ros.model.soil import follow
 from greenroof_ros.recording.trajectory import Trajectory
 
 
@@ -42,7 +43,7 @@ class Assessment:
         hours: from the first sample to the last (h).
         band_hours: within the band about the target (h).
         cistern_change_m3: of storage, last x1 less first.
-        roof_change_m3: of storage, last x2 less first.
+        roof_change_m3: of storage, last x2 less first, of a measured roof with its drainage layer.
         cistern_residual_m3: change of storage that the flows do not explain; rounding in a
             simulation, on a site whatever was not measured.
         roof_residual_m3: likewise.
@@ -73,13 +74,16 @@ def assess(site: Site, trajectory: Trajectory, assumptions: Assumptions) -> Asse
         trajectory: what happened, at least two samples.
         assumptions: what it does not say.
     """
-    metrics = totals_of(site, _samples(site, trajectory))
+    samples = _samples(site, trajectory)
+    metrics = totals_of(site, samples)
     now = slice(None, -1)
     dt = np.diff(trajectory.time)
     deviation = np.abs(trajectory.roof[now] - site.x2_star)
     frost = trajectory.frost[now] > 0
     cistern_change = float(trajectory.cistern[-1] - trajectory.cistern[0])
     roof_change = float(trajectory.roof[-1] - trajectory.roof[0])
+    if samples.layer is not None:
+        roof_change += float(samples.layer[-1] - samples.layer[0])
     pumped = metrics["pumped_m3"]
     cistern_flows = metrics["rain_cistern_m3"] - pumped - metrics["outflow_m3"]
     roof_flows = (
@@ -102,7 +106,10 @@ def assess(site: Site, trajectory: Trajectory, assumptions: Assumptions) -> Asse
 
 
 def _samples(site: Site, trajectory: Trajectory) -> Samples:
-    """Return a whole run as samples; where a tank's flows were limited is unknown."""
+    """Return a whole run as samples; where a tank's flows were limited is unknown.
+
+    The drainage layer of a measured roof is computed from what percolates, empty at first.
+    """
     dt = np.append(np.diff(trajectory.time), site.tau)
 
     def until_the_end(values: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -114,6 +121,11 @@ def _samples(site: Site, trajectory: Trajectory) -> Samples:
     # As plant.Plant.flows: what the roof cannot give does not evaporate. The drainage is that
     # after the limit, so that the rest of what is there is left to evaporate.
     held = trajectory.roof / dt + rain * site.a2 + flow - drainage
+    asked = until_the_end(trajectory.evapotranspiration)
+    evaporated, layer = np.minimum(asked, np.maximum(held, 0.0)), None
+    if site.field_capacity is not None:
+        followed = follow(site, 0.0, trajectory.roof, rain * site.a2 + flow, asked, dt)
+        evaporated, layer = followed.evaporated, followed.layer
     return Samples(
         duration=dt,
         cistern=trajectory.cistern,
@@ -123,9 +135,8 @@ def _samples(site: Site, trajectory: Trajectory) -> Samples:
         outflow=until_the_end(trajectory.outflow),
         pump=flow,
         drainage=drainage,
-        evapotranspiration=np.minimum(
-            until_the_end(trajectory.evapotranspiration), np.maximum(held, 0.0)
-        ),
+        evapotranspiration=evaporated,
+        layer=layer,
     )
 
 

@@ -199,7 +199,7 @@ def _results(result: dict[str, Any]) -> dict[str, Any]:
     """Return the columns of a summary that are the same in every repetition."""
     solver = result["solver"] or {}
     return {
-        **{metric.name: result[metric.name] for metric in METRICS},
+        **{metric.name: result[metric.name] for metric in METRICS if metric.name in result},
         "solves": solver.get("solves"),
         "fallbacks": solver.get("fallbacks"),
         "frost_hours": result["frost_hours"],

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from greenroof_ros.model.metrics import METRICS, Samples
 from greenroof_ros.model.plant import drainage_flow, outlet_flow
 from greenroof_ros.model.site import Site
+from greenroof_ros.model.soil import follow
 
 Stamps = NDArray[np.int64]
 Values = NDArray[np.float64]
@@ -87,7 +88,8 @@ class Account:
     holds for 10 min at most, and then there is a gap, too. Nothing is guessed in a gap.
 
     What nobody measures on a live site is computed from the levels: the overflow by Eq. (2), and
-    the drainage by Eq. (4), which begins at the soil's capacity.
+    the drainage by Eq. (4), which begins at the soil's capacity, or of a measured roof by
+    :mod:`greenroof_ros.model.soil`. Its drainage layer is empty when the account begins.
 
     Attributes:
         live: whether it is known that nobody says drainage and overflow, and they are not waited
@@ -107,6 +109,7 @@ class Account:
         self._topics: dict[str, _Pending] = {}
         self._totals: dict[str, float] = {}
         self._roofs: tuple[float, float] | None = None  # first and last volume (m3)
+        self._layer = 0.0  # in the drainage layer of a measured roof (m3)
         self._adds = 0
         self._waiting = 0  # values, since they were counted last
         self._ended = False
@@ -151,7 +154,7 @@ class Account:
         self._count()
         totals = dict(self._totals)
         if self._roofs is not None:
-            totals["stored"] = self._roofs[1] - self._roofs[0]
+            totals["stored"] = self._roofs[1] - self._roofs[0] + self._layer
             flows = [totals.get(key) for key in ("rain", "pumped", "drained", "evapotranspired")]
             if None not in flows:
                 rain, pumped, drained, evaporated = (flow or 0.0 for flow in flows)
@@ -242,7 +245,19 @@ class Account:
         if self.measured:  # what a driver says that it pumps may be more than the plant gave it
             left = cistern / duration + rain * site.a_in - outflow
             flow = np.fmin(flow, np.maximum(left, 0.0))
-        left = np.maximum(roof / duration + rain * site.a2 + flow - drainage, 0.0)
+        evaporated = known[_EVAPORATED]
+        if site.field_capacity is None:
+            left = np.maximum(roof / duration + rain * site.a2 + flow - drainage, 0.0)
+            evaporated = np.fmin(evaporated, left)
+        else:
+            followed = follow(
+                site, self._layer, np.nan_to_num(roof), rain * site.a2 + flow,
+                np.nan_to_num(evaporated), duration,
+            )
+            self._layer = followed.left
+            evaporated = np.where(np.isnan(evaporated), np.nan, followed.evaporated)
+            if not self.measured:
+                drainage = followed.drained
         samples = Samples(
             duration=duration,
             cistern=np.nan_to_num(cistern),
@@ -252,7 +267,7 @@ class Account:
             outflow=outflow,
             pump=flow,
             drainage=drainage,
-            evapotranspiration=np.nan_to_num(np.fmin(known[_EVAPORATED], left)),
+            evapotranspiration=np.nan_to_num(evaporated),
         )
         for key, name in _METRICS.items():
             there = np.all([np.isfinite(known[topic]) for topic in _NEEDED[key]], axis=0)

@@ -87,14 +87,15 @@ def roof(value: Value | None, site: Site | None) -> dict[str, Any]:
     level = None if value is None else value.number
     gauge: dict[str, Any] = {"low": 0.0, "high": None, "marks": [], "band": None}
     if site is not None:
-        # The soil is ten times as deep as the water that is wanted; where there is more than
-        # twice that, the whole of it is shown.
+        # The paper's soil is ten times as deep as the water that is wanted; where there is more
+        # than twice that, the whole of it is shown.
+        full = site.roof_level(site.z_cap)
         deep = level is not None and level > 2 * site.z_veg
-        gauge["high"] = max(site.z_soil, level or 0.0) if deep else 2 * site.z_veg
+        gauge["high"] = max(full, level or 0.0) if deep else 2 * site.z_veg
         gauge["marks"] = [{"at": site.z_veg, "label": f"target {_roof_level(site.z_veg)}"}]
-        if deep:
+        if full <= gauge["high"]:
             gauge["marks"].append({
-                "at": site.z_soil, "label": f"soil is full at {_roof_level(site.z_soil)}",
+                "at": full, "label": f"soil is full at {_roof_level(full)}",
             })
         gauge["band"] = band_of(site)
     if level is None:
@@ -106,7 +107,7 @@ def roof(value: Value | None, site: Site | None) -> dict[str, Any]:
     state = "low" if level < low else "high" if level > high else "good"
     sentence = _versus_target(level - site.z_veg)
     past = f"was {sentence}"
-    if level >= site.z_soil:
+    if level >= full:
         sentence += "; the soil is full, and water drains off"
     return _tile("Roof level", value, _roof_level(level), state, sentence, past=past, **gauge)
 

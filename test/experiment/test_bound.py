@@ -17,7 +17,8 @@ import numpy as np
 import pytest
 from hypothesis import assume, example, given, settings
 from hypothesis import strategies as st
-from paper import PAPER_SITE, exact_flows, paper_run, site_with, sites
+from paper import PAPER_SITE, exact_flows, measured_sites, paper_run, site_with, sites
+from places import CONFIG
 
 from greenroof_ros import bound as module
 from greenroof_ros.bound import main
@@ -177,7 +178,7 @@ DROUGHT = [(0.0, 50.0, False)] * 2
 
 @settings(max_examples=150)
 @given(
-    site=st.just(PAPER_SITE) | sites(),
+    site=st.just(PAPER_SITE) | sites() | measured_sites(),
     hours=HOURS,
     cistern=st.floats(0, 5) | st.floats(0, 1).map(lambda share: 0.75 * share),
     roof=st.floats(0, 1.5) | st.just(0.0),
@@ -194,7 +195,7 @@ def test_no_run_is_below(
 ) -> None:
     """Any commands, the plan's among them, in any weather: dry roofs, draining ones, frost."""
     site = replace(site, tau=30.0)
-    run = run_of(hours, cistern * site.a1, roof * site.a2 * site.z_soil, site)
+    run = run_of(hours, cistern * site.a1, roof * site.z_cap, site)
     fine = clairvoyant_bound(run, max_command, 1)
     coarse = clairvoyant_bound(run, max_command, 7)
     slack = 1e-6 * (fine.bound_m3 + site.x2_star)
@@ -211,7 +212,7 @@ def test_no_run_is_below(
 
 @settings(max_examples=40)
 @given(
-    site=sites(),
+    site=sites() | measured_sites(),
     hours=st.lists(
         st.tuples(st.floats(0, 100) | st.just(0.0), st.floats(0, 500), st.booleans()),
         min_size=5, max_size=5,
@@ -225,7 +226,7 @@ def test_no_schedule_is_below(
 ) -> None:
     """All schedules of three commands over five ticks of an hour, in which a lot happens."""
     site = replace(site, tau=3600.0)
-    run = run_of(hours, cistern * site.a1, roof * site.a2 * site.z_soil, site)
+    run = run_of(hours, cistern * site.a1, roof * site.z_cap, site)
     levels = (0.0, max_command / 2, max_command)
     # In frost no command is asked for.
     asked = sum(not frost for _, _, frost in hours)
@@ -257,6 +258,38 @@ def test_in_frost_the_bound_is_the_run(hours: Hours, cistern: float, roof: float
     assert bound.plan_m3 == only
     assert bound.bound_m3 == pytest.approx(only, rel=1e-6, abs=1e-6 * site.x2_star)
     assert bound.pumped_m3 == 0
+
+
+@given(site=measured_sites(), hours=HOURS, cistern=st.floats(0, 5), roof=st.floats(0, 1.5))
+def test_in_frost_the_bound_is_the_run_of_a_measured_roof(
+    site: Site, hours: Hours, cistern: float, roof: float
+) -> None:
+    """There is but one: whatever percolates and dries, both ends of the range follow it."""
+    site = replace(site, tau=30.0)
+    frozen = [(rain, evapotranspiration, True) for rain, evapotranspiration, _ in hours]
+    run = run_of(frozen, cistern * site.a1, roof * site.z_cap, site)
+    bound = clairvoyant_bound(run, block=1)
+    only = cost_of(run, Given([1.0]))["total_deviation_m3"]
+    assert bound.plan_m3 == only
+    assert bound.bound_m3 == pytest.approx(only, rel=1e-6, abs=1e-6 * site.x2_star)
+
+
+@pytest.mark.parametrize(
+    ("start", "gap"), [("2021-07-07T00:00", 0.1), ("2021-07-08T00:00", 0.02)]
+)
+def test_the_bound_of_a_measured_roof_is_close(start: str, gap: float) -> None:
+    """Twelve hours of the roof of Neubrandenburg: drizzle on a roof being filled, and a storm."""
+    options = (
+        "--site", str(CONFIG / "site_neubrandenburg.yaml"), "--start", start,
+        "--controller", "planning_mpc",
+    )
+    run = paper_run(*options)
+    bound = clairvoyant_bound(run)
+    reached = cost_of(run, run.make_controller())["total_deviation_m3"]
+    assert bound.bound_m3 <= min(bound.plan_m3, reached)
+    assert bound.gap is not None
+    assert bound.gap < gap
+    assert reached < 1.02 * bound.plan_m3
 
 
 @given(

@@ -37,7 +37,8 @@ def drawn(count: int, seed: int) -> Ticks:
 
 def sums(site: Site, ticks: Ticks) -> dict[str, float]:
     """Return the metrics of ticks, of which the last is the end of the run."""
-    names = [metric.name for metric in METRICS]
+    # The paper's soil has no drainage layer.
+    names = [metric.name for metric in METRICS if metric.name != "final_layer_m3"]
     found: dict[str, float] = {**dict.fromkeys(names, 0.0), **dict.fromkeys(COUNTS, 0)}
     pumping = False
     in_hour: list[float] = []  # when the pumps started in the hour that ends now (s)

@@ -1,0 +1,207 @@
+"""The soil of a measured roof: by hand, and against differential equations solved by scipy."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from paper import PAPER_SITE, measured_sites, site_with
+from scipy.integrate import solve_ivp
+
+from greenroof_ros.model.plant import Plant
+from greenroof_ros.model.site import Site
+from greenroof_ros.model.soil import (
+    filled_share,
+    follow,
+    free_changes,
+    kept_share,
+    layer_outflow,
+    percolation,
+    water_stress,
+)
+
+# 100 m2 and 100 mm of substrate: 2 m3 at the wilting point, 6 m3 at field capacity, stress below
+# 4 m3. Its layer holds 1 m3 and then loses 1 m3 in 100 s.
+ROOF = replace(
+    site_with(a2=100.0, z_soil=0.1, z_veg=0.045), z_cap=6.0,
+    field_capacity=0.6, wilting_point=0.2, depletion_fraction=0.5,
+    drainage_storage=0.01, drainage_time=100.0,
+)
+
+
+@pytest.mark.parametrize(
+    ("x2", "filled", "kept", "stress"),
+    [
+        (0.0, 0.0, 1.0, 0.0),
+        (2.0, 0.0, 1.0, 0.0),
+        (3.0, 0.25, 0.9375, 0.5),
+        (4.0, 0.5, 0.75, 1.0),
+        (5.0, 0.75, 0.4375, 1.0),
+        (6.0, 1.0, 0.0, 1.0),
+        (9.0, 1.0, 0.0, 1.0),
+    ],
+)
+def test_shares_by_hand(x2: float, filled: float, kept: float, stress: float) -> None:
+    """S, 1 - S^2, and FAO-56's Eq. 84 with TAW = 4 m3: at D_r = 3 m3 it is (4 - 3) / 2."""
+    assert filled_share(ROOF, x2) == pytest.approx(filled, abs=1e-15)
+    assert kept_share(ROOF, x2) == pytest.approx(kept, abs=1e-15)
+    assert water_stress(ROOF, x2) == pytest.approx(stress, abs=1e-15)
+    assert (kept_share(PAPER_SITE, x2), water_stress(PAPER_SITE, x2)) == (1.0, 1.0)
+
+
+def test_water_stress_in_millimetres() -> None:
+    """FAO-56's Eqs. 82-84: TAW = 1000 (0.22 - 0.14) 1 m = 80 mm, RAW = 0.4 TAW = 32 mm.
+
+    Where 60 mm are gone, K_s = (80 - 60) / (80 - 32).
+    """
+    tomato = replace(
+        site_with(a2=100.0, z_soil=1.0, z_veg=0.1), z_cap=22.0,
+        field_capacity=0.22, wilting_point=0.14, depletion_fraction=0.4,
+    )
+    assert water_stress(tomato, 22.0 - 6.0) == pytest.approx(20 / 48, rel=1e-12)
+
+
+def test_percolation_by_hand() -> None:
+    """At 5 m3 9/16 of what arrives; above field capacity all of it, and the excess in a tick."""
+    assert percolation(ROOF, 5.0, 0.01, 10.0) == pytest.approx(0.005625, rel=1e-12)
+    assert percolation(ROOF, 6.5, 0.01, 10.0) == pytest.approx(0.06, rel=1e-12)
+
+
+def test_a_step_by_hand() -> None:
+    """5 m3 on the roof, 0.01 m3/s of rain for 2 s, 1e-3 m3/s asked: 7/16 stays, all evaporates."""
+    plant = Plant(replace(ROOF, tau=2.0), 50.0, 5.0)
+    flows = plant.flows(1e-4, 1e-3, 0.0)
+    assert flows.evapotranspiration == 1e-3
+    assert not flows.limited
+    plant.step(1e-4, flows)
+    assert plant.x2 == pytest.approx(5 + 2 * (0.01 * 7 / 16 - 1e-3), rel=1e-12)
+    assert plant.layer == pytest.approx(2 * (0.005625 - flows.drainage), rel=1e-12)
+
+
+def test_an_empty_layer_halves_by_its_time() -> None:
+    """Without inflow V / (1 + k V t): what is full has half of it after the time constant."""
+    flow = layer_outflow(ROOF, 1.0, 0.0, 100.0)
+    assert flow == pytest.approx(0.005, rel=1e-12)
+    assert layer_outflow(ROOF, 1.0, 0.0, 1e9) == pytest.approx(1e-9, rel=1e-6)
+
+
+def test_what_a_full_layer_cannot_hold_flows_off() -> None:
+    """1 m3 at most: 10 m3 that arrive in a second are gone, but for it."""
+    assert layer_outflow(ROOF, 0.0, 10.0, 1.0) == pytest.approx(9.0, rel=1e-12)
+    assert layer_outflow(ROOF, 1.0, 10.0, 1.0) == pytest.approx(10.0, rel=1e-12)
+
+
+def test_no_layer_lets_all_through() -> None:
+    """At once."""
+    bare = replace(ROOF, drainage_storage=None, drainage_time=None)
+    assert layer_outflow(bare, 0.0, 0.125, 1.0) == 0.125
+    plant = Plant(bare, 50.0, 5.0)
+    flows = plant.flows(1e-4, 0.0, 0.0)
+    assert flows.drainage == pytest.approx(0.005625, rel=1e-12)
+    plant.step(1e-4, flows)
+    assert plant.layer == 0.0
+
+
+@settings(max_examples=60, deadline=None)
+@given(
+    layer=st.floats(0, 1), inflow=st.floats(0, 0.005) | st.just(0.0),
+    seconds=st.sampled_from([0.1, 1.0, 60.0, 3600.0, 1e6]),
+    time=st.floats(1.0, 1e5),
+)
+def test_the_layer_follows_its_equation(
+    layer: float, inflow: float, seconds: float, time: float
+) -> None:
+    """dV/dt = i - k V^2, by an implicit method of scipy; also ticks far longer than its time."""
+    site = replace(ROOF, drainage_storage=100.0, drainage_time=time * 1e-4)
+    k = 1 / (100 * 100 * time * 1e-4)
+    solved = solve_ivp(
+        lambda _, v: inflow - k * v * v, (0, seconds), [layer], method="Radau",
+        jac=lambda _, v: [[-2 * k * float(v[0])]], rtol=1e-10, atol=1e-13,
+    )
+    flow = layer_outflow(site, layer, inflow, seconds)
+    left = layer + seconds * (inflow - flow)
+    assert left == pytest.approx(solved.y[0, -1], rel=1e-6, abs=1e-9)
+
+
+@settings(max_examples=60, deadline=None)
+@given(
+    x2=st.floats(0, 6), rain=st.floats(0, 2e-6) | st.just(0.0), asked=st.floats(0, 1e-4),
+    seconds=st.sampled_from([10.0, 3600.0]),
+)
+def test_free_changes_follow_their_equations(
+    x2: float, rain: float, asked: float, seconds: float
+) -> None:
+    """First dx/dt = (1 - S^2) i, then dx/dt = -K_s e, by scipy."""
+
+    def rate(inflow: float, wanted: float) -> object:
+        return lambda _, x: [
+            kept_share(ROOF, float(x[0])) * inflow - water_stress(ROOF, float(x[0])) * wanted
+        ]
+
+    volume = x2
+    for inflow, wanted in ((rain * ROOF.a2, 0.0), (0.0, asked)):
+        solved = solve_ivp(
+            rate(inflow, wanted), (0, seconds), [volume], rtol=1e-9, atol=1e-12,
+            max_step=seconds / 50,
+        )
+        volume = float(solved.y[0, -1])
+    found = free_changes(
+        ROOF, x2, np.array([[rain]]), np.array([asked]), np.array([seconds])
+    )
+    assert found.shape == (1, 1)
+    assert x2 + found[0, 0] == pytest.approx(volume, rel=1e-6, abs=1e-6)
+
+
+def test_free_changes_of_the_papers_soil_are_the_weather() -> None:
+    """Rain on the bed less evapotranspiration, of each member."""
+    rain = np.array([[1e-6, 0.0], [0.0, 2e-6]])
+    found = free_changes(PAPER_SITE, 3.0, rain, np.array([1e-6, 2e-6]), np.array([10.0, 100.0]))
+    assert found == pytest.approx(
+        np.array([[6.88e-4 - 1e-5, -2e-4], [-1e-5, 0.01376 - 2e-4]]), rel=1e-12
+    )
+
+
+@given(
+    site=measured_sites(),
+    x2=st.floats(0, 1.5),
+    ticks=st.lists(
+        st.tuples(st.floats(0, 1e-4) | st.just(0.0), st.floats(0, 1e-3)), min_size=1, max_size=20
+    ),
+)
+def test_what_is_followed_is_what_the_plant_did(
+    site: Site, x2: float, ticks: list[tuple[float, float]]
+) -> None:
+    """From the substrate's volumes alone: bit for bit."""
+    plant = Plant(site, 0.0, x2 * site.z_cap)
+    states, flows = [], []
+    for rain, asked in ticks:
+        states.append((plant.x2, plant.layer))
+        flows.append(plant.flows(rain, asked, 0.0))
+        plant.step(rain, flows[-1])
+    volumes, layers = zip(*states, strict=True)
+    found = follow(
+        site, 0.0, np.array(volumes), np.array([rain for rain, _ in ticks]) * site.a2,
+        np.array([asked for _, asked in ticks]), np.full(len(ticks), site.tau),
+    )
+    assert found.layer.tolist() == list(layers)
+    assert found.left == plant.layer
+    assert found.drained.tolist() == [flow.drainage for flow in flows]
+    assert found.evaporated == pytest.approx(
+        [flow.evapotranspiration for flow in flows], rel=1e-12, abs=1e-15
+    )
+
+
+def test_a_dry_roof_gives_nothing() -> None:
+    """At the wilting point nothing evaporates; what falls stays, to the last drop."""
+    plant = Plant(ROOF, 50.0, 2.0)
+    assert plant.flows(0.0, 1e-3, 0.0).evapotranspiration == 0.0
+    plant = Plant(ROOF, 50.0, 0.0)
+    flows = plant.flows(1e-4, 1e-3, 0.0)
+    plant.step(1e-4, flows)
+    assert plant.x2 == pytest.approx(0.01, rel=1e-12)
+    assert plant.layer == 0.0
+    assert math.isclose(plant.levels()[1], 1e-4)
