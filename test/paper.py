@@ -135,8 +135,27 @@ def smooth_rates(site: Site, x1: Any, x2: Any, u: Any, rain: Any, evaporated: An
     darcy = site.K * site.a2 * (x2 / site.a2 + site.z_soil) / site.z_soil
     q_drain = darcy * _sigma((site.z_cap - x2) / site.epsilon)
     f1 = rain * site.a_in - q_out - q_pump
-    f2 = rain * site.a2 + q_pump - evaporated - q_drain
+    if site.field_capacity is None:
+        f2 = rain * site.a2 + q_pump - evaporated - q_drain
+    else:
+        f2 = _measured_rate(site, x2, rain * site.a2 + q_pump, evaporated)
     return np.stack([f1, f2], axis=-1)
+
+
+def _measured_rate(site: Site, x2: Any, arriving: Any, evaporated: Any) -> Any:
+    """HBV's soil routine with beta = 2, FAO-56's Eq. 84, and no water above field capacity."""
+    assert site.field_capacity is not None
+    assert site.wilting_point is not None
+    assert site.depletion_fraction is not None
+    wilting = site.a2 * site.z_soil * site.wilting_point
+    depleted = site.z_cap - x2
+    available = site.z_cap - wilting
+    filled = np.where(np.real(x2) < wilting, 0, (x2 - wilting) / available)
+    filled = np.where(np.real(depleted) <= 0, 1, filled)
+    stress = filled / (1 - site.depletion_fraction)
+    stress = np.where(np.real(stress) < 1, stress, 1)
+    excess = np.where(np.real(depleted) < 0, -depleted, 0) / site.tau
+    return arriving - filled**2 * arriving - stress * evaporated - excess
 
 
 def linear_model(site: Site, *point: Any) -> tuple[Any, Any, Any, Any]:

@@ -2,8 +2,8 @@
 
 Only roofs with a ``field_capacity`` in their site file have it; the paper's soil, Eq. (4), has not.
 The substrate is the soil routine of HBV (Bergstrom 1976, SMHI Reports RHO No. 7; Seibert and Vis
-2012, doi:10.5194/hess-16-3315-2012, soil moisture routine) with its exponent beta = 2. The drainage layer is a
-reservoir whose outflow goes with the square of what it holds.
+2012, doi:10.5194/hess-16-3315-2012, soil moisture routine) with its exponent beta = 2. The
+drainage layer is a reservoir whose outflow goes with the square of what it holds.
 """
 
 from __future__ import annotations

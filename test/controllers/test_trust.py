@@ -15,6 +15,7 @@ import pytest
 from hypothesis import Phase, given, settings
 from hypothesis import strategies as st
 from paper import PAPER_SITE, paper_run, planner
+from places import CONFIG
 
 from greenroof_ros.controllers import regret_limit
 from greenroof_ros.controllers.anticipating_onoff import AnticipatingOnOff
@@ -30,6 +31,7 @@ from greenroof_ros.model.plant import maximum_pump_flow
 
 EMPTY_HOUR = 3600 * PAPER_SITE.x2_star  # m3 s
 STEPS = len(growing_steps(12)) - 1
+MEASURED = ("--site", str(CONFIG / "site_neubrandenburg.yaml"))
 
 
 # --- the sensor ---------------------------------------------------------------------------------
@@ -51,6 +53,16 @@ def test_estimate_of_a_roof_that_drains() -> None:
     expected = estimate.predict(35.0, 0.0, 0.0, 0.0)
     depth = (35.0 / PAPER_SITE.a2 + PAPER_SITE.z_soil) / PAPER_SITE.z_soil
     assert 35.0 - expected == pytest.approx(PAPER_SITE.K * PAPER_SITE.a2 * depth, rel=1e-9)
+
+
+def test_estimate_of_a_measured_roof() -> None:
+    """What percolates and what dry plants do not evaporate is a part of the prediction."""
+    run = paper_run("--controller", "onoff", *MEASURED, "--start", "2021-07-08T05:00")
+    estimate = RoofObserver(run.site, 300.0)
+    for tick in closed_loop(run, run.make_controller(), Metrics()):
+        x2 = estimate.correct(tick.roof_level)
+        assert x2 == pytest.approx(tick.x2, abs=1e-9)
+        estimate.predict(x2, tick.precipitation, tick.evapotranspiration, tick.flows.pump)
 
 
 def test_noise_is_smoothed() -> None:
@@ -286,6 +298,31 @@ def test_ticks_in_frost_count() -> None:
         loss.skip()
     loss.judge(50.0, 2.0, 1.0)
     assert loss.loss == pytest.approx(1000 * more, rel=1e-6)
+
+
+def test_the_count_on_a_measured_roof_is_what_onoff_has() -> None:
+    """Beside a plant that is watered by on/off: the roof which never was has all it lacks.
+
+    Rain comes on two roofs, one of them wetter, and more of it percolates there; so the difference
+    is right only if that is followed.
+    """
+    run = paper_run("--controller", "onoff", *MEASURED, "--start", "2021-07-08T05:00")
+    onoff_roof = [tick.x2 for tick in closed_loop(run, run.make_controller(), Metrics())]
+    loss = RegretLimit(run.site, 1e6)
+    idle = paper_run("--controller", "onoff", "--fraction", "1e-9", *MEASURED,
+                     "--start", "2021-07-08T05:00")
+    lacks = []
+    for tick, theirs in zip(
+        closed_loop(idle, idle.make_controller(), Metrics()), onoff_roof, strict=True
+    ):
+        assert loss._more == pytest.approx(theirs - tick.x2, abs=0.01)  # a tick
+        lacks.append(theirs - tick.x2)
+        loss.judge(tick.x1, tick.x2, 1.0)
+        loss.move(
+            tick.x1, tick.x2, 1.0, tick.flows.pump, tick.precipitation, tick.evapotranspiration
+        )
+    assert max(lacks) > 0.7
+    assert lacks[-1] < 0.6 * max(lacks)
 
 
 def test_planner_that_is_lied_to(caplog: pytest.LogCaptureFixture) -> None:

@@ -146,6 +146,26 @@ def test_same_bits_as_simulate(domain: int, tmp_path: Path, controller: str) -> 
         assert summary["total_deviation_m3"] == pytest.approx(PUBLISHED_M3[controller], rel=2e-4)
 
 
+@pytest.mark.parametrize("controller", ["mpc", "planning_mpc"])
+def test_same_bits_of_a_measured_roof(domain: int, tmp_path: Path, controller: str) -> None:
+    """Rain on a roof with a drainage layer, of which the summary has what it holds at the end."""
+    options = (
+        "--controller", controller, "--start", "2021-07-08T04:45", "--hours", "0.5",
+        "--site", str(shared_directory() / "config" / "site_neubrandenburg.yaml"),
+    )
+    summary = bring_up(domain, tmp_path, *options)
+    subprocess.run(
+        [
+            sys.executable, "-m", "greenroof_ros.simulate", *options,
+            "--trajectory", "run.csv", "--output", "inprocess",
+        ],
+        cwd=tmp_path, env=environment(domain), check=True, capture_output=True,
+    )
+    rows = assert_same(tmp_path, "run")
+    assert float(rows[-1]["drainage_layer_m3"]) == summary["final_layer_m3"] > 0
+    assert max(float(row["drainage_m3_per_s"]) for row in rows) > 0
+
+
 @pytest.mark.parametrize(
     "controller", ["--controller onoff --fraction 0.1", "--controller planning_mpc"]
 )

@@ -7,8 +7,10 @@ import math
 import numpy as np
 import pytest
 from paper import PAPER_SITE, paper_run, site_with
+from places import CONFIG
 from pump_rig import Rig
 
+from greenroof_ros.model.site import read_site
 from greenroof_ros.pumping.delivery import DeliveryCheck
 from greenroof_ros.pumping.input_rules import (
     InputRules,
@@ -81,6 +83,21 @@ def test_levels_that_do_not_move_by_hand() -> None:
     assert not any(
         check.step(1.0, 2.0, 0.01 + 0.01 * k / PAPER_SITE.a2, 0.01, 0.01) for k in range(1, 300)
     )
+
+
+@pytest.mark.parametrize("noise", [0.0, NOISE])
+def test_what_a_measured_roof_lets_through_is_no_alarm(noise: float) -> None:
+    """Filled from wilting to its target, it keeps 0.58 at the end; then the pump holds it there.
+
+    Of what is pumped then more than half percolates, half an hour long.
+    """
+    site = read_site(CONFIG / "site_neubrandenburg.yaml")
+    rig = Rig(x2=0.2, noise=noise, site=site)
+    for _ in range(2400):
+        rig.step(1.0, evapotranspiration=0.4e-3 / 3600 * 68.8)
+    assert rig.delivered - rig.plant.x2 + 0.2 > 0.5
+    assert rig.plant.x2 > 0.99 * site.x2_star
+    assert not any(one.state == "fault" for one in rig.decisions)
 
 
 def rounded(rig: Rig) -> None:

@@ -244,6 +244,23 @@ def test_expected_rise() -> None:
     assert expected_rise(PAPER_SITE, 0.005, 1e-5, 3.0, 0.5) == (0.0, 0.0)
 
 
+def test_a_measured_roof_rises_by_what_it_keeps() -> None:
+    """At half of what plants can take it keeps 3/4; what is above field capacity falls in a tick.
+
+    Of 0.1 m of soil 0.02 is wilted and 0.06 field capacity: half is 0.04 m.
+    """
+    site = replace(
+        PAPER_SITE, z_soil=0.1, z_cap=68.8 * 0.06,
+        field_capacity=0.6, wilting_point=0.2, depletion_fraction=0.5,
+    )
+    _, roof = expected_rise(site, 0.005, 1e-5, 2.0, 0.04)
+    assert roof == pytest.approx(0.75 * (0.0726744e-3 + 1e-5), rel=1e-5)
+    assert expected_rise(site, 0.005, 1e-5, 2.0, 0.06)[1] == 0.0
+    fall = roof_reach(site).fall
+    assert fall(0.05) == pytest.approx(1.5 * 0.5787e-6, rel=1e-3)
+    assert fall(0.07) == pytest.approx(1.5 * (0.5787e-6 + 0.01), rel=1e-3)
+
+
 @given(
     cistern=st.floats(0.0, 2.99), roof=st.floats(0.0, 0.49), rain=st.floats(0.0, 1e-4),
     share=st.floats(0.0, 1.0),

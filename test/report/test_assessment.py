@@ -10,6 +10,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from paper import PAPER_SITE, paper_run, site_with
+from places import CONFIG
 
 from greenroof_ros.experiment.closed_loop import closed_loop, record
 from greenroof_ros.model.metrics import Metrics
@@ -134,6 +135,11 @@ def test_head_loss_is_that_of_the_paper(level: float, flow: float) -> None:
         ("--initial", "high-high", "--controller", "onoff", "--hours", "1.5"),
         # An empty roof gives less than evaporates, until it rains.
         ("--cistern", "10", "--roof", "0.001", "--controller", "onoff"),
+        # A drainage layer, computed from what percolates.
+        (
+            "--controller", "onoff", "--start", "2021-07-08T04:00",
+            "--site", str(CONFIG / "site_neubrandenburg.yaml"),
+        ),
     ],
 )
 def test_the_simulations_own_tally(options: tuple[str, ...]) -> None:

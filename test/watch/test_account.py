@@ -12,6 +12,7 @@ import pytest
 from graphs import bag_file, bring_up
 from mcap.reader import make_reader
 from paper import PAPER_SITE, paper_run
+from places import CONFIG
 
 from greenroof_ros.experiment.closed_loop import closed_loop, record
 from greenroof_ros.model.metrics import Metrics
@@ -30,6 +31,10 @@ SUMMED = {
 }
 STORM = ("--start", "2021-07-08T12:00-05:00", "--cistern", "75.5", "--roof", "34.39")
 # A dry day; a storm on a full roof beside a full cistern; a roof with nothing to evaporate.
+MEASURED = (
+    "--hours", "0.5", "--controller", "onoff", "--start", "2021-07-08T05:00-05:00",
+    "--site", str(CONFIG / "site_neubrandenburg.yaml"),
+)
 RUNS = {
     "dry": ("--hours", "0.5", "--controller", "onoff"),
     "storm": ("--hours", "0.5", "--controller", "onoff", *STORM),
@@ -86,6 +91,37 @@ def test_batches_give_the_summary(simulated: tuple[Recorded, dict[str, float]]) 
     assert (account.since, account.until) == (START, START + (count - 1) * SECOND)
     # The plant is exact: nothing is left unexplained but rounding.
     assert abs(totals["unexplained"]) < 1e-9
+
+
+def test_a_measured_roof_gives_the_summary() -> None:
+    """Half an hour of rain: its drainage layer is a part of what is stored, its plants are dry.
+
+    A live site, where nobody says the drainage, gives the same; it is computed from the level.
+    """
+    run = paper_run(*MEASURED)
+    metrics = Metrics()
+    happened = record(run, closed_loop(run, run.make_controller(), metrics))
+    summary = metrics.results()
+    topics = recorded(happened, run.site)
+    account = Account(run.site)
+    for topic, (times, values) in topics.items():
+        account.add(topic, times, values)
+    totals = account.totals()
+    assert_equal(totals, summary)
+    assert abs(totals["unexplained"]) < 1e-9
+    assert summary["drainage_m3"] > 0.01
+    assert summary["final_layer_m3"] > 0.001
+    asked = run.site.tau * happened.evapotranspiration[:-1].sum()
+    assert 0 < totals["evapotranspired"] < 0.9 * asked
+
+    live = Account(run.site)
+    live.live = True
+    for topic in TOPICS[:5]:
+        live.add(topic, *topics[topic])
+    found = live.totals()
+    assert not live.measured
+    for key in ("drained", "evapotranspired"):
+        assert found[key] == pytest.approx(totals[key], rel=1e-9), key
 
 
 def test_heard_one_by_one_gives_the_same_bits(
