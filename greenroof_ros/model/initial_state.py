@@ -35,7 +35,7 @@ def check_volumes(site: Site, cistern: float, roof: float, keys: tuple[str, str]
     """Refuse initial volumes that the place cannot hold, and warn of a roof fuller than its soil.
 
     The plant has no rim: rain raises the roof above the soil's capacity, from where it drains
-    slowly. Whatever state a run ends in, another can begin in.
+    slowly, a measured one in the first tick. Whatever state a run ends in, another can begin in.
 
     Args:
         site: the place.
@@ -46,14 +46,15 @@ def check_volumes(site: Site, cistern: float, roof: float, keys: tuple[str, str]
     Raises:
         ConfigurationError: no rain could have made such a state; a unit is wrong.
     """
+    full = site.roof_level(site.z_cap)
     for key, volume, area, level, why in (
         (
             keys[0], cistern, site.a1, max(site.d, _ABOVE_OUTLET * site.z_o),
             f"its outlet is at {site.z_o:g} m, the roof {site.d:g} m above its base",
         ),
         (
-            keys[1], roof, site.a2, site.z_soil + _MOST_PONDED,
-            f"the soil holds {site.z_cap:g} m3, {site.z_soil:g} m, and at most {_MOST_PONDED:g} m "
+            keys[1], roof, site.a2, full + _MOST_PONDED,
+            f"the soil holds {site.z_cap:g} m3, {full:g} m, and at most {_MOST_PONDED:g} m "
             "stand on it",
         ),
     ):
@@ -67,6 +68,7 @@ def check_volumes(site: Site, cistern: float, roof: float, keys: tuple[str, str]
     if roof > site.z_cap:
         _log.warning(
             "warning: %s = %r: more than the %g m3 (a level of %g m) that the soil holds: %.3g m "
-            "stand on it. It is a volume in m3",
-            keys[1], roof, site.z_cap, site.z_soil, site.roof_level(roof) - site.z_soil,
+            "%s. It is a volume in m3",
+            keys[1], roof, site.z_cap, full, site.roof_level(roof) - full,
+            "stand on it" if site.field_capacity is None else "drain at once",
         )

@@ -9,6 +9,7 @@ from typing import Any
 from greenroof_ros.common.parameter import Parameter
 from greenroof_ros.model.plant import maximum_pump_flow
 from greenroof_ros.model.site import Site
+from greenroof_ros.model.soil import kept_share
 
 DAY_S = 86_400.0
 _LEAST_FLOW = 0.2
@@ -24,9 +25,14 @@ def _least_flow(site: Site) -> float:
 
 
 def _volume_per_day(site: Site) -> float:
-    """Fill an empty roof to its target and replace a day's evapotranspiration, with the margin."""
+    """Fill an empty roof to its target and replace a day's evapotranspiration, with the margin.
+
+    Of a measured roof that is more: its soil keeps only a share of what is pumped.
+    """
     evapotranspiration = _GREATEST_EVAPOTRANSPIRATION * site.crop_coefficient * site.a2
-    return round(_MARGIN * (site.x2_star + evapotranspiration), 3)
+    return round(
+        _MARGIN * (site.x2_star + evapotranspiration) / kept_share(site, site.x2_star), 3
+    )
 
 
 def _run_per_day(site: Site) -> float:
@@ -36,7 +42,8 @@ def _run_per_day(site: Site) -> float:
 
 def _run(site: Site) -> float:
     """Return the time in which the least flow fills an empty roof to its target (s)."""
-    return min(DAY_S, round(site.x2_star / _least_flow(site)) + 1.0)
+    kept = kept_share(site, site.x2_star) * _least_flow(site)
+    return min(DAY_S, round(site.x2_star / kept) + 1.0)
 
 
 def _setting(

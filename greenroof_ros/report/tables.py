@@ -21,6 +21,7 @@ METRICS_BY_NAME = {metric.name: metric for metric in METRICS}
 _BALANCE_ONLY = {
     "rain_m3", "rain_cistern_m3", "rain_roof_m3", "outflow_m3", "drainage_m3",
     "evapotranspiration_m3", "final_cistern_m3", "final_roof_m3",
+    "final_layer_m3",
 }
 
 
@@ -208,6 +209,10 @@ def _balance_table(report: Report) -> Table:
         _Column("roof: unexplained (m³)", lambda one: _number(
             one.assessment.roof_residual_m3, ".1e")),
         metric("final_roof_m3", "roof: at the end"),
+        *(
+            [metric("final_layer_m3", "drainage layer: at the end")]
+            if METRICS_BY_NAME["final_layer_m3"] in shown_metrics(report) else []
+        ),
         *_apart(report),
         _RUN,
     ])
