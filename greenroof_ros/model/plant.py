@@ -150,22 +150,22 @@ class Plant:
             pump *= share
             limited = True
         available = self.x2 / site.tau + precipitation * site.a2 + pump
-        drainage, evapotranspiration = soil_losses(
-            site, self.x2, precipitation * site.a2 + pump, evapotranspiration
-        )
-        wanted = evapotranspiration + drainage
         if site.field_capacity is None:
+            drainage = drainage_flow(site, self.x2)
+            wanted = evapotranspiration + drainage
             if wanted > available:
                 share = available / wanted
                 evapotranspiration *= share
                 drainage *= share
                 limited = True
         else:
+            percolated = self._percolation(precipitation, pump)
+            evapotranspiration *= water_stress(site, self.x2)
             # What percolates is there; only what evaporates may not be.
-            if wanted > available:
-                evapotranspiration = max(0.0, available - drainage)
+            if evapotranspiration > available - percolated:
+                evapotranspiration = max(0.0, available - percolated)
                 limited = True
-            drainage = layer_outflow(site, self.layer, drainage, site.tau)
+            drainage = layer_outflow(site, self.layer, percolated, site.tau)
         return Flows(outflow, pump, drainage, evapotranspiration, limited)
 
     def step(self, precipitation: float, flows: Flows) -> None:
