@@ -235,7 +235,7 @@ def compare(old: Path) -> None:
 def measure_all() -> None:
     """Measure in rounds and print the table of doc/performance.md."""
     rows: dict[str, list[float]] = {
-        "tick": [], "bare": [], "record": [], "do_mpc": [], "mean": [], "p99": [], "study": []
+        "tick": [], "bare": [], "record": [], "do_mpc": [], "roof": [], "mean": [], "p99": [], "study": []
     }
     with own_domain() as domain:
         for number in range(ROUNDS):
@@ -244,12 +244,14 @@ def measure_all() -> None:
             bare = measure_graph(domain, "--no-record")
             again = measure_echo(domain)
             (step, mpc), peer = simulated(), measure_do_mpc()
+            roof, _ = simulated("--site", str(CHECKOUT / "config" / "site_neubrandenburg.yaml"))
             _, planner = simulated("--controller", "planning_mpc")
             yardstick = (trip + again) / 2
             rows["tick"].append(recorded / yardstick)
             rows["bare"].append(bare / yardstick)
             rows["record"].append(recorded / bare)
             rows["do_mpc"].append(peer / step)
+            rows["roof"].append(roof / step)
             rows["mean"].append(planner["mean_s"] / mpc["mean_s"])
             rows["p99"].append(planner["p99_s"] / mpc["p99_s"])
             rows["study"].append(measure_study())
@@ -267,6 +269,7 @@ def measure_all() -> None:
         ("bare", "the same without the recorder"),
         ("record", "tick with / without recorder"),
         ("do_mpc", "do-mpc step / MPC step of `simulate`"),
+        ("roof", "MPC step of `simulate`, measured roof / the paper's"),
         ("mean", "a tick's decision, planning_mpc / mpc, over 12 h: mean"),
         ("p99", "the same: what 99 % of the ticks stay below"),
         ("study", "study of 30 runs / (one MPC run alone x 15 / cores)"),

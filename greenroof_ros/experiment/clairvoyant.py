@@ -66,9 +66,11 @@ class _Limits:
     Attributes:
         floor: least volume on the roof, shape (N+1,).
         ceiling: largest volume on the roof, shape (N+1,).
-        least: least change of the roof's volume in a tick, shape (N,).
-        greatest: largest change of it, shape (N,).
+        least: least change of the roof's volume in a tick, shape (N,); where there is a slope, of
+            the volume after it less slope times that before.
+        greatest: largest of the same, shape (N,).
         still: change without pumping, drainage or a dry roof, shape (N,).
+        slope: of a measured roof, shape (N,).
     """
 
     floor: Values
@@ -76,6 +78,7 @@ class _Limits:
     least: Values
     greatest: Values
     still: Values
+    slope: Values | None
 
 
 def clairvoyant_bound(run: Run, max_command: float = 1.0, block: int | None = None) -> Bound:
@@ -96,6 +99,9 @@ def clairvoyant_bound(run: Run, max_command: float = 1.0, block: int | None = No
     - All that is pumped before a tick is at most the initial volume and all rain until then less
       what stays below the suction level, plus one tick's flow, for the last tick that pumped began
       at the suction level or above. It is at most all that the cistern ever held, too.
+
+    Of a measured roof the volume after a tick less a slope times that before has limits, and the
+    drainage layer has no part in it; doc/explanation/bound.md has the proof.
 
     What is dropped, and can leave a gap: the outflow of the cistern; that the flow falls with its
     level; that pumping stops at z_veg where the roof may, but need not, be below; that drainage and
@@ -164,7 +170,8 @@ def _limits(run: Run, max_command: float) -> _Limits:
     # The plant adds up in another order, so its last digits differ.
     slack = ROUNDING * (site.x2_star + roof.high.max())
     return _Limits(
-        roof.low - slack, np.minimum(roof.high, supplied) + slack, roof.least, roof.greatest, still
+        roof.low - slack, np.minimum(roof.high, supplied) + slack, roof.least, roof.greatest, still,
+        roof.slope,
     )
 
 
@@ -203,8 +210,13 @@ def _solve(run: Run, limits: _Limits, edges: NDArray[np.int64]) -> tuple[Values,
         return np.asarray(np.add.reduceat(volumes / unit - 1, edges) / ticks)
 
     floor, ceiling = means(limits.floor), means(limits.ceiling)
-    least = np.diff(means(_sums(run.x2, limits.least)), prepend=0)
-    greatest = np.diff(means(_sums(run.x2, limits.greatest)), prepend=0)
+    if limits.slope is None:
+        factors = np.ones(len(edges))
+        least = np.diff(means(_sums(run.x2, limits.least)), prepend=0)
+        greatest = np.diff(means(_sums(run.x2, limits.greatest)), prepend=0)
+    else:
+        factors, least, greatest = _changes(limits, limits.slope, edges)
+        least, greatest = (part / unit + factors - 1 for part in (least, greatest))
     zero = np.zeros_like(floor)
     lower = np.concatenate([np.maximum(floor, 0), np.maximum(-ceiling, 0), least])
     # Where nothing can be pumped both are equal, and rounding must not set them apart.
@@ -212,7 +224,7 @@ def _solve(run: Run, limits: _Limits, edges: NDArray[np.int64]) -> tuple[Values,
         [np.maximum(ceiling, 0), np.maximum(-floor, 0), np.maximum(greatest, least)]
     )
     blocks = len(edges)
-    step = diags([np.ones(blocks), -np.ones(blocks - 1)], [0, -1])
+    step = diags([np.ones(blocks), -factors[1:]], [0, -1])
     weights = np.concatenate([ticks, ticks, zero]) / ticks[0]
     balance = hstack([step, -step, -identity(blocks)], format="csc")
     result = linprog(
@@ -227,6 +239,73 @@ def _solve(run: Run, limits: _Limits, edges: NDArray[np.int64]) -> tuple[Values,
     # What is left of a sum of zeros.
     cost = cost if cost > ROUNDING * unit * run.steps else 0.0
     return deviation, cost, str(result.message)
+
+
+def _changes(
+    limits: _Limits, slope: Values, edges: NDArray[np.int64]
+) -> tuple[Values, Values, Values]:
+    """Return by what the means of a measured roof's blocks follow from those before, shape (B,).
+
+    Returns:
+        A factor, and the least and the largest of a block's mean less that factor times the mean
+        before (m3). The factor is 0 of blocks that do not follow from one of the same length; then
+        these are the limits of the volume.
+    """
+    floor, ceiling = limits.floor, limits.ceiling
+    sizes = np.diff(edges, append=len(floor))
+    factors = np.zeros(len(edges))
+    least, greatest = (
+        np.add.reduceat(volumes, edges) / sizes for volumes in (floor, ceiling)
+    )
+    block = sizes[0]
+    following = int(np.count_nonzero(sizes == block)) - 1
+    if following > 0:
+        count = following * block
+        factor, low, high = _composed(slope, limits.least, limits.greatest, block)
+        factor, low, high = factor[:count], low[:count], high[:count]
+        mean = factor.reshape(following, block).mean(axis=1)
+        # Of each tick the factor is a little off that of its block.
+        off = factor - np.repeat(mean, block)
+        ends = off * floor[:count], off * ceiling[:count]
+        factors[1 : following + 1] = mean
+        least[1 : following + 1] = (low + np.minimum(*ends)).reshape(-1, block).mean(axis=1)
+        greatest[1 : following + 1] = (high + np.maximum(*ends)).reshape(-1, block).mean(axis=1)
+    return factors, least, greatest
+
+
+def _composed(
+    slope: Values, least: Values, greatest: Values, ticks: int
+) -> tuple[Values, Values, Values]:
+    """Return slope, least and greatest of so many ticks in a row, from each tick on.
+
+    They are put together from stretches of 1, 2, 4 ... ticks. Slopes are not negative, so that the
+    least comes of the least.
+    """
+    power = slope, least, greatest
+    result: tuple[Values, Values, Values] | None = None
+    length, done = 1, 0
+    while True:
+        if ticks & length:
+            result = power if result is None else _after(result, power, done)
+            done += length
+        if done == ticks:
+            assert result is not None
+            return result
+        power = _after(power, power, length)
+        length *= 2
+
+
+def _after(
+    first: tuple[Values, Values, Values], then: tuple[Values, Values, Values], ticks: int
+) -> tuple[Values, Values, Values]:
+    """Return a stretch of so many ticks and what follows it as one, from each tick on."""
+    count = len(then[0]) - ticks
+    slope, least, greatest = (part[:count] for part in first)
+    next_slope, next_least, next_greatest = (part[ticks:] for part in then)
+    return (
+        next_slope * slope, next_slope * least + next_least,
+        next_slope * greatest + next_greatest,
+    )
 
 
 def _targets(

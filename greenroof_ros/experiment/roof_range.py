@@ -10,7 +10,6 @@ from numpy.typing import NDArray
 
 from greenroof_ros.model.plant import drainage_flow, soil_losses
 from greenroof_ros.model.site import Site
-from greenroof_ros.model.soil import kept_share
 
 Values = NDArray[np.float64]
 
@@ -26,11 +25,13 @@ class RoofRange(NamedTuple):
     high: Values
     """largest volume, shape (N+1,)"""
     least: Values
-    """least change in each tick, shape (N,)"""
+    """least of the volume after each tick less slope times that before, shape (N,)"""
     greatest: Values
-    """largest change in each tick, shape (N,)"""
+    """largest of it, shape (N,)"""
     unpumped: Values
     """largest change in each tick without pumping, shape (N,)"""
+    slope: Values | None = None
+    """1 in each tick, for the change alone, where it is None; shape (N,), from 0 to 1"""
 
 
 def roof_range(
@@ -127,31 +128,43 @@ def _of_measured(
     """Follow the range of the volume in the substrate of a measured roof.
 
     Of what arrives the share that stays falls with the volume, what evaporates and what leaves
-    above field capacity rise with it. So the change is largest at the least volume, and least at
-    the largest.
+    above field capacity rise with it. So the change without pumping is largest at the least volume.
+    The volume after a tick rises with that before by about the slope of the chord over the range:
+    less that, what is left to choose is little.
     """
     low = high = x2
     lows, highs = array("d", [low]), array("d", [high])
     least, greatest, unpumped = array("d"), array("d"), array("d")
+    slopes = array("d")
     target = site.a2 * site.z_veg
     for fell, asked, most in zip(
         array("d", rain * site.a2), array("d", evapotranspiration), array("d", pumped), strict=True
     ):
         if low > (1 + ROUNDING) * target:
             most = 0.0
-        change = _change(site, low, fell, asked)
-        least.append(_change(site, high, fell, asked))
-        unpumped.append(max(change, -low))
-        greatest.append(max(change + kept_share(site, low) * most, -low))
-        driest = min(_ends(site, low, high, fell, asked))
-        wettest = max(_ends(site, low, high, fell, asked))
-        if most > 0:
-            end = max(low, min(high, target))
-            wettest = max(wettest, *_ends(site, low, end, fell + most / site.tau, asked))
-        low, high = max(0.0, driest), max(0.0, wettest)
+        ends = [x2 + _change(site, x2, fell, asked) for x2 in (low, high)]
+        unpumped.append(max(ends[0] - low, -low))
+        slope = 1.0
+        if high - low > ROUNDING * site.z_cap:
+            slope = min(1.0, max(0.0, (ends[1] - ends[0]) / (high - low)))
+        reached = {}
+        for line in (0.0, slope):
+            found = _ends(site, low, high, fell, asked, line)
+            reached[line] = min(found), max(found)
+            if most > 0:
+                end = max(low, min(high, target))
+                pumped_to = _ends(site, low, end, fell + most / site.tau, asked, line)
+                reached[line] = reached[line][0], max(reached[line][1], *pumped_to)
+        least.append(reached[slope][0])
+        # A roof that runs dry ends at 0, and not below.
+        greatest.append(max(reached[slope][1], -slope * low))
+        slopes.append(slope)
+        low, high = (max(0.0, volume) for volume in reached[0.0])
         lows.append(low)
         highs.append(high)
-    return RoofRange(*(np.frombuffer(part) for part in (lows, highs, least, greatest, unpumped)))
+    return RoofRange(*(
+        np.frombuffer(part) for part in (lows, highs, least, greatest, unpumped, slopes)
+    ))
 
 
 def _change(site: Site, x2: float, arriving: float, asked: float) -> float:
@@ -167,21 +180,31 @@ def _change(site: Site, x2: float, arriving: float, asked: float) -> float:
     return site.tau * (arriving - drained - evaporated)
 
 
-def _ends(site: Site, low: float, high: float, arriving: float, asked: float) -> list[float]:
-    """Return the volumes after a tick that may be the least and largest of a range's (m3).
+def _ends(
+    site: Site, low: float, high: float, arriving: float, asked: float, line: float
+) -> list[float]:
+    """Return what may be the least and largest over a range of volumes (m3) after a tick.
 
     Between the wilting point, the onset of stress and field capacity the volume after a tick is a
-    concave parabola of that before, and it is continuous. So the least is at the ends of these
-    pieces, and the largest there or at a parabola's vertex.
+    concave parabola of that before, and it is continuous; so it is less a line. So the least is at
+    the ends of these pieces, and the largest there or at a parabola's vertex.
+
+    Args:
+        site: of a measured roof.
+        low: least volume before the tick (m3).
+        high: largest volume before the tick (m3).
+        arriving: rain and pumped water (m3/s).
+        asked: evapotranspiration of plants that do not lack water (m3/s).
+        line: so many times the volume before is subtracted from that after.
     """
     dry, most = site.wilting_volume, site.available_volume
     onset = dry + site.stress_onset * most
     found = [low, high]
     found += [x2 for x2 in (dry, onset, site.z_cap) if low < x2 < high]
     if arriving > 0:
-        # d/dx2 of x2 - tau (S^2 arriving + K_s asked) is 0, of the two pieces.
-        for slope in (1.0, 1.0 - site.tau * asked / (site.stress_onset * most)):
+        # d/dx2 of x2 - tau (S^2 arriving + K_s asked) - line x2 is 0, of the two pieces.
+        for slope in (1.0 - line, 1.0 - line - site.tau * asked / (site.stress_onset * most)):
             vertex = dry + most * (slope * most / (2 * site.tau * arriving))
             if low < vertex < min(high, site.z_cap):
                 found.append(vertex)
-    return [x2 + _change(site, x2, arriving, asked) for x2 in found]
+    return [x2 + _change(site, x2, arriving, asked) - line * x2 for x2 in found]

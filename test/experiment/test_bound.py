@@ -275,7 +275,7 @@ def test_in_frost_the_bound_is_the_run_of_a_measured_roof(
 
 
 @pytest.mark.parametrize(
-    ("start", "gap"), [("2021-07-07T00:00", 0.1), ("2021-07-08T00:00", 0.02)]
+    ("start", "gap"), [("2021-07-07T00:00", 0.02), ("2021-07-08T05:00", 0.02)]
 )
 def test_the_bound_of_a_measured_roof_is_close(start: str, gap: float) -> None:
     """Twelve hours of the roof of Neubrandenburg: drizzle on a roof being filled, and a storm."""
@@ -289,7 +289,7 @@ def test_the_bound_of_a_measured_roof_is_close(start: str, gap: float) -> None:
     assert bound.bound_m3 <= min(bound.plan_m3, reached)
     assert bound.gap is not None
     assert bound.gap < gap
-    assert reached < 1.02 * bound.plan_m3
+    assert reached < 1.03 * bound.plan_m3
 
 
 @given(
