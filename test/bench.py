@@ -235,7 +235,8 @@ def compare(old: Path) -> None:
 def measure_all() -> None:
     """Measure in rounds and print the table of doc/performance.md."""
     rows: dict[str, list[float]] = {
-        "tick": [], "bare": [], "record": [], "do_mpc": [], "roof": [], "mean": [], "p99": [], "study": []
+        "tick": [], "bare": [], "record": [], "do_mpc": [], "roof": [], "mean": [], "p99": [],
+        "study": [],
     }
     with own_domain() as domain:
         for number in range(ROUNDS):
