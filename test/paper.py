@@ -84,8 +84,14 @@ def measured_sites(draw: st.DrawFn) -> Site:
     # The target is below field capacity, and perhaps below the wilting point.
     z_veg = site.z_soil * capacity * draw(st.floats(0.01, 0.99))
     layer = draw(st.none() | st.tuples(st.floats(0.001, 0.1), st.floats(1.0, 1e5)))
+    mains = draw(st.none() | st.tuples(st.floats(0.01, 0.99), st.floats(1e-6, 1.0)))
+    lowest = site.suction_level
     return replace(
-        site, z_veg=z_veg, x2_star=site.a2 * z_veg, z_cap=site.a2 * site.z_soil * capacity,
+        site,
+        # Of a low outlet the level is no valve's; it is as good for a balance.
+        mains_level=mains and lowest + mains[0] * abs(site.z_o - lowest),
+        mains_flow=mains and mains[1],
+        z_veg=z_veg, x2_star=site.a2 * z_veg, z_cap=site.a2 * site.z_soil * capacity,
         field_capacity=capacity, wilting_point=wilting, depletion_fraction=draw(st.floats(0, 0.9)),
         drainage_storage=layer and layer[0], drainage_time=layer and layer[1],
     )
@@ -135,6 +141,8 @@ def smooth_rates(site: Site, x1: Any, x2: Any, u: Any, rain: Any, evaporated: An
     darcy = site.K * site.a2 * (x2 / site.a2 + site.z_soil) / site.z_soil
     q_drain = darcy * _sigma((site.z_cap - x2) / site.epsilon)
     f1 = rain * site.a_in - q_out - q_pump
+    if site.mains_level is not None:
+        f1 = f1 + np.where(np.real(x1) / site.a1 < site.mains_level, site.mains_flow, 0)
     if site.field_capacity is None:
         f2 = rain * site.a2 + q_pump - evaporated - q_drain
     else:

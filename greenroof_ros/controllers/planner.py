@@ -327,6 +327,10 @@ class Planner:
         # What will be above the suction level by then, and below the outlet.
         collected = np.cumsum(rain * self._lengths, axis=1) * site.a_in
         there = np.minimum(x1 + collected, site.a1 * site.z_o)
+        if site.mains_level is not None and site.mains_flow is not None:
+            filled = site.cistern_volume(site.mains_level)
+            given = site.mains_flow * self._edges[1:]
+            there = np.maximum(there, np.minimum(x1 + collected + given, filled))
         full = maximum_pump_flow(site, x1)
         slack = max(_LONGEST_PLAN_S, site.tau) * full
         above = np.maximum(there - site.a1 * site.suction_level + slack, 0.0)

@@ -14,12 +14,18 @@ from __future__ import annotations
 import math
 import struct
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from greenroof_ros.model.plant import JOULES_PER_KWH, WATER_DENSITY, Flows, head_loss
+from greenroof_ros.model.plant import (
+    JOULES_PER_KWH,
+    WATER_DENSITY,
+    Flows,
+    head_loss,
+    mains_flows,
+)
 from greenroof_ros.model.site import Site
 
 _HOUR_S = 3600.0
@@ -50,6 +56,7 @@ class Samples:
         drainage: off the roof (m3/s).
         evapotranspiration: off the roof, at most what it held (m3/s).
         layer: water volume in the drainage layer of a measured roof (m3); None where unknown.
+        mains: from the mains into the cistern (m3/s); None where there is no valve.
         limited: 1 where a tank held less than was asked of it, else 0; None where that is unknown.
         pumping_before: whether something was pumped in the sample before the first.
         earlier_starts: when the pumps started in the hour before the first sample (s, so negative).
@@ -65,6 +72,7 @@ class Samples:
     drainage: Values
     evapotranspiration: Values
     layer: Values | None = None
+    mains: Values | None = None
     limited: Values | None = None
     pumping_before: bool = False
     earlier_starts: Values = field(default_factory=lambda: np.empty(0))
@@ -189,6 +197,10 @@ METRICS = (
     Metric(
         "pumped_m3", "m3", "pumped", "from the cistern to the roof",
         lambda site, one: one.duration * one.pump,
+    ),
+    Metric(
+        "mains_m3", "m3", "mains water used", "into the cistern, where there is a top-up",
+        lambda site, one: None if one.mains is None else one.duration * one.mains,
     ),
     Metric(
         "outflow_m3", "m3", "outflow", "from the cistern to the sewer",
@@ -323,18 +335,27 @@ class Metrics:
         """Return each metric by its name, of a run that ends in the tick observed last."""
         if self._ticks:
             self._add_ticks()
-        end = _pack_tick(*self._state, *[0.0] * (len(_TICK) - len(self._state)))
-        return _finished(self._site, _add(self._totals, self._site, self._samples(end)))
+        state = _pack_tick(*self._state, *[0.0] * (len(_TICK) - len(self._state)))
+        end = self._samples(state)
+        if end.mains is not None:
+            end = replace(end, mains=np.zeros(1))
+        return _finished(self._site, _add(self._totals, self._site, end))
 
     def __getitem__(self, name: str) -> float:
         """Return the metric of that name."""
         return self.results()[name]
 
+    def _mains(self, columns: Values) -> Values | None:
+        """Return what the mains give in ticks, of which these are the columns (m3/s)."""
+        if self._site.mains_level is None:
+            return None
+        return mains_flows(self._site, columns[_TICK.index("cistern")])
+
     def _samples(self, ticks: bytes | bytearray) -> Samples:
         columns = np.frombuffer(ticks).reshape(-1, len(_TICK)).T
         return Samples(
             duration=np.full(columns.shape[1], self._site.tau), pumping_before=self._pumping,
-            earlier_starts=self._starts,
+            earlier_starts=self._starts, mains=self._mains(columns),
             **dict(zip(_TICK, columns, strict=True)),
         )
 

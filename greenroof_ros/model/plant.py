@@ -28,6 +28,23 @@ def outlet_flow(site: Site, x1: float) -> float:
     return site.c_out * math.sqrt(head) if head > 0 else 0.0
 
 
+def mains_flow(site: Site, x1: float) -> float:
+    """What the mains give (m3/s) a cistern holding x1 (m3): the valve's flow below its level.
+
+    The valve looks once a tick, and is open for all of it.
+    """
+    if site.mains_level is None or site.mains_flow is None:
+        return 0.0
+    return site.mains_flow if site.cistern_level(x1) < site.mains_level else 0.0
+
+
+def mains_flows(site: Site, x1: NDArray[np.float64]) -> NDArray[np.float64]:
+    """What the mains give (m3/s) at each of these volumes (m3), as :func:`mains_flow`."""
+    if site.mains_level is None or site.mains_flow is None:
+        return np.zeros_like(x1)
+    return np.where(x1 / site.a1 < site.mains_level, site.mains_flow, 0.0)
+
+
 def maximum_pump_flow(site: Site, x1: float) -> float:
     """The pumps' flow (m3/s) at command 1 from a cistern holding x1 (m3), Eq. (3e).
 
@@ -144,6 +161,8 @@ class Plant:
         limited = False
         wanted = outflow + pump
         available = self.x1 / site.tau + precipitation * site.a_in
+        if site.mains_level is not None:
+            available += mains_flow(site, self.x1)
         if wanted > available:
             share = available / wanted
             outflow *= share
@@ -177,6 +196,8 @@ class Plant:
         """
         site = self._site
         into_cistern = precipitation * site.a_in
+        if site.mains_level is not None:
+            into_cistern += mains_flow(site, self.x1)
         into_roof = precipitation * site.a2 + flows.pump
         drained = flows.drainage
         if site.field_capacity is not None:

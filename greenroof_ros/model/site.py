@@ -18,16 +18,18 @@ _LEAST, _LARGEST = 1e-12, 1e9
 # A product that a person rounds when writing it down, such as x2_star, is still consistent.
 _ROUNDING = 1e-6
 _WHOLE = {"pumps_in_series", "pumps_in_parallel"}
-# What may be left out, with its range: what a measured roof has and the paper's soil has not, how
-# many pumps the curve stands for, which only the duty of one of them needs, the pumps' efficiency,
-# which only the electric energy does, their starts, which only planners, pump and a warning do, and
-# the place, which only a computed evapotranspiration does.
+# What may be left out, with its range: what a measured roof has and the paper's soil has not, a
+# mains top-up of the cistern, how many pumps the curve stands for, which only the duty of one of
+# them needs, the pumps' efficiency, which only the electric energy does, their starts, which only
+# planners, pump and a warning do, and the place, which only a computed evapotranspiration does.
 _OPTIONAL = {
     "field_capacity": (0.01, 0.9),
     "wilting_point": (0.0, 0.5),
     "depletion_fraction": (0.0, 0.95),
     "drainage_storage": (0.0001, 1.0),
     "drainage_time": (1.0, 1e6),
+    "mains_level": (0.01, 100.0),
+    "mains_flow": (1e-6, 1.0),
     "pumps_in_series": (1, 100),
     "pumps_in_parallel": (1, 100),
     "pump_efficiency": (0.001, 1.0),
@@ -46,6 +48,7 @@ _OPTIONAL = {
 _TOGETHER = (
     (("field_capacity", "wilting_point", "depletion_fraction"), ()),
     (("drainage_storage", "drainage_time"), ("field_capacity",)),
+    (("mains_level", "mains_flow"), ()),
 )
 
 
@@ -68,7 +71,8 @@ class Site:
 
     a1: float = _parameter("m2", "bottom surface area of the cistern")
     a_in: float = _parameter(
-        "m2", "area whose rain flows into the cistern; in Table I that of its inlet"
+        "m2", "area whose rain flows into the cistern, times its runoff coefficient; in Table I "
+        "that of its inlet"
     )
     z_o: float = _parameter("m", "elevation of the cistern's outlet")
     r_o: float = _parameter("m", "radius of the cistern's outlet")
@@ -115,6 +119,11 @@ class Site:
     drainage_time: float | None = _may_be_left_out(
         None, "s", "time constant of the full drainage layer: its storage over its outflow",
     )
+    mains_level: float | None = _may_be_left_out(
+        None, "m", "cistern level below which a valve lets mains water in; without it there is "
+        "none",
+    )
+    mains_flow: float | None = _may_be_left_out(None, "m3/s", "flow of that valve")
     pumps_in_series: int = _may_be_left_out(
         1, "pumps", "one behind another, for whose summed head the pump curve stands",
     )
@@ -311,7 +320,7 @@ def read_site(path: Path) -> Site:
             value = int(value)
         values[name] = value
     site = Site(**values)  # type: ignore[arg-type]  # what must be whole was made so above
-    _check_soil(path, mapping, site)
+    _check_water(path, mapping, site)
     if site.z_veg >= site.z_soil:
         raise ConfigurationError(
             f"must be below z_soil = {site.z_soil:g} m: soil cannot hold more than its depth",
@@ -336,12 +345,12 @@ def read_site(path: Path) -> Site:
     return site
 
 
-def _check_soil(path: Path, mapping: YamlMapping, site: Site) -> None:
-    """Refuse what the roof of a site cannot hold.
+def _check_water(path: Path, mapping: YamlMapping, site: Site) -> None:
+    """Refuse what the roof of a site cannot hold, and a mains top-up that cannot be.
 
     Raises:
-        ConfigurationError: a volume is not what others make it, or parameters of a measured roof
-            contradict each other; the message names the file, line, key and value.
+        ConfigurationError: a volume is not what others make it, or optional parameters are not all
+            there or contradict each other; the message names the file, line, key and value.
     """
 
     def refuse(key: str, expected: str) -> ConfigurationError:
@@ -354,6 +363,11 @@ def _check_soil(path: Path, mapping: YamlMapping, site: Site) -> None:
         missing = [name for name in (*names, *further) if name not in mapping]
         if there and missing:
             raise refuse(there[0], f"needs {', '.join(missing)} as well")
+    if site.mains_level is not None and not site.suction_level < site.mains_level < site.z_o:
+        raise refuse(
+            "mains_level", f"must be above z_pump + z_H = {site.suction_level:g} m, below which "
+            f"the pumps do not work, and below z_o = {site.z_o:g} m, or it flows to the sewer",
+        )
     whole = site.a2 * site.z_soil
     products = [("x2_star", site.x2_star, site.a2 * site.z_veg, "a2 z_veg")]
     if site.field_capacity is not None:

@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
+from greenroof_ros.model.plant import mains_flow
 from greenroof_ros.model.site import Site
 from greenroof_ros.model.soil import filled_share, kept_share, water_stress
 
@@ -92,7 +93,7 @@ def linearise(
 
     soil = _soil(site, x2)
     into_roof = precipitation * site.a2 + q_pump
-    f1 = precipitation * site.a_in - q_out - q_pump
+    f1 = precipitation * site.a_in + mains_flow(site, x1) - q_out - q_pump
     f2 = into_roof * soil.kept - evapotranspiration * soil.stress - soil.drain
     f2_2 = (
         q_pump_2 * soil.kept + into_roof * soil.kept_2 - evapotranspiration * soil.stress_2

@@ -11,10 +11,11 @@ Three balances are kept, each of water (m3) that the levels do not account for:
   leak, stuck contactor. Rain only lets it fall, and what the outlet takes does not count, since
   the cistern counts up to the outlet only.
 - *not from the cistern*: a share ``least_delivery`` of the pumped volume, less the fall of the
-  cistern, less ``greatest_loss`` for a drifting sensor. It grows where a pump runs and the cistern
-  does not fall: its sensor is stuck, with some noise perhaps, or drifts up, and the pump would run
-  dry. It is never more than that share of what was pumped, so that rain on a pump that stands is no
-  fault; rain meanwhile explains ``a_in / a2`` of what the roof rose beyond that share. Where a_in
+  cistern, less ``greatest_loss`` for a drifting sensor, and less what the mains may have let in. It
+  grows where a pump runs and the cistern does not fall: its sensor is stuck, with some noise
+  perhaps, or drifts up, and the pump would run dry. It is never more than that share of what was
+  pumped, so that rain on a pump that stands is no fault; rain meanwhile explains ``a_in / a2`` of
+  what the roof rose beyond that share. Where a_in
   is not less than a2 that is so much that only the first balance is left.
 
 Water is counted while a level is unknown, too, and the balances go on when it is known again: a
@@ -203,7 +204,7 @@ class DeliveryCheck:
         """Return the fault of a cistern that does not fall though water is pumped out of it."""
         site, share = self._site, self._settings.least_delivery
         kept = share * change.least_pumped + change.overfull_cistern
-        kept -= self._loss * site.a1 * change.elapsed
+        kept -= (self._loss * site.a1 + (site.mains_flow or 0.0)) * change.elapsed
         rise = self._kept.add(kept, change, share)
         over = self._kept.over
         rain_on_roof = over.roof - self._share_on_roof * over.least_pumped

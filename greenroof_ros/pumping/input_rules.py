@@ -9,7 +9,7 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from greenroof_ros.model.plant import maximum_pump_flow, outlet_flow
+from greenroof_ros.model.plant import mains_flow, maximum_pump_flow, outlet_flow
 from greenroof_ros.model.site import Site
 from greenroof_ros.model.soil import kept_share
 from greenroof_ros.weather.records import EVAPOTRANSPIRATION, PRECIPITATION, QUANTITIES
@@ -69,13 +69,13 @@ class Reach:
 
 
 def cistern_reach(site: Site) -> Reach:
-    """Return that of the cistern: rain into it, and pumps and outlet out of it."""
+    """Return that of the cistern: rain and mains into it, and pumps and outlet out of it."""
 
     def fall(level: float) -> float:
         volume = site.cistern_volume(level)
         return _MARGIN * (maximum_pump_flow(site, volume) + outlet_flow(site, volume)) / site.a1
 
-    rise = _MARGIN * _MOST_RAIN * site.a_in / site.a1
+    rise = _MARGIN * (_MOST_RAIN * site.a_in + (site.mains_flow or 0.0)) / site.a1
     return Reach(lambda level: rise, fall, site.highest_cistern_level)
 
 
@@ -108,7 +108,8 @@ def expected_rise(
         cistern_level: m.
         roof_level: m.
     """
-    cistern = (rain * site.a_in - flow) / site.a1 if cistern_level < site.z_o else 0.0
+    filling = rain * site.a_in + mains_flow(site, site.cistern_volume(cistern_level))
+    cistern = (filling - flow) / site.a1 if cistern_level < site.z_o else 0.0
     roof = rain + flow / site.a2 if roof_level < site.z_soil else 0.0
     return cistern, roof * kept_share(site, site.roof_volume(roof_level))
 

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from greenroof_ros.model.metrics import NEAR_TARGET, Samples, Totals, totals_of
+from greenroof_ros.model.plant import mains_flows
 from greenroof_ros.model.site import Site
 from greenroof_ros.model.soil import follow
 from greenroof_ros.recording.trajectory import Trajectory
@@ -86,6 +87,7 @@ def assess(site: Site, trajectory: Trajectory, assumptions: Assumptions) -> Asse
         roof_change += float(samples.layer[-1] - samples.layer[0])
     pumped = metrics["pumped_m3"]
     cistern_flows = metrics["rain_cistern_m3"] - pumped - metrics["outflow_m3"]
+    cistern_flows += metrics.get("mains_m3", 0.0)
     roof_flows = (
         metrics["rain_roof_m3"] + pumped - metrics["evapotranspiration_m3"]
         - metrics["drainage_m3"]
@@ -122,6 +124,9 @@ def _samples(site: Site, trajectory: Trajectory) -> Samples:
     # after the limit, so that the rest of what is there is left to evaporate.
     held = trajectory.roof / dt + rain * site.a2 + flow - drainage
     asked = until_the_end(trajectory.evapotranspiration)
+    mains = None
+    if site.mains_level is not None:
+        mains = until_the_end(mains_flows(site, trajectory.cistern))
     evaporated, layer = np.minimum(asked, np.maximum(held, 0.0)), None
     if site.field_capacity is not None:
         followed = follow(site, 0.0, trajectory.roof, rain * site.a2 + flow, asked, dt)
@@ -137,6 +142,7 @@ def _samples(site: Site, trajectory: Trajectory) -> Samples:
         drainage=drainage,
         evapotranspiration=evaporated,
         layer=layer,
+        mains=mains,
     )
 
 

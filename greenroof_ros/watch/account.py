@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from greenroof_ros.model.metrics import METRICS, Samples
-from greenroof_ros.model.plant import drainage_flow, outlet_flow
+from greenroof_ros.model.plant import drainage_flow, mains_flows, outlet_flow
 from greenroof_ros.model.site import Site
 from greenroof_ros.model.soil import follow
 
@@ -244,6 +244,7 @@ class Account:
         flow = np.nan_to_num(known[_FLOW])
         if self.measured:  # what a driver says that it pumps may be more than the plant gave it
             left = cistern / duration + rain * site.a_in - outflow
+            left = left + mains_flows(site, cistern)
             flow = np.fmin(flow, np.maximum(left, 0.0))
         evaporated = known[_EVAPORATED]
         if site.field_capacity is None:

@@ -379,6 +379,20 @@ def test_a_cistern_gives_what_it_holds() -> None:
     assert bound.plan_m3 == pytest.approx(3 * 91.4 - 2 * 19, rel=1e-6)
 
 
+def test_mains_are_there_to_be_pumped() -> None:
+    """The cistern of the test above with a valve of 4 m3 in an hour: the pumps lift that, too.
+
+    23 m3 can be on the roof after an hour, 27 and 31 m3 after the next ones.
+    """
+    site = replace(site_with(a2=2000.0), tau=3600.0, mains_level=0.76, mains_flow=4 / 3600)
+    run = run_of(DRY_HOUR * 3, 19.0, 0.0, site)
+    bound = clairvoyant_bound(run, block=1)
+    for command in (0.5, 1.0):
+        cost = cost_of(run, Given([command]))["total_deviation_m3"]
+        assert bound.bound_m3 <= cost
+    assert bound.bound_m3 == pytest.approx(4 * 91.4 - 23 - 27 - 31, rel=1e-6)
+
+
 def test_before_frost_the_roof_is_filled_above_the_target() -> None:
     """Pumping stops at z_veg, but the last tick before may carry the roof above it."""
     hours = [(0.0, 10.0, False)] * 2 + [(0.0, 10.0, True)] * 24

@@ -37,8 +37,9 @@ def drawn(count: int, seed: int) -> Ticks:
 
 def sums(site: Site, ticks: Ticks) -> dict[str, float]:
     """Return the metrics of ticks, of which the last is the end of the run."""
-    # The paper's soil has no drainage layer.
-    names = [metric.name for metric in METRICS if metric.name != "final_layer_m3"]
+    # The paper's site has no drainage layer and no mains.
+    absent = {"final_layer_m3", "mains_m3"}
+    names = [metric.name for metric in METRICS if metric.name not in absent]
     found: dict[str, float] = {**dict.fromkeys(names, 0.0), **dict.fromkeys(COUNTS, 0)}
     pumping = False
     in_hour: list[float] = []  # when the pumps started in the hour that ends now (s)
@@ -127,6 +128,20 @@ def test_electric_energy_is_over_the_sites_efficiency(tmp_path: Path) -> None:
         file.write_text(text.replace(line, f"pump_efficiency: {wrong}"))
         with pytest.raises(ConfigurationError, match=r"pump_efficiency.*must be from 0.001 to 1"):
             read_site(file)
+
+
+def test_mains_water_by_hand() -> None:
+    """Five ticks of 2 s, of which the valve of 0.001 m3/s is open in the first three; then the end.
+
+    The run ends below the valve's level of 1 m, 25 m3: there nothing flows any more.
+    """
+    site = site_with(tau=2.0, mains_level=1.0, mains_flow=0.001)
+    metrics = Metrics()
+    for x1 in (24.0, 20.0, 24.999, 25.0, 60.0):
+        metrics.observe(site, x1, 1.0)
+        metrics.step(0.0, 0.0, Flows(0.0, 0.0, 0.0, 0.0, False))
+    metrics.observe(site, 24.0, 1.0)
+    assert metrics["mains_m3"] == pytest.approx(0.006, rel=1e-12)
 
 
 def test_each_has_its_words() -> None:

@@ -51,8 +51,8 @@ def test_packaged_site_is_table_i() -> None:
     assert site.pop("starts_per_hour") == 20
     # "We have multiplied the flow rate measurements by two": as of pumps side by side.
     assert (site.pop("pumps_in_series"), site.pop("pumps_in_parallel")) == (1, 2)
-    # The paper's soil drains by Eq. (4).
-    assert {site.pop(key) for key in MEASURED} == {None}
+    # The paper's soil drains by Eq. (4), and nobody tops its cistern up.
+    assert {site.pop(key) for key in (*MEASURED, "mains_level", "mains_flow")} == {None}
     place = {key: value for key, value in site.items() if key not in TABLE_I}
     # Toronto City Centre; FAO-56's reference grass; radiation "for coastal locations" (Eq. 50).
     assert place == {
@@ -232,6 +232,17 @@ def test_a_measured_roof(tmp_path: Path) -> None:
         ({"z_cap": "34.4"}, "z_cap", "must be a2 z_soil field_capacity = 20.64 m3"),
         ({"z_cap": "20.7"}, "z_cap", "must be a2 z_soil field_capacity = 20.64 m3"),
         ({"z_veg": "0.3", "x2_star": "20.64"}, "z_veg", "must be below z_cap / a2 = 0.3 m"),
+        ({"mains_level": "1.0"}, "mains_level", "needs mains_flow as well"),
+        ({"mains_flow": "0.001"}, "mains_flow", "needs mains_level as well"),
+        (
+            {"mains_level": "0.75", "mains_flow": "0.001"}, "mains_level",
+            "must be above z_pump + z_H = 0.75 m",
+        ),
+        (
+            {"mains_level": "3.0", "mains_flow": "0.001"}, "mains_level",
+            "must be above z_pump + z_H = 0.75 m, below which the pumps do not work, and below z_o",
+        ),
+        ({"mains_level": "1.0", "mains_flow": "60"}, "mains_flow", "must be from 1e-06 to 1"),
     ],
 )
 def test_wrong_measured_roofs(

@@ -261,6 +261,15 @@ def test_a_measured_roof_rises_by_what_it_keeps() -> None:
     assert fall(0.07) == pytest.approx(1.5 * (0.5787e-6 + 0.01), rel=1e-3)
 
 
+def test_mains_raise_the_cistern() -> None:
+    """0.001 m3/s over 25 m2 is 0.04 mm/s, below the valve's level only."""
+    site = replace(PAPER_SITE, mains_level=1.5, mains_flow=0.001)
+    assert expected_rise(site, 0.0, 0.0, 1.4, 0.03)[0] == pytest.approx(0.04e-3, rel=1e-12)
+    assert expected_rise(site, 0.0, 0.0, 1.5, 0.03)[0] == 0.0
+    without = cistern_reach(PAPER_SITE).rise(1.4)
+    assert cistern_reach(site).rise(1.4) - without == pytest.approx(1.5 * 0.04e-3, rel=1e-9)
+
+
 @given(
     cistern=st.floats(0.0, 2.99), roof=st.floats(0.0, 0.49), rain=st.floats(0.0, 1e-4),
     share=st.floats(0.0, 1.0),

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from datetime import datetime
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -161,6 +162,22 @@ def test_the_simulations_own_tally(options: tuple[str, ...]) -> None:
     assert found.roof_residual_m3 == pytest.approx(0, abs=1e-9)
     if "--roof" in options:
         assert limited > 0
+
+
+def test_mains_water_is_a_part_of_the_balance(tmp_path: Path) -> None:
+    """Half of what is pumped comes from the mains; both tallies have it, and the balance closes."""
+    file = tmp_path / "site.yaml"
+    text = (CONFIG / "site.yaml").read_text(encoding="utf-8")
+    file.write_text(text + "mains_level: 0.8\nmains_flow: 0.004\n", encoding="utf-8")
+    run = paper_run(
+        "--controller", "onoff", "--cistern", "20", "--roof", "1", "--hours", "1",
+        "--site", str(file),
+    )
+    metrics = Metrics()
+    happened = record(run, closed_loop(run, run.make_controller(), metrics))
+    found = assess(run.site, happened, Assumptions())
+    assert found.metrics["mains_m3"] == metrics["mains_m3"] > 0.9
+    assert found.cistern_residual_m3 == pytest.approx(0, abs=1e-9)
 
 
 @given(data=st.data(), samples=st.integers(2, 40))
