@@ -322,7 +322,7 @@ def test_the_count_on_a_measured_roof_is_what_onoff_has() -> None:
             tick.x1, tick.x2, 1.0, tick.flows.pump, tick.precipitation, tick.evapotranspiration
         )
     assert max(lacks) > 0.7
-    assert lacks[-1] < 0.6 * max(lacks)
+    assert lacks[-1] < 0.7 * max(lacks)
 
 
 def test_planner_that_is_lied_to(caplog: pytest.LogCaptureFixture) -> None:
