@@ -89,7 +89,7 @@ def begin(rig: Rig, case: Case, rng: random.Random) -> Undo:
     if case.fault == "full disk":
         assert isinstance(rig, FullDiskRig)
         rig.fill()
-        return nothing
+        return rig.free
     if case.fault == "stuck for ever":
         return nothing  # it says the same from the start on
     if case.fault in ("sensor", "site"):

@@ -15,7 +15,7 @@ from inject import begin
 from lost import BOUND_S, last_message, newest_file
 from rig import BrokenError, Rig, SiteRig, wait
 
-from greenroof_ros.recording.live_bag import FLUSH_S
+from greenroof_ros.recording.live_bag import FLUSH_S, RETRY_S
 
 # How much longer than the bound is waited, for a figure of how bad it was (s).
 _LONGER_S = 10.0
@@ -214,6 +214,8 @@ def _recover(rig: Rig, case: Case, outcome: Outcome) -> None:
 def _over(rig: Rig, case: Case, outcome: Outcome) -> None:
     """See that no alarm of what is over stands."""
     until = time.monotonic() + _OVER_S
+    if case.fault == "full disk":
+        until += RETRY_S + FLUSH_S  # so long the recorder waits before it tries again
     while case.expected.alarm and (stands := rig.watcher.stands(case.expected.alarm)):
         if time.monotonic() > until:
             outcome.fail(f"an alarm stands although it is over: {stands}")

@@ -427,10 +427,16 @@ class FullDiskRig(SiteRig):
 
     def fill(self) -> None:
         """Fill the disk to its last byte."""
-        other = self.state / "bag" / "other"
-        with other.open("wb", buffering=0) as stream, suppress(OSError):
+        with self._other().open("wb", buffering=0) as stream, suppress(OSError):
             while True:
                 stream.write(bytes(4096))
+
+    def free(self) -> None:
+        """Make room again."""
+        self._other().unlink()
+
+    def _other(self) -> Path:
+        return self.state / "bag" / "other"
 
     def __exit__(self, *failure: object) -> None:
         super().__exit__(*failure)
