@@ -15,7 +15,7 @@ CONTROLLERS = ("mpc", "onoff", "planning_mpc", "anticipating_onoff", "scenario_m
 # Commands: they start the graph, or need no ROS at all.
 COMMANDS = (
     "bringup", "simulate", "bound", "recover", "topics", "check_controller", "check_pump",
-    "drive_simulator", "site_simulator", "study.__main__", "report.__main__",
+    "drive_simulator", "site_simulator", "calibrate", "study.__main__", "report.__main__",
 )
 # `watch` alone is a command of Linux's own, which it would hide.
 WATCH = "greenroof_watch"
@@ -49,7 +49,8 @@ setup(
     license_files=["LICENSE"],
     python_requires=">=3.10",
     packages=find_packages(include=[NAME, f"{NAME}.*"]),
-    package_data={f"{NAME}.report": ["template.html"], f"{NAME}.watch": ["page/*"]},
+    package_data={f"{NAME}.report": ["template.html"], f"{NAME}.watch": ["page/*"],
+                  f"{NAME}.calibration": ["page.html"]},
     data_files=[
         ("share/ament_index/resource_index/packages", [f"resource/{NAME}"]),
         (SHARE.as_posix(), ["package.xml"]),
@@ -123,6 +124,8 @@ setup(
             "myst-parser>=4,<6",  # pages are Markdown
             "furo>=2024.8.6",  # theme: light and dark, wide and narrow
         ],
+        # The stormwater model that the measured roof is held against: test/measured_roofs.
+        "swmm": ["pyswmm>=2.2,<3"],  # EPA SWMM 5.2 in Python
         # Another implementation of the same controller, to compare the solve times with.
         "bench": ["do-mpc>=5.1,<6"],
     },

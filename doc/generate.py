@@ -50,6 +50,7 @@ COMMANDS = {
     "bound": "greenroof_ros.bound",
     "recover": "greenroof_ros.recover",
     "topics": "greenroof_ros.topics",
+    "calibrate": "greenroof_ros.calibrate",
     "check_controller": "greenroof_ros.check_controller",
     "check_pump": "greenroof_ros.check_pump",
     "drive_simulator": "greenroof_ros.drive_simulator",

@@ -41,22 +41,6 @@ def render(
     )
     environment.filters["two_lines"] = _two_lines
     text = importlib.resources.files(__package__).joinpath("template.html").read_text("utf-8")
-    panels = [
-        {
-            "id": f"{figure.name}-panel-{number}",
-            "figure": figure.name,
-            "specification": panel.specification(),
-            "data": _names(panel.specification()),
-        }
-        for figure in figures
-        for number, panel in enumerate(figure.panels, start=1)
-    ]
-    data = {name: _columns(rows) for figure in figures for name, rows in figure.data.items()}
-    payload = json.dumps(
-        {"config": CONFIG, "panels": panels, "data": data},
-        allow_nan=False, separators=(",", ":"), ensure_ascii=False,
-    )
-    library: str = vl_convert.javascript_bundle()  # type: ignore[call-arg]  # its stub is stricter
     return environment.from_string(text).render(
         report=report,
         figures=figures,
@@ -76,10 +60,38 @@ def render(
         sites=_sites(report),
         configuration=sources.configuration,
         versions=_versions(),
-        # Scripts and JSON are not HTML: they are made safe here, each in its own way.
-        library=Markup(library.replace("</script", "<\\/script")),  # noqa: S704
-        payload=Markup(payload.replace("<", "\\u003c")),  # noqa: S704
+        library=library(),
+        payload=payload(figures),
     )
+
+
+# Scripts and JSON are not HTML: they are made safe here, each in its own way.
+
+
+def library() -> Markup:
+    """Return the scripts that draw a page's figures."""
+    text: str = vl_convert.javascript_bundle()  # type: ignore[call-arg]  # its stub is stricter
+    return Markup(text.replace("</script", "<\\/script"))  # noqa: S704
+
+
+def payload(figures: Sequence[Figure]) -> Markup:
+    """Return the figures of a page and their data as JSON."""
+    panels = [
+        {
+            "id": f"{figure.name}-panel-{number}",
+            "figure": figure.name,
+            "specification": panel.specification(),
+            "data": _names(panel.specification()),
+        }
+        for figure in figures
+        for number, panel in enumerate(figure.panels, start=1)
+    ]
+    data = {name: _columns(rows) for figure in figures for name, rows in figure.data.items()}
+    text = json.dumps(
+        {"config": CONFIG, "panels": panels, "data": data},
+        allow_nan=False, separators=(",", ":"), ensure_ascii=False,
+    )
+    return Markup(text.replace("<", "\\u003c"))  # noqa: S704
 
 
 def _two_lines(text: str) -> Markup:

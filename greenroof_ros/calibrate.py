@@ -1,0 +1,222 @@
+"""Fit a site's roof to what was measured on it: ``python -m greenroof_ros.calibrate MEASURED``."""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+from rich.console import Console
+from rich.progress import Progress, TextColumn, TimeElapsedColumn
+from rich.table import Table
+
+from greenroof_ros.calibration.bag_record import read_bag_record
+from greenroof_ros.calibration.csv_record import read_csv_record
+from greenroof_ros.calibration.dry_nights import LevelSensor, dry_nights
+from greenroof_ros.calibration.fit import Fit, fit, measured_roof
+from greenroof_ros.calibration.halves import Halves, halve
+from greenroof_ros.calibration.record import Record
+from greenroof_ros.calibration.scores import ScoreRow, Scores, score, time_name
+from greenroof_ros.calibration.site_file import fitted_site_file
+from greenroof_ros.calibration.storms import comparable
+from greenroof_ros.calibration.suspicions import refuse_wrong
+from greenroof_ros.common.command_line import EXIT_DONE, command
+from greenroof_ros.common.errors import ConfigurationError
+from greenroof_ros.common.files import read_text, shared_directory
+from greenroof_ros.model.pump_curve import fit_pump_curve
+from greenroof_ros.model.site import read_site
+
+_DESCRIPTION = """\
+Fit the roof of a site to a measured record: its field capacity, wilting point, depletion fraction,
+drainage time and crop coefficient, as far as the record can tell them. The first half of its rain
+is fitted, the second judges the fit.
+"""
+_EPILOG = """\
+MEASURED is a bag of this project, or CSV: a row a step, at most an hour apart, and columns named
+like these, in which empty cells and missing rows are gaps:
+
+  time, rain [mm], runoff [mm], level [m], temperature [degC]
+
+  rain                         mm, mm/h, mm/5min
+  runoff, pumped               mm, l, m3, and with /s, /min, /5min, /h, /day
+  level, cistern level         m, cm, mm
+  pump state                   1, %; needs the cistern level
+  reference evapotranspiration mm, mm/h, mm/day; or instead of it
+  temperature                  degC; or least temperature and greatest temperature of the day
+
+Written are the site file, and a page beside it with its name and .html.
+
+examples:
+  python -m greenroof_ros.calibrate roof_2025.csv --site my_site.yaml -o fitted_site.yaml
+  python -m greenroof_ros.simulate --site fitted_site.yaml
+
+exit codes: 0 done, 2 bad usage, configuration or record
+"""
+
+
+def _parser() -> argparse.ArgumentParser:
+    """Return what reads the command line."""
+    parser = argparse.ArgumentParser(
+        prog="python -m greenroof_ros.calibrate", description=_DESCRIPTION, epilog=_EPILOG,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    parser.add_argument("measured", type=Path, metavar="MEASURED", help="the record, CSV or a bag")
+    parser.add_argument(
+        "--site", type=Path, metavar="FILE",
+        help="site file that the fit begins with (default: the paper's, config/site.yaml)",
+    )
+    parser.add_argument(
+        "-o", "--output", type=Path, required=True, metavar="FILE.yaml",
+        help="site file to write; not one that exists",
+    )
+    parser.add_argument(
+        "--pump-data", type=Path, metavar="FILE.csv",
+        help="points of the pumps' data sheet, to fit their curve to: lines of "
+        "'flow [m3/s],head [m]'",
+    )
+    return parser
+
+
+@command
+def main() -> int:
+    """Fit the record that the command line names."""
+    arguments = _parser().parse_args()
+    output: Path = arguments.output
+    page_file = output.with_suffix(".html")
+    for file in (output, page_file):
+        if file.exists():
+            raise ConfigurationError("exists; name another file", key="--output", value=str(file))
+    try:
+        from greenroof_ros.calibration import figures, page
+        from greenroof_ros.report.pump_figures import read_pump_data
+    except ModuleNotFoundError as error:
+        raise ConfigurationError(
+            f"needs {error.name}: pip install 'greenroof_ros[study]'"
+        ) from error
+    site_file: Path = arguments.site or shared_directory() / "config" / "site.yaml"
+    site = measured_roof(read_site(site_file))
+    read = read_bag_record if arguments.measured.is_dir() else read_csv_record
+    record = read(arguments.measured, site)
+    pump = None
+    if arguments.pump_data is not None:
+        points = read_pump_data(arguments.pump_data)
+        pump = fit_pump_curve([flow for flow, _ in points], [head for _, head in points])
+    refuse_wrong(record, site)
+    halves = halve(record, comparable(record))
+    _refuse_dry(record, halves)
+    with Progress(
+        TextColumn("{task.description}"), TextColumn("{task.completed} simulations"),
+        TimeElapsedColumn(), console=Console(stderr=True), transient=True,
+    ) as progress:
+        task = progress.add_task("fitting", total=None)
+        fitted = fit(site, record, halves.earlier, lambda: progress.advance(task))
+    spans = {
+        part: _span(record, steps)
+        for part, steps in zip(("fit", "validation"), halves, strict=True)
+    }
+    rows = [
+        ScoreRow(name, part, _scores(record, fitted, name, steps))
+        for name in record.measured
+        for part, steps in zip(("fit", "validation"), halves, strict=True)
+    ]
+    text = fitted_site_file(read_text(site_file), fitted, _heading(record, spans, rows), pump)
+    output.write_text(text, encoding="utf-8")
+    page_file.write_text(
+        page.render(record, fitted, rows, figures.make_figures(record, halves, fitted), text,
+                    spans),
+        encoding="utf-8",
+    )
+    _print(fitted, rows)
+    if record.level is not None:
+        _print_sensor(dry_nights(record, fitted.simulated.level))
+    try:
+        read_site(output)
+    except ConfigurationError as error:
+        Console().print(f"to be repaired before it is used: {error}", style="bold", markup=False)
+    Console().print(f"written: {output}, {page_file}", soft_wrap=True, highlight=False)
+    return EXIT_DONE
+
+
+def _refuse_dry(record: Record, halves: Halves) -> None:
+    """Refuse a record of which a half has nothing measured, or no water."""
+    for part, steps in zip(("first", "second"), halves, strict=True):
+        moved = any(np.ptp(series[steps]) > 0 for series in record.measured.values()
+                    if np.any(steps))
+        if not moved:
+            raise ConfigurationError(
+                f"in the {part} half of its rain nothing that was measured changes; a longer "
+                "record, with dry days in it, is needed", file=record.source,
+            )
+
+
+def _scores(record: Record, fitted: Fit, name: str, steps: NDArray[np.bool_]) -> Scores:
+    simulated = getattr(fitted.simulated, name)
+    return score(
+        simulated[steps], record.measured[name][steps], record.seconds[steps], record.step_s
+    )
+
+
+def _span(record: Record, steps: NDArray[np.bool_]) -> str:
+    times = record.times[steps]
+    return " to ".join(str(time)[:16].replace("T", " ") for time in (times[0], times[-1]))
+
+
+def _heading(record: Record, spans: dict[str, str], rows: Sequence[ScoreRow]) -> list[str]:
+    """Return what stands at the top of the site file."""
+    lines = [
+        f"Fitted to {record.source.name} by python -m greenroof_ros.calibrate.",
+        f"Fit: {spans['fit']}; validation: {spans['validation']}.",
+    ]
+    for row in rows:
+        nse = ", ".join(
+            f"{value:.2f} ({time_name(over_s)})" for over_s, value in row.scores.nse.items()
+        )
+        line = f"{row.quantity}, {row.part}: NSE {nse}"
+        if row.quantity == "runoff":
+            line += f"; volume {100 * row.scores.volume_error:+.1f} %"
+        lines.append(f"{line}.")
+    return lines
+
+
+def _print(fitted: Fit, rows: Sequence[ScoreRow]) -> None:
+    """Print parameters and scores."""
+    table = Table(title="Parameters", title_justify="left")
+    for name in ("parameter", "value", "95 % interval", ""):
+        table.add_column(name)
+    for one in fitted.parameters:
+        interval = f"{one.low:.4g} to {one.high:.4g}" if one.told else "not fitted"
+        table.add_row(one.name, f"{one.value:.4g}", interval, one.words)
+    times = list(rows[0].scores.nse)
+    scores = Table(title="Scores", title_justify="left")
+    scores.add_column("of")
+    for name in (*(f"NSE {time_name(time)}" for time in times), "KGE 1 day", "volume"):
+        scores.add_column(name, justify="right")
+    for row in rows:
+        values = [f"{row.scores.nse[time]:.3f}" for time in times]
+        values.append(f"{row.scores.kge[times[-1]]:.3f}")
+        error = f"{100 * row.scores.volume_error:+.1f} %" if row.quantity == "runoff" else ""
+        scores.add_row(f"{row.quantity}, {row.part}", *values, error)
+    console = Console()
+    console.print(table)
+    console.print(scores)
+
+
+def _print_sensor(sensor: LevelSensor | None) -> None:
+    """Say what the dry nights tell about the level sensor."""
+    if sensor is None:
+        text = "fewer than five dry nights, so nothing is said of its noise and drift"
+    else:
+        drift, half = (30 * 1000 * value for value in (sensor.drift, sensor.half))
+        text = (
+            f"noise {1000 * sensor.noise:.2g} mm and drift {drift:+.2g} mm a month, {half:.2g} mm "
+            f"either way (95 %), in {sensor.nights} dry nights"
+        )
+        if abs(drift) <= half:
+            text += ": no drift that can be told"
+    Console().print(f"level sensor: {text}", soft_wrap=True, highlight=False)
+
+
+if __name__ == "__main__":
+    main()

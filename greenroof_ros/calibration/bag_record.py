@@ -1,0 +1,62 @@
+"""Measured records from a bag of this project: of a live site, or of a run."""
+
+from __future__ import annotations
+
+from datetime import timedelta, timezone
+from pathlib import Path
+
+import numpy as np
+
+from greenroof_ros.calibration.record import Record, Values
+from greenroof_ros.common.errors import ConfigurationError
+from greenroof_ros.model.site import Site
+from greenroof_ros.recording.bag_reader import load_bag
+
+# Of the steps that a bag is divided into: short beside a storm, long beside a sensor's noise.
+_STEP_S = 300.0
+# No message for longer is a gap (s).
+_GAP_S = 600.0
+
+
+def read_bag_record(bag: Path, site: Site) -> Record:
+    """Read a bag as steps of five minutes.
+
+    Rain, evapotranspiration and what was pumped are summed over each; ``/roof/level`` is that at
+    its beginning. Where ``/roof/drainage`` is not recorded, or nothing drained, only levels count.
+    Steps in a gap have no values.
+
+    Raises:
+        ConfigurationError: the bag cannot be read, or is shorter than two steps.
+    """
+    offset = timezone(timedelta(hours=site.utc_offset or 0.0))
+    seen = load_bag(bag, site, offset, own=False).trajectory
+    steps = int(seen.time[-1] // _STEP_S)
+    if steps < 2:
+        raise ConfigurationError(
+            f"is {seen.time[-1]:g} s long; it must have two steps of {_STEP_S:g} s at least",
+            file=bag,
+        )
+    edges = _STEP_S * np.arange(steps + 1)
+    spacing = np.diff(seen.time)
+    gap = np.zeros(steps, dtype=bool)
+    for place in np.flatnonzero(spacing > _GAP_S):
+        low, high = seen.time[place] // _STEP_S, np.ceil(seen.time[place + 1] / _STEP_S)
+        gap[int(low):int(high)] = True
+
+    def summed(flow: Values) -> Values:
+        """Of a flow that holds from each sample to the next, its sum in each step."""
+        total = np.concatenate(([0.0], np.cumsum(flow[:-1] * spacing)))
+        amounts = np.diff(np.interp(edges, seen.time, total))
+        return np.where(gap, np.nan, amounts)
+
+    mm = 1000 / site.a2
+    first = np.searchsorted(seen.time, edges[:-1], side="right") - 1
+    reference = summed(seen.evapotranspiration) * mm / site.crop_coefficient
+    return Record(
+        source=bag, start=seen.start, step_s=_STEP_S,
+        rain=summed(seen.precipitation) * 1000,
+        reference=np.nan_to_num(reference),
+        pumped=summed(seen.pump_flow) * mm,
+        runoff=summed(seen.drainage) * mm if np.any(seen.drainage > 0) else None,
+        level=np.where(gap, np.nan, seen.roof[first] / site.a2),
+    )

@@ -1,0 +1,265 @@
+"""Measured records as CSV: one row a step, units in the header."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Iterable
+from dataclasses import replace
+from datetime import datetime, timedelta, timezone
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from greenroof_ros.calibration.daily import reference_from_temperatures
+from greenroof_ros.calibration.record import Record, Values
+from greenroof_ros.common.errors import ConfigurationError
+from greenroof_ros.common.files import read_text
+from greenroof_ros.common.times import parse_time
+from greenroof_ros.model.plant import maximum_pump_flow
+from greenroof_ros.model.site import Site
+from greenroof_ros.weather.table import Row, Table, numbered_lines
+
+TIME = "time"
+_SECONDS = {"s": 1.0, "min": 60.0, "h": 3600.0, "day": 86400.0}
+_RATE = re.compile(r"(?P<amount>mm|l|m3)(/(?P<count>[1-9]\d{0,3})?(?P<time>s|min|h|day))?")
+# Greatest believable amount in a time (mm/h). More rain than that fell nowhere for a minute (WMO:
+# 31.2 mm, Unionville 1956), and no roof gives back more than its rain.
+_MOST_MM_PER_H = 1900.0
+# A W/m2 evaporates 0.0015 mm/h: more than the sun's 1361 W/m2 can, with air that is warmer.
+_MOST_EVAPORATING = 3.0
+_PLAIN = {
+    "level": {"m": 1.0, "mm": 0.001, "cm": 0.01},
+    "cistern level": {"m": 1.0, "mm": 0.001, "cm": 0.01},
+    "pump state": {"1": 1.0, "%": 0.01},
+    "temperature": {"degC": 1.0},
+    "least temperature": {"degC": 1.0},
+    "greatest temperature": {"degC": 1.0},
+}
+_AMOUNTS = {
+    "rain": ("mm", "mm/h", "mm/5min"),
+    "runoff": ("mm", "mm/5min", "l", "l/s", "m3/h"),
+    "pumped": ("mm", "l", "l/s", "m3/h", "m3/s"),
+    "reference evapotranspiration": ("mm", "mm/h", "mm/day"),
+}
+# Time steps may be this much off (share of a step), and this long: a roof drains within the hour.
+_LOOSENESS = 0.1
+_LONGEST_STEP_S = 3600.0
+_FEWEST_ROWS = 100
+# So far a level sensor's zero may be off, or its noise go.
+_ZERO_OFF_M = 0.1
+
+
+class _Column(NamedTuple):
+    """A column of the file: its name there, and how its numbers become this package's."""
+
+    name: str
+    factor: float
+    """to mm in a step, m, 1 or degC; of a rate to mm/s"""
+    rate: bool
+
+
+def read_csv_record(file: Path, site: Site) -> Record:
+    """Read a measured record from CSV.
+
+    The first column is ``time``: ISO 8601, on the clock of the site's ``utc_offset`` where it says
+    no offset. Others are named like ``rain [mm]``: quantity and unit. Each row is of the step that
+    begins at its time; levels are those of that moment. An amount without ``/`` is that of its
+    step; ``mm`` are over the roof, ``l`` and ``m3`` those of the whole roof of ``a2``. Rows are a
+    regular step apart, of at most an hour. Missing rows and empty cells are gaps. Lines that begin
+    with ``#`` are comments.
+
+    ``rain`` must be there, ``level`` or ``runoff``, and ``reference evapotranspiration`` or
+    temperatures: ``temperature``, or the day's ``least temperature`` and ``greatest temperature``
+    in any row of their day, for Hargreaves' equation. What was pumped onto the roof is ``pumped``,
+    or ``pump state`` (share of the maximum flow) with ``cistern level``; without either nothing.
+
+    Raises:
+        ConfigurationError: the file breaks any of this; the message names line, column and value.
+    """
+    table = Table(file, numbered_lines(read_text(file, byte_order_mark=True)))
+    columns = _columns(table, site)
+    offset = timezone(timedelta(hours=site.utc_offset)) if site.utc_offset is not None else None
+    times: list[datetime] = []
+    rows: list[int] = []
+    cells: dict[str, list[float]] = {quantity: [] for quantity in columns}
+    for row in table.rows():
+        times.append(_time(row, offset))
+        rows.append(row.line)
+        for quantity, column in columns.items():
+            cells[quantity].append(_number(row, column.name))
+    if len(times) < _FEWEST_ROWS:
+        raise ConfigurationError(
+            f"has {len(times)} rows; a record must have {_FEWEST_ROWS} at least", file=file
+        )
+    slots, step_s = _slots(file, times, rows)
+    series = {}
+    for quantity, column in columns.items():
+        values = np.full(slots[-1] + 1, np.nan)
+        values[slots] = np.array(cells[quantity])
+        series[quantity] = values * column.factor * (step_s if column.rate else 1.0)
+        _refuse_unbelievable(file, quantity, column, series[quantity], step_s, slots, rows, cells)
+    record = Record(
+        source=file, start=times[0], step_s=step_s, rain=series["rain"],
+        reference=np.zeros(slots[-1] + 1), pumped=_pumped(series, site, step_s),
+        runoff=series.get("runoff"), level=series.get("level"),
+    )
+    if "reference evapotranspiration" in series:
+        reference = np.nan_to_num(series["reference evapotranspiration"])
+    else:
+        reference = reference_from_temperatures(record, site, series)
+    return replace(record, reference=reference)
+
+
+def _columns(table: Table, site: Site) -> dict[str, _Column]:
+    """Return the column of each quantity; refuse a header that cannot be understood."""
+    if table.header[0] != TIME:
+        raise table.refuse(f"the first column must be '{TIME}'", table.header[0])
+    columns: dict[str, _Column] = {}
+    for name in table.header[1:]:
+        match = re.fullmatch(r"([^\[\]]+?)\s*\[([^\[\]]*)\]", name)
+        if match is None:
+            raise table.refuse("a column must be named like 'rain [mm]'", name)
+        quantity, unit = match.groups()
+        if quantity in columns:
+            raise table.refuse(f"there is a column of {quantity} before this one", name)
+        if quantity in _PLAIN:
+            if unit not in _PLAIN[quantity]:
+                raise _unit_error(table, name, quantity, _PLAIN[quantity])
+            columns[quantity] = _Column(name, _PLAIN[quantity][unit], False)
+        elif quantity in _AMOUNTS:
+            rate = _RATE.fullmatch(unit)
+            depth_only = "l" not in _AMOUNTS[quantity]
+            if rate is None or (depth_only and rate["amount"] != "mm"):
+                raise _unit_error(table, name, quantity, _AMOUNTS[quantity])
+            factor = {"mm": 1.0, "l": 1 / site.a2, "m3": 1000 / site.a2}[rate["amount"]]
+            if rate["time"]:
+                factor /= _SECONDS[rate["time"]] * int(rate["count"] or 1)
+            columns[quantity] = _Column(name, factor, rate["time"] is not None)
+        else:
+            raise table.refuse(
+                f"is not a known column; they are {', '.join((*_AMOUNTS, *_PLAIN))}, each with "
+                "its unit in brackets", name,
+            )
+    _require(table, columns)
+    return columns
+
+
+def _require(table: Table, columns: dict[str, _Column]) -> None:
+    """Refuse a header that lacks what a fit needs."""
+    if "rain" not in columns:
+        raise table.refuse("there must be a column 'rain [mm]'")
+    if "runoff" not in columns and "level" not in columns:
+        raise table.refuse("there must be a column 'runoff [mm]' or 'level [m]'")
+    if not (
+        "reference evapotranspiration" in columns or "temperature" in columns
+        or {"least temperature", "greatest temperature"} <= columns.keys()
+    ):
+        raise table.refuse(
+            "there must be a column 'reference evapotranspiration [mm]', 'temperature [degC]', or "
+            "both 'least temperature [degC]' and 'greatest temperature [degC]'"
+        )
+    if "pump state" in columns and "cistern level" not in columns:
+        raise table.refuse(
+            "with it there must be a column 'cistern level [m]', on which the pumps' flow depends; "
+            "or 'pumped [l]' in its place", columns["pump state"].name,
+        )
+
+
+def _unit_error(
+    table: Table, name: str, quantity: str, units: Iterable[str]
+) -> ConfigurationError:
+    return table.refuse(
+        f"the unit of {quantity} must be one like {', '.join(f'[{unit}]' for unit in units)}", name
+    )
+
+
+def _time(row: Row, clock: timezone | None) -> datetime:
+    """Return a row's time; without an offset it is that of the site's clock."""
+    try:
+        time = parse_time(row.cells[TIME])
+    except ValueError:
+        raise row.refuse("must be a time such as 2015-06-01T14:05", TIME) from None
+    if time.utcoffset() is not None:
+        return time
+    if clock is None:
+        raise row.refuse(
+            "must say its offset from UTC, as in 2015-06-01T14:05+01:00, or the site file must "
+            "give utc_offset", TIME,
+        )
+    return time.replace(tzinfo=clock)
+
+
+def _number(row: Row, column: str) -> float:
+    """Return a cell's number, NaN where it is empty."""
+    text = row.cells[column]
+    if not text:
+        return math.nan
+    try:
+        value = float(text)
+    except ValueError:
+        value = math.nan
+    if not math.isfinite(value):
+        raise row.refuse("must be a number, or empty where there is none", column)
+    return value
+
+
+def _slots(
+    file: Path, times: list[datetime], lines: list[int]
+) -> tuple[np.ndarray[tuple[int], np.dtype[np.int64]], float]:
+    """Return the step that each row is of, counted from the first, and its duration (s)."""
+    spacing = np.diff([time.timestamp() for time in times])
+    step_s = float(np.median(spacing))
+    if not 0 < step_s <= _LONGEST_STEP_S:
+        raise ConfigurationError(
+            f"the rows are {step_s:g} s apart; they must be an hour apart at most, each later than "
+            "the one before", file=file, line=lines[1], key=TIME, value=times[1].isoformat(),
+        )
+    counts = np.round(spacing / step_s)
+    wrong = np.flatnonzero((counts < 1) | (np.abs(spacing / step_s - counts) > _LOOSENESS))
+    if len(wrong):
+        row = int(wrong[0]) + 1
+        raise ConfigurationError(
+            f"must be {step_s:g} s after the row before, or a whole number of such steps, not "
+            f"{spacing[row - 1]:g} s", file=file, line=lines[row], key=TIME,
+            value=times[row].isoformat(),
+        )
+    return np.concatenate(([0], np.cumsum(counts))).astype(np.int64), step_s
+
+
+def _refuse_unbelievable(
+    file: Path, quantity: str, column: _Column, values: Values, step_s: float,
+    slots: np.ndarray[tuple[int], np.dtype[np.int64]], lines: list[int],
+    cells: dict[str, list[float]],
+) -> None:
+    """Refuse a value that nothing on a roof can have."""
+    low, high = 0.0, _MOST_MM_PER_H * step_s / 3600
+    what = f"from 0 to {_MOST_MM_PER_H:g} mm/h"
+    if quantity == "reference evapotranspiration":
+        high = _MOST_EVAPORATING * step_s / 3600
+        what = f"from 0 to {_MOST_EVAPORATING:g} mm/h"
+    elif quantity == "pump state":
+        high, what = 1.0, "from 0 to 1"
+    elif "level" in quantity:
+        low, high, what = -_ZERO_OFF_M, 100.0, f"from {-_ZERO_OFF_M:g} to 100 m"
+    elif "temperature" in quantity:
+        low, high, what = -90.0, 60.0, "from -90 to 60 degC"
+    wrong = np.flatnonzero(~((values[slots] >= low) & (values[slots] <= high))
+                           & ~np.isnan(values[slots]))
+    if len(wrong):
+        row = int(wrong[0])
+        raise ConfigurationError(
+            f"must be {what}; is the unit of the column right?", file=file, line=lines[row],
+            key=column.name, value=cells[quantity][row],
+        )
+
+
+def _pumped(series: dict[str, Values], site: Site, step_s: float) -> Values:
+    """Return what was pumped onto the roof (mm in a step)."""
+    if "pumped" in series:
+        return series["pumped"]
+    if "pump state" not in series:
+        return np.zeros(len(series["rain"]))
+    most = np.array([maximum_pump_flow(site, x1) for x1 in series["cistern level"] * site.a1])
+    return np.asarray(series["pump state"] * most * step_s * 1000 / site.a2)

@@ -1,0 +1,90 @@
+"""Reference evapotranspiration of a record from the temperatures of its days."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from greenroof_ros.calibration.record import Record, Values
+from greenroof_ros.common.errors import ConfigurationError
+from greenroof_ros.model.site import Site
+from greenroof_ros.weather.hargreaves import hargreaves, over_the_day
+
+_DAY_S = 86400
+# Of a day, so that its extremes are among them; and days without that take those beside them (d).
+_ENOUGH = 0.75
+_LONGEST_GAP = 3
+
+
+def reference_from_temperatures(
+    record: Record, site: Site, series: dict[str, Values]
+) -> Values:
+    """Return Hargreaves' reference evapotranspiration of each step (mm), shape (steps,).
+
+    Days are those of the record's own clock. One without temperatures, or with those of part of it,
+    takes the line between its neighbours', over three days at most.
+
+    Args:
+        record: its times.
+        site: its place.
+        series: ``temperature``, or ``least temperature`` and ``greatest temperature`` in any row of
+            their day (degC).
+
+    Raises:
+        ConfigurationError: the site has no place, or more days in a row have no temperature.
+    """
+    if site.latitude is None or site.longitude is None:
+        raise ConfigurationError(
+            "evapotranspiration from temperatures needs latitude and longitude in the site file "
+            "(see config/site.yaml)"
+        )
+    offset = record.start.utcoffset()
+    assert offset is not None
+    seconds = record.seconds
+    dates, day = np.unique(seconds // _DAY_S, return_inverse=True)
+    days = dates.astype("datetime64[D]")
+    if "temperature" in series:
+        enough = _ENOUGH * _DAY_S / record.step_s
+        least, greatest = _extremes(series["temperature"], day, len(days), enough)
+    else:
+        least, _ = _extremes(series["least temperature"], day, len(days), 1)
+        _, greatest = _extremes(series["greatest temperature"], day, len(days), 1)
+    crossed = np.flatnonzero(least > greatest)
+    if len(crossed):
+        raise ConfigurationError(
+            f"on {days[crossed[0]]} the least temperature, {least[crossed[0]]:g} degC, is above "
+            f"the greatest, {greatest[crossed[0]]:g} degC", file=record.source,
+        )
+    daily = hargreaves(site.latitude, days, *(_filled(record, days, one) for one in
+                                              (least, greatest)))
+    east = site.longitude - offset.total_seconds() / 240
+    return over_the_day(daily, site.latitude, seconds, day, record.step_s, east)
+
+
+def _extremes(
+    values: Values, day: NDArray[np.int64], days: int, enough: float
+) -> tuple[Values, Values]:
+    """Return least and greatest value of each day, NaN where there are too few."""
+    there = ~np.isnan(values)
+    least, greatest = np.full(days, np.inf), np.full(days, -np.inf)
+    np.minimum.at(least, day[there], values[there])
+    np.maximum.at(greatest, day[there], values[there])
+    few = np.bincount(day[there], minlength=days) < enough
+    least[few], greatest[few] = np.nan, np.nan
+    return least, greatest
+
+
+def _filled(record: Record, days: NDArray[np.datetime64], values: Values) -> Values:
+    """Fill the days without a value from those beside them."""
+    number = days.astype(np.int64)
+    known = np.flatnonzero(~np.isnan(values))
+    if not len(known):
+        raise ConfigurationError("no day has its temperatures", file=record.source)
+    nearest = np.abs(number[:, None] - number[known][None, :]).min(axis=1)
+    if nearest.max() > _LONGEST_GAP:
+        worst = int(np.argmax(nearest > _LONGEST_GAP))
+        raise ConfigurationError(
+            f"has no temperature within {_LONGEST_GAP} days of {days[worst]}, from which "
+            "evapotranspiration is computed", file=record.source,
+        )
+    return np.interp(number, number[known], values[known])

@@ -1,0 +1,194 @@
+"""The figures of a calibration: measured and simulated, residuals, and each over the other."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import altair as alt
+import numpy as np
+from numpy.typing import NDArray
+
+from greenroof_ros.calibration.fit import Fit
+from greenroof_ros.calibration.halves import Halves
+from greenroof_ros.calibration.record import Record, Values, sums
+from greenroof_ros.report.drawing import COLOURS, Figure, Panel, Rows, distinct, hover_points, short
+
+_HOUR_S, _DAY_S = 3600, 86400
+MEASURED, SIMULATED = "measured", "simulated"
+FITTED, VALIDATED = "fit", "validation"
+# Hours in which neither is this share of the largest are left out of a scatter: there are thousands
+# of them, all in one corner.
+_SEEN = 0.01
+
+
+class _Quantity(NamedTuple):
+    """How something measured is drawn."""
+
+    name: str
+    title: str
+    per_day: str
+    per_hour: str
+    total: bool
+    """whether its steps add up; otherwise their mean counts"""
+    factor: float
+
+
+_QUANTITIES = (
+    _Quantity("runoff", "Runoff", "runoff (mm/day)", "runoff (mm/h)", True, 1.0),
+    _Quantity("level", "Level on the roof", "level (mm)", "level (mm)", False, 1000.0),
+)
+
+
+def make_figures(record: Record, halves: Halves, fit: Fit) -> list[Figure]:
+    """Return the figures of what was measured, in the order of the page."""
+    figures = []
+    for quantity in _QUANTITIES:
+        if quantity.name in record.measured:
+            measured = record.measured[quantity.name] * quantity.factor
+            simulated = getattr(fit.simulated, quantity.name) * quantity.factor
+            figures.append(_figure(quantity, record, halves, measured, simulated))
+    return figures
+
+
+def _figure(
+    quantity: _Quantity, record: Record, halves: Halves, measured: Values, simulated: Values
+) -> Figure:
+    parts = {FITTED: halves.earlier, VALIDATED: halves.later}
+    days = {
+        part: _sums(quantity, record, steps, measured, simulated, _DAY_S)
+        for part, steps in parts.items()
+    }
+    hours = {
+        part: _sums(quantity, record, steps, measured, simulated, _HOUR_S)
+        for part, steps in parts.items()
+    }
+    name = f"calibration-{quantity.name}"
+    boundary = float(days[VALIDATED].times[0]) * 1000 if len(days[VALIDATED].times) else None
+    caption = (
+        "Above: sums of days" if quantity.total else "Above: means of days"
+    ) + (
+        ", and what is simulated too much of them. The dashed line parts fit and validation; what "
+        "was not measured is left out. Below: hour against hour; a perfect fit lies on the line."
+    )
+    return Figure(
+        name, quantity.title, caption,
+        (
+            _over_time(quantity, name, boundary), _residuals(quantity, name, boundary),
+            *(_scatter(quantity, name, part, hours) for part in parts),
+        ),
+        2,
+        {
+            f"{name}-days": _series(days),
+            f"{name}-residuals": _errors(days),
+            **{f"{name}-{part}": _points(hours[part]) for part in parts},
+        },
+    )
+
+
+class _Sums(NamedTuple):
+    times: NDArray[np.int64]
+    measured: Values
+    simulated: Values
+
+
+def _sums(
+    quantity: _Quantity, record: Record, steps: NDArray[np.bool_], measured: Values,
+    simulated: Values, over_s: int,
+) -> _Sums:
+    seconds = record.seconds[steps]
+    numbers, counts = np.unique(seconds // over_s, return_counts=True)
+    divisor = np.ones(len(counts)) if quantity.total else counts
+    return _Sums(
+        numbers * over_s,
+        sums(measured[steps], seconds, over_s) / divisor,
+        sums(simulated[steps], seconds, over_s) / divisor,
+    )
+
+
+def _series(days: dict[str, _Sums]) -> Rows:
+    return [
+        {"t": int(time) * 1000, "series": series, "part": part, "v": short(float(value))}
+        for part, one in days.items()
+        for series, values in ((MEASURED, one.measured), (SIMULATED, one.simulated))
+        for time, value in zip(one.times, values, strict=True)
+    ]
+
+
+def _errors(days: dict[str, _Sums]) -> Rows:
+    return [
+        {"t": int(time) * 1000, "part": part, "v": short(float(value))}
+        for part, one in days.items()
+        for time, value in zip(one.times, one.simulated - one.measured, strict=True)
+    ]
+
+
+def _points(hours: _Sums) -> Rows:
+    largest = max(float(np.max(hours.measured, initial=0.0)),
+                  float(np.max(hours.simulated, initial=0.0)))
+    seen = np.maximum(hours.measured, hours.simulated) > _SEEN * largest
+    return [
+        {"m": short(float(one)), "s": short(float(other))}
+        for one, other in zip(hours.measured[seen], hours.simulated[seen], strict=True)
+    ]
+
+
+_TIME = alt.X("t:T", title=None, scale=alt.Scale(type="utc"),
+              axis=alt.Axis(tickCount=8, format="%d %b %y"))
+_WHEN = alt.Tooltip("t:T", title="day", timeUnit="utcyearmonthdate", format="%Y-%m-%d")
+
+
+def _boundary(at: float | None) -> list[alt.Chart]:
+    if at is None:
+        return []
+    return [
+        alt.Chart(alt.InlineData([{"t": at}])).mark_rule(strokeDash=[4, 3], color="#555555")
+        .encode(x=alt.X("t:T", scale=alt.Scale(type="utc")))
+    ]
+
+
+def _over_time(quantity: _Quantity, name: str, boundary: float | None) -> Panel:
+    lines = alt.Chart(alt.NamedData(f"{name}-days")).mark_line(
+        clip=True, strokeWidth=1.2, interpolate="step-after"
+    ).encode(
+        x=_TIME, y=alt.Y("v:Q", title=quantity.per_day, scale=alt.Scale(zero=quantity.total)),
+        tooltip=["series:N", _WHEN, alt.Tooltip("v:Q", title=quantity.per_day, format=".4~g")],
+        **distinct("series", [MEASURED, SIMULATED], ""),
+    )
+    return Panel(
+        alt.layer(*_boundary(boundary), lines), "Measured and simulated",
+        hover=hover_points(lines), toggle="series", zoom=True,
+    )
+
+
+def _residuals(quantity: _Quantity, name: str, boundary: float | None) -> Panel:
+    bars = alt.Chart(alt.NamedData(f"{name}-residuals")).mark_line(
+        clip=True, strokeWidth=1.2, interpolate="step-after"
+    ).encode(
+        x=_TIME, y=alt.Y("v:Q", title=f"too much {quantity.per_day}"),
+        tooltip=["part:N", _WHEN, alt.Tooltip("v:Q", title="too much", format=".4~g")],
+        **distinct("part", [FITTED, VALIDATED], ""),
+    )
+    return Panel(
+        alt.layer(*_boundary(boundary), bars), "Residuals", hover=hover_points(bars),
+        toggle="part", zoom=True,
+    )
+
+
+def _scatter(
+    quantity: _Quantity, name: str, part: str, hours: dict[str, _Sums]
+) -> Panel:
+    both = [series for one in hours.values() for series in (one.measured, one.simulated)]
+    low = 0.0 if quantity.total else min(float(np.min(one, initial=np.inf)) for one in both)
+    high = max(float(np.max(one, initial=0.0)) for one in both)
+    scale = alt.Scale(domain=[low, high], nice=True)
+    line = alt.Chart(alt.InlineData([{"v": low}, {"v": high}])).mark_line(
+        color="#888888", strokeWidth=1
+    ).encode(x="v:Q", y="v:Q")
+    points = alt.Chart(alt.NamedData(f"{name}-{part}")).mark_point(
+        size=14, filled=True, opacity=0.5, color=COLOURS[part == VALIDATED]
+    ).encode(
+        x=alt.X("m:Q", title=f"measured {quantity.per_hour}", scale=scale),
+        y=alt.Y("s:Q", title=f"simulated {quantity.per_hour}", scale=scale),
+        tooltip=[alt.Tooltip("m:Q", title=MEASURED), alt.Tooltip("s:Q", title=SIMULATED)],
+    )
+    return Panel(alt.layer(line, points), f"Hour by hour: {part}", height=300)

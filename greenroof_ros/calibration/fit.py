@@ -1,0 +1,353 @@
+"""The fit: which parameters a record can tell, their values, and how certain they are."""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import qr
+from scipy.optimize import OptimizeResult, least_squares
+from scipy.stats import t as student
+
+from greenroof_ros.calibration.meter import least_reading, through_meter
+from greenroof_ros.calibration.record import Record, Values, sums
+from greenroof_ros.calibration.simulation import Simulated, simulate
+from greenroof_ros.model.site import Site
+
+Steps = NDArray[np.bool_]
+
+# Sums over less are the sensors' quantum and the roof's minutes; longer ones lose the peaks.
+_SUM_S = 3600
+# Residuals that belong together: what a storm does to a roof is forgotten after about a week.
+_WEEK_S = 7 * 86400
+# In standard deviations of what was measured: beyond it a residual counts in proportion, no longer
+# by its square.
+_ROBUST_FROM = 10.0
+_CONFIDENCE = 0.95
+# Of its range, a parameter moves the simulation too little, or only as others do together.
+_TELLS_NOTHING = 1e-3
+# Shares of their ranges at which the search may begin.
+_GRID = {
+    "field_capacity": (0.2, 0.45, 0.7),
+    "crop_coefficient": (0.1, 0.25, 0.45, 0.7),
+    "depletion_fraction": (0.3, 0.85),
+}
+_STEP = 1e-3
+# A half of its interval this large, as a share of the parameter or of its range, says little.
+_HARDLY = 0.5
+_END = 0.005
+FILLED = "filled"
+
+
+@dataclass(frozen=True)
+class Range:
+    """What a parameter may be.
+
+    Attributes:
+        name: of a site's parameter, or ``filled``: the share of the available water that is on the
+            roof when the record begins.
+        low: least value.
+        high: greatest value.
+        typical: where the search begins if a site has no such parameter.
+        logarithmic: whether its ratios count, not its differences.
+    """
+
+    name: str
+    low: float
+    high: float
+    typical: float
+    logarithmic: bool = False
+
+    def share(self, value: float) -> float:
+        """Return where a value lies between the ends, 0 to 1."""
+        if self.logarithmic:
+            return math.log(value / self.low) / math.log(self.high / self.low)
+        return (value - self.low) / (self.high - self.low)
+
+    def value(self, share: float) -> float:
+        """Return the value at a share, the inverse of :meth:`share`."""
+        if self.logarithmic:
+            return float(self.low * (self.high / self.low) ** share)
+        return float(self.low + share * (self.high - self.low))
+
+
+def ranges(site: Site, record: Record) -> list[Range]:
+    """Return what is to be fitted.
+
+    Field capacity and wilting point never cross: what the driest level leaves is above the wilting
+    point. That of the drainage layer's storage is not among them: its outflow k V^2 depends on
+    storage times time constant alone, as long as it is not full.
+    """
+    driest = 0.1
+    if record.level is not None:
+        driest = float(np.nanquantile(record.level, 0.01)) / site.z_soil + 0.02
+    wilting = Range("wilting_point", 0.0, min(0.3, max(0.03, driest)), 0.02)
+    if record.level is None:
+        wilting = replace(wilting, high=max(wilting.high, (site.wilting_point or 0.0) + 0.01))
+    return [
+        Range("field_capacity", wilting.high + 0.01, 0.9, max(0.35, wilting.high + 0.1)),
+        wilting,
+        Range("depletion_fraction", 0.0, 0.95, 0.5),
+        Range("drainage_time", 10.0, 2e4, 600.0, logarithmic=True),
+        Range("crop_coefficient", 0.1, 2.5, 1.0),
+        Range(FILLED, 0.0, 1.0, 0.5),
+    ]
+
+
+# m, within the 0.002 to 0.04 of drainage mats and gravel, and not full in an ordinary storm.
+_TYPICAL_STORAGE = 0.02
+
+
+def measured_roof(site: Site) -> Site:
+    """Return a site as a measured roof: with typical values of what it has not."""
+    if site.field_capacity is None:
+        site = replace(
+            site, field_capacity=0.35, wilting_point=0.02, depletion_fraction=0.5,
+            z_cap=site.a2 * site.z_soil * 0.35,
+        )
+    if site.drainage_storage is None:
+        site = replace(site, drainage_storage=_TYPICAL_STORAGE, drainage_time=600.0)
+    return site
+
+
+class Parameter(NamedTuple):
+    """A parameter after the fit."""
+
+    name: str
+    value: float
+    low: float
+    """of the 95 % interval; NaN where the data cannot tell"""
+    high: float
+    words: str
+    """empty where the data tell it, otherwise why not"""
+
+    @property
+    def told(self) -> bool:
+        """Whether the data say what it is."""
+        return not np.isnan(self.low)
+
+
+class Fit(NamedTuple):
+    """A site fitted to a record."""
+
+    site: Site
+    filled: float
+    parameters: list[Parameter]
+    simulated: Simulated
+    """of the whole record, as its meter would show it"""
+
+
+def with_values(site: Site, values: dict[str, float]) -> tuple[Site, float]:
+    """Return a site with other parameters, and the share that is filled at first."""
+    own = {name: value for name, value in values.items() if name != FILLED}
+    field_capacity = own.get("field_capacity", site.field_capacity)
+    assert field_capacity is not None
+    # z_cap is what the field capacity makes it.
+    own["z_cap"] = site.a2 * site.z_soil * field_capacity
+    return replace(site, **own), values[FILLED]  # type: ignore[arg-type]
+
+
+def fit(
+    site: Site, record: Record, steps: Steps, progress: Callable[[], None] = lambda: None
+) -> Fit:
+    """Fit a measured roof to some steps of a record.
+
+    The sums over hours of what ran off, and the means of hours of the level, are brought near to
+    what was measured: by least squares within bounds, with a loss that grows only in proportion
+    beyond ten standard deviations of what was measured ("soft_l1"), so that a broken sensor does
+    not decide. What is simulated is taken as the record's meter would show it. The search begins at
+    the best of a coarse grid.
+
+    Parameters that the record cannot tell stay as the site has them: those whose column of the
+    Jacobian, over their range, is small or a sum of others' (QR with column pivoting; Golub and Van
+    Loan, Matrix Computations, 5.5.7). Intervals are those of the jackknife that leaves out one week
+    after the other (Tukey; Efron 1982, doi:10.1137/1.9781611970319), so that residuals of one week
+    may depend on each other, with Student's t of as many degrees of freedom as there are weeks,
+    less one.
+
+    Args:
+        site: where the search begins, and what is held.
+        record: what was measured.
+        steps: that count; the roof is simulated through all.
+        progress: called after each simulation.
+    """
+    site = measured_roof(site)
+    every = ranges(site, record)
+    start = {one.name: _begin(site, one) for one in every}
+    compare = _Comparison(record, steps)
+
+    least = least_reading(record)
+
+    def differences(values: dict[str, float], least: float = least) -> Values:
+        progress()
+        fitted, filled = with_values(site, values)
+        return compare(_shown(simulate(fitted, record, filled), least))
+
+    def moved(free: Sequence[Range], shares: Values) -> dict[str, float]:
+        return start | {one.name: one.value(at) for one, at in zip(free, shares, strict=True)}
+
+    def tell_apart() -> tuple[list[Range], list[tuple[Range, str]]]:
+        shares = np.array([one.share(start[one.name]) for one in every])
+        # Without the meter, whose steps would make equal columns differ.
+        return _tell_apart(
+            every, _jacobian(lambda near: differences(moved(every, near), 0.0), shares)
+        )
+
+    def solve(free: Sequence[Range]) -> OptimizeResult:
+        found = least_squares(
+            lambda shares: differences(moved(free, shares)),
+            [one.share(start[one.name]) for one in free],
+            bounds=(0.0, 1.0), diff_step=_STEP, loss="soft_l1", f_scale=_ROBUST_FROM,
+            xtol=1e-8, ftol=1e-9, max_nfev=60,
+        )
+        start.update({one.name: one.value(at) for one, at in zip(free, found.x, strict=True)})
+        return found
+
+    telling, _ = tell_apart()
+    start.update(_scan(telling, start, differences))
+    solve(telling)
+    # Once more where the roof now is: what tells there may differ from where the search began.
+    telling, held = tell_apart()
+    start.update({one.name: getattr(site, one.name, one.typical) for one, _ in held})
+    found = solve(telling)
+    half = _half_intervals(found.jac, found.fun, compare.weeks)
+    parameters = [
+        _judged(one, share, width)
+        for one, share, width in zip(telling, found.x.tolist(), half.tolist(), strict=True)
+    ] + [Parameter(one.name, start[one.name], np.nan, np.nan, why) for one, why in held]
+    order = [one.name for one in every]
+    parameters.sort(key=lambda one: order.index(one.name))
+    fitted, filled = with_values(site, start)
+    simulated = _shown(simulate(fitted, record, filled), least)
+    return Fit(fitted, filled, parameters, simulated)
+
+
+def _shown(simulated: Simulated, least: float) -> Simulated:
+    return simulated._replace(runoff=through_meter(simulated.runoff, least))
+
+
+def _begin(site: Site, one: Range) -> float:
+    """Return where the search begins: within the range, not at its ends."""
+    share = one.share(max(one.low, getattr(site, one.name, one.typical)))
+    return one.value(min(max(share, 0.01), 0.99))
+
+
+def _scan(
+    telling: Sequence[Range], start: dict[str, float],
+    residuals: Callable[[dict[str, float]], Values],
+) -> dict[str, float]:
+    """Return the values of a coarse grid from which the search begins.
+
+    A large store that evaporates little and a small one that evaporates much leave a ridge between
+    them that no search from one side crosses.
+    """
+    known = {one.name: one for one in telling}
+    grid = [
+        [known[name].value(share) for share in shares] if name in known else [start[name]]
+        for name, shares in _GRID.items()
+    ]
+    tried = [start | dict(zip(_GRID, values, strict=True)) for values in itertools.product(*grid)]
+
+    def cost(values: dict[str, float]) -> float:
+        squares = (residuals(values) / _ROBUST_FROM) ** 2
+        return float(np.sum(np.sqrt(1 + squares) - 1))
+
+    return min([start, *tried], key=cost)
+
+
+class _Comparison:
+    """Turns a simulation into residuals, in standard deviations of what was measured."""
+
+    def __init__(self, record: Record, steps: Steps) -> None:
+        self._steps = steps & record.known
+        self._seconds = record.seconds[self._steps]
+        self._over = max(_SUM_S, round(record.step_s))
+        self._names = tuple(record.measured)
+        self._measured = [self._hours(record.measured[name][self._steps]) for name in self._names]
+        self._spread = [float(np.std(series)) or 1.0 for series in self._measured]
+        hours = np.unique(self._seconds // self._over) * self._over
+        self.weeks = np.tile(hours // _WEEK_S, len(self._names))
+
+    def _hours(self, values: Values) -> Values:
+        return sums(values, self._seconds, self._over)
+
+    def __call__(self, simulated: Simulated) -> Values:
+        return np.concatenate([
+            (self._hours(getattr(simulated, name)[self._steps]) - measured) / spread
+            for name, measured, spread in zip(
+                self._names, self._measured, self._spread, strict=True
+            )
+        ])
+
+
+def _jacobian(residuals: Callable[[Values], Values], shares: Values) -> Values:
+    """Return how residuals change along the whole of each range, shape (n, ranges)."""
+    base = residuals(shares)
+    columns = []
+    for place, share in enumerate(shares):
+        moved = shares.copy()
+        moved[place] += _STEP if share < 0.5 else -_STEP
+        columns.append((residuals(moved) - base) / (moved[place] - share))
+    return np.column_stack(columns)
+
+
+def _tell_apart(
+    every: Sequence[Range], jacobian: Values
+) -> tuple[list[Range], list[tuple[Range, str]]]:
+    """Split parameters into those that the data tell, and those they do not, with the reason."""
+    _, triangle, order = qr(jacobian, mode="economic", pivoting=True)
+    size = np.abs(np.diag(triangle))
+    telling = [every[place] for place in order[size > _TELLS_NOTHING * size[0]]]
+    held = []
+    lengths = np.linalg.norm(jacobian, axis=0)
+    for place in order[size <= _TELLS_NOTHING * size[0]]:
+        if lengths[place] <= _TELLS_NOTHING * size[0]:
+            why = "the data do not depend on it"
+        else:
+            names = [one.name for one in telling]
+            columns = jacobian[:, [every.index(one) for one in telling]]
+            weights = np.linalg.lstsq(columns, jacobian[:, place], rcond=None)[0]
+            parts = np.abs(weights) * np.linalg.norm(columns, axis=0)
+            with_whom = [name for name, part in zip(names, parts, strict=True)
+                         if part > 0.1 * lengths[place]]
+            why = f"the data cannot tell it apart from {' and '.join(with_whom)}"
+        held.append((every[place], why))
+    telling.sort(key=every.index)
+    return telling, held
+
+
+def _half_intervals(jacobian: Values, residuals: Values, weeks: NDArray[np.int64]) -> Values:
+    """Return half of each parameter's interval, from fits that leave out a week each.
+
+    Those are linear: to leave out a week with Jacobian J_g and residuals r_g moves the parameters
+    by (J'J - J_g'J_g)^-1 J_g' r_g.
+    """
+    # scipy's Jacobian is scaled for the robust loss, and residuals are not: by (1 + z)^(1/4), so
+    # that their product is the gradient, in which a residual counts by (1 + z)^(-1/2).
+    residuals = residuals * (1 + (residuals / _ROBUST_FROM) ** 2) ** 0.25
+    normal = jacobian.T @ jacobian
+    moves = []
+    for week in np.unique(weeks):
+        own = jacobian[weeks == week]
+        moves.append(np.linalg.pinv(normal - own.T @ own) @ (own.T @ residuals[weeks == week]))
+    count = len(moves)
+    variance = np.var(moves, axis=0) * (count - 1)
+    quantile = student.ppf((1 + _CONFIDENCE) / 2, max(1, count - 1))
+    return np.asarray(quantile * np.sqrt(variance))
+
+
+def _judged(one: Range, share: float, half: float) -> Parameter:
+    """Return a parameter with its interval, and in words what is wrong with it."""
+    value = one.value(share)
+    low, high = (one.value(max(0.0, min(1.0, end))) for end in (share - half, share + half))
+    words = ""
+    if not _END < share < 1 - _END:
+        words = f"at the end of what it may be ({one.low:.3g} to {one.high:.3g})"
+    elif high - low > _HARDLY * 2 * abs(value) or half > _HARDLY:
+        words = "the data hardly tell it"
+    return Parameter(one.name, value, low, high, words)

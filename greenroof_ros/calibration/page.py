@@ -1,0 +1,71 @@
+"""The page of a calibration: one file that needs nothing but a browser."""
+
+from __future__ import annotations
+
+import importlib.resources
+from collections.abc import Mapping, Sequence
+from typing import NamedTuple
+
+import jinja2
+import numpy as np
+
+from greenroof_ros.calibration.fit import FILLED, Fit
+from greenroof_ros.calibration.record import Record
+from greenroof_ros.calibration.scores import ScoreRow, time_name
+from greenroof_ros.common.versions import versions
+from greenroof_ros.model.site import site_parameters
+from greenroof_ros.report.drawing import Figure
+from greenroof_ros.report.page import library, payload
+
+
+class _ParameterRow(NamedTuple):
+    name: str
+    unit: str
+    value: str
+    interval: str
+    words: str
+    meaning: str
+
+
+def render(
+    record: Record, fit: Fit, scores: Sequence[ScoreRow], figures: Sequence[Figure],
+    site_file: str, spans: Mapping[str, str],
+) -> str:
+    """Return the page.
+
+    Args:
+        record: that was fitted.
+        fit: the result.
+        scores: of each quantity, in the fit and in the validation.
+        figures: in the order in which they appear.
+        site_file: that was written.
+        spans: from when to when each part is.
+    """
+    environment = jinja2.Environment(
+        autoescape=True, trim_blocks=True, lstrip_blocks=True, undefined=jinja2.StrictUndefined
+    )
+    text = importlib.resources.files(__package__).joinpath("page.html").read_text("utf-8")
+    sites = {one.symbol: one for one in site_parameters()}
+    parameters = [
+        _ParameterRow(
+            one.name,
+            "1" if one.name == FILLED else sites[one.name].unit,
+            f"{one.value:.4g}",
+            f"{one.low:.4g} to {one.high:.4g}" if one.told else "",
+            one.words,
+            "share of the available water on the roof when the record begins"
+            if one.name == FILLED else sites[one.name].meaning,
+        )
+        for one in fit.parameters
+    ]
+    return environment.from_string(text).render(
+        source=str(record.source), parameters=parameters, scores=scores, figures=figures,
+        times=list(scores[0].scores.nse), time_name=time_name, shown=_shown, site_file=site_file,
+        spans=spans, rain=f"{float(np.nansum(record.rain)):.4g}",
+        step=time_name(round(record.step_s)), versions=versions(),
+        library=library(), payload=payload(figures),
+    )
+
+
+def _shown(value: float, form: str) -> str:
+    return "-" if np.isnan(value) else format(value, form)

@@ -1,0 +1,87 @@
+"""How near a simulated series comes to a measured one."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from greenroof_ros.calibration.record import Values, sums
+
+HOUR_S, DAY_S = 3600, 86400
+
+
+class Scores(NamedTuple):
+    """Of one series.
+
+    The efficiencies are those of sums over a time (s), by that time: 1 is perfect, and an NSE of 0
+    no better than the mean of what was measured.
+    """
+
+    nse: dict[int, float]
+    """Nash and Sutcliffe 1970, doi:10.1016/0022-1694(70)90255-6, Eq. 3"""
+    kge: dict[int, float]
+    """Gupta et al. 2009, doi:10.1016/j.jhydrol.2009.08.003, Eq. 9"""
+    volume_error: float
+    """what is simulated too much in all, as a share of what was measured"""
+
+
+class ScoreRow(NamedTuple):
+    """A line of the table of scores."""
+
+    quantity: str
+    part: str
+    scores: Scores
+
+
+def time_name(seconds: int) -> str:
+    """Name a time: ``5 min``, ``1 h``, ``1 day``."""
+    for unit, size in (("day", 86400), ("h", 3600), ("min", 60)):
+        if seconds % size == 0:
+            return f"{seconds // size} {unit}"
+    return f"{seconds} s"
+
+
+def efficiency(simulated: Values, measured: Values) -> float:
+    """NSE: 1 less the squared errors over the squared deviations from the measured mean.
+
+    NaN where what was measured does not vary: nothing can be judged by it.
+    """
+    if np.ptp(measured) == 0:
+        return float("nan")
+    errors = np.sum((simulated - measured) ** 2)
+    return float(1 - errors / np.sum((measured - np.mean(measured)) ** 2))
+
+
+def kling_gupta(simulated: Values, measured: Values) -> float:
+    """KGE: 1 less the distance of correlation, spread ratio and mean ratio from (1, 1, 1).
+
+    NaN where either does not vary, as there is no correlation then.
+    """
+    if np.ptp(measured) == 0 or np.ptp(simulated) == 0:
+        return float("nan")
+    correlation = np.corrcoef(simulated, measured)[0, 1]
+    spread = np.std(simulated) / np.std(measured)
+    mean = np.mean(simulated) / np.mean(measured)
+    return float(1 - np.sqrt((correlation - 1) ** 2 + (spread - 1) ** 2 + (mean - 1) ** 2))
+
+
+def score(
+    simulated: Values, measured: Values, seconds: NDArray[np.int64], step_s: float
+) -> Scores:
+    """Score a series by its steps, hours and days.
+
+    Args:
+        simulated: shape (n,).
+        measured: the same steps, without NaN.
+        seconds: start of each on a clock, since 1970-01-01.
+        step_s: duration of a step (s).
+    """
+    nses, kges = {}, {}
+    for over_s in dict.fromkeys((round(step_s), HOUR_S, DAY_S)):
+        ours, theirs = sums(simulated, seconds, over_s), sums(measured, seconds, over_s)
+        nses[over_s], kges[over_s] = efficiency(ours, theirs), kling_gupta(ours, theirs)
+    total = float(np.sum(measured))
+    error = float(np.sum(simulated)) / total - 1 if total > 0 else np.nan
+    return Scores(nses, kges, error)

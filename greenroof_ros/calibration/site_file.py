@@ -1,0 +1,83 @@
+"""The site file of a fitted roof: the one it began with, its fitted lines replaced."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+
+from greenroof_ros.calibration.fit import FILLED, Fit, Parameter
+from greenroof_ros.model.pump_curve import PumpCurve
+from greenroof_ros.model.site import site_parameters
+
+_COMMENT = 30
+# Written in this order where the file has none of them.
+_ROOF = (
+    "field_capacity", "wilting_point", "z_cap", "depletion_fraction", "drainage_storage",
+    "drainage_time", "crop_coefficient",
+)
+
+
+def fitted_site_file(
+    text: str, fit: Fit, heading: Sequence[str], pump: PumpCurve | None = None
+) -> str:
+    """Return the text of a site file with the fitted roof in it.
+
+    Each line of the roof has its value, its unit, and the interval of the fit or why the record
+    cannot tell it; every other line stays as it is.
+
+    Args:
+        text: of the site file that the fit began with.
+        fit: its result.
+        heading: lines about the record and the scores, for the top.
+        pump: of the data sheet, if the pumps were fitted, too.
+    """
+    lines = _lines(fit)
+    if pump is not None:
+        comment = "fitted to points of the data sheet"
+        lines["a_hat"] = _line("a_hat", f"{pump.a_hat:.6g}", "s2/m5", comment)
+        lines["c_hat"] = _line("c_hat", f"{pump.c_hat:.6g}", "m", comment)
+    kept: list[str] = []
+    written: set[str] = set()
+    continued = False
+    for line in text.splitlines():
+        key = re.match(r"(\w+)\s*:", line)
+        if key and key[1] in lines:
+            kept.append(lines[key[1]])
+            written.add(key[1])
+            continued = True
+        elif not (continued and re.match(r"\s+#", line)):
+            kept.append(line)
+            continued = False
+    missing = [name for name in _ROOF if name in lines and name not in written]
+    if missing:
+        kept += ["", "# The measured roof", *(lines[name] for name in missing)]
+    return "\n".join([*(f"# {line}" for line in heading), "", *kept]) + "\n"
+
+
+def _lines(fit: Fit) -> dict[str, str]:
+    """Return the line of each parameter of the roof."""
+    units = {one.symbol: one.unit for one in site_parameters()}
+    told = {one.name: one for one in fit.parameters if one.name != FILLED}
+    lines = {}
+    for name in _ROOF:
+        value = getattr(fit.site, name)
+        if name == "z_cap":
+            capacity = float(f"{fit.site.field_capacity:.6g}")
+            value = fit.site.a2 * fit.site.z_soil * capacity
+            number, comment = f"{value:.10g}", "a2 z_soil field_capacity"
+        else:
+            number = f"{value:.6g}"
+            comment = _comment(told[name]) if name in told else "as it was, not fitted"
+        lines[name] = _line(name, number, units[name], comment)
+    return lines
+
+
+def _line(name: str, number: str, unit: str, comment: str) -> str:
+    return f"{f'{name}: {number}':<{_COMMENT}}# {unit:<7} {comment}"
+
+
+def _comment(one: Parameter) -> str:
+    if not one.told:
+        return f"as it was: {one.words}"
+    interval = f"fitted, {one.low:.4g} to {one.high:.4g} (95 %)"
+    return f"{interval}; {one.words}" if one.words else interval

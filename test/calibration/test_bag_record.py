@@ -1,0 +1,68 @@
+"""Bags as measured records: sums over five minutes of what holds from message to message."""
+
+from __future__ import annotations
+
+import struct
+from pathlib import Path
+
+import numpy as np
+import pytest
+from twins import TWIN
+
+from greenroof_ros.calibration.bag_record import read_bag_record
+from greenroof_ros.common.errors import ConfigurationError
+from greenroof_ros.common.interface import read_topics
+from greenroof_ros.recording.bag_writer import BagWriter
+
+START_NS = 1625641200 * 10**9  # 2021-07-07T07:00 UTC, by date -d
+TOPICS = (
+    "/roof/level", "/cistern/level", "/pump/command", "/pump/flow", "/weather/precipitation",
+    "/weather/evapotranspiration", "/roof/drainage",
+)
+
+
+def write_bag(directory: Path, seconds: list[int], drainage: float) -> Path:
+    """Write a bag in which it rains 36 mm/h, and in the first minute nothing is pumped."""
+    interface = read_topics()
+    writer = BagWriter(directory, [interface[name] for name in TOPICS])
+    for now in seconds:
+        values = (0.02 + now * 1e-6, 2.0, 0.5, 0.0 if now < 60 else 0.002, 1e-5, 1e-5, drainage)
+        writer.write_tick(
+            START_NS + now * 10**9,
+            [b"\x00\x01\x00\x00" + struct.pack("<d", value) for value in values],
+        )
+    writer.close()
+    return directory
+
+
+def test_sums_of_five_minutes(tmp_path: Path) -> None:
+    """Off 100 m2: 1e-5 m/s are 3 mm in 300 s, 2 l/s 6 mm, and 1e-4 m3/s 0.3 mm."""
+    bag = write_bag(tmp_path / "bag", list(range(0, 1810, 10)), 1e-4)
+    record = read_bag_record(bag, TWIN)
+    assert record.start.isoformat() == "2021-07-07T08:00:00+01:00"
+    assert record.step_s == 300.0
+    assert record.rain == pytest.approx(np.full(6, 3.0))
+    assert record.pumped == pytest.approx([4.8, *[6.0] * 5])
+    assert record.runoff == pytest.approx(np.full(6, 0.3))
+    assert record.level == pytest.approx(0.02 + 300e-6 * np.arange(6))
+    # The bag's has the site's crop coefficient, the reference has not: 0.03 mm / 0.85.
+    assert record.reference == pytest.approx(np.full(6, 0.03 / 0.85))
+
+
+def test_a_gap_is_no_rain(tmp_path: Path) -> None:
+    """Nothing from 10 to 40 minutes: those six steps are empty."""
+    bag = write_bag(tmp_path / "bag", [*range(0, 610, 10), *range(2400, 3610, 10)], 1e-4)
+    record = read_bag_record(bag, TWIN)
+    assert np.flatnonzero(np.isnan(record.rain)).tolist() == [2, 3, 4, 5, 6, 7]
+    assert np.flatnonzero(np.isnan(record.level)).tolist() == [2, 3, 4, 5, 6, 7]
+
+
+def test_without_drainage_levels_count_alone(tmp_path: Path) -> None:
+    record = read_bag_record(write_bag(tmp_path / "bag", list(range(0, 910, 10)), 0.0), TWIN)
+    assert list(record.measured) == ["level"]
+
+
+def test_a_bag_of_minutes_is_too_short(tmp_path: Path) -> None:
+    bag = write_bag(tmp_path / "bag", list(range(0, 500, 10)), 0.0)
+    with pytest.raises(ConfigurationError, match="is 490 s long; it must have two steps of 300 s"):
+        read_bag_record(bag, TWIN)

@@ -1,0 +1,147 @@
+"""The fit finds the roof that made a record, and says what it cannot find."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from browsers import started_browser
+from recover_twins import ELSEWHERE, recover, true_value
+from twins import TWIN, record_rows, write
+
+from greenroof_ros.calibration.csv_record import read_csv_record
+from greenroof_ros.calibration.fit import fit
+from greenroof_ros.calibration.halves import halve
+from greenroof_ros.calibration.record import Record
+from greenroof_ros.common.files import shared_directory
+from greenroof_ros.model.site import read_site
+
+DAYS = 45
+
+
+@pytest.fixture(scope="module")
+def record(tmp_path_factory: pytest.TempPathFactory) -> Record:
+    file = tmp_path_factory.mktemp("twin") / "twin.csv"
+    return read_csv_record(write(record_rows(TWIN, DAYS, 2), file), TWIN)
+
+
+def test_a_twin_is_recovered(tmp_path: Path) -> None:
+    """From two months, with noise of 2 mm and gaps; ten years of them are a campaign's."""
+    parameters = recover(DAYS, 2, tmp_path)
+    assert {one.name for one in parameters if one.told} == {
+        "field_capacity", "wilting_point", "depletion_fraction", "drainage_time",
+        "crop_coefficient", "filled",
+    }
+    for one in parameters:
+        assert one.low <= true_value(one.name) <= one.high, one
+        assert one.value == pytest.approx(true_value(one.name), rel=0.05), one
+
+
+def test_runoff_alone_tells_only_what_the_soil_holds_between(record: Record) -> None:
+    """Field capacity and wilting point count by their difference; the level tells them apart."""
+    found = fit(ELSEWHERE, replace(record, level=None), record.known)
+    by_name = {one.name: one for one in found.parameters}
+    assert not by_name["wilting_point"].told
+    assert "cannot tell it apart from field_capacity" in by_name["wilting_point"].words
+    assert by_name["wilting_point"].value == pytest.approx(0.02)
+    true = TWIN.field_capacity - TWIN.wilting_point
+    assert by_name["field_capacity"].value - 0.02 == pytest.approx(true, rel=0.05)
+
+
+def test_levels_alone_tell_nothing_of_the_drainage_layer(record: Record) -> None:
+    found = fit(ELSEWHERE, replace(record, runoff=None), record.known)
+    by_name = {one.name: one for one in found.parameters}
+    assert by_name["drainage_time"].words == "the data do not depend on it"
+    assert by_name["drainage_time"].value == pytest.approx(300.0)
+    assert by_name["field_capacity"].value == pytest.approx(TWIN.field_capacity, rel=0.03)
+
+
+def test_a_dead_day_of_a_sensor_does_not_decide(record: Record) -> None:
+    """A level that reads 8 cm too much for a day, among sixty: the loss is robust."""
+    level = record.level.copy()
+    level[20 * 288:21 * 288] += 0.08
+    found = fit(ELSEWHERE, replace(record, level=level), record.known)
+    field_capacity = next(one for one in found.parameters if one.name == "field_capacity")
+    assert field_capacity.value == pytest.approx(TWIN.field_capacity, rel=0.03)
+
+
+def test_halves_have_the_same_water_and_no_storm_in_common(record: Record) -> None:
+    halves = halve(record, record.known)
+    assert not np.any(halves.earlier & halves.later)
+    assert np.array_equal(halves.earlier | halves.later, record.known)
+    first = int(np.argmax(halves.later))
+    assert record.rain[first - 287:first].sum() == 0
+    share = np.sum(record.rain[halves.earlier]) / np.sum(record.rain[record.known])
+    assert 0.5 <= share < 0.7
+
+
+@pytest.fixture(scope="module")
+def fitted(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A directory in which the command has run on a twin, from the paper's site."""
+    directory = tmp_path_factory.mktemp("command")
+    write(record_rows(TWIN, DAYS, 2), directory / "twin.csv")
+    text = (shared_directory() / "config" / "site.yaml").read_text(encoding="utf-8")
+    for was, now in (
+        ("a2: 68.8", "a2: 100.0"), ("x2_star: 3.14416", "x2_star: 2.0"),
+        ("z_veg: 0.0457", "z_veg: 0.02"),
+        ("z_soil: 0.5", "z_soil: 0.1"), ("z_cap: 34.4", "z_cap: 10.0"),
+        ("latitude: 43.63", "latitude: 52.5"), ("longitude: -79.40", "longitude: 13.4"),
+        ("utc_offset: -5.0", "utc_offset: 1.0"),
+    ):
+        assert was in text
+        text = text.replace(was, now)
+    (directory / "site.yaml").write_text(text, encoding="utf-8")
+    # On the curve 50 - 1e6 q^2.
+    (directory / "pump.csv").write_text("flow [m3/s],head [m]\n0,50\n0.002,46\n0.004,34\n")
+    ended = subprocess.run(
+        [sys.executable, "-m", "greenroof_ros.calibrate", "twin.csv", "--site", "site.yaml",
+         "-o", "fitted.yaml", "--pump-data", "pump.csv"],
+        cwd=directory, capture_output=True, text=True, check=False,
+    )
+    assert ended.returncode == 0, ended.stderr
+    assert "runoff, validation" in ended.stdout
+    assert "level sensor: noise 2 mm and drift" in ended.stdout  # as the twin was made
+    return directory
+
+
+def test_the_command_writes_a_site_that_can_be_used(fitted: Path) -> None:
+    site = read_site(fitted / "fitted.yaml")
+    assert site.field_capacity == pytest.approx(TWIN.field_capacity, rel=0.05)
+    assert site.drainage_time == pytest.approx(TWIN.drainage_time, rel=0.1)
+    text = (fitted / "fitted.yaml").read_text(encoding="utf-8")
+    assert text.startswith("# Fitted to twin.csv by python -m greenroof_ros.calibrate.\n")
+    assert "# runoff, validation: NSE " in text
+    assert site.a_hat == pytest.approx(-1e6, rel=1e-5)
+    assert site.c_hat == pytest.approx(50.0, rel=1e-5)
+    assert site.z_pump == 0.15  # what was not fitted stays, with its comment
+    assert "# m       elevation of the pumps above the cistern's base [T1]" in text
+
+
+def test_it_writes_over_nothing(fitted: Path) -> None:
+    ended = subprocess.run(
+        [sys.executable, "-m", "greenroof_ros.calibrate", "twin.csv", "--site", "site.yaml",
+         "-o", "fitted.yaml"], cwd=fitted, capture_output=True, text=True, check=False,
+    )
+    assert ended.returncode == 2
+    assert ended.stderr == "error: --output = 'fitted.yaml': exists; name another file\n"
+
+
+def test_the_page_draws_everything_and_asks_for_nothing(fitted: Path) -> None:
+    with started_browser() as browser:
+        page: Any = browser.new_page(viewport={"width": 1200, "height": 900})
+        asked, wrong = [], []
+        page.on("request", lambda request: asked.append(request.url))
+        page.on("pageerror", lambda error: wrong.append(str(error)))
+        page.goto((fitted / "fitted.html").as_uri())
+        page.wait_for_selector("html[data-drawn='8']", timeout=60_000)
+        assert wrong == []
+        assert [url for url in asked if not url.startswith(("file:", "data:", "blob:"))] == []
+        words = page.inner_text("main")
+        assert "field_capacity" in words
+        assert "Measured and simulated" not in words  # titles are drawn
+        assert page.locator("canvas").count() == 8

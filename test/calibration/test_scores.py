@@ -1,0 +1,60 @@
+"""Scores, against worked figures of others."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from greenroof_ros.calibration.scores import efficiency, kling_gupta, score, time_name
+
+# The example of the documentation of the package HydroErr, and its figures there.
+SIMULATED = np.array([5, 7, 9, 2, 4.5, 6.7])
+
+
+def test_nash_and_sutcliffe() -> None:
+    measured = np.array([4.7, 6, 10, 2.5, 4, 7])
+    assert efficiency(SIMULATED, measured) == pytest.approx(0.922093023255814, rel=1e-12)
+
+
+def test_kling_and_gupta() -> None:
+    measured = np.array([4.7, 6, 10, 2.5, 4, 6.8])
+    assert kling_gupta(SIMULATED, measured) == pytest.approx(0.9181073779138655, rel=1e-12)
+
+
+def test_the_mean_is_worth_0_and_minus_0_41() -> None:
+    """Knoben et al. 2019, doi:10.5194/hess-23-4323-2019: KGE of the mean is 1 - sqrt(2)."""
+    measured = np.tile([1.0, 2.0, 6.0], 1000)
+    mean = np.full(3000, 3.0)
+    almost = mean + 1e-9 * np.tile([1.0, 1.0, -2.0, -1.0, -1.0, 2.0], 500)
+    assert efficiency(mean, measured) == 0.0
+    assert kling_gupta(almost, measured) == pytest.approx(1 - np.sqrt(2), abs=1e-3)
+
+
+def test_nothing_is_judged_by_what_does_not_vary() -> None:
+    assert np.isnan(efficiency(np.array([1.0, 2.0]), np.array([1.0, 1.0])))
+    assert np.isnan(kling_gupta(np.array([1.0, 1.0]), np.array([1.0, 2.0])))
+
+
+def test_longer_sums_forgive_a_delay() -> None:
+    """A day's runoff an hour late: nothing right by the hour, all by the day."""
+    measured = np.zeros(4 * 24)
+    measured[[10, 60]] = 5.0, 2.0
+    seconds = 3600 * np.arange(96)
+    scores = score(np.roll(measured, 1), measured, seconds, 3600.0)
+    assert scores.nse[3600] < 0
+    assert scores.nse[86400] == 1.0
+    assert scores.volume_error == 0.0
+    assert list(scores.nse) == [3600, 86400]
+
+
+def test_volume() -> None:
+    seconds = 300 * np.arange(4)
+    scores = score(np.array([1, 2, 0, 0.9]), np.array([1, 1, 1, 0.0]), seconds, 300.0)
+    assert scores.volume_error == pytest.approx(0.3)
+
+
+@pytest.mark.parametrize(
+    ("seconds", "name"), [(300, "5 min"), (3600, "1 h"), (86400, "1 day"), (90, "90 s")]
+)
+def test_times_have_names(seconds: int, name: str) -> None:
+    assert time_name(seconds) == name

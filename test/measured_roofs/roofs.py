@@ -1,0 +1,104 @@
+"""The two measured roofs, as records of this project's form.
+
+Rain and runoff every five minutes and temperatures of days, from the repository KWB-R/keys.lid
+(Kompetenzzentrum Wasser Berlin, MIT). Their files are not part of this repository.
+"""
+
+from __future__ import annotations
+
+import csv
+import lzma
+from dataclasses import dataclass
+from datetime import datetime
+from pathlib import Path
+
+import numpy as np
+
+from greenroof_ros.calibration.csv_record import read_csv_record
+from greenroof_ros.calibration.record import Record
+from greenroof_ros.model.site import Site
+
+STEP_S = 300
+WARM_MONTHS = (4, 10)
+
+
+@dataclass(frozen=True)
+class Roof:
+    """A measured roof.
+
+    Attributes:
+        name: of its files.
+        rain: file of its rain, and of its runoff.
+        runoff: the same.
+        area: m2.
+        soil: depth of the substrate (m), as the SWMM model of the roof has it.
+        latitude: degrees.
+        longitude: degrees.
+    """
+
+    name: str
+    rain: str
+    runoff: str
+    area: float
+    soil: float
+    latitude: float
+    longitude: float
+
+
+ROOFS = (
+    Roof("neubrandenburg", "neubrandenburg_5min.csv.xz", "neubrandenburg_5min.csv.xz",
+         101.0, 0.108, 53.56, 13.26),
+    Roof("berlin", "berlin_rain_5min.csv.xz", "berlin_runoff_5min.csv.xz",
+         194.0, 0.100, 52.52, 13.40),
+)
+
+
+def read_roof(roof: Roof, directory: Path, site: Site, scratch: Path) -> Record:
+    """Write a roof's record as CSV of this project's form, and read that."""
+    rain = _series(directory / roof.rain, "rain [mm/5min]")
+    runoff = _series(directory / roof.runoff, "runoff [mm/5min]")
+    extremes = temperatures(directory / f"{roof.name}_temperature_daily.txt")
+    # Loggers set their clocks now and then: what falls into one step of the clock is its sum.
+    first = max(min(rain), min(runoff))
+    file = scratch / f"{roof.name}.csv"
+    with file.open("w", newline="", encoding="utf-8") as stream:
+        writer = csv.writer(stream)
+        writer.writerow(["time", "rain [mm]", "runoff [mm]", "least temperature [degC]",
+                         "greatest temperature [degC]"])
+        for slot in range(first, max(rain) + 1):
+            time = datetime.fromisoformat(str(np.datetime64(slot * STEP_S, "s")))
+            greatest, least = extremes[time.date().isoformat()]
+            writer.writerow([
+                time.isoformat(), _cell(rain.get(slot)), _cell(runoff.get(slot)), least, greatest,
+            ])
+    return read_csv_record(file, site)
+
+
+def _cell(value: float | None) -> str:
+    return "" if value is None or np.isnan(value) else repr(value)
+
+
+def _series(file: Path, column: str) -> dict[int, float]:
+    """Return the sum of each five minutes of the clock, NaN where a part is missing."""
+    sums: dict[int, float] = {}
+    with lzma.open(file, "rt", encoding="utf-8") as stream:
+        for row in csv.DictReader(stream):
+            seconds = int(np.datetime64(row["time"], "s").astype(np.int64))
+            value = float(row[column] or "nan")
+            sums[seconds // STEP_S] = sums.get(seconds // STEP_S, 0.0) + value
+    return sums
+
+
+def temperatures(file: Path) -> dict[str, tuple[float, float]]:
+    """Return greatest and least temperature (degC) by date."""
+    found = {}
+    for line in file.read_text(encoding="utf-8").splitlines():
+        _, year, month, day, greatest, least = line.split()
+        found[f"{int(year)}-{int(month):02}-{int(day):02}"] = (float(greatest), float(least))
+    return found
+
+
+def warm(record: Record) -> np.ndarray:
+    """Return which steps are of April to October; what runs off in winter is melted snow."""
+    month = record.times.astype("datetime64[M]").astype(int) % 12 + 1
+    return (month >= WARM_MONTHS[0]) & (month <= WARM_MONTHS[1])

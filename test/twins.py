@@ -1,0 +1,95 @@
+"""Synthetic records of a roof whose parameters are known, with a sensor's noise and gaps."""
+
+from __future__ import annotations
+
+import csv
+from dataclasses import replace
+from datetime import datetime, timedelta
+from pathlib import Path
+
+import numpy as np
+from paper import PAPER_SITE
+
+from greenroof_ros.model.plant import Plant
+from greenroof_ros.model.site import Site
+from greenroof_ros.weather.hargreaves import hargreaves, over_the_day
+
+STEP_S = 300
+NOISE_M = 0.002
+TIP_MM = 0.005
+_DAY = 86400 // STEP_S
+
+TWIN = replace(
+    PAPER_SITE, a2=100.0, z_soil=0.1, z_veg=0.02, x2_star=2.0, field_capacity=0.42,
+    wilting_point=0.06, z_cap=4.2, depletion_fraction=0.35, drainage_storage=0.02,
+    drainage_time=900.0, crop_coefficient=0.85, latitude=52.5, longitude=13.4, utc_offset=1.0,
+)
+"""A roof of 100 m2 that holds 36 mm for its plants."""
+FILLED_AT_FIRST = 0.5
+
+
+def storms(days: int, random: np.random.Generator) -> np.ndarray:
+    """Rain (mm in a step): a storm every three days or so, of 6 mm or so, over hours."""
+    rain = np.zeros(days * _DAY)
+    at = 0.0
+    while True:
+        at += random.exponential(3 * _DAY)
+        length = 2 + int(random.exponential(36))
+        if at + length >= len(rain):
+            return rain
+        shape = random.gamma(0.6, 1.0, length)
+        rain[int(at):int(at) + length] += random.exponential(6.0) * shape / shape.sum()
+
+
+def record_rows(site: Site, days: int, seed: int, *, gaps: bool = True) -> list[list[str]]:
+    """Return the rows of a CSV record, the header first.
+
+    The true roof is stepped by the plant, with the record's step as its tick. Its level is measured
+    with a noise of 2 mm, its runoff by a counter of tips; three gaps of a day leave out both.
+    """
+    random = np.random.default_rng(seed)
+    rain = storms(days, random)
+    start = datetime(2021, 4, 1)  # noqa: DTZ001 - on the clock of the site
+    dates = np.datetime64(start.date()) + np.arange(days)
+    middle = 14 - 10 * np.cos(2 * np.pi * (np.arange(days) + 71) / 365) + random.normal(0, 2, days)
+    least, greatest = middle - 5, middle + 5
+    seconds = (np.datetime64(start, "s") + STEP_S * np.arange(len(rain))).astype(np.int64)
+    day = np.arange(len(rain)) // _DAY
+    reference = over_the_day(
+        hargreaves(site.latitude, dates, least, greatest), site.latitude, seconds, day, STEP_S,
+        site.longitude - 15 * site.utc_offset,
+    )
+    plant = Plant(
+        replace(site, tau=float(STEP_S)), 0.0,
+        site.wilting_volume + FILLED_AT_FIRST * site.available_volume,
+    )
+    level, runoff = [], []
+    for fell, wanted in zip(rain.tolist(), reference.tolist(), strict=True):
+        flows = plant.flows(
+            fell / 1000 / STEP_S, wanted * site.crop_coefficient * site.a2 / 1000 / STEP_S, 0.0
+        )
+        level.append(plant.levels()[1])
+        runoff.append(flows.drainage * STEP_S * 1000 / site.a2)
+        plant.step(fell / 1000 / STEP_S, flows)
+    measured = np.array(level) + random.normal(0, NOISE_M, len(level))
+    tips = np.diff(np.floor(np.concatenate(([0.0], np.cumsum(runoff))) / TIP_MM)) * TIP_MM
+    missing = np.zeros(len(rain), dtype=bool)
+    if gaps:
+        for begin in random.integers(0, len(rain) - _DAY, 3):
+            missing[begin:begin + _DAY] = True
+    rows = [["time", "rain [mm]", "runoff [mm]", "level [m]", "least temperature [degC]",
+             "greatest temperature [degC]"]]
+    for step, fell in enumerate(rain):
+        time = start + timedelta(seconds=STEP_S * step)
+        cells = ["", ""] if missing[step] else [f"{tips[step]:.3f}", f"{measured[step]:.4f}"]
+        rows.append([time.isoformat(), f"{fell:.4f}", *cells,
+                     *([f"{least[day[step]]:.1f}", f"{greatest[day[step]]:.1f}"]
+                       if step % _DAY == 0 else ["", ""])])
+    return rows
+
+
+def write(rows: list[list[str]], file: Path) -> Path:
+    """Write rows as CSV."""
+    with file.open("w", newline="", encoding="utf-8") as stream:
+        csv.writer(stream).writerows(rows)
+    return file

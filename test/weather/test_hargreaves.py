@@ -1,0 +1,60 @@
+"""Hargreaves' equation and the sun, against FAO-56's worked examples."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from greenroof_ros.weather.hargreaves import (
+    extraterrestrial_radiation,
+    hargreaves,
+    over_the_day,
+    sun_height,
+)
+
+
+def test_example_8() -> None:
+    """Ra on 3 September at 20 degrees south: 32.2 MJ/m2 and day."""
+    radiation = extraterrestrial_radiation(-20.0, np.array(["1998-09-03"], dtype="datetime64[D]"))
+    assert radiation == pytest.approx([32.2], abs=0.05)
+
+
+def test_example_20() -> None:
+    """Lyon in July, 14.8 to 26.6 degC, by Eq. 52: 5.0 mm/day; Ra is that of 15 July, 40.6."""
+    day = np.array(["1998-07-15"], dtype="datetime64[D]")
+    assert extraterrestrial_radiation(45 + 43 / 60, day) == pytest.approx([40.6], abs=0.05)
+    depth = hargreaves(45 + 43 / 60, day, np.array([14.8]), np.array([26.6]))
+    assert depth == pytest.approx([5.0], abs=0.05)
+
+
+def test_no_evapotranspiration_in_hard_frost() -> None:
+    day = np.array(["2019-01-20"], dtype="datetime64[D]")
+    assert hargreaves(52.5, day, np.array([-30.0]), np.array([-20.0])).tolist() == [0.0]
+
+
+def test_example_9() -> None:
+    """The sun is up for 11.7 h on 3 September at 20 degrees south."""
+    seconds = (np.datetime64("1998-09-03", "s") + 60 * np.arange(1440)).astype(np.int64)
+    up = sun_height(-20.0, seconds, 0.0) > 0
+    assert up.sum() / 60 == pytest.approx(11.7, abs=0.05)
+
+
+def test_the_sun_stands_highest_at_noon_of_its_own_meridian() -> None:
+    """Seven and a half degrees west of the clock's meridian that is half an hour later.
+
+    On 15 April and 1 September the equation of time is 0 within a minute (Eq. 32).
+    """
+    seconds = (np.datetime64("1998-04-15", "s") + 60 * np.arange(1440)).astype(np.int64)
+    highest = int(np.argmax(sun_height(45.0, seconds, -7.5)))
+    assert highest == pytest.approx(12 * 60 + 30, abs=2)
+
+
+def test_whole_days_keep_their_sum_and_parts_theirs() -> None:
+    first = np.datetime64("2015-06-01T12:00", "s").astype(np.int64)
+    seconds = first + 300 * np.arange(288 * 2 + 144)
+    day = (seconds // 86400 - first // 86400).astype(np.int64)
+    steps = over_the_day(np.array([4.0, 5.0, 6.0]), 52.5, seconds, day, 300.0, 0.0)
+    sums = np.bincount(day, steps)
+    assert sums[1:] == pytest.approx([5.0, 6.0], rel=1e-3)
+    assert sums[0] == pytest.approx(2.0, abs=0.1)  # from noon on, half of the day's
+    assert steps[(seconds % 86400) < 3 * 3600].tolist() == [0.0] * 72
