@@ -2,11 +2,14 @@
 
 Each roof is fitted on one half of its warm seasons and judged on the other, both ways, beside SWMM
 as its authors calibrated it and a bucket of one parameter. Needs the extras [study] and [swmm].
+With ``--parts`` each roof is fitted again without one part of the model after the other instead, on
+its earlier half, to see what the part buys on the later one.
 """
 
 from __future__ import annotations
 
 import argparse
+import contextlib
 import sys
 import tempfile
 from dataclasses import replace
@@ -22,6 +25,7 @@ from answers import answer  # noqa: E402
 from others import bucket, swmm  # noqa: E402
 from roofs import ROOFS, read_roof, warm  # noqa: E402
 
+from greenroof_ros.calibration import simulation  # noqa: E402
 from greenroof_ros.calibration.fit import fit, measured_roof  # noqa: E402
 from greenroof_ros.calibration.halves import halve  # noqa: E402
 from greenroof_ros.calibration.meter import least_reading, through_meter  # noqa: E402
@@ -86,6 +90,45 @@ def judge(roof, directory, scratch):
             storm_rows.append((roof.name, str(record.times[storm.first])[:16], storm.rain, answers))
         notes.append(_volumes(roof, names, fitted_on, judged_on, record, halves, models[OURS]))
     return rows, storm_rows, notes
+
+
+# What stands for a part of the model that is left out.
+PARTS = {
+    "all of it": {},
+    "without the drainage layer": {
+        "layer_outflow": lambda site, layer, inflow, seconds: inflow,
+    },
+    "without water stress": {"water_stress": lambda site, x2: 1.0},
+    "without percolation below field capacity": {
+        "percolation": lambda site, x2, arriving, seconds: max(0.0, x2 - site.z_cap) / seconds,
+    },
+}
+
+
+@contextlib.contextmanager
+def left_out(part):
+    """Simulate without a part of the model."""
+    before = {name: getattr(simulation, name) for name in PARTS[part]}
+    vars(simulation).update(PARTS[part])
+    try:
+        yield
+    finally:
+        vars(simulation).update(before)
+
+
+def parts(roof, directory, scratch):
+    """Yield a row of what each part of the model buys."""
+    site = start_site(roof)
+    record = read_roof(roof, directory, site, scratch)
+    earlier, later = halve(record, comparable(record) & warm(record))
+    for part in PARTS:
+        with left_out(part):
+            runoff = fit(site, record, earlier).simulated.runoff
+        scores = score(
+            runoff[later], record.runoff[later], record.seconds[later], record.step_s
+        )
+        nse = " | ".join(f"{value:.2f}" for value in scores.nse.values())
+        yield f"| {roof.name} | {part} | {nse} | {1 + scores.volume_error:.2f} |"
 
 
 def _volumes(roof, names, fitted_on, judged_on, record, halves, runoff):
@@ -176,7 +219,16 @@ def main():
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("directory", type=Path, help="with the files of both roofs")
     parser.add_argument("--output", type=Path, help="directory for tables and figure")
+    parser.add_argument(
+        "--parts", action="store_true", help="what each part of the model buys, and nothing else"
+    )
     arguments = parser.parse_args()
+    if arguments.parts:
+        with tempfile.TemporaryDirectory() as scratch:
+            for roof in ROOFS:
+                for row in parts(roof, arguments.directory, Path(scratch)):
+                    print(row, flush=True)
+        return
     rows, storm_rows, notes = [], [], []
     with tempfile.TemporaryDirectory() as scratch:
         for roof in ROOFS:

@@ -118,7 +118,7 @@ def ended(watched: Kept, run: Path) -> None:
     """
     wait_for(lambda: watched.mode == "ended", 120, "the end of the run")
     last = max(recorded(run)[LEVEL])
-    wait_for(lambda: _shown(watched)["time"]["now"] >= last / 1e9, 300, "the last tick")
+    wait_for(lambda: (_shown(watched)["time"]["now"] or 0) >= last / 1e9, 300, "the last tick")
 
 
 def up_to(last_ns: int, values: dict[int, Any]) -> dict[int, Any]:
