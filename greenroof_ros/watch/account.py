@@ -37,13 +37,14 @@ _METRICS = {
     "evapotranspired": "evapotranspiration_m3",
     "inflow": "rain_cistern_m3",
     "overflow": "outflow_m3",
+    "mains": "mains_m3",
     "energy": "electric_energy_kwh",
 }
 # What must be known for each of them.
 _NEEDED = {
     "rain": (_RAIN,), "pumped": (_FLOW,), "drained": (_DRAINAGE,),
     "evapotranspired": (_EVAPORATED,), "inflow": (_RAIN,), "overflow": (_OUTFLOW,),
-    "energy": (_FLOW, _CISTERN),
+    "mains": (_CISTERN,), "energy": (_FLOW, _CISTERN),
 }
 _BY_NAME = {metric.name: metric for metric in METRICS}
 
@@ -269,6 +270,7 @@ class Account:
             pump=flow,
             drainage=drainage,
             evapotranspiration=np.nan_to_num(evaporated),
+            mains=mains_flows(site, np.nan_to_num(cistern)),
         )
         for key, name in _METRICS.items():
             there = np.all([np.isfinite(known[topic]) for topic in _NEEDED[key]], axis=0)

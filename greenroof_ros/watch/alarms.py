@@ -433,6 +433,11 @@ class Alarms:
         alarm.acknowledged.add(alarm.gist)
         return True
 
+    @property
+    def heard(self) -> bool:
+        """Whether anything was heard of any node or device."""
+        return bool(self._nodes or self._foreign)
+
     def worst(self) -> str:
         """Return how it is: ``ok``, ``warn`` or ``error``; other devices warn at most."""
         present = [one.trouble for one in self._alarms.values() if one.over is None]

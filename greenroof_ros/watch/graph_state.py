@@ -197,6 +197,10 @@ class GraphState:
             return "loop"  # a pump may turn when its plant is gone
         if any(self._present(one, now) for one in self._nodes.values()) and plant is None:
             return "none"  # they wait for their plant
+        # Who fell silent without a word may run on unheard, and so may a pump.
+        silent = [one for one in self._nodes.values() if one.state not in (FINISHED, ENDED)]
+        if any(not one.lockstep for one in silent):
+            return "live" if plant is None else "loop"
         return "ended" if self._nodes else "none"
 
     def _present(self, node: Node, now: float) -> bool:

@@ -217,7 +217,11 @@ def pump(pumping: Pumping, site: Site | None) -> dict[str, Any]:
         else:
             parts.append("nothing is commanded")
     heard = flow if flow is not None else command
-    stale = pumping.gone or (heard is not None and heard.stale)
+    old = heard is not None and heard.stale
+    # The node says its state by another way than the flow.
+    stale = pumping.gone or (old and pumping.said is None)
+    if old and not stale:
+        parts[0] = f"last known {parts[0]}"
     if not parts and state == "unknown":
         parts.append("nothing was heard of it yet")
     return {
@@ -329,7 +333,8 @@ def _planned(plan: Plan, now: float, utc_offset: float, *, ended: bool) -> str:
 
 
 def summary(
-    tiles: dict[str, dict[str, Any]], *, alarms: int, warnings: int, worst: str, mode: str
+    tiles: dict[str, dict[str, Any]], *, alarms: int, warnings: int, worst: str, mode: str,
+    known: bool,
 ) -> dict[str, str]:
     """Return the words above the tiles: how many alarms, a sentence, and how bad it is.
 
@@ -339,6 +344,7 @@ def summary(
         warnings: how many there are now.
         worst: of them: ok, warn or error.
         mode: of the document.
+        known: whether any node has said how it is; a recording does not tell alarms.
     """
     if mode == "none":
         return {
@@ -349,8 +355,7 @@ def summary(
     roof, pump = tiles["roof"], tiles["pump"]
     verb = "was" if mode == "ended" else "is"
     if roof["state"] in ("unknown", "alarm"):
-        known = roof["value"] if roof["stale"] else words.UNKNOWN
-        said = f"The roof's level is not known now ({known})" if roof["stale"] else (
+        said = f"The roof's level is not known now ({roof['value']})" if roof["stale"] else (
             f"The roof's level is {roof['value']}"
         )
     else:
@@ -358,13 +363,16 @@ def summary(
         said = f"The roof {verb} {judged}{roof['sentence']}"
     parts.append(f"{said}; {_pump_clause(pump, verb)}.")
     doubtful = any(tiles[name]["state"] in ("unknown", "alarm") for name in ("roof", "pump"))
-    attention = doubtful or roof["state"] in ("low", "high")
+    attention = (
+        doubtful or roof["state"] in ("low", "high") or pump["state"] in ("fault", "held")
+    )
     counts = [
         f"{count} {name}" if count == 1 else f"{count} {name}s"
         for count, name in ((alarms, "alarm"), (warnings, "warning")) if count
     ]
+    none = "No alarms" if known else "Alarms are not known"
     return {
-        "word": f"{', '.join(counts) or 'No alarms'}.", "sentence": " ".join(parts),
+        "word": f"{', '.join(counts) or none}.", "sentence": " ".join(parts),
         "level": "warn" if attention and worst == "ok" else worst,
     }
 
@@ -377,13 +385,17 @@ def advice(tiles: dict[str, dict[str, Any]], *, mode: str) -> str:
         mode: of the document.
     """
     roof, pump = tiles["roof"], tiles["pump"]
-    if mode in ("none", "ended"):
+    if mode == "none":
         return "Nothing to do."
+    if mode == "ended":
+        return "This was recorded: what is now is not shown."
     if any(tile["state"] in ("unknown", "alarm") for tile in (roof, pump)):
         return (
             "Nothing is reported as wrong, but not all is known: see whether sensors and programs "
             "run."
         )
+    if roof["state"] == "high" and pump["state"] in ("starting", "running"):
+        return "The roof has enough, and the pump runs: see whether it should."
     if roof["state"] == "high":
         return "Nothing to do: the roof drains and dries by itself."
     if roof["state"] != "low":

@@ -71,6 +71,7 @@ _ENTRIES = {
     "unexplained": "Unexplained",
     "inflow": "Rain into the cistern",
     "overflow": "Overflow to the sewer",
+    "mains": "Mains water into the cistern, computed from the level",
     "saved": "Potable water saved",
     "energy": "Energy of the pump",
 }
@@ -457,10 +458,13 @@ class Watched:
         worst = "error" if stop["warning"] else self._alarms.worst()
         warnings = sum(row["level"] == "warn" for row in present)
         shown["summary"] = tiles.summary(
-            shown, alarms=len(present) - warnings, warnings=warnings, worst=worst, mode=self._mode
+            shown, alarms=len(present) - warnings, warnings=warnings, worst=worst, mode=self._mode,
+            known=self._alarms.heard or self._mode != "ended",
         )
         alarms = _within(rows, _MOST_ALARMS)
         notes = [self._site_note, self._note]
+        if self._mode == "ended" and not self._alarms.heard:
+            notes.append("A recording does not tell which alarms there were.")
         if len(alarms) < len(rows):
             notes.append(f"{len(rows) - len(alarms)} more alarms are not shown.")
         silent = min(
@@ -606,8 +610,10 @@ class Watched:
         account = self._account
         totals = {} if account is None else dict(account.totals())
         if "pumped" in totals:
-            totals["saved"] = totals["pumped"]
+            totals["saved"] = totals["pumped"] - totals.get("mains", 0.0)
         labels = dict(_ENTRIES)
+        if self._site is None or self._site.mains_level is None:
+            del labels["mains"]
         since, sentence = "", "not known yet"
         if account is not None and account.since is not None:
             since = f"since {words.date_and_time(account.since / 1e9, utc_offset)}"

@@ -29,6 +29,22 @@ def test_a_run_has_not_ended_while_its_pump_is_there() -> None:
     assert (graph.mode(2.0), graph.pump(2.0)) == ("ended", None)
 
 
+def test_a_live_site_that_falls_silent_has_not_ended() -> None:
+    """Its pump may turn; of a simulation whose nodes were all killed nobody goes on."""
+    live, simulated = GraphState(""), GraphState("")
+    nodes = [
+        Status(f"/{role}", 0, state, "host", {"role": f'"{role}"', "process": '"host 1"'})
+        for state in ("ready", "ended") for role in ("controller", "pump")
+    ]
+    live.hear(0, 0.0, nodes[:2], 0.0, 1.0)
+    for role in ("plant", "controller"):
+        say(simulated, 0.0, role)
+    assert (live.mode(1.0), simulated.mode(1.0)) == ("live", "simulated")
+    assert (live.mode(60.0), simulated.mode(60.0)) == ("live", "ended")
+    live.hear(0, 61.0, nodes[2:], 61.0, 1.0)
+    assert live.mode(61.0) == "ended"
+
+
 def test_two_nodes_that_claim_the_pump() -> None:
     graph = GraphState("")
     for at in (0.0, 0.25):

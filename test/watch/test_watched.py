@@ -626,6 +626,41 @@ def test_an_ended_recording_has_no_stop() -> None:
     assert (document["stop"]["possible"], document["stop"]["held"]) == (False, False)
 
 
+def test_a_recorded_fault_is_not_fine() -> None:
+    """Which alarms there were no recording tells."""
+    one = watched()
+    one.set_present(mode="ended", factor=None, source="bag", note="")
+    one.add_text("/pump/state", START, "fault: the drive reports: brake check")
+    document = shown(one)
+    summary = document["tiles"]["summary"]
+    assert (summary["word"], summary["level"]) == ("Alarms are not known.", "warn")
+    assert document["notes"] == ["A recording does not tell which alarms there were."]
+    assert document["advice"] == "This was recorded: what is now is not shown."
+
+
+def test_the_pump_nodes_word_is_of_now_though_the_flow_is_old() -> None:
+    one = watched()
+    shown(one, 100.0)
+    one.set_present(mode="live", factor=None, source="heard", note="")
+    one.set_pump("/pump")
+    one.add_statuses(130.0, [node("pump", pump="fault: the drive reports: brake check")])
+    tile = shown(one, 130.0)["tiles"]["pump"]
+    assert (tile["value"], tile["stale"]) == ("fault", False)
+    assert tile["sentence"].startswith("last known 0.0 L/min")
+
+
+def test_water_of_the_mains_is_not_saved() -> None:
+    """Below its level the valve gives its flow, here all that is pumped."""
+    one = Watched()
+    one.set_site(replace(SITE, mains_level=1.0, mains_flow=1e-3))
+    one.set_present(mode="simulated", factor=30.0, source="heard", note="")
+    hear(one, 0, 61, {**QUIET, "/cistern/level": 0.9, "/pump/flow": 1e-3})
+    rows = {row["key"]: row for row in shown(one)["account"]["rows"]}
+    assert rows["pumped"]["number"] == pytest.approx(0.06)
+    assert rows["mains"]["number"] == pytest.approx(0.06)
+    assert rows["saved"]["number"] == pytest.approx(0.0, abs=1e-12)
+
+
 def test_a_plan_goes_with_its_controller() -> None:
     one = watched()
     plan = np.array([[7200.0, 1e-3, 0.045]])
