@@ -330,7 +330,7 @@ class Planner:
         if site.mains_level is not None and site.mains_flow is not None:
             filled = site.cistern_volume(site.mains_level)
             given = site.mains_flow * self._edges[1:]
-            there = np.maximum(there, np.minimum(x1 + collected + given, filled))
+            there = np.maximum(there, np.minimum(x1 + collected, filled) + given)
         full = maximum_pump_flow(site, x1)
         slack = max(_LONGEST_PLAN_S, site.tau) * full
         above = np.maximum(there - site.a1 * site.suction_level + slack, 0.0)

@@ -41,6 +41,16 @@ def kept_share(site: Site, x2: float) -> float:
     return 1 - filled * filled
 
 
+def water_to_fill(site: Site, x2: float) -> float:
+    """What must arrive until an empty soil holds x2 (m3), below field capacity of a measured roof.
+
+    Up to the wilting point all of it stays; from there dS/dt = (1 - S^2) i / TAW, solved.
+    """
+    if site.field_capacity is None or x2 <= site.wilting_volume:
+        return x2
+    return site.wilting_volume + site.available_volume * math.atanh(filled_share(site, x2))
+
+
 def percolation(site: Site, x2: float, arriving: float, seconds: float) -> float:
     """What leaves the substrate for the drainage layer (m3/s): S^2 of what arrives, and the excess.
 

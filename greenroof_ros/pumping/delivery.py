@@ -11,11 +11,12 @@ Three balances are kept, each of water (m3) that the levels do not account for:
   leak, stuck contactor. Rain only lets it fall, and what the outlet takes does not count, since
   the cistern counts up to the outlet only.
 - *not from the cistern*: a share ``least_delivery`` of the pumped volume, less the fall of the
-  cistern, less ``greatest_loss`` for a drifting sensor, and less what the mains may have let in. It
-  grows where a pump runs and the cistern does not fall: its sensor is stuck, with some noise
-  perhaps, or drifts up, and the pump would run dry. It is never more than that share of what was
-  pumped, so that rain on a pump that stands is no fault; rain meanwhile explains ``a_in / a2`` of
-  what the roof rose beyond that share. Where a_in
+  cistern, less ``greatest_loss`` for a drifting sensor, and less what the mains may have let in
+  while the reading was below the level of their valve, or unknown. It grows where a pump runs and
+  the cistern does not fall: its sensor is stuck, with some noise perhaps, or drifts up, and the
+  pump would run dry. It is never more than that share of what was pumped, so that rain on a pump
+  that stands is no fault; rain meanwhile explains ``a_in / a2`` of what the roof rose beyond that
+  share. Where a_in
   is not less than a2 that is so much that only the first balance is left.
 
 Water is counted while a level is unknown, too, and the balances go on when it is known again: a
@@ -24,7 +25,9 @@ does not count; but a jump down of the cistern is a fall to the third balance, s
 is over by a jump back is no fault later.
 
 Of a measured roof the pumped volume counts in what its soil keeps of it at the target, the least
-share that it keeps while anything is pumped: the rest percolates.
+share that it keeps while anything is pumped: the rest percolates. What is rain to the third balance
+is counted with the share that the soil keeps as wet as it is: a drier roof keeps more of what was
+pumped, and that is no rain.
 
 Each is averaged over ``averaging_time``, levels and volumes alike, so that no lag comes between
 them. A balance that rises by more than ``level_tolerance`` times the area above the least that it
@@ -73,6 +76,10 @@ class _Sums(NamedTuple):
     """what it holds (m3)"""
     overfull_cistern: float = 0.0
     """what it holds, above its outlet too, less what jumps up have added (m3)"""
+    kept: float = 0.0
+    """of what was pumped at least, what the roof's soil keeps as wet as it is (m3)"""
+    mains: float = 0.0
+    """what the mains may have let in (m3)"""
 
     def plus(self, other: _Sums, share: float = 1.0) -> _Sums:
         return _Sums(*(mine + share * added for mine, added in zip(self, other, strict=True)))
@@ -131,6 +138,8 @@ class DeliveryCheck:
     def restart(self) -> None:
         """Begin again, as after a reset."""
         self._elapsed = self._least_pumped = self._most_pumped = 0.0
+        self._kept_on_roof = self._from_mains = 0.0
+        self._keeps = self._kept_share  # the soil, as wet as it was last known
         self._missing, self._lost, self._kept = _Balance(), _Balance(), _Balance()
         self._cistern_still, self._roof_still = _Still(), _Still()
         self._mean: _Sums | None = None
@@ -167,6 +176,13 @@ class DeliveryCheck:
         self._elapsed += dt
         self._least_pumped += least_pumped
         self._most_pumped += most_pumped
+        if roof_level is not None:
+            self._keeps = kept_share(site, site.roof_volume(roof_level))
+        self._kept_on_roof += self._keeps * least_pumped
+        if site.mains_level is not None and site.mains_flow is not None and (
+            cistern_level is None or cistern_level < site.mains_level + settings.level_offset
+        ):
+            self._from_mains += site.mains_flow * dt
         if cistern_level is None or roof_level is None:
             return ""
         self._watched += dt
@@ -180,6 +196,7 @@ class DeliveryCheck:
             min(cistern, site.z_o - settings.level_offset) * site.a1,
             min(roof, site.z_veg + settings.level_offset) * site.a2,
             (cistern_level - self._raised) * site.a1,
+            self._kept_on_roof, self._from_mains,
         )
         self._cistern_still.see(cistern_level, present)
         self._roof_still.see(roof_level, present)
@@ -204,14 +221,16 @@ class DeliveryCheck:
         """Return the fault of a cistern that does not fall though water is pumped out of it."""
         site, share = self._site, self._settings.least_delivery
         kept = share * change.least_pumped + change.overfull_cistern
-        kept -= (self._loss * site.a1 + (site.mains_flow or 0.0)) * change.elapsed
+        kept -= self._loss * site.a1 * change.elapsed + change.mains
         rise = self._kept.add(kept, change, share)
         over = self._kept.over
-        rain_on_roof = over.roof - self._share_on_roof * over.least_pumped
+        rain_on_roof = over.roof - share * over.kept
         rain_on_roof += self._loss * site.a2 * over.elapsed
         # What fell stays in the cistern when it has drained off the roof.
         self._rain_on_roof = max(self._rain_on_roof, rain_on_roof) if rise else 0.0
-        rise -= site.a_in / site.a2 / self._kept_share * self._rain_on_roof
+        if not self._keeps:
+            return ""  # a soil that keeps nothing does not show how much it rains
+        rise -= site.a_in / site.a2 / self._keeps * self._rain_on_roof
         if rise <= self._settings.level_tolerance * site.a1:
             return ""
         if over.roof < self._share_on_roof * over.least_pumped:

@@ -9,7 +9,7 @@ from typing import Any
 from greenroof_ros.common.parameter import Parameter
 from greenroof_ros.model.plant import maximum_pump_flow
 from greenroof_ros.model.site import Site
-from greenroof_ros.model.soil import kept_share
+from greenroof_ros.model.soil import kept_share, water_to_fill
 
 DAY_S = 86_400.0
 _LEAST_FLOW = 0.2
@@ -30,9 +30,8 @@ def _volume_per_day(site: Site) -> float:
     Of a measured roof that is more: its soil keeps only a share of what is pumped.
     """
     evapotranspiration = _GREATEST_EVAPOTRANSPIRATION * site.crop_coefficient * site.a2
-    return round(
-        _MARGIN * (site.x2_star + evapotranspiration) / kept_share(site, site.x2_star), 3
-    )
+    replaced = evapotranspiration / kept_share(site, site.x2_star)
+    return round(_MARGIN * (water_to_fill(site, site.x2_star) + replaced), 3)
 
 
 def _run_per_day(site: Site) -> float:
@@ -42,8 +41,7 @@ def _run_per_day(site: Site) -> float:
 
 def _run(site: Site) -> float:
     """Return the time in which the least flow fills an empty roof to its target (s)."""
-    kept = kept_share(site, site.x2_star) * _least_flow(site)
-    return min(DAY_S, round(site.x2_star / kept) + 1.0)
+    return min(DAY_S, round(water_to_fill(site, site.x2_star) / _least_flow(site)) + 1.0)
 
 
 def _setting(
