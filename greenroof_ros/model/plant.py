@@ -23,9 +23,21 @@ Amount = TypeVar("Amount", float, NDArray[np.float64])
 
 
 def outlet_flow(site: Site, x1: float) -> float:
-    """q_out (m3/s): what leaves a cistern holding x1 (m3) for the sewer, Eq. (2)."""
+    """q_out (m3/s): what leaves a cistern holding x1 (m3) for the sewer, Eq. (2).
+
+    It is what both outlets take where there is a low one.
+    """
     head = x1 / site.a1 - site.z_o
-    return site.c_out * math.sqrt(head) if head > 0 else 0.0
+    flow = site.c_out * math.sqrt(head) if head > 0 else 0.0
+    return flow if site.low_outlet_level is None else flow + low_outlet_flow(site, x1)
+
+
+def low_outlet_flow(site: Site, x1: float) -> float:
+    """What the low outlet takes (m3/s) from a cistern holding x1 (m3): Eq. (2) at its elevation."""
+    if site.low_outlet_level is None:
+        return 0.0
+    head = x1 / site.a1 - site.low_outlet_level
+    return site.c_low * math.sqrt(head) if head > 0 else 0.0
 
 
 def mains_flow(site: Site, x1: float) -> float:
@@ -160,7 +172,7 @@ class Plant:
         outflow = outlet_flow(site, self.x1)
         limited = False
         wanted = outflow + pump
-        available = self.x1 / site.tau + precipitation * site.a_in
+        available = self.x1 / site.tau + precipitation * site.effective_catchment
         if site.mains_level is not None:
             available += mains_flow(site, self.x1)
         if wanted > available:
@@ -195,7 +207,7 @@ class Plant:
             flows: what :meth:`flows` returned for the present tick.
         """
         site = self._site
-        into_cistern = precipitation * site.a_in
+        into_cistern = precipitation * site.effective_catchment
         if site.mains_level is not None:
             into_cistern += mains_flow(site, self.x1)
         into_roof = precipitation * site.a2 + flows.pump

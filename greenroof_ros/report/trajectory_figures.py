@@ -123,6 +123,8 @@ def _range(site: Site, quantity: str, runs: Sequence[Result]) -> _Range:
             _Reference(site.a1 * site.z_o, "outlet"),
             _Reference(site.a1 * site.suction_level, "suction limit"),
         ]
+        if site.low_outlet_level is not None:
+            references.append(_Reference(site.a1 * site.low_outlet_level, "low outlet"))
     else:
         references = [_Reference(site.x2_star, "target")]
     span = max(high - low, 1e-3 * high, 1e-9)

@@ -128,7 +128,10 @@ def cistern(value: Value | None, site: Site | None) -> dict[str, Any]:
         gauge["high"] = max(1.1 * site.z_o, level or 0.0)
         gauge["marks"] = [
             {"at": at, "label": f"{name} {_cistern_level(at)}"}
-            for name, at in (("suction level", site.suction_level), ("outlet", site.z_o))
+            for name, at in (
+                ("suction level", site.suction_level), ("low outlet", site.low_outlet_level),
+                ("outlet", site.z_o),
+            ) if at is not None
         ]
         gauge["band"] = [site.suction_level, site.z_o]
     if level is None:
@@ -146,6 +149,8 @@ def cistern(value: Value | None, site: Site | None) -> dict[str, Any]:
     else:
         amount = words.quantity(usable, "m3", 1)
         state, sentence = "good", f"{amount} above the suction level can be pumped"
+        if level > site.lowest_outlet:
+            sentence += "; its low outlet drains it"
         past = f"{amount} could be pumped"
     return _tile("Cistern level", value, _cistern_level(level), state, sentence, past=past, **gauge)
 

@@ -70,7 +70,7 @@ _ENTRIES = {
     "stored": "Change of the water on the roof",
     "unexplained": "Unexplained",
     "inflow": "Rain into the cistern",
-    "overflow": "Overflow to the sewer",
+    "overflow": "Outflow to the sewer",
     "mains": "Mains water into the cistern, computed from the level",
     "saved": "Potable water saved",
     "energy": "Energy of the pump",
