@@ -116,6 +116,20 @@ def test_cistern(level: float, state: str, sentence: str) -> None:
     assert [mark["at"] for mark in tile["marks"]] == [0.75, 3.0]
 
 
+@pytest.mark.parametrize(("level", "sentence"), [
+    (2.5, "43.8 m3 above the suction level can be pumped; its low outlet drains it"),
+    (1.0, "6.2 m3 above the suction level can be pumped"),
+])
+def test_a_low_outlet(level: float, sentence: str) -> None:
+    one = Watched()
+    one.set_site(replace(SITE, low_outlet_level=1.0, low_outlet_radius=0.02))
+    one.set_present(mode="simulated", factor=30.0, source="heard", note="")
+    hear(one, 0, 61, {**QUIET, "/cistern/level": level})
+    tile = shown(one)["tiles"]["cistern"]
+    assert (tile["state"], tile["sentence"]) == ("good", sentence)
+    assert [mark["at"] for mark in tile["marks"]] == [0.75, 1.0, 3.0]
+
+
 @pytest.mark.parametrize(("values", "state", "why"), [
     ({}, "off", "nothing is commanded"),
     ({"pump_command": 0.4, "pump_flow": 2e-4, "roof_level": 0.04}, "running", ""),
