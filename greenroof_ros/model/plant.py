@@ -27,9 +27,12 @@ def outlet_flow(site: Site, x1: float) -> float:
 
     It is what both outlets take where there is a low one.
     """
-    head = x1 / site.a1 - site.z_o
+    level = x1 / site.a1
+    if level <= site.lowest_outlet:
+        return 0.0
+    head = level - site.z_o
     flow = site.c_out * math.sqrt(head) if head > 0 else 0.0
-    return flow if site.low_outlet_level is None else flow + low_outlet_flow(site, x1)
+    return flow + low_outlet_flow(site, x1)
 
 
 def low_outlet_flow(site: Site, x1: float) -> float:
@@ -142,6 +145,7 @@ class Plant:
 
     def __init__(self, site: Site, x1: float, x2: float) -> None:
         self._site = site
+        self._catchment = site.effective_catchment  # here once: the time of a tick counts
         self.x1 = x1
         self.x2 = x2
         self.layer = 0.0
@@ -172,7 +176,7 @@ class Plant:
         outflow = outlet_flow(site, self.x1)
         limited = False
         wanted = outflow + pump
-        available = self.x1 / site.tau + precipitation * site.effective_catchment
+        available = self.x1 / site.tau + precipitation * self._catchment
         if site.mains_level is not None:
             available += mains_flow(site, self.x1)
         if wanted > available:
@@ -207,7 +211,7 @@ class Plant:
             flows: what :meth:`flows` returned for the present tick.
         """
         site = self._site
-        into_cistern = precipitation * site.effective_catchment
+        into_cistern = precipitation * self._catchment
         if site.mains_level is not None:
             into_cistern += mains_flow(site, self.x1)
         into_roof = precipitation * site.a2 + flows.pump
