@@ -466,7 +466,11 @@ class Feed:
         self._show_heard_now()
 
     def _show_heard_now(self) -> None:
-        if self._hearing:
+        """Show what was heard; while the bag is waited for, the newest numbers alone."""
+        if not self._hearing:
+            for topic, pairs in self._heard.numbers.items():
+                self._watched.preview(topic, *pairs[-1])
+        else:
             heard, self._heard = self._heard, _Heard()
             self._add(heard.batch())
 
