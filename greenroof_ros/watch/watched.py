@@ -486,9 +486,11 @@ class Watched:
         shown = self._tiles(wall, now, present)
         stop = self._stop(wall)
         worst = "error" if stop["warning"] else self._alarms.worst()
-        warnings = sum(row["level"] == "warn" for row in present)
+        causes = [row for row in present if not row["follows"]]
+        warnings = sum(row["level"] == "warn" for row in causes)
         shown["summary"] = tiles.summary(
-            shown, alarms=len(present) - warnings, warnings=warnings, worst=worst, mode=self._mode,
+            shown, alarms=len(causes) - warnings, warnings=warnings,
+            following=len(present) - len(causes), worst=worst, mode=self._mode,
             known=self._alarms.heard or self._mode != "ended",
         )
         alarms = _within(rows, _MOST_ALARMS)

@@ -229,7 +229,7 @@ def test_alarms_and_warnings_are_counted_as_they_are_listed() -> None:
         Status(f"/pump: {part}", level, f"{part} is not well", "host 7")
         for part, level in parts.items()
     )])
-    assert shown(one)["tiles"]["summary"]["word"] == "2 alarms, 3 warnings."
+    assert shown(one)["tiles"]["summary"]["word"] == "2 alarms, 2 warnings (1 more follows)."
 
 
 def test_the_plan_in_words() -> None:

@@ -149,8 +149,12 @@ const fillAlarm = (row, alarm) => {
   row.toggleAttribute("data-over", alarm.over !== null);
   row.classList.toggle("over", alarm.over !== null);
   setShape(row.firstChild, alarm.level);
-  setText(row.querySelector(".what"), alarm.what);
-  setText(row.querySelector(".do"), alarm.do);
+  // First what an operator understands, then the node's own words.
+  const [what, todo] = [".what", ".do"].map((one) => row.querySelector(one));
+  row.classList.toggle("plain", alarm.plain);
+  what.parentNode.prepend(...(alarm.plain ? [todo, what] : [what, todo]));
+  setText(what, alarm.what);
+  setText(todo, alarm.do);
   setText(row.querySelector(".word"), alarm.over === null ? WORDS[alarm.level] : "Over");
   const since = `${alarm.since_at_least ? "since before" : "since"} ${alarm.since_text}`;
   const when = alarm.over === null ? since : `${since}, over at ${alarm.over_text}`;
