@@ -132,6 +132,7 @@ class Watched:
         self._lock = threading.Lock()
         self._site: Site | None = None
         self._site_note = ""
+        self._recorded_controller = ""
         self._system: float | None = None  # the system's time at the last look (s since 1970)
         self._forget()
 
@@ -205,6 +206,11 @@ class Watched:
         """
         with self._lock:
             self._pump_node, self._no_stop = node, words.plain(no_stop, _MOST_TEXT)
+
+    def set_recorded_controller(self, name: str) -> None:
+        """Say which controller commanded in the run whose recording is shown; empty: unknown."""
+        with self._lock:
+            self._recorded_controller = words.plain(name, _MOST_TEXT)
 
     def begin_anew(self) -> None:
         """Forget all of a graph: another one began."""
@@ -565,6 +571,8 @@ class Watched:
             frost=self._value("/weather/frost"),
         )
         name = self._alarms.controller()
+        if self._mode == "ended":
+            name = name or self._recorded_controller or None
         said = self._alarms.said("controller")
         node = None if said is None else said.get("name")
         wrong = [

@@ -279,7 +279,10 @@ def memory(minutes: float) -> None:
             if run.process.poll() is not None:  # a month is over: the next
                 shutil.rmtree(place / "run")
                 run = long_run(domain, place)
-            sizes.append(_rss_mb(process.process.pid))
+            # With the process that reads the bag.
+            pid = process.process.pid
+            children = Path(f"/proc/{pid}/task/{pid}/children").read_text().split()
+            sizes.append(sum(_rss_mb(one) for one in (pid, *map(int, children))))
             time.sleep(2)
         quarter = len(sizes) // 4
         parts = [statistics.mean(sizes[n * quarter:(n + 1) * quarter]) for n in range(4)]
