@@ -280,9 +280,10 @@ def memory(minutes: float) -> None:
                 shutil.rmtree(place / "run")
                 run = long_run(domain, place)
             # With the process that reads the bag.
-            pid = process.process.pid
-            children = Path(f"/proc/{pid}/task/{pid}/children").read_text().split()
-            sizes.append(sum(_rss_mb(one) for one in (pid, *map(int, children))))
+            tasks = Path(f"/proc/{process.process.pid}/task")
+            children = [int(one) for file in tasks.glob("*/children")
+                        for one in file.read_text().split()]
+            sizes.append(sum(map(_rss_mb, (process.process.pid, *children))))
             time.sleep(2)
         quarter = len(sizes) // 4
         parts = [statistics.mean(sizes[n * quarter:(n + 1) * quarter]) for n in range(4)]
