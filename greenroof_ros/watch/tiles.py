@@ -338,15 +338,16 @@ def _planned(plan: Plan, now: float, utc_offset: float, *, ended: bool) -> str:
 
 
 def summary(
-    tiles: dict[str, dict[str, Any]], *, alarms: int, warnings: int, worst: str, mode: str,
-    known: bool,
+    tiles: dict[str, dict[str, Any]], *, alarms: int, warnings: int, following: int, worst: str,
+    mode: str, known: bool,
 ) -> dict[str, str]:
     """Return the words above the tiles: how many alarms, a sentence, and how bad it is.
 
     Args:
         tiles: of roof and pump, at least.
-        alarms: how many there are now.
-        warnings: how many there are now.
+        alarms: how many there are now that do not follow from others.
+        warnings: how many there are now that do not.
+        following: how many follow from these.
         worst: of them: ok, warn or error.
         mode: of the document.
         known: whether any node has said how it is; a recording does not tell alarms.
@@ -376,8 +377,9 @@ def summary(
         for count, name in ((alarms, "alarm"), (warnings, "warning")) if count
     ]
     none = "No alarms" if known else "Alarms are not known"
+    more = f" ({following} more follow{'s' if following == 1 else ''})" if following else ""
     return {
-        "word": f"{', '.join(counts) or none}.", "sentence": " ".join(parts),
+        "word": f"{', '.join(counts) or none}{more}.", "sentence": " ".join(parts),
         "level": "warn" if attention and worst == "ok" else worst,
     }
 

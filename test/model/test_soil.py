@@ -22,6 +22,7 @@ from greenroof_ros.model.soil import (
     layer_outflow,
     percolation,
     water_stress,
+    water_to_fill,
 )
 
 # 100 m2 and 100 mm of substrate: 2 m3 at the wilting point, 6 m3 at field capacity, stress below
@@ -69,6 +70,18 @@ def test_percolation_by_hand() -> None:
     """At 5 m3 9/16 of what arrives; above field capacity all of it, and the excess in a tick."""
     assert percolation(ROOF, 5.0, 0.01, 10.0) == pytest.approx(0.005625, rel=1e-12)
     assert percolation(ROOF, 6.5, 0.01, 10.0) == pytest.approx(0.06, rel=1e-12)
+
+
+@pytest.mark.parametrize("x2", [1.0, 2.0, 4.0, 5.9, 5.9999])
+def test_water_to_fill(x2: float) -> None:
+    """What has arrived, m3 for m3, until the soil, solved by scipy, has come to x2."""
+    needed = water_to_fill(ROOF, x2)
+    came = solve_ivp(
+        lambda _, y: [1 - percolation(ROOF, y[0], 1.0, 1e-9)], (0, needed), [0.0],
+        rtol=1e-10, atol=1e-12, max_step=0.01,
+    )
+    assert came.y[0, -1] == pytest.approx(x2, rel=1e-5)
+    assert water_to_fill(PAPER_SITE, x2) == x2
 
 
 def test_a_step_by_hand() -> None:

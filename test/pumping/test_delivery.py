@@ -12,7 +12,7 @@ from places import CONFIG
 from pump_rig import Rig
 
 from greenroof_ros.model.plant import Plant
-from greenroof_ros.model.site import read_site
+from greenroof_ros.model.site import Site, read_site
 from greenroof_ros.pumping.delivery import DeliveryCheck
 from greenroof_ros.pumping.input_rules import (
     InputRules,
@@ -525,6 +525,29 @@ def test_a_cisterns_sensor_that_is_stuck_latches_before_the_pump_runs_dry(
     assert rig.decisions[-1].state == "fault"
     assert "perhaps its sensor is stuck or drifts" in rig.decisions[-1].why
     assert rig.plant.x1 / PAPER_SITE.a1 > PAPER_SITE.suction_level
+
+
+@pytest.mark.parametrize(
+    ("site", "x2"),
+    [
+        (replace(PAPER_SITE, mains_level=0.7, mains_flow=0.009), 0.5),
+        (read_site(CONFIG / "site_neubrandenburg.yaml"), 0.2),
+        (read_site(CONFIG / "site_neubrandenburg.yaml"), 1.5),
+    ],
+)
+def test_a_stuck_sensor_of_another_site_latches_before_the_pump_runs_dry(
+    site: Site, x2: float
+) -> None:
+    """Mains that are shut at what it reads, and a soil that keeps more than at its target."""
+    rig = Rig(x1=site.a1 * (site.suction_level + 0.06), x2=x2, noise=0.0002, site=site)
+    stuck_at = rig.plant.x1
+    for _ in range(3600):
+        rig.cistern_offset = (stuck_at - rig.plant.x1) / site.a1
+        if rig.step(1.0).state == "fault":
+            break
+    assert rig.decisions[-1].state == "fault"
+    assert "perhaps its sensor is stuck or drifts" in rig.decisions[-1].why
+    assert rig.plant.x1 / site.a1 > site.suction_level
 
 
 @pytest.mark.parametrize(("command", "longest"), [(1.0, 60), (0.2, 0), (0.02, 0)])

@@ -149,8 +149,16 @@ const fillAlarm = (row, alarm) => {
   row.toggleAttribute("data-over", alarm.over !== null);
   row.classList.toggle("over", alarm.over !== null);
   setShape(row.firstChild, alarm.level);
-  setText(row.querySelector(".what"), alarm.what);
-  setText(row.querySelector(".do"), alarm.do);
+  // First what an operator understands, then the node's own words.
+  const [what, todo] = [".what", ".do"].map((one) => row.querySelector(one));
+  row.classList.toggle("plain", alarm.plain);
+  row.classList.toggle("follows", Boolean(alarm.follows));
+  const order = alarm.plain ? [todo, what] : [what, todo];
+  if (what.parentNode.firstChild !== order[0]) what.parentNode.prepend(...order);
+  setText(what, alarm.what);
+  setText(todo, alarm.do);
+  // What to do about it stands at its cause.
+  todo.hidden = Boolean(alarm.follows);
   setText(row.querySelector(".word"), alarm.over === null ? WORDS[alarm.level] : "Over");
   const since = `${alarm.since_at_least ? "since before" : "since"} ${alarm.since_text}`;
   const when = alarm.over === null ? since : `${since}, over at ${alarm.over_text}`;
