@@ -66,6 +66,12 @@ class Diagnosed:
         node.create_subscription(DiagnosticArray, "/diagnostics", self._hear, profile)
         node.create_timer(_LOOK_S, self._look)
 
+    @property
+    def stands(self) -> dict[str, str]:
+        """What is wrong now, by the name of its status."""
+        said = list(self.said.items())  # it grows in another thread
+        return {name: changes[-1][1] for name, changes in said if changes[-1][1]}
+
     def _hear(self, message: Any) -> None:
         at = time.monotonic()
         for status in message.status:
@@ -110,9 +116,9 @@ class Diagnosed:
         for name, node in self._nodes.items():
             wrong.update(_wrong(at, name, node))
         for name in self.said.keys() | wrong.keys():
-            changes, now = self.said.setdefault(name, []), wrong.get(name, "")
-            if now != (changes[-1][1] if changes else ""):
-                changes.append((at, now))
+            changes, now = self.said.get(name, [(at, "")]), wrong.get(name, "")
+            if now != changes[-1][1]:
+                self.said[name] = [*changes, (at, now)]
 
 
 def _wrong(at: float, name: str, node: _Node) -> dict[str, str]:
