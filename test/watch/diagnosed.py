@@ -7,6 +7,7 @@ heard for as long as bringup's own limit, is there twice, waits for others, or r
 from __future__ import annotations
 
 import json
+import math
 import re
 import time
 from dataclasses import dataclass, field
@@ -43,8 +44,8 @@ class _Node:
     heard: float
     values: dict[str, Any]
     before: dict[str, float] = field(default_factory=dict)  # when other processes were last heard
-    twice: float = -SILENT_S  # when two processes last reported in turn
-    refuses: float = -SILENT_S  # when it last refused more values than before
+    twice: float = -math.inf  # when two processes last reported in turn
+    refuses: float = -math.inf  # when it last refused more values than before
     refused: str = ""  # on these topics
     parts: dict[str, tuple[float, str]] = field(default_factory=dict)  # when heard, what is wrong
 
@@ -93,7 +94,7 @@ class Diagnosed:
             return
         if process != node.process:
             node.before[node.process] = node.heard
-            if at - node.before.get(process, -SILENT_S) <= SILENT_S:
+            if at - node.before.get(process, -math.inf) <= SILENT_S:
                 node.twice = at
             else:
                 self.restarts.append((at, name))
