@@ -297,8 +297,11 @@ def main() -> int:
                 changes = comparison.followed if comparison else []
                 followed += changes
                 failed += [case.id] if missed else []
+                notes = {
+                    "the case": wrong, "need not be shown": NOT_SAID.get((case.fault, case.target)),
+                }
                 print(f"{'FAILED' if missed else 'held':6} {case.id}: {_table(changes)}",
-                      *missed, *([f"the case: {wrong}"] if wrong else []),
+                      *missed, *(f"{what}: {why}" for what, why in notes.items() if why),
                       sep="\n       ", flush=True)
     print(f"{len(cases) - len(failed)} of {len(cases)} kinds held; {_table(followed)}")
     print(*(f"FAILED {case}" for case in failed), sep="\n", end="\n" if failed else "")
