@@ -36,11 +36,16 @@ const shape = (name) => {
 };
 const setShape = (drawn, name) => drawn.querySelector("use").setAttribute("href", `#shape-${name}`);
 
-// Make the children of a list those of the rows: each keeps its element, and so the focus.
+// Make the children of a list those of the rows: each keeps its element, and so the focus. Rows of
+// one key, such as two equal events of a moment, are numbered.
 const keep = (list, rows, keyOf, make, fill) => {
   const known = new Map([...list.children].map((one) => [one.dataset.key, one]));
+  const times = new Map();
   const wanted = rows.map((row) => {
-    const key = keyOf(row);
+    const plain = keyOf(row);
+    const time = times.get(plain) ?? 0;
+    times.set(plain, time + 1);
+    const key = time ? `${plain} ${time}` : plain;
     const one = known.get(key) ?? make(row);
     known.delete(key);
     one.dataset.key = key;
