@@ -23,7 +23,7 @@ class Record:
         start: of the first step, with its offset from UTC.
         step_s: duration of a step (s).
         rain: mm, shape (steps,).
-        reference: evapotranspiration of FAO-56's reference grass (mm).
+        reference: evapotranspiration of FAO-56's reference grass (mm); never NaN.
         pumped: onto the roof (mm).
         runoff: off the roof (mm); None where it was not measured.
         level: water in the substrate at the beginning of the step (m); None likewise.
@@ -64,11 +64,12 @@ class Record:
 
     @property
     def known(self) -> NDArray[np.bool_]:
-        """Steps whose rain and all of whose :attr:`measured` are there, before and after, too.
+        """Steps whose water and all of whose :attr:`measured` are there, before and after, too.
 
         A sensor that failed in a step has often seen but a part of the step beside it.
         """
-        missing = np.any([np.isnan(one) for one in (self.rain, *self.measured.values())], axis=0)
+        series = (self.rain, self.pumped, *self.measured.values())
+        missing = np.any([np.isnan(one) for one in series], axis=0)
         beside = np.convolve(missing, np.ones(3), "same") > 0
         return np.asarray(~beside)
 

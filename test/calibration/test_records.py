@@ -66,6 +66,44 @@ def test_a_pump_state_is_a_share_of_the_flow_at_the_cistern_level(tmp_path: Path
     assert read_csv_record(file, TWIN).pumped == pytest.approx(np.full(120, flow * 300 / 100 * 1e3))
 
 
+def test_a_pump_of_which_too_little_is_known_is_a_gap(tmp_path: Path) -> None:
+    """Without the cistern's level a pump that runs lifts nobody knows what, one that stands 0."""
+    text = small(
+        "time,rain [mm],level [m],pump state [1],cistern level [m],"
+        "reference evapotranspiration [mm]", "0", "0.02", "0", "3", "0",
+    )
+    for minute, state, level in (("15", "1", ""), ("25", "0", ""), ("35", "", "3")):
+        text = text.replace(f"T00:{minute},0,0.02,0,3,", f"T00:{minute},0,0.02,{state},{level},")
+    file = tmp_path / "record.csv"
+    file.write_text(text)
+    record = read_csv_record(file, TWIN)
+    assert np.flatnonzero(np.isnan(record.pumped)).tolist() == [3, 7]
+    assert np.nansum(record.pumped) == 0
+    assert np.flatnonzero(~record.known).tolist() == [2, 3, 4, 6, 7, 8]
+
+
+@pytest.mark.parametrize(
+    ("was", "becomes", "message"),
+    [
+        ("T00:10,0,0.02,3", "T00:10,0,0.02,",
+         "line 4: reference evapotranspiration [mm/day]: is empty (1 in all): it must be in"),
+        ("2021-06-01T00:10,0,0.02,3\n2021-06-01T00:15,0,0.02,3\n", "",
+         "line 4: reference evapotranspiration [mm/day]: there is no row of 2021-06-01T00:10:00 "
+         "(2 in all): it must be in every step"),
+    ],
+)
+def test_evapotranspiration_must_be_in_every_step(
+    was: str, becomes: str, message: str, tmp_path: Path
+) -> None:
+    text = small("time,rain [mm],level [m],reference evapotranspiration [mm/day]", "0", "0.02", "3")
+    assert was in text
+    file = tmp_path / "record.csv"
+    file.write_text(text.replace(was, becomes))
+    with pytest.raises(ConfigurationError) as error:
+        read_csv_record(file, TWIN)
+    assert str(error.value).startswith(f"{file}, {message}")
+
+
 def test_missing_rows_and_empty_cells_are_gaps(tmp_path: Path) -> None:
     rows = ROWS[:1] + ROWS[1:500] + ROWS[600:1000]
     rows = [list(row) for row in rows]
