@@ -154,7 +154,7 @@ def _refuse_dry(record: Record, halves: Halves) -> None:
 def _scores(record: Record, fitted: Fit, name: str, steps: NDArray[np.bool_]) -> Scores:
     simulated = getattr(fitted.simulated, name)
     return score(
-        simulated[steps], record.measured[name][steps], record.seconds[steps], record.step_s
+        name, simulated[steps], record.measured[name][steps], record.seconds[steps], record.step_s
     )
 
 

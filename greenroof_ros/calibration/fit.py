@@ -15,7 +15,7 @@ from scipy.optimize import OptimizeResult, least_squares
 from scipy.stats import t as student
 
 from greenroof_ros.calibration.meter import least_reading, through_meter
-from greenroof_ros.calibration.record import Record, Values, sums
+from greenroof_ros.calibration.record import TOGETHER, Record, Values
 from greenroof_ros.calibration.simulation import Simulated, simulate
 from greenroof_ros.model.site import Site
 
@@ -268,17 +268,17 @@ class _Comparison:
         self._seconds = record.seconds[self._steps]
         self._over = max(_SUM_S, round(record.step_s))
         self._names = tuple(record.measured)
-        self._measured = [self._hours(record.measured[name][self._steps]) for name in self._names]
+        self._measured = [self._hours(name, record.measured[name]) for name in self._names]
         self._spread = [float(np.std(series)) or 1.0 for series in self._measured]
         hours = np.unique(self._seconds // self._over) * self._over
         self.weeks = np.tile(hours // _WEEK_S, len(self._names))
 
-    def _hours(self, values: Values) -> Values:
-        return sums(values, self._seconds, self._over)
+    def _hours(self, name: str, values: Values) -> Values:
+        return TOGETHER[name](values[self._steps], self._seconds, self._over)
 
     def __call__(self, simulated: Simulated) -> Values:
         return np.concatenate([
-            (self._hours(getattr(simulated, name)[self._steps]) - measured) / spread
+            (self._hours(name, getattr(simulated, name)) - measured) / spread
             for name, measured, spread in zip(
                 self._names, self._measured, self._spread, strict=True
             )

@@ -81,3 +81,15 @@ def sums(values: Values, seconds: NDArray[np.int64], over_s: int) -> Values:
     """
     _, index = np.unique(seconds // over_s, return_inverse=True)
     return np.bincount(index, values).astype(np.float64)
+
+
+def means(values: Values, seconds: NDArray[np.int64], over_s: int) -> Values:
+    """Average values by the spans of the clock that they begin in, as :func:`sums` adds them up."""
+    return sums(values, seconds, over_s) / sums(np.ones(len(values)), seconds, over_s)
+
+
+TOGETHER = {"runoff": sums, "level": means}
+"""What the values of a span are together, by the names of :attr:`Record.measured`.
+
+Amounts add up. Levels do not: of a span with gaps their sum would tell how long the gaps are.
+"""
