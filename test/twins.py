@@ -17,6 +17,7 @@ from greenroof_ros.weather.hargreaves import hargreaves, over_the_day
 STEP_S = 300
 NOISE_M = 0.002
 TIP_MM = 0.005
+_TICK_S = 30.0
 _DAY = 86400 // STEP_S
 
 TWIN = replace(
@@ -44,8 +45,8 @@ def storms(days: int, random: np.random.Generator) -> np.ndarray:
 def record_rows(site: Site, days: int, seed: int, *, gaps: bool = True) -> list[list[str]]:
     """Return the rows of a CSV record, the header first.
 
-    The true roof is stepped by the plant, with the record's step as its tick. Its level is measured
-    with a noise of 2 mm, its runoff by a counter of tips; three gaps of a day leave out both.
+    The true roof is stepped by the plant, with ticks of half a minute. Its level is measured with a
+    noise of 2 mm, its runoff by a counter of tips; three gaps of a day leave out both.
     """
     random = np.random.default_rng(seed)
     rain = storms(days, random)
@@ -60,17 +61,19 @@ def record_rows(site: Site, days: int, seed: int, *, gaps: bool = True) -> list[
         site.longitude - 15 * site.utc_offset,
     )
     plant = Plant(
-        replace(site, tau=float(STEP_S)), 0.0,
+        replace(site, tau=_TICK_S), 0.0,
         site.wilting_volume + FILLED_AT_FIRST * site.available_volume,
     )
     level, runoff = [], []
     for fell, wanted in zip(rain.tolist(), reference.tolist(), strict=True):
-        flows = plant.flows(
-            fell / 1000 / STEP_S, wanted * site.crop_coefficient * site.a2 / 1000 / STEP_S, 0.0
-        )
+        precipitation, drained = fell / 1000 / STEP_S, 0.0
+        evapotranspiration = wanted * site.crop_coefficient * site.a2 / 1000 / STEP_S
         level.append(plant.levels()[1])
-        runoff.append(flows.drainage * STEP_S * 1000 / site.a2)
-        plant.step(fell / 1000 / STEP_S, flows)
+        for _ in range(round(STEP_S / _TICK_S)):
+            flows = plant.flows(precipitation, evapotranspiration, 0.0)
+            drained += flows.drainage * _TICK_S
+            plant.step(precipitation, flows)
+        runoff.append(drained * 1000 / site.a2)
     measured = np.array(level) + random.normal(0, NOISE_M, len(level))
     tips = np.diff(np.floor(np.concatenate(([0.0], np.cumsum(runoff))) / TIP_MM)) * TIP_MM
     missing = np.zeros(len(rain), dtype=bool)

@@ -101,7 +101,9 @@ PARTS = {
     },
     "without water stress": {"water_stress": lambda site, x2: 1.0},
     "without percolation below field capacity": {
-        "percolation": lambda site, x2, arriving, seconds: max(0.0, x2 - site.z_cap) / seconds,
+        "mean_percolation": lambda site, x2, arriving, seconds: (
+            max(0.0, x2 - site.z_cap) / seconds
+        ),
     },
 }
 
