@@ -99,15 +99,19 @@ def read_csv_record(file: Path, site: Site) -> Record:
         )
     slots, step_s = _slots(file, times, rows)
     series = {}
+    last_decimal = 0.0
     for quantity, column in columns.items():
         values = np.full(slots[-1] + 1, np.nan)
         values[slots] = np.array(cells[quantity])
-        series[quantity] = values * column.factor * (step_s if column.rate else 1.0)
+        factor = column.factor * (step_s if column.rate else 1.0)
+        series[quantity] = values * factor
+        if quantity == "runoff":
+            last_decimal = _last_decimal(values) * factor
         _refuse_unbelievable(file, quantity, column, series[quantity], step_s, slots, rows, cells)
     record = Record(
         source=file, start=times[0], step_s=step_s, rain=series["rain"],
         reference=np.zeros(slots[-1] + 1), pumped=_pumped(series, site, step_s),
-        runoff=series.get("runoff"), level=series.get("level"),
+        runoff=series.get("runoff"), level=series.get("level"), last_decimal=last_decimal,
     )
     if "reference evapotranspiration" in series:
         reference = series["reference evapotranspiration"]
@@ -231,6 +235,15 @@ def _slots(
             value=times[row].isoformat(),
         )
     return np.concatenate(([0], np.cumsum(counts))).astype(np.int64), step_s
+
+
+def _last_decimal(values: Values) -> float:
+    """Return what 1 in the last decimal place is that any value has, 1e-12 at least."""
+    there = values[~np.isnan(values)]
+    places = 0
+    while places < 12 and not np.allclose(np.round(there, places), there, rtol=1e-9, atol=0.0):
+        places += 1
+    return float(10.0**-places)
 
 
 def _refuse_unbelievable(

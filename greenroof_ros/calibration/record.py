@@ -27,6 +27,8 @@ class Record:
         pumped: onto the roof (mm).
         runoff: off the roof (mm); None where it was not measured.
         level: water in the substrate at the beginning of the step (m); None likewise.
+        last_decimal: what 1 in the last decimal place of the runoff is (mm); 0 where it was not
+            rounded.
     """
 
     source: Path
@@ -37,6 +39,7 @@ class Record:
     pumped: Values
     runoff: Values | None
     level: Values | None
+    last_decimal: float = 0.0
 
     @property
     def steps(self) -> int:

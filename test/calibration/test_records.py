@@ -48,6 +48,21 @@ def test_units_come_to_mm_of_a_step_and_m(tmp_path: Path) -> None:
     assert record.reference == pytest.approx(np.full(120, 0.01))
 
 
+@pytest.mark.parametrize(
+    ("runoff", "last_decimal"),
+    [("0.04", 0.01), ("1.5", 0.1), ("3", 1.0), ("0", 1.0), ("0.30000000000000004", 0.1),
+     ("0.00515464", 1e-8)],
+)
+def test_the_last_decimal_of_runoff(runoff: str, last_decimal: float, tmp_path: Path) -> None:
+    """Of 100 m2: 1 in the last place of litres is a hundredth of that in mm."""
+    file = tmp_path / "record.csv"
+    for unit, factor in (("mm", 1.0), ("l", 0.01)):
+        file.write_text(small(
+            f"time,rain [mm],runoff [{unit}],reference evapotranspiration [mm]", "0", runoff, "0",
+        ))
+        assert read_csv_record(file, TWIN).last_decimal == pytest.approx(factor * last_decimal)
+
+
 def test_a_pump_state_is_a_share_of_the_flow_at_the_cistern_level(tmp_path: Path) -> None:
     """At 3 m the paper's pumps lift sqrt((3 + 55.2 - 16) / 1 / b^-2), Eq. 3e."""
     file = tmp_path / "record.csv"
