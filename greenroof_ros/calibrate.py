@@ -19,7 +19,7 @@ from greenroof_ros.calibration.fit import Fit, fit, measured_roof
 from greenroof_ros.calibration.halves import Halves, halve
 from greenroof_ros.calibration.record import Record
 from greenroof_ros.calibration.scores import ScoreRow, Scores, score, time_name
-from greenroof_ros.calibration.site_file import fitted_site_file
+from greenroof_ros.calibration.site_file import CROP_NOTE, fitted_site_file
 from greenroof_ros.calibration.storms import comparable
 from greenroof_ros.calibration.suspicions import refuse_wrong
 from greenroof_ros.common.command_line import EXIT_DONE, command
@@ -200,6 +200,7 @@ def _print(fitted: Fit, rows: Sequence[ScoreRow]) -> None:
         scores.add_row(f"{row.quantity}, {row.part}", *values, error)
     console = Console()
     console.print(table)
+    console.print(f"crop_coefficient {CROP_NOTE}", soft_wrap=True, highlight=False)
     console.print(scores)
 
 

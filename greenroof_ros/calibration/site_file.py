@@ -9,6 +9,12 @@ from greenroof_ros.calibration.fit import FILLED, Fit, Parameter
 from greenroof_ros.model.pump_curve import PumpCurve
 from greenroof_ros.model.site import site_parameters
 
+CROP_NOTE = (
+    "counts where evapotranspiration is computed (fao56; hargreaves in calibrate), not with a "
+    "weather file's own column"
+)
+"""What a crop coefficient does in a run."""
+
 _COMMENT = 30
 # Written in this order where the file has none of them.
 _ROOF = (
@@ -68,6 +74,8 @@ def _lines(fit: Fit) -> dict[str, str]:
         else:
             number = f"{value:.6g}"
             comment = _comment(told[name]) if name in told else "as it was, not fitted"
+            if name == "crop_coefficient":
+                comment += f"; {CROP_NOTE}"
         lines[name] = _line(name, number, units[name], comment)
     return lines
 

@@ -105,6 +105,7 @@ def fitted(tmp_path_factory: pytest.TempPathFactory) -> Path:
     )
     assert ended.returncode == 0, ended.stderr
     assert "runoff, validation" in ended.stdout
+    assert "crop_coefficient counts where evapotranspiration is computed" in ended.stdout
     assert "level sensor: noise 2 mm and drift" in ended.stdout  # as the twin was made
     return directory
 
@@ -118,6 +119,9 @@ def test_the_command_writes_a_site_that_can_be_used(fitted: Path) -> None:
     assert "# runoff, validation: NSE " in text
     assert site.a_hat == pytest.approx(-1e6, rel=1e-5)
     assert site.c_hat == pytest.approx(50.0, rel=1e-5)
+    crop = next(line for line in text.splitlines() if line.startswith("crop_coefficient:"))
+    assert crop.endswith("; counts where evapotranspiration is computed (fao56; hargreaves in "
+                         "calibrate), not with a weather file's own column")
     assert site.z_pump == 0.15  # what was not fitted stays, with its comment
     assert "# m       elevation of the pumps above the cistern's base [T1]" in text
 
