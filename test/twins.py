@@ -17,7 +17,6 @@ from greenroof_ros.weather.hargreaves import hargreaves, over_the_day
 STEP_S = 300
 NOISE_M = 0.002
 TIP_MM = 0.005
-_TICK_S = 30.0
 _DAY = 86400 // STEP_S
 
 TWIN = replace(
@@ -45,8 +44,9 @@ def storms(days: int, random: np.random.Generator) -> np.ndarray:
 def record_rows(site: Site, days: int, seed: int, *, gaps: bool = True) -> list[list[str]]:
     """Return the rows of a CSV record, the header first.
 
-    The true roof is stepped by the plant, with ticks of half a minute. Its level is measured with a
-    noise of 2 mm, its runoff by a counter of tips; three gaps of a day leave out both.
+    The true roof is stepped by the plant, with ticks of a second while it rains and those of the
+    record else. Its level is measured with a noise of 2 mm, its runoff by a counter of tips; three
+    gaps of a day leave out both.
     """
     random = np.random.default_rng(seed)
     rain = storms(days, random)
@@ -60,20 +60,22 @@ def record_rows(site: Site, days: int, seed: int, *, gaps: bool = True) -> list[
         hargreaves(site.latitude, dates, least, greatest), site.latitude, seconds, day, STEP_S,
         site.longitude - 15 * site.utc_offset,
     )
-    plant = Plant(
-        replace(site, tau=_TICK_S), 0.0,
-        site.wilting_volume + FILLED_AT_FIRST * site.available_volume,
-    )
+    x2 = site.wilting_volume + FILLED_AT_FIRST * site.available_volume
+    wet, dry = (Plant(replace(site, tau=tau), 0.0, x2) for tau in (1.0, float(STEP_S)))
+    layer = 0.0
     level, runoff = [], []
     for fell, wanted in zip(rain.tolist(), reference.tolist(), strict=True):
-        precipitation, drained = fell / 1000 / STEP_S, 0.0
-        evapotranspiration = wanted * site.crop_coefficient * site.a2 / 1000 / STEP_S
+        plant, ticks = (wet, STEP_S) if fell > 0 else (dry, 1)
+        plant.x2, plant.layer, drained = x2, layer, 0.0
         level.append(plant.levels()[1])
-        for _ in range(round(STEP_S / _TICK_S)):
-            flows = plant.flows(precipitation, evapotranspiration, 0.0)
-            drained += flows.drainage * _TICK_S
-            plant.step(precipitation, flows)
+        for _ in range(ticks):
+            flows = plant.flows(
+                fell / 1000 / STEP_S, wanted * site.crop_coefficient * site.a2 / 1000 / STEP_S, 0.0
+            )
+            drained += flows.drainage * STEP_S / ticks
+            plant.step(fell / 1000 / STEP_S, flows)
         runoff.append(drained * 1000 / site.a2)
+        x2, layer = plant.x2, plant.layer
     measured = np.array(level) + random.normal(0, NOISE_M, len(level))
     tips = np.diff(np.floor(np.concatenate(([0.0], np.cumsum(runoff))) / TIP_MM)) * TIP_MM
     missing = np.zeros(len(rain), dtype=bool)
