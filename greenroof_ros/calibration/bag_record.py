@@ -23,8 +23,9 @@ def read_bag_record(bag: Path, site: Site) -> Record:
 
     Rain, evapotranspiration and what was pumped are summed over each; ``/roof/level`` is that at
     its beginning. Where ``/roof/drainage`` is not recorded, or nothing drained, only levels count.
-    Steps in a gap have no values but evapotranspiration, since a roof dries through gaps, too: that
-    of a day before, or in the first day that before the gap.
+    What the pumps were told counts while they deliver, in steps in which it is never above 1, which
+    is beyond a real pump. Steps in a gap have no values but evapotranspiration, since a roof dries
+    through gaps, too: that of a day before, or in the first day that before the gap.
 
     Raises:
         ConfigurationError: the bag cannot be read, is shorter than two steps, or holds no
@@ -59,6 +60,8 @@ def read_bag_record(bag: Path, site: Site) -> Record:
             "is not in the bag, or 0 throughout: it must be there, or nothing of how the roof "
             "dries can be fitted", file=bag, key="/weather/evapotranspiration",
         )
+    beyond = summed((seen.command > 1).astype(np.float64)) > 0
+    command = summed(np.where(seen.pump_flow > 0, seen.command, 0.0)) / _STEP_S
     return Record(
         source=bag, start=seen.start, step_s=_STEP_S,
         rain=summed(seen.precipitation) * 1000,
@@ -66,6 +69,8 @@ def read_bag_record(bag: Path, site: Site) -> Record:
         pumped=summed(seen.pump_flow) * mm,
         runoff=summed(seen.drainage) * mm if np.any(seen.drainage > 0) else None,
         level=np.where(gap, np.nan, seen.roof[first] / site.a2),
+        cistern=np.where(gap, np.nan, seen.cistern[first] / site.a1),
+        command=np.where(beyond, np.nan, command),
     )
 
 

@@ -112,6 +112,7 @@ def read_csv_record(file: Path, site: Site) -> Record:
         source=file, start=times[0], step_s=step_s, rain=series["rain"],
         reference=np.zeros(slots[-1] + 1), pumped=_pumped(series, site, step_s),
         runoff=series.get("runoff"), level=series.get("level"), last_decimal=last_decimal,
+        cistern=series.get("cistern level"), command=series.get("pump state"),
     )
     if "reference evapotranspiration" in series:
         reference = series["reference evapotranspiration"]

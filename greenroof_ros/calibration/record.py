@@ -29,6 +29,8 @@ class Record:
         level: water in the substrate at the beginning of the step (m); None likewise.
         last_decimal: what 1 in the last decimal place of the runoff is (mm); 0 where it was not
             rounded.
+        cistern: level of the cistern at the beginning of the step (m); None where not measured.
+        command: mean share of the pumps' maximum flow (1); None where not known.
     """
 
     source: Path
@@ -40,6 +42,8 @@ class Record:
     runoff: Values | None
     level: Values | None
     last_decimal: float = 0.0
+    cistern: Values | None = None
+    command: Values | None = None
 
     @property
     def steps(self) -> int:
