@@ -25,14 +25,15 @@ TOPICS = (
 def write_bag(
     directory: Path, seconds: list[int], drainage: float,
     evapotranspiration: Callable[[int], float] = lambda now: 1e-5,
+    command: Callable[[int], float] = lambda now: 0.5,
 ) -> Path:
     """Write a bag in which it rains 36 mm/h, and in the first minute nothing is pumped."""
     interface = read_topics()
     writer = BagWriter(directory, [interface[name] for name in TOPICS])
     for now in seconds:
         values = (
-            0.02 + now * 1e-6, 2.0, 0.5, 0.0 if now < 60 else 0.002, 1e-5, evapotranspiration(now),
-            drainage,
+            0.02 + now * 1e-6, 2.0, command(now), 0.0 if now < 60 else 0.002, 1e-5,
+            evapotranspiration(now), drainage,
         )
         writer.write_tick(
             START_NS + now * 10**9,
@@ -54,6 +55,18 @@ def test_sums_of_five_minutes(tmp_path: Path) -> None:
     assert record.level == pytest.approx(0.02 + 300e-6 * np.arange(6))
     # The bag's has the site's crop coefficient, the reference has not: 0.03 mm / 0.85.
     assert record.reference == pytest.approx(np.full(6, 0.03 / 0.85))
+    assert record.cistern == pytest.approx(np.full(6, 2.0))
+    # While nothing is delivered nothing was told.
+    assert record.command == pytest.approx([0.4, *[0.5] * 5])
+
+
+def test_a_command_that_no_pump_follows_is_not_known(tmp_path: Path) -> None:
+    bag = write_bag(
+        tmp_path / "bag", list(range(0, 1810, 10)), 0.0,
+        command=lambda now: 1.5 if now == 700 else 1.0,
+    )
+    command = read_bag_record(bag, TWIN).command
+    assert command == pytest.approx([0.8, 1.0, np.nan, 1.0, 1.0, 1.0], nan_ok=True)
 
 
 def test_a_gap_is_no_rain(tmp_path: Path) -> None:

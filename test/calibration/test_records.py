@@ -78,7 +78,10 @@ def test_a_pump_state_is_a_share_of_the_flow_at_the_cistern_level(tmp_path: Path
         "reference evapotranspiration [mm]", "0", "0.02", "50", "3", "0",
     ))
     flow = 0.5 * TWIN.b * np.sqrt(3 + TWIN.c_hat - TWIN.d)
-    assert read_csv_record(file, TWIN).pumped == pytest.approx(np.full(120, flow * 300 / 100 * 1e3))
+    record = read_csv_record(file, TWIN)
+    assert record.pumped == pytest.approx(np.full(120, flow * 300 / 100 * 1e3))
+    assert record.command == pytest.approx(np.full(120, 0.5))
+    assert record.cistern == pytest.approx(np.full(120, 3.0))
 
 
 def test_a_pump_of_which_too_little_is_known_is_a_gap(tmp_path: Path) -> None:
