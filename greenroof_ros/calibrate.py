@@ -68,7 +68,8 @@ def _parser() -> argparse.ArgumentParser:
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     parser.add_argument(
-        "measured", type=Path, nargs="?", metavar="MEASURED", help="the record, CSV or a bag"
+        "measured", type=Path, nargs="?", metavar="MEASURED",
+        help="the record, CSV or a bag; not needed with --pump-data",
     )
     parser.add_argument(
         "--site", type=Path, metavar="FILE",

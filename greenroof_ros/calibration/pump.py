@@ -128,7 +128,7 @@ def fit_pump(site: Site, record: Record) -> PumpFit | None:
     if not shape_told:
         shares, others = solve(1)
     flow, a_hat, c_hat = derived(shares).tolist()
-    half = half_intervals(derived(others))
+    half = half_intervals(derived(others)).tolist()
     shape = Parameter("a_hat", a_hat, a_hat - half[1], a_hat + half[1], "")
     if not shape_told:
         shape = Parameter(
@@ -136,7 +136,7 @@ def fit_pump(site: Site, record: Record) -> PumpFit | None:
         )
     height = Parameter("c_hat", c_hat, c_hat - half[2], c_hat + half[2], "")
     fitted = replace(site, a_hat=shape.value, c_hat=c_hat)
-    return PumpFit(fitted, [shape, height], flow, float(half[0]), middle, len(found))
+    return PumpFit(fitted, [shape, height], flow, half[0], middle, len(found))
 
 
 def _running(
