@@ -80,7 +80,8 @@ def judge(roof, directory, scratch):
         steps = halves[judged_on]
         for model, runoff in models.items():
             scores = score(
-                runoff[steps], record.runoff[steps], record.seconds[steps], record.step_s
+                "runoff", runoff[steps], record.runoff[steps], record.seconds[steps],
+                record.step_s,
             )
             rows.append((roof.name, names[judged_on], model, scores))
         for storm in whole_storms(record, steps):
@@ -100,7 +101,9 @@ PARTS = {
     },
     "without water stress": {"water_stress": lambda site, x2: 1.0},
     "without percolation below field capacity": {
-        "percolation": lambda site, x2, arriving, seconds: max(0.0, x2 - site.z_cap) / seconds,
+        "mean_percolation": lambda site, x2, arriving, seconds: (
+            max(0.0, x2 - site.z_cap) / seconds
+        ),
     },
 }
 
@@ -125,7 +128,7 @@ def parts(roof, directory, scratch):
         with left_out(part):
             runoff = fit(site, record, earlier).simulated.runoff
         scores = score(
-            runoff[later], record.runoff[later], record.seconds[later], record.step_s
+            "runoff", runoff[later], record.runoff[later], record.seconds[later], record.step_s
         )
         nse = " | ".join(f"{value:.2f}" for value in scores.nse.values())
         yield f"| {roof.name} | {part} | {nse} | {1 + scores.volume_error:.2f} |"

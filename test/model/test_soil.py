@@ -20,6 +20,7 @@ from greenroof_ros.model.soil import (
     free_changes,
     kept_share,
     layer_outflow,
+    mean_percolation,
     percolation,
     water_stress,
     water_to_fill,
@@ -167,6 +168,28 @@ def test_free_changes_follow_their_equations(
     )
     assert found.shape == (1, 1)
     assert x2 + found[0, 0] == pytest.approx(volume, rel=1e-6, abs=1e-6)
+
+
+@settings(max_examples=60, deadline=None)
+@given(
+    x2=st.floats(0, 6), arriving=st.floats(0, 1e-3) | st.just(0.0),
+    seconds=st.sampled_from([10.0, 300.0, 3600.0]),
+)
+def test_what_percolates_in_a_long_step_follows_its_equation(
+    x2: float, arriving: float, seconds: float
+) -> None:
+    """dx/dt = (1 - S^2) i, by scipy; what came and did not stay has percolated."""
+    solved = solve_ivp(
+        lambda _, x: [kept_share(ROOF, float(x[0])) * arriving], (0, seconds), [x2], rtol=1e-9,
+        atol=1e-12, max_step=seconds / 50,
+    )
+    passed = seconds * mean_percolation(ROOF, x2, arriving, seconds)
+    assert passed == pytest.approx(x2 + seconds * arriving - solved.y[0, -1], abs=1e-6)
+
+
+def test_above_field_capacity_all_percolates() -> None:
+    """And the excess: 0.5 m3 in 10 s."""
+    assert mean_percolation(ROOF, 6.5, 0.01, 10.0) == pytest.approx(0.06, rel=1e-12)
 
 
 def test_free_changes_of_the_papers_soil_are_the_weather() -> None:
