@@ -146,7 +146,7 @@ def _running(
     wet = ~(record.rain == 0)
     recent = np.convolve(wet, np.ones(round(_WET_S / record.step_s) + 1), "full")[:record.steps] > 0
     low = max(site.suction_level, site.mains_level or 0.0) + _APART_M
-    between = (level > low) & (level < site.z_o - _APART_M)
+    between = (level > low) & (level < site.lowest_outlet - _APART_M)
     return np.asarray((command > 0) & ~recent & between & np.append(between[1:], False))
 
 
