@@ -193,19 +193,31 @@ def free_changes(
         return np.asarray((rain * site.a2 - evapotranspiration) * lengths)
     dry, most = site.wilting_volume, site.available_volume
     stressed = dry + site.stress_onset * most  # below it evapotranspiration decays
-    volume = np.full(len(rain), x2)
-    volumes = [volume]
-    for fell, asked in zip(
-        (rain * site.a2 * lengths).T, evapotranspiration * lengths, strict=True
-    ):
-        first = np.minimum(fell, np.maximum(dry - volume, 0.0))
-        filled = np.clip((volume - dry) / most, 0.0, 1.0)
-        gained = np.tanh((fell - first) / most)
-        filled = (filled + gained) / (1 + filled * gained)
-        volume = np.where(volume + first < dry, volume + first, dry + most * filled)
-        easy = np.minimum(asked, np.maximum(volume - stressed, 0.0))
-        volume = volume - easy
-        decay = -np.expm1((easy - asked) / (site.stress_onset * most))
-        volume = volume - np.maximum(volume - dry, 0.0) * decay
-        volumes.append(volume)
-    return np.diff(np.column_stack(volumes), axis=1)
+    fallen, wanted = rain * site.a2 * lengths, evapotranspiration * lengths
+    drying = site.stress_onset * most
+    # Of most steps, all at once: those that begin above the wilting point, and end all stressed.
+    gains, losses = np.tanh(fallen / most), np.expm1(-wanted / drying).tolist()
+    volumes = []
+    for member, member_gains in zip(fallen.tolist(), gains.tolist(), strict=True):
+        volume = x2
+        volumes.append([volume])
+        for fell, gained, asked, lost in zip(
+            member, member_gains, wanted.tolist(), losses, strict=True
+        ):
+            first = min(fell, max(dry - volume, 0.0))
+            if first > 0:
+                gained = float(np.tanh((fell - first) / most))
+            if volume + first < dry:
+                volume += first
+            else:
+                filled = min(max((volume - dry) / most, 0.0), 1.0)
+                volume = dry + most * ((filled + gained) / (1 + filled * gained))
+            easy = min(asked, max(volume - stressed, 0.0))
+            if easy == asked:
+                lost = 0.0
+            elif easy > 0:
+                lost = float(np.expm1((easy - asked) / drying))
+            volume = volume - easy
+            volume += max(volume - dry, 0.0) * lost
+            volumes[-1].append(volume)
+    return np.diff(volumes, axis=1)

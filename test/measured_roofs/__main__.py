@@ -3,7 +3,8 @@
 Each roof is fitted on one half of its warm seasons and judged on the other, both ways, beside SWMM
 as its authors calibrated it and a bucket of one parameter. Needs the extras [study] and [swmm].
 With ``--parts`` each roof is fitted again without one part of the model after the other instead, on
-its earlier half, to see what the part buys on the later one.
+its earlier half, to see what the part buys on the later one; and config/site_neubrandenburg.yaml is
+judged there.
 """
 
 from __future__ import annotations
@@ -17,6 +18,7 @@ from pathlib import Path
 
 import altair as alt
 import numpy as np
+from scipy.optimize import minimize_scalar
 
 HERE = Path(__file__).resolve().parent
 sys.path[:0] = [str(HERE), str(HERE.parent.parent)]
@@ -29,6 +31,7 @@ from greenroof_ros.calibration import simulation  # noqa: E402
 from greenroof_ros.calibration.fit import fit, measured_roof  # noqa: E402
 from greenroof_ros.calibration.halves import halve  # noqa: E402
 from greenroof_ros.calibration.meter import least_reading, through_meter  # noqa: E402
+from greenroof_ros.calibration.record import sums  # noqa: E402
 from greenroof_ros.calibration.scores import score  # noqa: E402
 from greenroof_ros.calibration.storms import comparable, storms  # noqa: E402
 from greenroof_ros.common.files import shared_directory  # noqa: E402
@@ -127,11 +130,40 @@ def parts(roof, directory, scratch):
     for part in PARTS:
         with left_out(part):
             runoff = fit(site, record, earlier).simulated.runoff
-        scores = score(
-            "runoff", runoff[later], record.runoff[later], record.seconds[later], record.step_s
-        )
-        nse = " | ".join(f"{value:.2f}" for value in scores.nse.values())
-        yield f"| {roof.name} | {part} | {nse} | {1 + scores.volume_error:.2f} |"
+        yield part_row(roof, part, record, runoff, later)
+    shipped = shared_directory() / "config" / f"site_{roof.name}.yaml"
+    if shipped.exists():
+        site = read_site(shipped)
+        for crop in (fitted_crop_coefficient(site, record, earlier), site.crop_coefficient):
+            model = f"{shipped.name}, crop_coefficient {crop:.2f}"
+            yield part_row(roof, model, record, shown(site, record, crop), later)
+
+
+def part_row(roof, model, record, runoff, steps):
+    """Return a row of the scores of a runoff."""
+    scores = score(
+        "runoff", runoff[steps], record.runoff[steps], record.seconds[steps], record.step_s
+    )
+    nse = " | ".join(f"{value:.2f}" for value in scores.nse.values())
+    return f"| {roof.name} | {model} | {nse} | {1 + scores.volume_error:.2f} |"
+
+
+def shown(site, record, crop_coefficient):
+    """Return the runoff (mm) that the meter would show of a site's roof, half full at first."""
+    site = replace(site, crop_coefficient=crop_coefficient)
+    return through_meter(simulation.simulate(site, record, 0.5).runoff, least_reading(record))
+
+
+def fitted_crop_coefficient(site, record, steps):
+    """Fit the crop coefficient of a site alone, to sums over hours of what ran off."""
+    seconds = record.seconds[steps]
+    measured = sums(record.runoff[steps], seconds, 3600)
+
+    def misfit(crop_coefficient):
+        runoff = shown(site, record, crop_coefficient)[steps]
+        return float(np.sum((sums(runoff, seconds, 3600) - measured) ** 2))
+
+    return minimize_scalar(misfit, bounds=(0.1, 2.5), method="bounded").x
 
 
 def _volumes(roof, names, fitted_on, judged_on, record, halves, runoff):
