@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -17,21 +18,23 @@ from greenroof_ros.calibration.csv_record import read_csv_record
 from greenroof_ros.calibration.dry_nights import LevelSensor, dry_nights
 from greenroof_ros.calibration.fit import Fit, fit, measured_roof
 from greenroof_ros.calibration.halves import Halves, halve
+from greenroof_ros.calibration.pump import PumpFit, fit_pump
 from greenroof_ros.calibration.record import Record
 from greenroof_ros.calibration.scores import ScoreRow, Scores, score, time_name
-from greenroof_ros.calibration.site_file import fitted_site_file
+from greenroof_ros.calibration.site_file import CROP_NOTE, fitted_site_file, pump_site_file
 from greenroof_ros.calibration.storms import comparable
 from greenroof_ros.calibration.suspicions import refuse_wrong
 from greenroof_ros.common.command_line import EXIT_DONE, command
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.files import read_text, shared_directory
-from greenroof_ros.model.pump_curve import fit_pump_curve
-from greenroof_ros.model.site import read_site
+from greenroof_ros.model.pump_curve import PumpCurve, fit_pump_curve
+from greenroof_ros.model.site import Site, read_site
 
 _DESCRIPTION = """\
 Fit the roof of a site to a measured record: its field capacity, wilting point, depletion fraction,
 drainage time and crop coefficient, as far as the record can tell them. The first half of its rain
-is fitted, the second judges the fit.
+is fitted, the second judges the fit. Where the record has the pumps' state and the cistern's level,
+the pump curve is fitted first, to how fast the cistern falls.
 """
 _EPILOG = """\
 MEASURED is a bag of this project, or CSV: a row a step, at most an hour apart, and columns named
@@ -46,10 +49,12 @@ like these, in which empty cells and missing rows are gaps:
   reference evapotranspiration mm, mm/h, mm/day; or instead of it
   temperature                  degC; or least temperature and greatest temperature of the day
 
-Written are the site file, and a page beside it with its name and .html.
+Written are the site file, and a page beside it with its name and .html. With --pump-data and no
+MEASURED the site file alone, with the pumps of the data sheet.
 
 examples:
   python -m greenroof_ros.calibrate roof_2025.csv --site my_site.yaml -o fitted_site.yaml
+  python -m greenroof_ros.calibrate --pump-data sheet.csv --site my_site.yaml -o fitted_site.yaml
   python -m greenroof_ros.simulate --site fitted_site.yaml
 
 exit codes: 0 done, 2 bad usage, configuration or record
@@ -62,7 +67,10 @@ def _parser() -> argparse.ArgumentParser:
         prog="python -m greenroof_ros.calibrate", description=_DESCRIPTION, epilog=_EPILOG,
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
-    parser.add_argument("measured", type=Path, metavar="MEASURED", help="the record, CSV or a bag")
+    parser.add_argument(
+        "measured", type=Path, nargs="?", metavar="MEASURED",
+        help="the record, CSV or a bag; not needed with --pump-data",
+    )
     parser.add_argument(
         "--site", type=Path, metavar="FILE",
         help="site file that the fit begins with (default: the paper's, config/site.yaml)",
@@ -88,21 +96,70 @@ def main() -> int:
     for file in (output, page_file):
         if file.exists():
             raise ConfigurationError("exists; name another file", key="--output", value=str(file))
+    if arguments.measured is None and arguments.pump_data is None:
+        raise ConfigurationError("must be given, or --pump-data alone", key="MEASURED")
+    site_file: Path = arguments.site or shared_directory() / "config" / "site.yaml"
+    site = read_site(site_file)
+    sheet = None
+    if arguments.pump_data is not None:
+        sheet = _read_sheet(arguments.pump_data, site)
+        site = replace(site, a_hat=sheet.a_hat, c_hat=sheet.c_hat)
+    if arguments.measured is not None:
+        text = _fit(arguments.measured, measured_roof(site), sheet, read_text(site_file), page_file)
+        written = f"{output}, {page_file}"
+    else:
+        assert sheet is not None
+        source = arguments.pump_data.name
+        heading = [f"Pumps fitted to {source} by python -m greenroof_ros.calibrate."]
+        text = pump_site_file(read_text(site_file), sheet, heading)
+        written = str(output)
+    output.write_text(text, encoding="utf-8")
     try:
-        from greenroof_ros.calibration import figures, page
+        read_site(output)
+    except ConfigurationError as error:
+        Console().print(f"to be repaired before it is used: {error}", style="bold", markup=False)
+    Console().print(f"written: {written}", soft_wrap=True, highlight=False)
+    return EXIT_DONE
+
+
+def _read_sheet(file: Path, site: Site) -> PumpCurve:
+    """Return the pump curve of a data sheet, and print it."""
+    try:
         from greenroof_ros.report.pump_figures import read_pump_data
     except ModuleNotFoundError as error:
+        raise _missing(error) from error
+    points = read_pump_data(file)
+    sheet = fit_pump_curve([flow for flow, _ in points], [head for _, head in points])
+    if sheet.c_hat - site.d + site.suction_level <= 0:
         raise ConfigurationError(
-            f"needs {error.name}: pip install 'greenroof_ros[study]'"
-        ) from error
-    site_file: Path = arguments.site or shared_directory() / "config" / "site.yaml"
-    site = measured_roof(read_site(site_file))
-    read = read_bag_record if arguments.measured.is_dir() else read_csv_record
-    record = read(arguments.measured, site)
-    pump = None
-    if arguments.pump_data is not None:
-        points = read_pump_data(arguments.pump_data)
-        pump = fit_pump_curve([flow for flow, _ in points], [head for _, head in points])
+            f"the curve has {sheet.c_hat:.4g} m at no flow; it must exceed d - z_pump - z_H = "
+            f"{site.d - site.suction_level:g} m of the site, or the pumps never lift water to the "
+            "roof (Eq. 3e)", file=file,
+        )
+    Console().print(
+        f"data sheet: a_hat {sheet.a_hat:.6g} s2/m5, c_hat {sheet.c_hat:.6g} m", highlight=False
+    )
+    return sheet
+
+
+def _missing(error: ModuleNotFoundError) -> ConfigurationError:
+    return ConfigurationError(f"needs {error.name}: pip install 'greenroof_ros[study]'")
+
+
+def _fit(
+    measured: Path, site: Site, sheet: PumpCurve | None, text: str, page_file: Path
+) -> str:
+    """Fit a record, print what was found, write the page, and return the text of the site file."""
+    try:
+        from greenroof_ros.calibration import figures, page
+    except ModuleNotFoundError as error:
+        raise _missing(error) from error
+    read = read_bag_record if measured.is_dir() else read_csv_record
+    record = read(measured, site)
+    pump = fit_pump(site, record)
+    if pump is not None:
+        site = pump.site
+        record = read(measured, site)  # the pumps' state is now another flow
     refuse_wrong(record, site)
     halves = halve(record, comparable(record))
     _refuse_dry(record, halves)
@@ -112,6 +169,8 @@ def main() -> int:
     ) as progress:
         task = progress.add_task("fitting", total=None)
         fitted = fit(site, record, halves.earlier, lambda: progress.advance(task))
+    if pump is not None:
+        fitted = fitted._replace(parameters=[*fitted.parameters, *pump.parameters])
     spans = {
         part: _span(record, steps)
         for part, steps in zip(("fit", "validation"), halves, strict=True)
@@ -121,22 +180,18 @@ def main() -> int:
         for name in record.measured
         for part, steps in zip(("fit", "validation"), halves, strict=True)
     ]
-    text = fitted_site_file(read_text(site_file), fitted, _heading(record, spans, rows), pump)
-    output.write_text(text, encoding="utf-8")
+    fitted_text = fitted_site_file(text, fitted, _heading(record, spans, rows), sheet)
     page_file.write_text(
-        page.render(record, fitted, rows, figures.make_figures(record, halves, fitted), text,
-                    spans),
+        page.render(record, fitted, rows, figures.make_figures(record, halves, fitted),
+                    fitted_text, spans),
         encoding="utf-8",
     )
     _print(fitted, rows)
     if record.level is not None:
         _print_sensor(dry_nights(record, fitted.simulated.level))
-    try:
-        read_site(output)
-    except ConfigurationError as error:
-        Console().print(f"to be repaired before it is used: {error}", style="bold", markup=False)
-    Console().print(f"written: {output}, {page_file}", soft_wrap=True, highlight=False)
-    return EXIT_DONE
+    if pump is not None:
+        _print_pump(pump)
+    return fitted_text
 
 
 def _refuse_dry(record: Record, halves: Halves) -> None:
@@ -154,7 +209,7 @@ def _refuse_dry(record: Record, halves: Halves) -> None:
 def _scores(record: Record, fitted: Fit, name: str, steps: NDArray[np.bool_]) -> Scores:
     simulated = getattr(fitted.simulated, name)
     return score(
-        simulated[steps], record.measured[name][steps], record.seconds[steps], record.step_s
+        name, simulated[steps], record.measured[name][steps], record.seconds[steps], record.step_s
     )
 
 
@@ -200,6 +255,7 @@ def _print(fitted: Fit, rows: Sequence[ScoreRow]) -> None:
         scores.add_row(f"{row.quantity}, {row.part}", *values, error)
     console = Console()
     console.print(table)
+    console.print(f"crop_coefficient {CROP_NOTE}", soft_wrap=True, highlight=False)
     console.print(scores)
 
 
@@ -216,6 +272,15 @@ def _print_sensor(sensor: LevelSensor | None) -> None:
         if abs(drift) <= half:
             text += ": no drift that can be told"
     Console().print(f"level sensor: {text}", soft_wrap=True, highlight=False)
+
+
+def _print_pump(pump: PumpFit) -> None:
+    """Say what the cistern's fall tells about the pumps."""
+    Console().print(
+        f"pumps: {1000 * pump.flow:.3g} l/s at full command, {1000 * pump.half:.2g} l/s either way "
+        f"(95 %), with {pump.level:.2f} m in the cistern; from {pump.runs} runs without rain",
+        soft_wrap=True, highlight=False,
+    )
 
 
 if __name__ == "__main__":

@@ -9,10 +9,12 @@ from __future__ import annotations
 import argparse
 import math
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 from hypothesis import strategies as st
+from places import CONFIG
 
 from greenroof_ros.controllers.planner import Planner
 from greenroof_ros.experiment.options import add_run_arguments, run_from_arguments
@@ -46,6 +48,16 @@ def site_with(**changes: float) -> Site:
     return replace(site, x2_star=site.a2 * site.z_veg, z_cap=site.a2 * site.z_soil)
 
 
+def site_file(directory: Path, **changes: float) -> Path:
+    """Write the packaged site file with other values, and with more."""
+    path = directory / "site.yaml"
+    lines = (CONFIG / "site.yaml").read_text(encoding="utf-8").splitlines()
+    kept = [line for line in lines if line.partition(":")[0] not in changes]
+    given = [f"{key}: {value!r}" for key, value in changes.items()]
+    path.write_text("\n".join([*kept, *given]) + "\n", encoding="utf-8")
+    return path
+
+
 def planner(site: Site = PAPER_SITE, **changes: Any) -> Planner:
     """Return a planner of 12 h that takes readings as they are and waits for rain without limit."""
     given = {
@@ -77,7 +89,7 @@ def sites(draw: st.DrawFn) -> Site:
 
 @st.composite
 def measured_sites(draw: st.DrawFn) -> Site:
-    """Draw a site with a measured roof, with and without a drainage layer."""
+    """Draw a site with a measured roof, with and without a drainage layer, mains, low outlet."""
     site = draw(st.just(PAPER_SITE) | sites())
     wilting = draw(st.just(0.0) | st.floats(0.0, 0.2))
     capacity = wilting + draw(st.floats(0.05, 0.7))
@@ -85,9 +97,13 @@ def measured_sites(draw: st.DrawFn) -> Site:
     z_veg = site.z_soil * capacity * draw(st.floats(0.01, 0.99))
     layer = draw(st.none() | st.tuples(st.floats(0.001, 0.1), st.floats(1.0, 1e5)))
     mains = draw(st.none() | st.tuples(st.floats(0.01, 0.99), st.floats(1e-6, 1.0)))
+    low = draw(st.none() | st.tuples(st.floats(0.01, 0.99), st.floats(0.001, 0.2)))
     lowest = site.suction_level
     return replace(
         site,
+        runoff_coefficient=draw(st.just(1.0) | st.floats(0.01, 1.0)),
+        low_outlet_level=low and low[0] * site.z_o,
+        low_outlet_radius=low and low[1],
         # Of a low outlet the level is no valve's; it is as good for a balance.
         mains_level=mains and lowest + mains[0] * abs(site.z_o - lowest),
         mains_flow=mains and mains[1],
@@ -103,6 +119,10 @@ def exact_flows(site: Site, x1: float, x2: float, u: float) -> tuple[float, floa
     q_out = q_pump = q_drain = 0.0
     if x1 / site.a1 > site.z_o:
         q_out = outlet * math.sqrt(2 * site.g * (x1 / site.a1 - site.z_o))
+    if site.low_outlet_level is not None and x1 / site.a1 > site.low_outlet_level:
+        assert site.low_outlet_radius is not None
+        low = site.c_d * math.pi * site.low_outlet_radius**2
+        q_out += low * math.sqrt(2 * site.g * (x1 / site.a1 - site.low_outlet_level))
     if not (x2 / site.a2 >= site.z_veg or x1 / site.a1 < site.z_pump + site.z_H):
         q_pump = u * math.sqrt((x1 / site.a1 + site.c_hat - site.d) / _head_loss(site))
     if not x2 < site.z_cap:
@@ -134,13 +154,19 @@ def smooth_rates(site: Site, x1: Any, x2: Any, u: Any, rain: Any, evaporated: An
     level = np.real(x1) / site.a1 + 1j * np.imag(x1) / site.a1
     outlet = site.c_d * math.pi * site.r_o**2
     q_out = outlet * math.sqrt(2 * site.g) * _psi(level - site.z_o, site.epsilon)
+    if site.low_outlet_level is not None:
+        assert site.low_outlet_radius is not None
+        low = site.c_d * math.pi * site.low_outlet_radius**2
+        q_out = q_out + low * math.sqrt(2 * site.g) * _psi(
+            level - site.low_outlet_level, site.epsilon
+        )
     eta = u / math.sqrt(_head_loss(site)) * _psi(level + site.c_hat - site.d, site.epsilon)
     sigma_1 = _sigma((site.a1 * (site.z_pump + site.z_H) - x1) / site.epsilon)
     sigma_2 = _sigma((x2 - site.a2 * site.z_veg) / site.epsilon)
     q_pump = eta * sigma_1 * sigma_2
     darcy = site.K * site.a2 * (x2 / site.a2 + site.z_soil) / site.z_soil
     q_drain = darcy * _sigma((site.z_cap - x2) / site.epsilon)
-    f1 = rain * site.a_in - q_out - q_pump
+    f1 = rain * site.a_in * site.runoff_coefficient - q_out - q_pump
     if site.mains_level is not None:
         f1 = f1 + np.where(np.real(x1) / site.a1 < site.mains_level, site.mains_flow, 0)
     if site.field_capacity is None:

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 from paper import PAPER_SITE
 
-from greenroof_ros.model.plant import Plant
+from greenroof_ros.model.plant import Plant, maximum_pump_flow
 from greenroof_ros.model.site import Site
 from greenroof_ros.weather.hargreaves import hargreaves, over_the_day
 
@@ -41,11 +41,16 @@ def storms(days: int, random: np.random.Generator) -> np.ndarray:
         rain[int(at):int(at) + length] += random.exponential(6.0) * shape / shape.sum()
 
 
-def record_rows(site: Site, days: int, seed: int, *, gaps: bool = True) -> list[list[str]]:
+def record_rows(
+    site: Site, days: int, seed: int, *, gaps: bool = True, pumping: bool = False
+) -> list[list[str]]:
     """Return the rows of a CSV record, the header first.
 
-    The true roof is stepped by the plant, with the record's step as its tick. Its level is measured
-    with a noise of 2 mm, its runoff by a counter of tips; three gaps of a day leave out both.
+    The true roof is stepped by the plant, with ticks of a second while it rains and those of the
+    record else. Its level is measured with a noise of 2 mm, its runoff by a counter of tips; three
+    gaps of a day leave out both. If anything is pumped, then on every fourth day twice for ten
+    minutes at a quarter of the flow, where the cistern is not too low; its level has the same
+    noise.
     """
     random = np.random.default_rng(seed)
     rain = storms(days, random)
@@ -59,18 +64,28 @@ def record_rows(site: Site, days: int, seed: int, *, gaps: bool = True) -> list[
         hargreaves(site.latitude, dates, least, greatest), site.latitude, seconds, day, STEP_S,
         site.longitude - 15 * site.utc_offset,
     )
-    plant = Plant(
-        replace(site, tau=float(STEP_S)), 0.0,
-        site.wilting_volume + FILLED_AT_FIRST * site.available_volume,
-    )
-    level, runoff = [], []
-    for fell, wanted in zip(rain.tolist(), reference.tolist(), strict=True):
-        flows = plant.flows(
-            fell / 1000 / STEP_S, wanted * site.crop_coefficient * site.a2 / 1000 / STEP_S, 0.0
-        )
+    x2 = site.wilting_volume + FILLED_AT_FIRST * site.available_volume
+    x1, layer = 2.5 * site.a1, 0.0
+    wet, dry = (Plant(replace(site, tau=tau), x1, x2) for tau in (1.0, float(STEP_S)))
+    pair = np.arange(len(rain)) % (4 * _DAY) // 2
+    command = np.where(pumping & ((pair == 40) | (pair == 60)), 0.25, 0.0)
+    level, cistern, runoff = [], [], []
+    for step, (fell, wanted) in enumerate(zip(rain.tolist(), reference.tolist(), strict=True)):
+        plant, ticks = (wet, STEP_S) if fell > 0 or command[step] > 0 else (dry, 1)
+        plant.x1, plant.x2, plant.layer, drained = x1, x2, layer, 0.0
+        cistern.append(plant.levels()[0])
         level.append(plant.levels()[1])
-        runoff.append(flows.drainage * STEP_S * 1000 / site.a2)
-        plant.step(fell / 1000 / STEP_S, flows)
+        if cistern[-1] < site.suction_level + 0.3:
+            command[step] = 0.0
+        for _ in range(ticks):
+            flows = plant.flows(
+                fell / 1000 / STEP_S, wanted * site.crop_coefficient * site.a2 / 1000 / STEP_S,
+                float(command[step]) * maximum_pump_flow(site, plant.x1),
+            )
+            drained += flows.drainage * STEP_S / ticks
+            plant.step(fell / 1000 / STEP_S, flows)
+        runoff.append(drained * 1000 / site.a2)
+        x1, x2, layer = plant.x1, plant.x2, plant.layer
     measured = np.array(level) + random.normal(0, NOISE_M, len(level))
     tips = np.diff(np.floor(np.concatenate(([0.0], np.cumsum(runoff))) / TIP_MM)) * TIP_MM
     missing = np.zeros(len(rain), dtype=bool)
@@ -85,6 +100,10 @@ def record_rows(site: Site, days: int, seed: int, *, gaps: bool = True) -> list[
         rows.append([time.isoformat(), f"{fell:.4f}", *cells,
                      *([f"{least[day[step]]:.1f}", f"{greatest[day[step]]:.1f}"]
                        if step % _DAY == 0 else ["", ""])])
+    if pumping:
+        rows[0] += ["pump state [%]", "cistern level [m]"]
+        for step, depth in enumerate(np.array(cistern) + random.normal(0, NOISE_M, len(rain))):
+            rows[step + 1] += [f"{100 * command[step]:.0f}", f"{depth:.4f}"]
     return rows
 
 

@@ -1,1 +1,1 @@
-"""Fitting a measured roof: records, wrong ones among them, the fit, its site file and its page."""
+"""Fitting a measured roof and its pumps: records, wrong ones among them, fits, site file, page."""

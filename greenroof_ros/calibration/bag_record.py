@@ -23,10 +23,13 @@ def read_bag_record(bag: Path, site: Site) -> Record:
 
     Rain, evapotranspiration and what was pumped are summed over each; ``/roof/level`` is that at
     its beginning. Where ``/roof/drainage`` is not recorded, or nothing drained, only levels count.
-    Steps in a gap have no values.
+    What the pumps were told counts while they deliver, in steps in which it is never above 1, which
+    is beyond a real pump. Steps in a gap have no values but evapotranspiration, since a roof dries
+    through gaps, too: that of a day before, or in the first day that before the gap.
 
     Raises:
-        ConfigurationError: the bag cannot be read, or is shorter than two steps.
+        ConfigurationError: the bag cannot be read, is shorter than two steps, or holds no
+            evapotranspiration.
     """
     offset = timezone(timedelta(hours=site.utc_offset or 0.0))
     seen = load_bag(bag, site, offset, own=False).trajectory
@@ -52,11 +55,31 @@ def read_bag_record(bag: Path, site: Site) -> Record:
     mm = 1000 / site.a2
     first = np.searchsorted(seen.time, edges[:-1], side="right") - 1
     reference = summed(seen.evapotranspiration) * mm / site.crop_coefficient
+    if not np.any(reference > 0):
+        raise ConfigurationError(
+            "is not in the bag, or 0 throughout: it must be there, or nothing of how the roof "
+            "dries can be fitted", file=bag, key="/weather/evapotranspiration",
+        )
+    beyond = summed((seen.command > 1).astype(np.float64)) > 0
+    command = summed(np.where(seen.pump_flow > 0, seen.command, 0.0)) / _STEP_S
     return Record(
         source=bag, start=seen.start, step_s=_STEP_S,
         rain=summed(seen.precipitation) * 1000,
-        reference=np.nan_to_num(reference),
+        reference=_through_gaps(reference),
         pumped=summed(seen.pump_flow) * mm,
         runoff=summed(seen.drainage) * mm if np.any(seen.drainage > 0) else None,
         level=np.where(gap, np.nan, seen.roof[first] / site.a2),
+        cistern=np.where(gap, np.nan, seen.cistern[first] / site.a1),
+        command=np.where(beyond, np.nan, command),
     )
+
+
+def _through_gaps(reference: Values) -> Values:
+    """Fill the gaps of evapotranspiration (mm in a step)."""
+    day = round(86400 / _STEP_S)
+    filled = reference.copy()
+    for step in np.flatnonzero(np.isnan(reference)).tolist():
+        # A bag begins with a message, but its first step may have a part of a gap.
+        before = step - day if step >= day else max(step - 1, 0)
+        filled[step] = np.nan_to_num(filled[before])
+    return filled

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from greenroof_ros.calibration.daily import reference_from_temperatures
 from greenroof_ros.calibration.record import Record, Values
@@ -20,6 +21,8 @@ from greenroof_ros.common.times import parse_time
 from greenroof_ros.model.plant import maximum_pump_flow
 from greenroof_ros.model.site import Site
 from greenroof_ros.weather.table import Row, Table, numbered_lines
+
+Slots = NDArray[np.int64]
 
 TIME = "time"
 _SECONDS = {"s": 1.0, "min": 60.0, "h": 3600.0, "day": 86400.0}
@@ -70,10 +73,11 @@ def read_csv_record(file: Path, site: Site) -> Record:
     regular step apart, of at most an hour. Missing rows and empty cells are gaps. Lines that begin
     with ``#`` are comments.
 
-    ``rain`` must be there, ``level`` or ``runoff``, and ``reference evapotranspiration`` or
-    temperatures: ``temperature``, or the day's ``least temperature`` and ``greatest temperature``
-    in any row of their day, for Hargreaves' equation. What was pumped onto the roof is ``pumped``,
-    or ``pump state`` (share of the maximum flow) with ``cistern level``; without either nothing.
+    ``rain`` must be there, ``level`` or ``runoff``, and ``reference evapotranspiration``, which has
+    no gaps, or temperatures: ``temperature``, or the day's ``least temperature`` and ``greatest
+    temperature`` in any row of their day, for Hargreaves' equation. What was pumped onto the
+    roof is ``pumped``, or ``pump state`` (share of the maximum flow) with ``cistern level``;
+    without either nothing.
 
     Raises:
         ConfigurationError: the file breaks any of this; the message names line, column and value.
@@ -95,18 +99,24 @@ def read_csv_record(file: Path, site: Site) -> Record:
         )
     slots, step_s = _slots(file, times, rows)
     series = {}
+    last_decimal = 0.0
     for quantity, column in columns.items():
         values = np.full(slots[-1] + 1, np.nan)
         values[slots] = np.array(cells[quantity])
-        series[quantity] = values * column.factor * (step_s if column.rate else 1.0)
+        factor = column.factor * (step_s if column.rate else 1.0)
+        series[quantity] = values * factor
+        if quantity == "runoff":
+            last_decimal = _last_decimal(values) * factor
         _refuse_unbelievable(file, quantity, column, series[quantity], step_s, slots, rows, cells)
     record = Record(
         source=file, start=times[0], step_s=step_s, rain=series["rain"],
         reference=np.zeros(slots[-1] + 1), pumped=_pumped(series, site, step_s),
-        runoff=series.get("runoff"), level=series.get("level"),
+        runoff=series.get("runoff"), level=series.get("level"), last_decimal=last_decimal,
+        cistern=series.get("cistern level"), command=series.get("pump state"),
     )
     if "reference evapotranspiration" in series:
-        reference = np.nan_to_num(series["reference evapotranspiration"])
+        reference = series["reference evapotranspiration"]
+        _refuse_gaps(record, columns["reference evapotranspiration"].name, reference, slots, rows)
     else:
         reference = reference_from_temperatures(record, site, series)
     return replace(record, reference=reference)
@@ -207,7 +217,7 @@ def _number(row: Row, column: str) -> float:
 
 def _slots(
     file: Path, times: list[datetime], lines: list[int]
-) -> tuple[np.ndarray[tuple[int], np.dtype[np.int64]], float]:
+) -> tuple[Slots, float]:
     """Return the step that each row is of, counted from the first, and its duration (s)."""
     spacing = np.diff([time.timestamp() for time in times])
     step_s = float(np.median(spacing))
@@ -228,9 +238,18 @@ def _slots(
     return np.concatenate(([0], np.cumsum(counts))).astype(np.int64), step_s
 
 
+def _last_decimal(values: Values) -> float:
+    """Return what 1 in the last decimal place is that any value has, 1e-12 at least."""
+    there = values[~np.isnan(values)]
+    places = 0
+    while places < 12 and not np.allclose(np.round(there, places), there, rtol=1e-9, atol=0.0):
+        places += 1
+    return float(10.0**-places)
+
+
 def _refuse_unbelievable(
     file: Path, quantity: str, column: _Column, values: Values, step_s: float,
-    slots: np.ndarray[tuple[int], np.dtype[np.int64]], lines: list[int],
+    slots: Slots, lines: list[int],
     cells: dict[str, list[float]],
 ) -> None:
     """Refuse a value that nothing on a roof can have."""
@@ -255,11 +274,35 @@ def _refuse_unbelievable(
         )
 
 
+def _refuse_gaps(
+    record: Record, column: str, values: Values, slots: Slots, lines: list[int]
+) -> None:
+    """Refuse evapotranspiration that is not there in every step: a roof dries through gaps, too."""
+    missing = np.flatnonzero(np.isnan(values))
+    if not len(missing):
+        return
+    time = str(record.times[missing[0]])
+    row = int(np.searchsorted(slots, missing[0]))
+    what = "is empty" if slots[row] == missing[0] else f"there is no row of {time}"
+    raise ConfigurationError(
+        f"{what} ({len(missing)} in all): it must be in every step, as a roof dries in gaps of "
+        "the sensors, too; write a day's value into each of its rows, and add missing rows with "
+        "time and this value, their other cells empty",
+        file=record.source, line=lines[row], key=column,
+    )
+
+
 def _pumped(series: dict[str, Values], site: Site, step_s: float) -> Values:
-    """Return what was pumped onto the roof (mm in a step)."""
+    """Return what was pumped onto the roof (mm in a step), NaN where that is not known.
+
+    While the pumps stand the cistern's level does not matter.
+    """
     if "pumped" in series:
         return series["pumped"]
     if "pump state" not in series:
         return np.zeros(len(series["rain"]))
-    most = np.array([maximum_pump_flow(site, x1) for x1 in series["cistern level"] * site.a1])
-    return np.asarray(series["pump state"] * most * step_s * 1000 / site.a2)
+    levels = series["cistern level"]
+    most = np.array([maximum_pump_flow(site, x1) for x1 in levels * site.a1])
+    most[np.isnan(levels)] = np.nan
+    state = series["pump state"]
+    return np.where(state == 0, 0.0, state * most * step_s * 1000 / site.a2)

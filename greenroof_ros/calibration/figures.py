@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from greenroof_ros.calibration.fit import Fit
 from greenroof_ros.calibration.halves import Halves
-from greenroof_ros.calibration.record import Record, Values, sums
+from greenroof_ros.calibration.record import TOGETHER, Record, Values
 from greenroof_ros.report.drawing import COLOURS, Figure, Panel, Rows, distinct, hover_points, short
 
 _HOUR_S, _DAY_S = 3600, 86400
@@ -29,7 +29,7 @@ class _Quantity(NamedTuple):
     per_day: str
     per_hour: str
     total: bool
-    """whether its steps add up; otherwise their mean counts"""
+    """whether its steps add up, and its axis begins at 0; otherwise their mean counts"""
     factor: float
 
 
@@ -65,10 +65,9 @@ def _figure(
     name = f"calibration-{quantity.name}"
     boundary = float(days[VALIDATED].times[0]) * 1000 if len(days[VALIDATED].times) else None
     caption = (
-        "Above: sums of days" if quantity.total else "Above: means of days"
-    ) + (
-        ", and what is simulated too much of them. The dashed line parts fit and validation; what "
-        "was not measured is left out. Below: hour against hour; a perfect fit lies on the line."
+        f"Above: {'sums' if quantity.total else 'means'} of days, and what is simulated too much "
+        "of them. The dashed line parts fit and validation; what was not measured is left out. "
+        "Below: hour against hour; a perfect fit lies on the line."
     )
     return Figure(
         name, quantity.title, caption,
@@ -96,12 +95,11 @@ def _sums(
     simulated: Values, over_s: int,
 ) -> _Sums:
     seconds = record.seconds[steps]
-    numbers, counts = np.unique(seconds // over_s, return_counts=True)
-    divisor = np.ones(len(counts)) if quantity.total else counts
+    together = TOGETHER[quantity.name]
     return _Sums(
-        numbers * over_s,
-        sums(measured[steps], seconds, over_s) / divisor,
-        sums(simulated[steps], seconds, over_s) / divisor,
+        np.unique(seconds // over_s) * over_s,
+        together(measured[steps], seconds, over_s),
+        together(simulated[steps], seconds, over_s),
     )
 
 

@@ -12,10 +12,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import qr
 from scipy.optimize import OptimizeResult, least_squares
-from scipy.stats import t as student
 
+from greenroof_ros.calibration.intervals import half_intervals, moves
 from greenroof_ros.calibration.meter import least_reading, through_meter
-from greenroof_ros.calibration.record import Record, Values, sums
+from greenroof_ros.calibration.record import TOGETHER, Record, Values
 from greenroof_ros.calibration.simulation import Simulated, simulate
 from greenroof_ros.model.site import Site
 
@@ -28,7 +28,6 @@ _WEEK_S = 7 * 86400
 # In standard deviations of what was measured: beyond it a residual counts in proportion, no longer
 # by its square.
 _ROBUST_FROM = 10.0
-_CONFIDENCE = 0.95
 # Of its range, a parameter moves the simulation too little, or only as others do together.
 _TELLS_NOTHING = 1e-3
 # Shares of their ranges at which the search may begin.
@@ -165,10 +164,8 @@ def fit(
 
     Parameters that the record cannot tell stay as the site has them: those whose column of the
     Jacobian, over their range, is small or a sum of others' (QR with column pivoting; Golub and Van
-    Loan, Matrix Computations, 5.5.7). Intervals are those of the jackknife that leaves out one week
-    after the other (Tukey; Efron 1982, doi:10.1137/1.9781611970319), so that residuals of one week
-    may depend on each other, with Student's t of as many degrees of freedom as there are weeks,
-    less one.
+    Loan, Matrix Computations, 5.5.7). Intervals are those of :mod:`.intervals` with weeks as
+    groups.
 
     Args:
         site: where the search begins, and what is held.
@@ -215,7 +212,10 @@ def fit(
     telling, held = tell_apart()
     start.update({one.name: getattr(site, one.name, one.typical) for one, _ in held})
     found = solve(telling)
-    half = _half_intervals(found.jac, found.fun, compare.weeks)
+    # scipy's Jacobian is scaled for the robust loss, and residuals are not: by (1 + z)^(1/4), so
+    # that their product is the gradient, in which a residual counts by (1 + z)^(-1/2).
+    scaled = found.fun * (1 + (found.fun / _ROBUST_FROM) ** 2) ** 0.25
+    half = half_intervals(moves(found.jac, scaled, compare.weeks))
     parameters = [
         _judged(one, share, width)
         for one, share, width in zip(telling, found.x.tolist(), half.tolist(), strict=True)
@@ -268,17 +268,17 @@ class _Comparison:
         self._seconds = record.seconds[self._steps]
         self._over = max(_SUM_S, round(record.step_s))
         self._names = tuple(record.measured)
-        self._measured = [self._hours(record.measured[name][self._steps]) for name in self._names]
+        self._measured = [self._hours(name, record.measured[name]) for name in self._names]
         self._spread = [float(np.std(series)) or 1.0 for series in self._measured]
         hours = np.unique(self._seconds // self._over) * self._over
         self.weeks = np.tile(hours // _WEEK_S, len(self._names))
 
-    def _hours(self, values: Values) -> Values:
-        return sums(values, self._seconds, self._over)
+    def _hours(self, name: str, values: Values) -> Values:
+        return TOGETHER[name](values[self._steps], self._seconds, self._over)
 
     def __call__(self, simulated: Simulated) -> Values:
         return np.concatenate([
-            (self._hours(getattr(simulated, name)[self._steps]) - measured) / spread
+            (self._hours(name, getattr(simulated, name)) - measured) / spread
             for name, measured, spread in zip(
                 self._names, self._measured, self._spread, strict=True
             )
@@ -319,26 +319,6 @@ def _tell_apart(
         held.append((every[place], why))
     telling.sort(key=every.index)
     return telling, held
-
-
-def _half_intervals(jacobian: Values, residuals: Values, weeks: NDArray[np.int64]) -> Values:
-    """Return half of each parameter's interval, from fits that leave out a week each.
-
-    Those are linear: to leave out a week with Jacobian J_g and residuals r_g moves the parameters
-    by (J'J - J_g'J_g)^-1 J_g' r_g.
-    """
-    # scipy's Jacobian is scaled for the robust loss, and residuals are not: by (1 + z)^(1/4), so
-    # that their product is the gradient, in which a residual counts by (1 + z)^(-1/2).
-    residuals = residuals * (1 + (residuals / _ROBUST_FROM) ** 2) ** 0.25
-    normal = jacobian.T @ jacobian
-    moves = []
-    for week in np.unique(weeks):
-        own = jacobian[weeks == week]
-        moves.append(np.linalg.pinv(normal - own.T @ own) @ (own.T @ residuals[weeks == week]))
-    count = len(moves)
-    variance = np.var(moves, axis=0) * (count - 1)
-    quantile = student.ppf((1 + _CONFIDENCE) / 2, max(1, count - 1))
-    return np.asarray(quantile * np.sqrt(variance))
 
 
 def _judged(one: Range, share: float, half: float) -> Parameter:

@@ -23,10 +23,14 @@ class Record:
         start: of the first step, with its offset from UTC.
         step_s: duration of a step (s).
         rain: mm, shape (steps,).
-        reference: evapotranspiration of FAO-56's reference grass (mm).
+        reference: evapotranspiration of FAO-56's reference grass (mm); never NaN.
         pumped: onto the roof (mm).
         runoff: off the roof (mm); None where it was not measured.
         level: water in the substrate at the beginning of the step (m); None likewise.
+        last_decimal: what 1 in the last decimal place of the runoff is (mm); 0 where it was not
+            rounded.
+        cistern: level of the cistern at the beginning of the step (m); None where not measured.
+        command: mean share of the pumps' maximum flow (1); None where not known.
     """
 
     source: Path
@@ -37,6 +41,9 @@ class Record:
     pumped: Values
     runoff: Values | None
     level: Values | None
+    last_decimal: float = 0.0
+    cistern: Values | None = None
+    command: Values | None = None
 
     @property
     def steps(self) -> int:
@@ -64,11 +71,12 @@ class Record:
 
     @property
     def known(self) -> NDArray[np.bool_]:
-        """Steps whose rain and all of whose :attr:`measured` are there, before and after, too.
+        """Steps whose water and all of whose :attr:`measured` are there, before and after, too.
 
         A sensor that failed in a step has often seen but a part of the step beside it.
         """
-        missing = np.any([np.isnan(one) for one in (self.rain, *self.measured.values())], axis=0)
+        series = (self.rain, self.pumped, *self.measured.values())
+        missing = np.any([np.isnan(one) for one in series], axis=0)
         beside = np.convolve(missing, np.ones(3), "same") > 0
         return np.asarray(~beside)
 
@@ -80,3 +88,15 @@ def sums(values: Values, seconds: NDArray[np.int64], over_s: int) -> Values:
     """
     _, index = np.unique(seconds // over_s, return_inverse=True)
     return np.bincount(index, values).astype(np.float64)
+
+
+def means(values: Values, seconds: NDArray[np.int64], over_s: int) -> Values:
+    """Average values by the spans of the clock that they begin in, as :func:`sums` adds them up."""
+    return sums(values, seconds, over_s) / sums(np.ones(len(values)), seconds, over_s)
+
+
+TOGETHER = {"runoff": sums, "level": means}
+"""What the values of a span are together, by the names of :attr:`Record.measured`.
+
+Amounts add up. Levels do not: of a span with gaps their sum would tell how long the gaps are.
+"""

@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from greenroof_ros.calibration.record import Values, sums
+from greenroof_ros.calibration.record import TOGETHER, Values
 
 HOUR_S, DAY_S = 3600, 86400
 
@@ -15,8 +15,8 @@ HOUR_S, DAY_S = 3600, 86400
 class Scores(NamedTuple):
     """Of one series.
 
-    The efficiencies are those of sums over a time (s), by that time: 1 is perfect, and an NSE of 0
-    no better than the mean of what was measured.
+    The efficiencies are those of sums of runoff, or means of levels, over a time (s), by that time:
+    1 is perfect, and an NSE of 0 no better than the mean of what was measured.
     """
 
     nse: dict[int, float]
@@ -68,11 +68,12 @@ def kling_gupta(simulated: Values, measured: Values) -> float:
 
 
 def score(
-    simulated: Values, measured: Values, seconds: NDArray[np.int64], step_s: float
+    quantity: str, simulated: Values, measured: Values, seconds: NDArray[np.int64], step_s: float
 ) -> Scores:
     """Score a series by its steps, hours and days.
 
     Args:
+        quantity: ``runoff`` or ``level``.
         simulated: shape (n,).
         measured: the same steps, without NaN.
         seconds: start of each on a clock, since 1970-01-01.
@@ -80,7 +81,9 @@ def score(
     """
     nses, kges = {}, {}
     for over_s in dict.fromkeys((round(step_s), HOUR_S, DAY_S)):
-        ours, theirs = sums(simulated, seconds, over_s), sums(measured, seconds, over_s)
+        ours, theirs = (
+            TOGETHER[quantity](series, seconds, over_s) for series in (simulated, measured)
+        )
         nses[over_s], kges[over_s] = efficiency(ours, theirs), kling_gupta(ours, theirs)
     total = float(np.sum(measured))
     error = float(np.sum(simulated)) / total - 1 if total > 0 else np.nan

@@ -3,13 +3,20 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 from greenroof_ros.calibration.fit import FILLED, Fit, Parameter
 from greenroof_ros.model.pump_curve import PumpCurve
 from greenroof_ros.model.site import site_parameters
 
+CROP_NOTE = (
+    "counts where evapotranspiration is computed (fao56; hargreaves in calibrate), not with a "
+    "weather file's own column"
+)
+"""What a crop coefficient does in a run."""
+
 _COMMENT = 30
+_FROM_SHEET = "fitted to points of the data sheet"
 # Written in this order where the file has none of them.
 _ROOF = (
     "field_capacity", "wilting_point", "z_cap", "depletion_fraction", "drainage_storage",
@@ -18,24 +25,44 @@ _ROOF = (
 
 
 def fitted_site_file(
-    text: str, fit: Fit, heading: Sequence[str], pump: PumpCurve | None = None
+    text: str, fit: Fit, heading: Sequence[str], sheet: PumpCurve | None = None
 ) -> str:
-    """Return the text of a site file with the fitted roof in it.
+    """Return the text of a site file with the fitted roof in it, and its pumps where they were.
 
     Each line of the roof has its value, its unit, and the interval of the fit or why the record
     cannot tell it; every other line stays as it is.
 
     Args:
         text: of the site file that the fit began with.
-        fit: its result.
+        fit: its result, with the pumps' parameters if the record tells something of them.
         heading: lines about the record and the scores, for the top.
-        pump: of the data sheet, if the pumps were fitted, too.
+        sheet: what was fitted to the pumps' data sheet before.
     """
-    lines = _lines(fit)
-    if pump is not None:
-        comment = "fitted to points of the data sheet"
-        lines["a_hat"] = _line("a_hat", f"{pump.a_hat:.6g}", "s2/m5", comment)
-        lines["c_hat"] = _line("c_hat", f"{pump.c_hat:.6g}", "m", comment)
+    units = {one.symbol: one.unit for one in site_parameters()}
+    told = {one.name: one for one in fit.parameters}
+    lines = _roof_lines(fit) | ({} if sheet is None else _sheet_lines(sheet))
+    for name in PumpCurve._fields:
+        if name in told:
+            comment = _comment(told[name])
+            if sheet is not None and not told[name].told:
+                comment = f"{_FROM_SHEET}; {told[name].words}"
+            lines[name] = _line(name, f"{told[name].value:.6g}", units[name], comment)
+    return _replaced(text, lines, heading)
+
+
+def pump_site_file(text: str, sheet: PumpCurve, heading: Sequence[str]) -> str:
+    """Return the text of a site file with the pump curve of a data sheet in it, no more.
+
+    Args:
+        text: of the site file.
+        sheet: the curve.
+        heading: lines for the top.
+    """
+    return _replaced(text, _sheet_lines(sheet), heading)
+
+
+def _replaced(text: str, lines: Mapping[str, str], heading: Sequence[str]) -> str:
+    """Put lines in the places of those of the same keys, with the comments that go on below."""
     kept: list[str] = []
     written: set[str] = set()
     continued = False
@@ -54,7 +81,15 @@ def fitted_site_file(
     return "\n".join([*(f"# {line}" for line in heading), "", *kept]) + "\n"
 
 
-def _lines(fit: Fit) -> dict[str, str]:
+def _sheet_lines(sheet: PumpCurve) -> dict[str, str]:
+    """Return the lines of a curve that was fitted to a data sheet."""
+    return {
+        "a_hat": _line("a_hat", f"{sheet.a_hat:.6g}", "s2/m5", _FROM_SHEET),
+        "c_hat": _line("c_hat", f"{sheet.c_hat:.6g}", "m", _FROM_SHEET),
+    }
+
+
+def _roof_lines(fit: Fit) -> dict[str, str]:
     """Return the line of each parameter of the roof."""
     units = {one.symbol: one.unit for one in site_parameters()}
     told = {one.name: one for one in fit.parameters if one.name != FILLED}
@@ -68,6 +103,8 @@ def _lines(fit: Fit) -> dict[str, str]:
         else:
             number = f"{value:.6g}"
             comment = _comment(told[name]) if name in told else "as it was, not fitted"
+            if name == "crop_coefficient":
+                comment += f"; {CROP_NOTE}"
         lines[name] = _line(name, number, units[name], comment)
     return lines
 

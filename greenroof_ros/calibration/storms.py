@@ -44,13 +44,15 @@ def storms(record: Record) -> list[Storm]:
 def comparable(record: Record) -> Steps:
     """Return which steps a simulation is compared in: the known ones outside of broken storms.
 
-    A storm is broken where the runoff is missing in it. Meters fail when most runs off: what they
-    show before and after their gap is then a part of it, and where that ends nobody knows.
+    A storm is broken where rain, pumped water or runoff is missing in it. What came unseen stays on
+    the roof for all of it. And meters fail when most runs off: what they show before and after
+    their gap is then a part of it, and where that ends nobody knows.
     """
     steps = record.known
+    missing = np.isnan(record.rain) | np.isnan(record.pumped)
     if record.runoff is not None:
-        missing = np.isnan(record.runoff)
-        for storm in storms(record):
-            if missing[storm.first:storm.end].any():
-                steps[storm.first:storm.end] = False
+        missing |= np.isnan(record.runoff)
+    for storm in storms(record):
+        if missing[storm.first:storm.end].any():
+            steps[storm.first:storm.end] = False
     return steps

@@ -69,7 +69,8 @@ class Planner:
     plus the price of energy and of pump starts if there is one, or with squares in place of the
     absolute values. The rules on the third and fourth line are those of Eq. (3a): water is pumped
     at a time j only if it is missing then, which is more than anything pumped before. What is above
-    the cistern's outlet now is not counted on in the fourth line: it may be gone in minutes. The
+    the cistern's outlet now is not counted on in the fourth line: it may be gone in minutes. What
+    is above a low outlet goes, too: of it counts what can be pumped before the next plan. The
     minute is there because the last tick that pumps may end below the suction level: where a plan
     asks for no more than there is, that tick has too little of it, and once below, nothing works.
 
@@ -325,13 +326,16 @@ class Planner:
         before = x2 - site.x2_star + np.hstack([start, inflow])
         missing = np.maximum.accumulate(np.maximum(-before, 0.0), axis=1)[:, 1:]
         # What will be above the suction level by then, and below the outlet.
-        collected = np.cumsum(rain * self._lengths, axis=1) * site.a_in
+        collected = np.cumsum(rain * self._lengths, axis=1) * site.effective_catchment
         there = np.minimum(x1 + collected, site.a1 * site.z_o)
+        full = maximum_pump_flow(site, x1)
+        if site.low_outlet_level is not None:
+            stays = site.cistern_volume(max(site.low_outlet_level, site.suction_level))
+            there = np.minimum(there, stays + self._longest * full)
         if site.mains_level is not None and site.mains_flow is not None:
             filled = site.cistern_volume(site.mains_level)
             given = site.mains_flow * self._edges[1:]
             there = np.maximum(there, np.minimum(x1 + collected, filled) + given)
-        full = maximum_pump_flow(site, x1)
         slack = max(_LONGEST_PLAN_S, site.tau) * full
         above = np.maximum(there - site.a1 * site.suction_level + slack, 0.0)
         kept = self._kept(x2)

@@ -40,6 +40,10 @@ class RegretLimit:
     whatever the forecasts say; a controller that has gained may lose the gain first. In frost
     nothing may be pumped, and the loss goes on.
 
+    While a controller waits, a low outlet of the cistern may take what it would fill the roof with.
+    What on/off has on the roof beyond all that stays in the cistern costs as much as if it were
+    missing until a loss has faded.
+
     The difference rests on pumps that do what is commanded. With minimum times on and off, or
     another flow than the site file's, the count is wrong by what they pump beside the command.
 
@@ -74,12 +78,13 @@ class RegretLimit:
         self.loss *= self._kept**ticks
         if counts or more < 0:
             self.loss += ticks * site.tau * more
-        cost = self.loss + self._filling(x1, x2, fraction)
+        drained = self._drained(x1, x2)
+        cost = self.loss + self._filling(x1, x2, fraction) + drained
         if self.exhausted:
             self.exhausted = cost >= self._max_waiting_loss / 2
         elif cost > self._max_waiting_loss:
             self.exhausted = True
-            if self._max_waiting_loss > 0:
+            if self._max_waiting_loss > 0 and not drained:
                 _log.warning(
                     "waiting for rain has cost %.0f m3 s more than plain on/off; forecasts of rain "
                     "do not count until that has faded to half of max_waiting_loss", self.loss,
@@ -121,3 +126,12 @@ class RegretLimit:
             return 0.0
         missing = max(0.0, self._site.x2_star - x2 - self._more)  # to on/off
         return self._more * (missing + self._more / 2) / flow
+
+    def _drained(self, x1: float, x2: float) -> float:
+        """Return what it costs (m3 s) that a low outlet takes what on/off has on the roof."""
+        site = self._site
+        if site.low_outlet_level is None:
+            return 0.0
+        stays = min(x1, site.cistern_volume(site.low_outlet_level))
+        usable = max(0.0, stays - site.cistern_volume(site.suction_level))
+        return max(0.0, self._more - kept_share(site, x2) * usable) * _FADING_S

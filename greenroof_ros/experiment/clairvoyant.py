@@ -159,7 +159,7 @@ def _limits(run: Run, max_command: float) -> _Limits:
     )
     still = tau * (rain * site.a2 - evapotranspiration)
     # As if the valve of the mains were always open.
-    received = _sums(run.x1, tau * (site.a_in * rain + (site.mains_flow or 0.0)))
+    received = _sums(run.x1, tau * (site.effective_catchment * rain + (site.mains_flow or 0.0)))
     before = received[:-1]
     flow = np.fromiter((maximum_pump_flow(site, x1) for x1 in before), float, run.steps)
     usable = before - site.a1 * site.suction_level

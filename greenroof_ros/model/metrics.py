@@ -212,11 +212,11 @@ METRICS = (
     ),
     Metric(
         "rain_m3", "m3", "rain", "into both tanks",
-        lambda site, one: one.duration * one.precipitation * (site.a_in + site.a2),
+        lambda site, one: one.duration * one.precipitation * (site.effective_catchment + site.a2),
     ),
     Metric(
         "rain_cistern_m3", "m3", "rain into the cistern", "through its inlet",
-        lambda site, one: one.duration * one.precipitation * site.a_in,
+        lambda site, one: one.duration * one.precipitation * site.effective_catchment,
     ),
     Metric(
         "rain_roof_m3", "m3", "rain on the roof", "on the whole bed",

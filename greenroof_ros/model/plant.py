@@ -23,9 +23,24 @@ Amount = TypeVar("Amount", float, NDArray[np.float64])
 
 
 def outlet_flow(site: Site, x1: float) -> float:
-    """q_out (m3/s): what leaves a cistern holding x1 (m3) for the sewer, Eq. (2)."""
-    head = x1 / site.a1 - site.z_o
-    return site.c_out * math.sqrt(head) if head > 0 else 0.0
+    """q_out (m3/s): what leaves a cistern holding x1 (m3) for the sewer, Eq. (2).
+
+    It is what both outlets take where there is a low one.
+    """
+    level = x1 / site.a1
+    if level <= site.lowest_outlet:
+        return 0.0
+    head = level - site.z_o
+    flow = site.c_out * math.sqrt(head) if head > 0 else 0.0
+    return flow + low_outlet_flow(site, x1)
+
+
+def low_outlet_flow(site: Site, x1: float) -> float:
+    """What the low outlet takes (m3/s) from a cistern holding x1 (m3): Eq. (2) at its elevation."""
+    if site.low_outlet_level is None:
+        return 0.0
+    head = x1 / site.a1 - site.low_outlet_level
+    return site.c_low * math.sqrt(head) if head > 0 else 0.0
 
 
 def mains_flow(site: Site, x1: float) -> float:
@@ -130,6 +145,7 @@ class Plant:
 
     def __init__(self, site: Site, x1: float, x2: float) -> None:
         self._site = site
+        self._catchment = site.effective_catchment  # here once: the time of a tick counts
         self.x1 = x1
         self.x2 = x2
         self.layer = 0.0
@@ -160,7 +176,7 @@ class Plant:
         outflow = outlet_flow(site, self.x1)
         limited = False
         wanted = outflow + pump
-        available = self.x1 / site.tau + precipitation * site.a_in
+        available = self.x1 / site.tau + precipitation * self._catchment
         if site.mains_level is not None:
             available += mains_flow(site, self.x1)
         if wanted > available:
@@ -195,7 +211,7 @@ class Plant:
             flows: what :meth:`flows` returned for the present tick.
         """
         site = self._site
-        into_cistern = precipitation * site.a_in
+        into_cistern = precipitation * self._catchment
         if site.mains_level is not None:
             into_cistern += mains_flow(site, self.x1)
         into_roof = precipitation * site.a2 + flows.pump

@@ -18,11 +18,13 @@ _LEAST, _LARGEST = 1e-12, 1e9
 # A product that a person rounds when writing it down, such as x2_star, is still consistent.
 _ROUNDING = 1e-6
 _WHOLE = {"pumps_in_series", "pumps_in_parallel"}
-# What may be left out, with its range: what a measured roof has and the paper's soil has not, a
-# mains top-up of the cistern, how many pumps the curve stands for, which only the duty of one of
-# them needs, the pumps' efficiency, which only the electric energy does, their starts, which only
-# planners, pump and a warning do, and the place, which only a computed evapotranspiration does.
+# What may be left out, with its range: the runoff coefficient, what a measured roof has and the
+# paper's soil has not, a mains top-up and a low outlet of the cistern, how many pumps the curve
+# stands for, which only the duty of one of them needs, the pumps' efficiency, which only the
+# electric energy does, their starts, which only planners, pump and a warning do, and the place,
+# which only a computed evapotranspiration does.
 _OPTIONAL = {
+    "runoff_coefficient": (0.01, 1.0),
     "field_capacity": (0.01, 0.9),
     "wilting_point": (0.0, 0.5),
     "depletion_fraction": (0.0, 0.95),
@@ -30,6 +32,8 @@ _OPTIONAL = {
     "drainage_time": (1.0, 1e6),
     "mains_level": (0.01, 100.0),
     "mains_flow": (1e-6, 1.0),
+    "low_outlet_level": (0.001, 100.0),
+    "low_outlet_radius": (0.001, 1.0),
     "pumps_in_series": (1, 100),
     "pumps_in_parallel": (1, 100),
     "pump_efficiency": (0.001, 1.0),
@@ -49,6 +53,7 @@ _TOGETHER = (
     (("field_capacity", "wilting_point", "depletion_fraction"), ()),
     (("drainage_storage", "drainage_time"), ("field_capacity",)),
     (("mains_level", "mains_flow"), ()),
+    (("low_outlet_level", "low_outlet_radius"), ()),
 )
 
 
@@ -71,12 +76,11 @@ class Site:
 
     a1: float = _parameter("m2", "bottom surface area of the cistern")
     a_in: float = _parameter(
-        "m2", "area whose rain flows into the cistern, times its runoff coefficient; in Table I "
-        "that of its inlet"
+        "m2", "area whose rain flows into the cistern; in Table I that of its inlet"
     )
     z_o: float = _parameter("m", "elevation of the cistern's outlet")
     r_o: float = _parameter("m", "radius of the cistern's outlet")
-    c_d: float = _parameter("1", "discharge coefficient of the outlet")
+    c_d: float = _parameter("1", "discharge coefficient of the outlets")
     a2: float = _parameter("m2", "bottom surface area of the rooftop vegetation")
     z_veg: float = _parameter("m", "desired water depth on the roof")
     x2_star: float = _parameter("m3", "desired water volume on the roof, a2 z_veg")
@@ -101,6 +105,9 @@ class Site:
     tau: float = _parameter("s", "duration of a tick")
     M: int = _parameter("ticks", "look-ahead of the controller")
     N: int = _parameter("ticks", "length of a run")
+    runoff_coefficient: float = _may_be_left_out(
+        1.0, "1", "share of the rain on a_in that reaches the cistern",
+    )
     field_capacity: float | None = _may_be_left_out(
         None, "1", "water that the substrate holds against gravity, per volume of it; makes the "
         "roof a measured one, without it the roof drains by Eq. (4)",
@@ -124,6 +131,11 @@ class Site:
         "none",
     )
     mains_flow: float | None = _may_be_left_out(None, "m3/s", "flow of that valve")
+    low_outlet_level: float | None = _may_be_left_out(
+        None, "m", "elevation of a second, throttled outlet of the cistern, below the first: it "
+        "empties the detention volume above it between storms; without it there is none",
+    )
+    low_outlet_radius: float | None = _may_be_left_out(None, "m", "radius of that outlet")
     pumps_in_series: int = _may_be_left_out(
         1, "pumps", "one behind another, for whose summed head the pump curve stands",
     )
@@ -166,9 +178,27 @@ class Site:
     )
 
     @cached_property
+    def effective_catchment(self) -> float:
+        """Area of which all rain reaches the cistern (m2): a_in times its runoff coefficient."""
+        return self.a_in * self.runoff_coefficient
+
+    @cached_property
     def c_out(self) -> float:
         """Coefficient of the cistern's outlet (m^2.5/s), Eq. (2)."""
-        return self.c_d * math.pi * self.r_o**2 * math.sqrt(2 * self.g)
+        return self._outlet_coefficient(self.r_o)
+
+    @cached_property
+    def c_low(self) -> float:
+        """The same of the low outlet (m^2.5/s); 0 where there is none."""
+        return self._outlet_coefficient(self.low_outlet_radius or 0.0)
+
+    def _outlet_coefficient(self, radius: float) -> float:
+        return self.c_d * math.pi * radius**2 * math.sqrt(2 * self.g)
+
+    @cached_property
+    def lowest_outlet(self) -> float:
+        """Cistern level above which water leaves for the sewer (m)."""
+        return self.z_o if self.low_outlet_level is None else self.low_outlet_level
 
     @cached_property
     def b(self) -> float:
@@ -346,7 +376,7 @@ def read_site(path: Path) -> Site:
 
 
 def _check_water(path: Path, mapping: YamlMapping, site: Site) -> None:
-    """Refuse what the roof of a site cannot hold, and a mains top-up that cannot be.
+    """Refuse what roof and cistern of a site cannot hold, let in or let out.
 
     Raises:
         ConfigurationError: a volume is not what others make it, or optional parameters are not all
@@ -363,10 +393,15 @@ def _check_water(path: Path, mapping: YamlMapping, site: Site) -> None:
         missing = [name for name in (*names, *further) if name not in mapping]
         if there and missing:
             raise refuse(there[0], f"needs {', '.join(missing)} as well")
-    if site.mains_level is not None and not site.suction_level < site.mains_level < site.z_o:
+    lowest, name = site.lowest_outlet, "z_o"
+    if site.low_outlet_level is not None:
+        name = "low_outlet_level"
+        if lowest >= site.z_o:
+            raise refuse(name, f"must be below z_o = {site.z_o:g} m, the outlet above it")
+    if site.mains_level is not None and not site.suction_level < site.mains_level < lowest:
         raise refuse(
             "mains_level", f"must be above z_pump + z_H = {site.suction_level:g} m, below which "
-            f"the pumps do not work, and below z_o = {site.z_o:g} m, or it flows to the sewer",
+            f"the pumps do not work, and below {name} = {lowest:g} m, or it flows to the sewer",
         )
     whole = site.a2 * site.z_soil
     products = [("x2_star", site.x2_star, site.a2 * site.z_veg, "a2 z_veg")]

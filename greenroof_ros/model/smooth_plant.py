@@ -77,6 +77,10 @@ def linearise(
     nu = x1 / site.a1 - site.z_o
     q_out = site.c_out * smooth_sqrt(nu, epsilon)
     q_out_1 = site.c_out * smooth_sqrt_slope(nu, epsilon) / site.a1
+    if site.low_outlet_level is not None:
+        nu = x1 / site.a1 - site.low_outlet_level
+        q_out += site.c_low * smooth_sqrt(nu, epsilon)
+        q_out_1 += site.c_low * smooth_sqrt_slope(nu, epsilon) / site.a1
 
     # q_pump, Eq. (8), per unit of command first, because B needs it so
     rho = x1 / site.a1 + site.c_hat - site.d
@@ -93,7 +97,7 @@ def linearise(
 
     soil = _soil(site, x2)
     into_roof = precipitation * site.a2 + q_pump
-    f1 = precipitation * site.a_in + mains_flow(site, x1) - q_out - q_pump
+    f1 = precipitation * site.effective_catchment + mains_flow(site, x1) - q_out - q_pump
     f2 = into_roof * soil.kept - evapotranspiration * soil.stress - soil.drain
     f2_2 = (
         q_pump_2 * soil.kept + into_roof * soil.kept_2 - evapotranspiration * soil.stress_2
@@ -105,7 +109,7 @@ def linearise(
             (tau * q_pump_1 * soil.kept, 1 + tau * f2_2),
         ),
         B=(tau * -q_pump_u, tau * q_pump_u * soil.kept),
-        C=((tau * site.a_in, 0.0), (tau * site.a2 * soil.kept, -tau * soil.stress)),
+        C=((tau * site.effective_catchment, 0.0), (tau * site.a2 * soil.kept, -tau * soil.stress)),
         b=(tau * f1, tau * f2),
     )
 

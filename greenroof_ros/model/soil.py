@@ -66,6 +66,31 @@ def percolation(site: Site, x2: float, arriving: float, seconds: float) -> float
     return filled * filled * arriving + max(0.0, x2 - site.z_cap) / seconds
 
 
+def mean_percolation(site: Site, x2: float, arriving: float, seconds: float) -> float:
+    """:func:`percolation` on average over a step that may be long (m3/s).
+
+    The share that passes grows as the substrate fills: dS/dt = (1 - S^2) i / TAW, solved for a
+    constant i, is
+
+        S(t) = (S + g) / (1 + S g),  g = tanh(i t / TAW).
+
+    Up to the wilting point all stays.
+
+    Args:
+        site: of a measured roof.
+        x2: water in the substrate at the beginning (m3).
+        arriving: rain and pumped water (m3/s).
+        seconds: duration of the step (s).
+    """
+    if x2 >= site.z_cap:
+        return arriving + (x2 - site.z_cap) / seconds
+    came, most, filled = arriving * seconds, site.available_volume, filled_share(site, x2)
+    first = min(came, max(0.0, site.wilting_volume - x2))
+    g = math.tanh((came - first) / most)
+    kept = first + most * g * (1 - filled * filled) / (1 + filled * g)
+    return max(0.0, arriving - kept / seconds)
+
+
 def water_stress(site: Site, x2: float) -> float:
     """K_s: share of the evapotranspiration that a substrate holding x2 (m3) gives.
 

@@ -6,17 +6,19 @@ Three balances are kept, each of water (m3) that the levels do not account for:
   speed should deliver it where that is more: a closed valve has no flow), less the rise of the
   roof, less ``greatest_loss`` for evapotranspiration. It grows where a pump runs and the roof does
   not rise: burst pipe, closed valve. Rain only lets it fall.
-- *lost from the cistern*: the fall of the cistern, less the pumped volume over ``least_delivery``,
-  less ``greatest_loss`` for a drifting sensor. It grows where water leaves and the pump stands:
-  leak, stuck contactor. Rain only lets it fall, and what the outlet takes does not count, since
-  the cistern counts up to the outlet only.
+- *lost from the cistern*: the fall of the cistern, less the pumped volume and what a low outlet may
+  have taken over ``least_delivery``, less ``greatest_loss`` for a drifting sensor. It grows where
+  water leaves and the pump stands: leak, stuck contactor. Rain only lets it fall, and what the
+  outlet takes does not count, since the cistern counts up to the outlet only. While the level is
+  above a low outlet, or unknown, what leaves beside must be more than that outlet takes, or it is
+  not seen; that a low outlet is clogged is no fault.
 - *not from the cistern*: a share ``least_delivery`` of the pumped volume, less the fall of the
   cistern, less ``greatest_loss`` for a drifting sensor, and less what the mains may have let in
   while the reading was below the level of their valve, or unknown. It grows where a pump runs and
   the cistern does not fall: its sensor is stuck, with some noise perhaps, or drifts up, and the
   pump would run dry. It is never more than that share of what was pumped, so that rain on a pump
   that stands is no fault; rain meanwhile explains ``a_in / a2`` of what the roof rose beyond that
-  share. Where a_in
+  share, as if all of it ran off: a storm's runoff coefficient may be above the mean. Where a_in
   is not less than a2 that is so much that only the first balance is left.
 
 Water is counted while a level is unknown, too, and the balances go on when it is known again: a
@@ -53,6 +55,7 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
+from greenroof_ros.model.plant import low_outlet_flow
 from greenroof_ros.model.site import Site
 from greenroof_ros.model.soil import kept_share
 from greenroof_ros.pumping.settings import PumpSettings
@@ -80,6 +83,8 @@ class _Sums(NamedTuple):
     """of what was pumped at least, what the roof's soil keeps as wet as it is (m3)"""
     mains: float = 0.0
     """what the mains may have let in (m3)"""
+    drained: float = 0.0
+    """what the low outlet may have taken, by the site file (m3)"""
 
     def plus(self, other: _Sums, share: float = 1.0) -> _Sums:
         return _Sums(*(mine + share * added for mine, added in zip(self, other, strict=True)))
@@ -138,7 +143,7 @@ class DeliveryCheck:
     def restart(self) -> None:
         """Begin again, as after a reset."""
         self._elapsed = self._least_pumped = self._most_pumped = 0.0
-        self._kept_on_roof = self._from_mains = 0.0
+        self._kept_on_roof = self._from_mains = self._drained = 0.0
         self._keeps = self._kept_share  # the soil, as wet as it was last known
         self._missing, self._lost, self._kept = _Balance(), _Balance(), _Balance()
         self._cistern_still, self._roof_still = _Still(), _Still()
@@ -183,6 +188,9 @@ class DeliveryCheck:
             cistern_level is None or cistern_level < site.mains_level + settings.level_offset
         ):
             self._from_mains += site.mains_flow * dt
+        if site.low_outlet_level is not None:
+            highest = site.z_o if cistern_level is None else cistern_level + settings.level_offset
+            self._drained += low_outlet_flow(site, site.cistern_volume(highest)) * dt
         if cistern_level is None or roof_level is None:
             return ""
         self._watched += dt
@@ -196,7 +204,7 @@ class DeliveryCheck:
             min(cistern, site.z_o - settings.level_offset) * site.a1,
             min(roof, site.z_veg + settings.level_offset) * site.a2,
             (cistern_level - self._raised) * site.a1,
-            self._kept_on_roof, self._from_mains,
+            self._kept_on_roof, self._from_mains, self._drained,
         )
         self._cistern_still.see(cistern_level, present)
         self._roof_still.see(roof_level, present)
@@ -207,7 +215,7 @@ class DeliveryCheck:
         share = settings.least_delivery
         missing = self._share_on_roof * change.least_pumped - change.roof
         missing -= self._loss * site.a2 * change.elapsed
-        lost = -change.cistern - change.most_pumped / share
+        lost = -change.cistern - (change.most_pumped + change.drained) / share
         lost -= self._loss * site.a1 * change.elapsed
         tolerance = settings.level_tolerance * site.a2
         rise = self._missing.add(missing, change)
@@ -274,7 +282,7 @@ class DeliveryCheck:
 def _missing_on_roof(over: _Sums) -> str:
     fell = max(0.0, -over.cistern)
     cause = (
-        "a burst pipe or a leak behind the pump" if fell > over.least_pumped / 2
+        "a burst pipe or a leak behind the pump" if fell - over.drained > over.least_pumped / 2
         else "a closed valve, a blocked pump, an empty pipe or an empty cistern"
     )
     return (
@@ -290,7 +298,8 @@ def _lost_from_cistern(over: _Sums) -> str:
         "is measured" if over.roof > fell / 2
         else "a leak, or somebody else takes water"
     )
+    taken = f" and {over.drained:.2f} m3 by its low outlet" if over.drained else ""
     return (
         f"delivery: the cistern fell by {fell:.2f} m3 in {over.elapsed / 60:.1f} min, but only "
-        f"{over.most_pumped:.2f} m3 were pumped: perhaps {cause}"
+        f"{over.most_pumped:.2f} m3 were pumped{taken}: perhaps {cause}"
     )

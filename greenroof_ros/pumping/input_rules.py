@@ -9,7 +9,12 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from greenroof_ros.model.plant import mains_flow, maximum_pump_flow, outlet_flow
+from greenroof_ros.model.plant import (
+    low_outlet_flow,
+    mains_flow,
+    maximum_pump_flow,
+    outlet_flow,
+)
 from greenroof_ros.model.site import Site
 from greenroof_ros.model.soil import kept_share
 from greenroof_ros.weather.records import EVAPOTRANSPIRATION, PRECIPITATION, QUANTITIES
@@ -69,7 +74,10 @@ class Reach:
 
 
 def cistern_reach(site: Site) -> Reach:
-    """Return that of the cistern: rain and mains into it, and pumps and outlet out of it."""
+    """Return that of the cistern: rain and mains into it, and pumps and outlets out of it.
+
+    All rain on the catchment counts, since a storm's runoff coefficient may be above the mean.
+    """
 
     def fall(level: float) -> float:
         volume = site.cistern_volume(level)
@@ -99,7 +107,9 @@ def expected_rise(
     """Return how fast the levels must be rising (m/s), negative where they must fall.
 
     A tank that spills is expected to do nothing, since what enters it leaves it: the cistern at its
-    outlet, the roof at the depth of its soil, a measured one where that keeps nothing more.
+    outlet, the roof at the depth of its soil, a measured one where that keeps nothing more. What
+    enters the cistern above its low outlet may leave by it; what that takes beside is not expected,
+    since a narrow outlet clogs.
 
     Args:
         site: with the tanks.
@@ -108,8 +118,11 @@ def expected_rise(
         cistern_level: m.
         roof_level: m.
     """
-    filling = rain * site.a_in + mains_flow(site, site.cistern_volume(cistern_level))
-    cistern = (filling - flow) / site.a1 if cistern_level < site.z_o else 0.0
+    volume = site.cistern_volume(cistern_level)
+    water = rain * site.effective_catchment + mains_flow(site, volume) - flow
+    if water > 0:
+        water = max(0.0, water - _MARGIN * low_outlet_flow(site, volume))
+    cistern = water / site.a1 if cistern_level < site.z_o else 0.0
     roof = rain + flow / site.a2 if roof_level < site.z_soil else 0.0
     return cistern, roof * kept_share(site, site.roof_volume(roof_level))
 

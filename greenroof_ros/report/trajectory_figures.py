@@ -126,6 +126,10 @@ def _range(site: Site, quantity: str, runs: Sequence[Result]) -> _Range:
     else:
         references = [_Reference(site.x2_star, "target")]
     span = max(high - low, 1e-3 * high, 1e-9)
+    if quantity == "cistern" and site.low_outlet_level is not None:
+        low_outlet = site.a1 * site.low_outlet_level
+        if low - span / 2 <= low_outlet <= high + span / 2:  # else two words would be in one place
+            references.append(_Reference(low_outlet, "low outlet"))
     for reference in references:
         # One nearby is worth the room; one far away would make all lines flat.
         if low - span / 2 <= reference.value <= high + span / 2:

@@ -104,7 +104,7 @@ class Account:
         """Begin without anything.
 
         Args:
-            site: with the areas, the outlet, the soil and the pump.
+            site: with the areas, the outlets, the soil and the pump.
         """
         self._site = site
         self._topics: dict[str, _Pending] = {}
@@ -235,7 +235,9 @@ class Account:
         roof, cistern = known[_ROOF] * site.a2, known[_CISTERN] * site.a1
         if not self.measured:
             known[_DRAINAGE] = _flows(site, drainage_flow, roof, site.z_cap)
-            known[_OUTFLOW] = _flows(site, outlet_flow, cistern, site.cistern_volume(site.z_o))
+            known[_OUTFLOW] = _flows(
+                site, outlet_flow, cistern, site.cistern_volume(site.lowest_outlet)
+            )
         unknown = np.any([np.isnan(one) for one in known.values()], axis=0)
         self.gap_s += float(duration[unknown].sum())
         rain, drainage = np.nan_to_num(known[_RAIN]), np.nan_to_num(known[_DRAINAGE])
@@ -244,7 +246,7 @@ class Account:
         # after that limit, so that the rest of what is there is left for the others.
         flow = np.nan_to_num(known[_FLOW])
         if self.measured:  # what a driver says that it pumps may be more than the plant gave it
-            left = cistern / duration + rain * site.a_in - outflow
+            left = cistern / duration + rain * site.effective_catchment - outflow
             left = left + mains_flows(site, cistern)
             flow = np.fmin(flow, np.maximum(left, 0.0))
         evaporated = known[_EVAPORATED]

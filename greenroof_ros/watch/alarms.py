@@ -16,7 +16,7 @@ from datetime import datetime, timezone
 from typing import Any
 
 from greenroof_ros.graph.states import ENDED, FINISHED, PUMP, STARTING, STATES
-from greenroof_ros.watch.advice import advise
+from greenroof_ros.watch.advice import FOREIGN, OTHER, advise
 from greenroof_ros.watch.causes import Trouble, find_causes
 from greenroof_ros.watch.words import plain
 
@@ -361,7 +361,8 @@ class Alarms:
         What only follows from another alarm, such as a level that is unknown since its sensor is
         silent, names that in ``follows``. Of both kinds the pump's state comes first, then the
         worst. The newest of a severity comes first: what has stood for long is known. So is what
-        was acknowledged, which comes later.
+        was acknowledged, which comes later. ``plain`` is whether ``do`` is about that alarm, so
+        that an operator reads it instead of the node's own words in ``what``.
 
         Args:
             say_time: says a time of the graph; without it, in UTC.
@@ -376,7 +377,8 @@ class Alarms:
         alarm = self._alarms[name]
         return {
             "id": name, "level": _LEVELS[alarm.trouble.level], "what": alarm.trouble.what,
-            "do": _advice(name, alarm.trouble),
+            "do": (do := _advice(name, alarm.trouble)),
+            "plain": do not in (FOREIGN, OTHER),
             "since": alarm.since, "since_at_least": alarm.since_at_least,
             "since_text": say(alarm.since),
             "acknowledged": alarm.is_acknowledged,

@@ -153,10 +153,11 @@ def _alike(
 @cache
 def _publishers() -> dict[str, set[str]]:
     """Return the roles that publish each topic, in a simulation or live."""
+    simulated, live = read_topics(), read_live_topics()  # each reads a file: once
     return {
         name: {
-            role for topics in (read_topics(), read_live_topics()) if name in topics
+            role for topics in (simulated, live) if name in topics
             for role in topics[name].publishers
         }
-        for name in read_topics()
+        for name in simulated
     }

@@ -8,6 +8,7 @@ reads that gives way to all others of the machine.
 
 from __future__ import annotations
 
+import json
 import queue
 import threading
 import time
@@ -22,8 +23,9 @@ from types import TracebackType
 import numpy as np
 
 from greenroof_ros.common.errors import ConfigurationError
-from greenroof_ros.common.files import shared_directory
+from greenroof_ros.common.files import read_text, shared_directory
 from greenroof_ros.common.interface import read_topics
+from greenroof_ros.experiment.summary import SUMMARY
 from greenroof_ros.graph.looker import DIAGNOSTICS, Looker, StopFailedError
 from greenroof_ros.model.site import Site, read_site
 from greenroof_ros.watch import wire
@@ -302,6 +304,7 @@ class Feed:
             before.close()
         if bag is not None:
             namespace = self._namespace if self._bag is None else None
+            self._watched.set_recorded_controller(_controller_of(bag))
             with self._lock:
                 self._recorded = FollowedBag(bag, namespace, self._on_batch)
 
@@ -466,7 +469,11 @@ class Feed:
         self._show_heard_now()
 
     def _show_heard_now(self) -> None:
-        if self._hearing:
+        """Show what was heard; while the bag is waited for, the newest numbers alone."""
+        if not self._hearing:
+            for topic, pairs in self._heard.numbers.items():
+                self._watched.preview(topic, *pairs[-1])
+        else:
             heard, self._heard = self._heard, _Heard()
             self._add(heard.batch())
 
@@ -536,3 +543,12 @@ class Feed:
             self._watched.add_plan(time_ns, plan)
         for topic, time_ns, text in batch.texts:
             self._watched.add_text(topic, time_ns, text)
+
+
+def _controller_of(bag: Path) -> str:
+    """Return who commanded in a recorded run, by the summary beside its bag; empty: unknown."""
+    try:
+        name = json.loads(read_text(bag.parent / SUMMARY))["controller"]
+    except (ConfigurationError, ValueError, KeyError, TypeError):
+        return ""
+    return name if isinstance(name, str) else ""

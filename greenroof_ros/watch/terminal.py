@@ -25,11 +25,11 @@ from greenroof_ros.watch.watched import Watched
 # How often the document is looked at (s), and at the charts.
 _LOOK_S, _CHARTS_S = 0.5, 2.0
 # How often all is printed where nothing can be drawn over (s): into a file, on a dumb terminal.
-_PRINT_S, _PRINTED_LINES = 10.0, 40
+_PRINT_S = 10.0
 _HOURS = 12.0
 # The least that is drawn for; what is smaller shows the upper left of it.
 _LEAST_WIDTH, _LEAST_HEIGHT = 40, 10
-# More lines than any advice has.
+# More lines than any sentence or list has.
 _WHOLE = 100
 _LABEL, _VALUE, _RANGE = 13, 15, 18
 _BARS, _ASCII_BARS = "▁▂▃▄▅▆▇█", "_.:-=+*#"
@@ -45,26 +45,46 @@ _STYLES = {
 
 
 def show(
-    document: Mapping[str, Any], series: Mapping[str, Any], width: int, height: int, color: bool,
-    *, ascii_only: bool = False,
+    document: Mapping[str, Any], series: Mapping[str, Any], width: int, height: int | None,
+    color: bool, *, ascii_only: bool = False, turned: int = 0,
 ) -> Group:
     """Return the document as lines of a terminal, at most so wide and so many.
 
-    What must be seen comes first: the summary, what to do, the five tiles and the alarms; charts,
-    account and events where there is room left.
+    What must be seen is on the first page: the summary, what to do, the five tiles and the alarms;
+    charts, account and events where there is room left. The pages behind it have all of it whole.
 
     Args:
         document: of :meth:`greenroof_ros.watch.watched.Watched.document`.
         series: of :meth:`greenroof_ros.watch.watched.Watched.series`.
         width: of the terminal, columns.
-        height: of the terminal, lines.
+        height: of the terminal, lines; None for all of it, where no page can be turned.
         color: whether there may be colour.
         ascii_only: whether the terminal has no other characters.
+        turned: how many pages were turned; behind the last one the first comes again.
     """
     page = _Page(max(width, _LEAST_WIDTH), color=color, ascii_only=ascii_only)
-    lines = [*_head(page, document), *_tiles(page, document["tiles"])]
-    foot = _foot(page, document)
-    room = max(height, _LEAST_HEIGHT) - len(lines) - len(foot)
+    whole = _whole(page, document, series)
+    if height is None:
+        return Group(*whole)
+    each = max(height, _LEAST_HEIGHT) - 1
+    pages = [
+        _first(page, document, series, each),
+        *(whole[begin:begin + each] for begin in range(0, len(whole), each)),
+    ]
+    number = turned % len(pages)
+    lines = pages[number] + [Text()] * (each - len(pages[number]))
+    keys = page.line((f"page {number + 1} of {len(pages)}; space turns it, q ends", "dim"))
+    return Group(*[*lines, keys][:max(height, 1)])
+
+
+def _first(
+    page: _Page, document: Mapping[str, Any], series: Mapping[str, Any], height: int
+) -> list[Text]:
+    """Return the first page, in so many lines."""
+    lines = [*_head(page, document), *_tiles(page, document["tiles"], 2)]
+    notes = " ".join(document["notes"])
+    foot = [*(page.wrapped(notes, 1, style="dim") if notes else []), *_stop(page, document)]
+    room = height - len(lines) - len(foot)
     alarms = _alarms(page, document["alarms"], document["advice"], room - 1)
     charts = _charts(page, series)
     if len(charts) > room - len(alarms) - 2:
@@ -77,8 +97,25 @@ def show(
         if room > 2 and (part := make(page, document, room - 1)):
             lines += [Text(), *part]
             room -= len(part) + 1
-    lines += [Text()] * room + foot
-    return Group(*lines[:max(height, 1)])
+    return [*lines, *[Text()] * room, *foot][:height]
+
+
+def _whole(
+    page: _Page, document: Mapping[str, Any], series: Mapping[str, Any]
+) -> list[Text]:
+    """Return all there is, nothing of it cut off."""
+    lines = [*_head(page, document), *_tiles(page, document["tiles"], _WHOLE)]
+    for part in (
+        _alarms(page, document["alarms"], document["advice"], _WHOLE * _WHOLE, most=_WHOLE),
+        _charts(page, series),
+        _account(page, document, _WHOLE),
+        _events(page, document, _WHOLE, most=_WHOLE),
+        [one for note in document["notes"] for one in page.wrapped(note, _WHOLE)],
+        _stop(page, document),
+    ):
+        if part:
+            lines += [Text(), *part]
+    return lines
 
 
 class _Page:
@@ -129,32 +166,48 @@ def _head(page: _Page, document: Mapping[str, Any]) -> list[Text]:
     ]
 
 
-def _tiles(page: _Page, tiles: Mapping[str, Mapping[str, Any]]) -> list[Text]:
-    lines = []
+def _tiles(page: _Page, tiles: Mapping[str, Mapping[str, Any]], most: int) -> list[Text]:
+    """Return the five tiles, each sentence in so many lines at most."""
+    lines, indent = [], " " * (_LABEL + 1)
     for name in ("roof", "cistern", "pump", "rain", "controller"):
         tile = tiles[name]
+        label, value = f"{tile['label']:{_LABEL}} ", f"{tile['value']:{_VALUE}} "
+        # The numbers that the page has beside its gauges.
+        marks = ", ".join(mark["label"] for mark in tile.get("marks", ()))
+        sentence = f"{tile['sentence']} ({marks})" if marks else tile["sentence"]
+        first, *rest = textwrap.wrap(
+            sentence, page.width, initial_indent="_" * len(label + value),
+            subsequent_indent=indent, break_on_hyphens=False,
+        )
         lines.append(page.line(
-            (f"{tile['label']:{_LABEL}} ", ""),
-            (f"{tile['value']:{_VALUE}} ", tile.get("state", "") or "head"),
-            (tile["sentence"], ""),
+            (label, ""), (value, tile.get("state", "") or "head"), (first[len(label + value):], ""),
         ))
+        if rest:
+            lines += page.wrapped(" ".join(map(str.strip, rest)), most - 1, indent=indent)
         why = tile.get("why", "")
         if why and why not in tile["sentence"]:
-            indent = " " * (_LABEL + 1)
-            lines += page.wrapped(why, 1, indent=indent)
+            lines += page.wrapped(why, most - 1, indent=indent)
     return lines
 
 
 def _alarms(
-    page: _Page, rows: Sequence[Mapping[str, Any]], advice: str, room: int
+    page: _Page, rows: Sequence[Mapping[str, Any]], advice: str, room: int, *, most: int = 2
 ) -> list[Text]:
-    """Return the alarms in so many lines: causes first, then what follows from them."""
+    """Return the alarms in so many lines: causes first, then what follows from them.
+
+    Args:
+        page: for the lines.
+        rows: the alarms.
+        advice: what stands above already.
+        room: how many lines there are.
+        most: in how many lines at most each sentence of an alarm is.
+    """
     present = [row for row in rows if row["over"] is None]
     over = [row for row in rows if row["over"] is not None]
     if not rows or room < 2:
         return []
     lines = [page.line((f"Alarms: {len(present)} now, {len(over)} over", "head"))]
-    parts = [_alarm(page, row, advice) for row in present]
+    parts = [_alarm(page, row, advice, most) for row in present]
     parts += [[page.line(
         (f"over   {row['id']}  {row['since_text']} to {row['over_text']}: {row['what']}", "dim")
     )] for row in over]
@@ -172,7 +225,7 @@ def _alarms(
     return lines
 
 
-def _alarm(page: _Page, row: Mapping[str, Any], said_already: str) -> list[Text]:
+def _alarm(page: _Page, row: Mapping[str, Any], said_already: str, most: int) -> list[Text]:
     since = f"{'at least ' if row['since_at_least'] else ''}since {row['since_text']}"
     seen = ", acknowledged" if row["acknowledged"] else ""
     head = [
@@ -180,11 +233,13 @@ def _alarm(page: _Page, row: Mapping[str, Any], said_already: str) -> list[Text]
         (f"{since}{seen}", ""),
     ]
     if row.get("follows"):
-        return [page.line(*head, (f"; follows from {row['follows']}", "dim"))]
-    lines = [page.line(*head), *page.wrapped(row["what"], 2, indent=" " * 7)]
+        head.append((f"; follows from {row['follows']}", "dim"))
+        if most < _WHOLE:
+            return [page.line(*head)]
+    lines = [page.line(*head)]
     if row["do"] != said_already:
-        lines += page.wrapped(row["do"], 2, indent=" " * 7, style="dim")
-    return lines
+        lines += page.wrapped(row["do"], most, indent=" " * 7)
+    return [*lines, *page.wrapped(row["what"], most, indent=" " * 7, style="dim")]
 
 
 def _charts(page: _Page, series: Mapping[str, Any]) -> list[Text]:
@@ -267,17 +322,23 @@ def _account(page: _Page, document: Mapping[str, Any], room: int) -> list[Text]:
     return [page.line((title, "head")), *page.wrapped(entries, room - 1, indent="  ")]
 
 
-def _events(page: _Page, document: Mapping[str, Any], room: int) -> list[Text]:
+def _events(
+    page: _Page, document: Mapping[str, Any], room: int, *, most: int = 1
+) -> list[Text]:
     events = document["events"][:room - 1]
     if not events:
         return []
     return [
         page.line(("Events", "head")),
-        *(page.line((f"  {one['at_text']}  {one['what']}", "")) for one in events),
+        *(
+            line for one in events
+            for line in page.wrapped(f"{one['at_text']}  {one['what']}", most, indent="  ")
+        ),
     ]
 
 
-def _foot(page: _Page, document: Mapping[str, Any]) -> list[Text]:
+def _stop(page: _Page, document: Mapping[str, Any]) -> list[Text]:
+    """Return how the pump is stopped, and what is wrong with that."""
     stop = document["stop"]
     lines = page.wrapped(stop["warning"], 3, style="error") if stop["warning"] else []
     if stop["possible"] and not stop["held"]:
@@ -287,12 +348,13 @@ def _foot(page: _Page, document: Mapping[str, Any]) -> list[Text]:
             text for text in (f"stop the pump: {call}", call) if len(text) <= page.width
         ), "stop the pump: see the page or the documentation")
         lines.append(page.line((known, "dim")))
-    notes = page.wrapped(" ".join(document["notes"]), 1, style="dim") if document["notes"] else []
-    return [*notes, *lines, page.line(("q ends", "dim"))]
+    return lines
 
 
 def run(watched: Watched) -> None:
     """Show what is known until q is pressed, or a signal or the end of the terminal comes.
+
+    The space bar turns to the next page.
 
     On a terminal all of it is used, and given back as it was. Where nothing can be drawn over, in
     a file or on a dumb terminal, the document is printed again and again.
@@ -307,14 +369,18 @@ def run(watched: Watched) -> None:
     charts: dict[str, Any] = {}
     charts_at = shown_at = -math.inf
     before: object = None
+    turned = 0
 
-    def lines(width: int, height: int) -> Group:
-        return show(document, charts, width, height, color, ascii_only=ascii_only)
+    def lines(width: int, height: int | None) -> Group:
+        return show(document, charts, width, height, color, ascii_only=ascii_only, turned=turned)
 
     with suppress(InterruptedRun, OSError), _keys() as pressed, (
         Live(console=console, screen=True, auto_refresh=False) if drawn else nullcontext()
     ) as live:
-        while not pressed(0.0 if before is None else _LOOK_S):
+        while (keys := pressed(0.0 if before is None else _LOOK_S)) is not None:
+            if b"q" in keys.lower():
+                break
+            turned += keys.count(b" ")
             signals.check()
             now = time.monotonic()
             document = watched.document(now)
@@ -323,11 +389,11 @@ def run(watched: Watched) -> None:
             size = console.size
             if live is None:
                 if now - shown_at >= _PRINT_S:
-                    console.print(lines(size.width, _PRINTED_LINES), end="\n\n")
+                    console.print(lines(size.width, None), end="\n\n")
                     shown_at = now
-            elif before != (document, charts, size):
+            elif before != (document, charts, size, turned):
                 live.update(lines(size.width, size.height), refresh=True)
-            before = (document, charts, size)
+            before = (document, charts, size, turned)
 
 
 def _series(watched: Watched) -> dict[str, Any]:
@@ -342,12 +408,12 @@ def _series(watched: Watched) -> dict[str, Any]:
 
 
 @contextmanager
-def _keys() -> Iterator[Callable[[float], bool]]:
+def _keys() -> Iterator[Callable[[float], bytes | None]]:
     """Take single keys from the terminal, and give it back as it was.
 
     Yields:
-        What waits for so long (s), less where a signal comes, and returns whether q was pressed or
-        the terminal is gone.
+        What waits for so long (s), less where a signal or a key comes, and returns the keys that
+        were pressed; None where the terminal is gone.
     """
     waking, woken = os.pipe()
     for end in (waking, woken):
@@ -357,15 +423,14 @@ def _keys() -> Iterator[Callable[[float], bool]]:
     keyboard = sys.stdin.fileno() if sys.stdin.isatty() else None
     settings = None if keyboard is None else termios.tcgetattr(keyboard)
 
-    def pressed(seconds: float) -> bool:
+    def pressed(seconds: float) -> bytes | None:
         heard = [waking] if keyboard is None else [waking, keyboard]
         ready, _, _ = select.select(heard, [], [], seconds)
         if waking in ready:
             os.read(waking, 1000)
         if keyboard not in ready:
-            return False
-        keys = os.read(keyboard, 1000)
-        return not keys or b"q" in keys.lower()
+            return b""
+        return os.read(keyboard, 1000) or None
 
     try:
         if keyboard is not None:

@@ -128,7 +128,10 @@ def cistern(value: Value | None, site: Site | None) -> dict[str, Any]:
         gauge["high"] = max(1.1 * site.z_o, level or 0.0)
         gauge["marks"] = [
             {"at": at, "label": f"{name} {_cistern_level(at)}"}
-            for name, at in (("suction level", site.suction_level), ("outlet", site.z_o))
+            for name, at in (
+                ("suction level", site.suction_level), ("low outlet", site.low_outlet_level),
+                ("outlet", site.z_o),
+            ) if at is not None
         ]
         gauge["band"] = [site.suction_level, site.z_o]
     if level is None:
@@ -146,6 +149,8 @@ def cistern(value: Value | None, site: Site | None) -> dict[str, Any]:
     else:
         amount = words.quantity(usable, "m3", 1)
         state, sentence = "good", f"{amount} above the suction level can be pumped"
+        if level > site.lowest_outlet:
+            sentence += "; its low outlet drains it"
         past = f"{amount} could be pumped"
     return _tile("Cistern level", value, _cistern_level(level), state, sentence, past=past, **gauge)
 
@@ -333,15 +338,16 @@ def _planned(plan: Plan, now: float, utc_offset: float, *, ended: bool) -> str:
 
 
 def summary(
-    tiles: dict[str, dict[str, Any]], *, alarms: int, warnings: int, worst: str, mode: str,
-    known: bool,
+    tiles: dict[str, dict[str, Any]], *, alarms: int, warnings: int, following: int, worst: str,
+    mode: str, known: bool,
 ) -> dict[str, str]:
     """Return the words above the tiles: how many alarms, a sentence, and how bad it is.
 
     Args:
         tiles: of roof and pump, at least.
-        alarms: how many there are now.
-        warnings: how many there are now.
+        alarms: how many there are now that do not follow from others.
+        warnings: how many there are now that do not.
+        following: how many follow from these.
         worst: of them: ok, warn or error.
         mode: of the document.
         known: whether any node has said how it is; a recording does not tell alarms.
@@ -371,8 +377,9 @@ def summary(
         for count, name in ((alarms, "alarm"), (warnings, "warning")) if count
     ]
     none = "No alarms" if known else "Alarms are not known"
+    more = f" ({following} more follow{'s' if following == 1 else ''})" if following else ""
     return {
-        "word": f"{', '.join(counts) or none}.", "sentence": " ".join(parts),
+        "word": f"{', '.join(counts) or none}{more}.", "sentence": " ".join(parts),
         "level": "warn" if attention and worst == "ok" else worst,
     }
 

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from greenroof_ros.common.interface import read_topics
+from greenroof_ros.common.interface import Topic, read_topics
 from greenroof_ros.graph.states import ENDED, FINISHED
 from greenroof_ros.model.look_ahead import MOST_MEMBERS
 from greenroof_ros.model.site import Site
@@ -38,8 +38,11 @@ LINES = {
     "evapotranspiration": "/weather/evapotranspiration",
 }
 _GAUGE = "/gauge/precipitation"
+_NUMBER = "std_msgs/msg/Float64"
 _FORECAST, _PUMP_STATE = "/forecast/precipitation", "/pump/state"
 _MODES = ("none", "simulated", "loop", "live", "ended")
+# How long before a time a level is expected that is compared with the one that came (s).
+_LEAD_S = 3600.0
 # No quantity of any site is beyond this, in any unit, although a topic may have no limit.
 _LARGEST = 1e9
 # A value is stale after so many of its usual intervals, and after so long at least (s). That it
@@ -70,7 +73,7 @@ _ENTRIES = {
     "stored": "Change of the water on the roof",
     "unexplained": "Unexplained",
     "inflow": "Rain into the cistern",
-    "overflow": "Overflow to the sewer",
+    "overflow": "Outflow to the sewer",
     "mains": "Mains water into the cistern, computed from the level",
     "saved": "Potable water saved",
     "energy": "Energy of the pump",
@@ -78,18 +81,24 @@ _ENTRIES = {
 
 
 class _Newest:
-    """The newest value of a topic, and how often values come, by the looks at it."""
+    """The newest value of a topic, and how often values come, by the looks at it.
+
+    It may be newer than what the charts have: they come up to it from the recording.
+    """
 
     def __init__(self) -> None:
         self.time_ns = 0
         self.value: float | None = None  # None where it is not plausible
+        self.charted_ns = 0  # up to here it is in the charts
         self.stale = False
         self._came = False
         self._heard: float | None = None  # wall time (s)
         self._intervals: deque[float] = deque(maxlen=9)
 
     def take(self, time_ns: int, value: float | None) -> None:
-        self.time_ns, self.value, self._came = time_ns, value, True
+        self._came = True
+        if time_ns >= self.time_ns:
+            self.time_ns, self.value = time_ns, value
 
     def look(self, wall: float) -> None:
         """Note whether something came since the last look, or is overdue."""
@@ -123,6 +132,7 @@ class Watched:
         self._lock = threading.Lock()
         self._site: Site | None = None
         self._site_note = ""
+        self._recorded_controller = ""
         self._system: float | None = None  # the system's time at the last look (s since 1970)
         self._forget()
 
@@ -138,7 +148,7 @@ class Watched:
         self._newest: dict[str, _Newest] = {}
         self._histories: dict[str, History] = {}
         self._expected = History()
-        self._expected_until = -math.inf  # of the plan's steps (s since 1970)
+        self._expected_until = -math.inf  # s since 1970
         self._account = None if self._site is None else Account(self._site)
         self._forecast: Forecast | None = None
         self._announced: tuple[float, float] | None = None  # when (s), and rain (m)
@@ -197,6 +207,11 @@ class Watched:
         with self._lock:
             self._pump_node, self._no_stop = node, words.plain(no_stop, _MOST_TEXT)
 
+    def set_recorded_controller(self, name: str) -> None:
+        """Say which controller commanded in the run whose recording is shown; empty: unknown."""
+        with self._lock:
+            self._recorded_controller = words.plain(name, _MOST_TEXT)
+
     def begin_anew(self) -> None:
         """Forget all of a graph: another one began."""
         with self._lock:
@@ -237,7 +252,7 @@ class Watched:
             values: in the topic's unit, shape (n,).
         """
         entry = self._interface.get(topic)
-        if entry is None or entry.type != "std_msgs/msg/Float64" or not len(times_ns):
+        if entry is None or entry.type != _NUMBER or not len(times_ns):
             return
         # Copies: what is given may be a view of a longer batch. Minus zero becomes zero.
         times = np.array(times_ns, dtype=np.int64)
@@ -246,21 +261,19 @@ class Watched:
             newest = self._newest.get(topic) or _Newest()
             possible = np.where(times < _LATEST_NS, times, 0)
             before = np.empty_like(times)
-            before[0] = newest.time_ns
+            before[0] = newest.charted_ns
             before[1:] = possible[:-1]
             newer = possible > np.maximum.accumulate(before)
-            if self._mode == "live" and self._system is not None:
-                newer &= possible <= (self._system + _SET_BACK_S) * 1e9
+            newer &= possible <= self._latest_ns()
             if not newer.all():
                 times, numbers = times[newer], numbers[newer]
             if not len(times):
                 return
-            if topic not in self._newest:
-                self._newest[topic], self._histories[topic] = newest, History()
-            history = self._histories[topic]
-            low, high = max(entry.low, -_LARGEST), min(entry.high, _LARGEST)
-            fine = (numbers >= low) & (numbers <= high)  # a NaN is neither
+            self._newest[topic] = newest
+            history = self._histories.setdefault(topic, History())
+            fine = _plausible(entry, numbers)
             newest.take(int(times[-1]), float(numbers[-1]) if fine[-1] else None)
+            newest.charted_ns = int(times[-1])
             self._came = True
             if fine.all():
                 history.add(times, numbers)
@@ -269,6 +282,30 @@ class Watched:
                 numbers = np.where(fine, numbers, np.nan)
             if self._account is not None and topic in ACCOUNTED:
                 self._account.add(topic, times, numbers)
+
+    def preview(self, topic: str, time_ns: int, value: float) -> None:
+        """Take a value whose past is still on its way: it is shown at a glance, and not charted.
+
+        Args:
+            topic: its name in the interface, without a namespace.
+            time_ns: since 1970; where something newer is there, this is left out.
+            value: in the topic's unit.
+        """
+        entry = self._interface.get(topic)
+        if entry is None or entry.type != _NUMBER:
+            return
+        with self._lock:
+            newest = self._newest.get(topic) or _Newest()
+            if newest.time_ns < time_ns <= self._latest_ns():
+                self._newest[topic] = newest
+                fine = _plausible(entry, np.array([value]))[0]
+                newest.take(time_ns, value + 0.0 if fine else None)
+
+    def _latest_ns(self) -> float:
+        """Return the latest time that a value may have (ns since 1970)."""
+        if self._mode == "live" and self._system is not None:
+            return (self._system + _SET_BACK_S) * 1e9
+        return _LATEST_NS
 
     def add_forecast(self, topic: str, time_ns: int, values: Values) -> None:
         """Take a forecast; that of rain is shown.
@@ -339,20 +376,19 @@ class Watched:
             ):
                 return
             self._plan = Plan(at, at + ends, flow, level)
-            self._expect(self._plan.ends[:1], level[:1])
 
     def _keep_expected(self, now: float) -> None:
-        """Keep what the plan expected of the steps that are past by now."""
-        if self._plan is not None:
-            past = self._plan.ends <= now
-            self._expect(self._plan.ends[past], self._plan.level[past])
-
-    def _expect(self, ends: Values, levels: Values) -> None:
-        """Keep levels (m) that were expected at times (s since 1970)."""
-        later = ends > self._expected_until
-        if later.any():
-            self._expected.add((ends[later] * 1e9).astype(np.int64), levels[later])
-            self._expected_until = float(ends[later][-1])
+        """Keep of each time, to an hour after now, what the plan of an hour before it expects."""
+        plan = self._plan
+        if plan is None:
+            return
+        until = min(now + _LEAD_S, float(plan.ends[-1]))
+        begin = max(self._expected_until, plan.at + _LEAD_S)
+        times = np.append(plan.ends[(plan.ends > begin) & (plan.ends < until)], until)
+        if until > begin:
+            levels = np.interp(times, plan.ends, plan.level)
+            self._expected.add((times * 1e9).astype(np.int64), levels)
+            self._expected_until = until
 
     def add_text(self, topic: str, time_ns: int, text: str) -> None:
         """Take a text: the pump's state, such as ``off: nothing is commanded``."""
@@ -456,9 +492,11 @@ class Watched:
         shown = self._tiles(wall, now, present)
         stop = self._stop(wall)
         worst = "error" if stop["warning"] else self._alarms.worst()
-        warnings = sum(row["level"] == "warn" for row in present)
+        causes = [row for row in present if not row["follows"]]
+        warnings = sum(row["level"] == "warn" for row in causes)
         shown["summary"] = tiles.summary(
-            shown, alarms=len(present) - warnings, warnings=warnings, worst=worst, mode=self._mode,
+            shown, alarms=len(causes) - warnings, warnings=warnings,
+            following=len(present) - len(causes), worst=worst, mode=self._mode,
             known=self._alarms.heard or self._mode != "ended",
         )
         alarms = _within(rows, _MOST_ALARMS)
@@ -533,6 +571,8 @@ class Watched:
             frost=self._value("/weather/frost"),
         )
         name = self._alarms.controller()
+        if self._mode == "ended":
+            name = name or self._recorded_controller or None
         said = self._alarms.said("controller")
         node = None if said is None else said.get("name")
         wrong = [
@@ -659,8 +699,9 @@ class Watched:
             lines: dict[str, list[list[float]]] = {
                 name: [] for name in ("roof", "roof_expected", *list(LINES)[1:])
             }
+            charted = max((one.charted_ns for one in self._newest.values()), default=0)
+            self._keep_expected(charted / 1e9)
             if now is not None:
-                self._keep_expected(now)
                 newest = max((one.time_ns for one in self._newest.values()), default=0)
                 last = max(newest, round(now * 1e9))
                 first = last - round(hours * 3.6e12)
@@ -681,6 +722,12 @@ class Watched:
                     for name, topic in {**LINES, "forecast": _FORECAST}.items()
                 },
             }
+
+
+def _plausible(topic: Topic, numbers: Values) -> NDArray[np.bool_]:
+    """Return of which values of a topic, in its unit, each is in its range; a NaN is not."""
+    low, high = max(topic.low, -_LARGEST), min(topic.high, _LARGEST)
+    return (numbers >= low) & (numbers <= high)
 
 
 def _within(rows: list[dict[str, Any]], most: int) -> list[dict[str, Any]]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import struct
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -21,12 +22,19 @@ TOPICS = (
 )
 
 
-def write_bag(directory: Path, seconds: list[int], drainage: float) -> Path:
+def write_bag(
+    directory: Path, seconds: list[int], drainage: float,
+    evapotranspiration: Callable[[int], float] = lambda now: 1e-5,
+    command: Callable[[int], float] = lambda now: 0.5,
+) -> Path:
     """Write a bag in which it rains 36 mm/h, and in the first minute nothing is pumped."""
     interface = read_topics()
     writer = BagWriter(directory, [interface[name] for name in TOPICS])
     for now in seconds:
-        values = (0.02 + now * 1e-6, 2.0, 0.5, 0.0 if now < 60 else 0.002, 1e-5, 1e-5, drainage)
+        values = (
+            0.02 + now * 1e-6, 2.0, command(now), 0.0 if now < 60 else 0.002, 1e-5,
+            evapotranspiration(now), drainage,
+        )
         writer.write_tick(
             START_NS + now * 10**9,
             [b"\x00\x01\x00\x00" + struct.pack("<d", value) for value in values],
@@ -47,6 +55,18 @@ def test_sums_of_five_minutes(tmp_path: Path) -> None:
     assert record.level == pytest.approx(0.02 + 300e-6 * np.arange(6))
     # The bag's has the site's crop coefficient, the reference has not: 0.03 mm / 0.85.
     assert record.reference == pytest.approx(np.full(6, 0.03 / 0.85))
+    assert record.cistern == pytest.approx(np.full(6, 2.0))
+    # While nothing is delivered nothing was told.
+    assert record.command == pytest.approx([0.4, *[0.5] * 5])
+
+
+def test_a_command_that_no_pump_follows_is_not_known(tmp_path: Path) -> None:
+    bag = write_bag(
+        tmp_path / "bag", list(range(0, 1810, 10)), 0.0,
+        command=lambda now: 1.5 if now == 700 else 1.0,
+    )
+    command = read_bag_record(bag, TWIN).command
+    assert command == pytest.approx([0.8, 1.0, np.nan, 1.0, 1.0, 1.0], nan_ok=True)
 
 
 def test_a_gap_is_no_rain(tmp_path: Path) -> None:
@@ -55,6 +75,34 @@ def test_a_gap_is_no_rain(tmp_path: Path) -> None:
     record = read_bag_record(bag, TWIN)
     assert np.flatnonzero(np.isnan(record.rain)).tolist() == [2, 3, 4, 5, 6, 7]
     assert np.flatnonzero(np.isnan(record.level)).tolist() == [2, 3, 4, 5, 6, 7]
+    assert np.flatnonzero(np.isnan(record.pumped)).tolist() == [2, 3, 4, 5, 6, 7]
+
+
+def test_the_roof_dries_through_a_gap(tmp_path: Path) -> None:
+    """Before a day has passed as before the gap; from then on as a day before.
+
+    Evapotranspiration is 0.01 mm in 5 min at first and ten times that from 6 to 12 h of each day.
+    """
+    hour, gaps = 3600, ((2, 8), (27, 33))
+    times = [now for now in range(0, 36 * hour, 60)
+             if not any(low * hour < now < high * hour for low, high in gaps)]
+    mm = TWIN.crop_coefficient * TWIN.a2 / 1000 / 300
+    bag = write_bag(
+        tmp_path / "bag", times, 0.0,
+        lambda now: mm * (0.1 if 6 <= now / hour % 24 < 12 else 0.01),
+    )
+    reference = read_bag_record(bag, TWIN).reference
+    assert reference[2 * 12 + 1:8 * 12] == pytest.approx(0.01)
+    assert reference[8 * 12 + 1:12 * 12] == pytest.approx(0.1)
+    # Of a day before, when it was held.
+    assert reference[27 * 12 + 1:32 * 12] == pytest.approx(0.01)
+    assert reference[32 * 12 + 1:33 * 12] == pytest.approx(0.1)
+
+
+def test_a_bag_without_evapotranspiration_is_refused(tmp_path: Path) -> None:
+    bag = write_bag(tmp_path / "bag", list(range(0, 910, 10)), 0.0, lambda now: 0.0)
+    with pytest.raises(ConfigurationError, match="/weather/evapotranspiration: is not in the bag"):
+        read_bag_record(bag, TWIN)
 
 
 def test_without_drainage_levels_count_alone(tmp_path: Path) -> None:

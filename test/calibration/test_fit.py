@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import subprocess
 import sys
 from dataclasses import replace
@@ -22,6 +23,7 @@ from greenroof_ros.common.files import shared_directory
 from greenroof_ros.model.site import read_site
 
 DAYS = 45
+PUMPED = replace(TWIN, a_in=300.0, a_hat=-1e6, c_hat=45.0)
 
 
 @pytest.fixture(scope="module")
@@ -80,32 +82,44 @@ def test_halves_have_the_same_water_and_no_storm_in_common(record: Record) -> No
     assert 0.5 <= share < 0.7
 
 
+def calibrate(directory: Path, *arguments: str) -> subprocess.CompletedProcess[str]:
+    return subprocess.run(
+        [sys.executable, "-m", "greenroof_ros.calibrate", *arguments], cwd=directory,
+        capture_output=True, text=True, check=False,
+    )
+
+
 @pytest.fixture(scope="module")
 def fitted(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A directory in which the command has run on a twin, from the paper's site."""
+    """A directory in which the command has run on a twin, from the paper's site.
+
+    Its pumps are worn: their data sheet has 50 m.
+    """
     directory = tmp_path_factory.mktemp("command")
-    write(record_rows(TWIN, DAYS, 2), directory / "twin.csv")
+    write(record_rows(PUMPED, DAYS, 2, pumping=True), directory / "twin.csv")
     text = (shared_directory() / "config" / "site.yaml").read_text(encoding="utf-8")
     for was, now in (
         ("a2: 68.8", "a2: 100.0"), ("x2_star: 3.14416", "x2_star: 2.0"),
         ("z_veg: 0.0457", "z_veg: 0.02"),
         ("z_soil: 0.5", "z_soil: 0.1"), ("z_cap: 34.4", "z_cap: 10.0"),
         ("latitude: 43.63", "latitude: 52.5"), ("longitude: -79.40", "longitude: 13.4"),
-        ("utc_offset: -5.0", "utc_offset: 1.0"),
+        ("utc_offset: -5.0", "utc_offset: 1.0"), ("a_in: 0.2922466566001905", "a_in: 300.0"),
     ):
         assert was in text
         text = text.replace(was, now)
     (directory / "site.yaml").write_text(text, encoding="utf-8")
     # On the curve 50 - 1e6 q^2.
     (directory / "pump.csv").write_text("flow [m3/s],head [m]\n0,50\n0.002,46\n0.004,34\n")
-    ended = subprocess.run(
-        [sys.executable, "-m", "greenroof_ros.calibrate", "twin.csv", "--site", "site.yaml",
-         "-o", "fitted.yaml", "--pump-data", "pump.csv"],
-        cwd=directory, capture_output=True, text=True, check=False,
+    ended = calibrate(
+        directory, "twin.csv", "--site", "site.yaml", "-o", "fitted.yaml", "--pump-data", "pump.csv"
     )
     assert ended.returncode == 0, ended.stderr
     assert "runoff, validation" in ended.stdout
-    assert "level sensor: noise 2 mm and drift" in ended.stdout  # as the twin was made
+    assert "crop_coefficient counts where evapotranspiration is computed" in ended.stdout
+    assert "data sheet: a_hat -1e+06 s2/m5, c_hat 50 m" in ended.stdout
+    assert "pumps: 5" in ended.stdout  # l/s, sqrt((2 + 45 - 16) / 1e6) and a little less
+    noise = re.search(r"level sensor: noise (\S+) mm and drift", ended.stdout)[1]
+    assert float(noise) == pytest.approx(2.0, abs=0.15)  # as the twin was made
     return directory
 
 
@@ -117,16 +131,62 @@ def test_the_command_writes_a_site_that_can_be_used(fitted: Path) -> None:
     assert text.startswith("# Fitted to twin.csv by python -m greenroof_ros.calibrate.\n")
     assert "# runoff, validation: NSE " in text
     assert site.a_hat == pytest.approx(-1e6, rel=1e-5)
-    assert site.c_hat == pytest.approx(50.0, rel=1e-5)
+    lines = {line.split(":")[0]: line for line in text.splitlines()}
+    assert lines["a_hat"].endswith(
+        "fitted to points of the data sheet; the data cannot tell it apart from c_hat"
+    )
+    low, high = map(float, re.search(r"fitted, (\S+) to (\S+) \(95 %\)", lines["c_hat"]).groups())
+    assert low <= 45.0 <= high
+    assert high - low < 6.0
+    assert low < site.c_hat < high
+    assert lines["crop_coefficient"].endswith(
+        "; counts where evapotranspiration is computed (fao56; hargreaves in calibrate), not with "
+        "a weather file's own column"
+    )
     assert site.z_pump == 0.15  # what was not fitted stays, with its comment
     assert "# m       elevation of the pumps above the cistern's base [T1]" in text
 
 
-def test_it_writes_over_nothing(fitted: Path) -> None:
-    ended = subprocess.run(
-        [sys.executable, "-m", "greenroof_ros.calibrate", "twin.csv", "--site", "site.yaml",
-         "-o", "fitted.yaml"], cwd=fitted, capture_output=True, text=True, check=False,
+def test_a_data_sheet_needs_no_record(fitted: Path, tmp_path: Path) -> None:
+    """Two lines of the site file are other ones, and nothing else."""
+    sheet = str(fitted / "pump.csv")
+    ended = calibrate(tmp_path, "--pump-data", sheet, "-o", "pumped.yaml")
+    assert ended.returncode == 0, ended.stderr
+    assert ended.stdout == (
+        "data sheet: a_hat -1e+06 s2/m5, c_hat 50 m\nwritten: pumped.yaml\n"
     )
+    was, now = (
+        file.read_text(encoding="utf-8").splitlines()
+        for file in (shared_directory() / "config" / "site.yaml", tmp_path / "pumped.yaml")
+    )
+    assert now[:2] == ["# Pumps fitted to pump.csv by python -m greenroof_ros.calibrate.", ""]
+    changed = [line for before, line in zip(was, now[2:], strict=True) if line != before]
+    assert changed == [
+        "a_hat: -1e+06                 # s2/m5   fitted to points of the data sheet",
+        "c_hat: 50                     # m       fitted to points of the data sheet",
+    ]
+    site = read_site(tmp_path / "pumped.yaml")
+    assert (site.a_hat, site.c_hat) == (-1e6, 50.0)
+
+
+def test_pumps_that_lift_no_water_are_refused(tmp_path: Path) -> None:
+    (tmp_path / "low.csv").write_text("flow [m3/s],head [m]\n0,15\n0.004,9\n")
+    ended = calibrate(tmp_path, "--pump-data", "low.csv", "-o", "pumped.yaml")
+    assert ended.returncode == 2
+    assert ended.stderr == (
+        "error: low.csv: the curve has 15 m at no flow; it must exceed d - z_pump - z_H = 15.25 m "
+        "of the site, or the pumps never lift water to the roof (Eq. 3e)\n"
+    )
+
+
+def test_something_must_be_given(tmp_path: Path) -> None:
+    ended = calibrate(tmp_path, "-o", "fitted.yaml")
+    assert ended.returncode == 2
+    assert ended.stderr == "error: MEASURED: must be given, or --pump-data alone\n"
+
+
+def test_it_writes_over_nothing(fitted: Path) -> None:
+    ended = calibrate(fitted, "twin.csv", "--site", "site.yaml", "-o", "fitted.yaml")
     assert ended.returncode == 2
     assert ended.stderr == "error: --output = 'fitted.yaml': exists; name another file\n"
 

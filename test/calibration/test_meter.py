@@ -12,11 +12,11 @@ from greenroof_ros.calibration.meter import least_reading, through_meter
 from greenroof_ros.calibration.record import Record
 
 
-def a_record(runoff: np.ndarray | None) -> Record:
+def a_record(runoff: np.ndarray | None, last_decimal: float = 0.0) -> Record:
     nothing = np.zeros(6)
     return Record(
         Path("none"), datetime(2021, 5, 1, tzinfo=timezone.utc), 300.0, nothing, nothing, nothing,
-        runoff, None,
+        runoff, None, last_decimal,
     )
 
 
@@ -24,6 +24,22 @@ def test_a_counter_of_tips_misses_nothing() -> None:
     """Tips of a litre off 194 m2, as in Berlin."""
     tip = 1 / 194
     assert least_reading(a_record(np.array([0, tip, 2 * tip, 0, 60 * tip, np.nan]))) == 0.0
+
+
+@pytest.mark.parametrize("tip", [0.0396, 0.0297, 0.099, 0.0254])
+def test_a_counter_may_be_printed_with_two_decimals(tip: float) -> None:
+    counts = np.random.default_rng(4).geometric(0.1, 500)
+    assert counts.max() > 40
+    printed = np.array([float(f"{count * tip:.2f}") for count in counts])
+    assert least_reading(a_record(printed, 0.01)) == 0.0
+    assert least_reading(a_record(printed)) > 0.0  # with more decimals it would be no counter
+
+
+@pytest.mark.parametrize("least", [0.02, 0.03, 0.05, 0.1])
+def test_a_flow_meter_printed_with_two_decimals_is_no_counter(least: float) -> None:
+    flows = least + np.random.default_rng(5).exponential(0.2, 500)
+    printed = np.round(flows, 2)
+    assert least_reading(a_record(printed, 0.01)) == printed.min()
 
 
 def test_a_flow_meter_shows_nothing_below_its_least() -> None:

@@ -48,6 +48,21 @@ def test_units_come_to_mm_of_a_step_and_m(tmp_path: Path) -> None:
     assert record.reference == pytest.approx(np.full(120, 0.01))
 
 
+@pytest.mark.parametrize(
+    ("runoff", "last_decimal"),
+    [("0.04", 0.01), ("1.5", 0.1), ("3", 1.0), ("0", 1.0), ("0.30000000000000004", 0.1),
+     ("0.00515464", 1e-8)],
+)
+def test_the_last_decimal_of_runoff(runoff: str, last_decimal: float, tmp_path: Path) -> None:
+    """Of 100 m2: 1 in the last place of litres is a hundredth of that in mm."""
+    file = tmp_path / "record.csv"
+    for unit, factor in (("mm", 1.0), ("l", 0.01)):
+        file.write_text(small(
+            f"time,rain [mm],runoff [{unit}],reference evapotranspiration [mm]", "0", runoff, "0",
+        ))
+        assert read_csv_record(file, TWIN).last_decimal == pytest.approx(factor * last_decimal)
+
+
 def test_a_pump_state_is_a_share_of_the_flow_at_the_cistern_level(tmp_path: Path) -> None:
     """At 3 m the paper's pumps lift sqrt((3 + 55.2 - 16) / 1 / b^-2), Eq. 3e."""
     file = tmp_path / "record.csv"
@@ -63,7 +78,48 @@ def test_a_pump_state_is_a_share_of_the_flow_at_the_cistern_level(tmp_path: Path
         "reference evapotranspiration [mm]", "0", "0.02", "50", "3", "0",
     ))
     flow = 0.5 * TWIN.b * np.sqrt(3 + TWIN.c_hat - TWIN.d)
-    assert read_csv_record(file, TWIN).pumped == pytest.approx(np.full(120, flow * 300 / 100 * 1e3))
+    record = read_csv_record(file, TWIN)
+    assert record.pumped == pytest.approx(np.full(120, flow * 300 / 100 * 1e3))
+    assert record.command == pytest.approx(np.full(120, 0.5))
+    assert record.cistern == pytest.approx(np.full(120, 3.0))
+
+
+def test_a_pump_of_which_too_little_is_known_is_a_gap(tmp_path: Path) -> None:
+    """Without the cistern's level a pump that runs lifts nobody knows what, one that stands 0."""
+    text = small(
+        "time,rain [mm],level [m],pump state [1],cistern level [m],"
+        "reference evapotranspiration [mm]", "0", "0.02", "0", "3", "0",
+    )
+    for minute, state, level in (("15", "1", ""), ("25", "0", ""), ("35", "", "3")):
+        text = text.replace(f"T00:{minute},0,0.02,0,3,", f"T00:{minute},0,0.02,{state},{level},")
+    file = tmp_path / "record.csv"
+    file.write_text(text)
+    record = read_csv_record(file, TWIN)
+    assert np.flatnonzero(np.isnan(record.pumped)).tolist() == [3, 7]
+    assert np.nansum(record.pumped) == 0
+    assert np.flatnonzero(~record.known).tolist() == [2, 3, 4, 6, 7, 8]
+
+
+@pytest.mark.parametrize(
+    ("was", "becomes", "message"),
+    [
+        ("T00:10,0,0.02,3", "T00:10,0,0.02,",
+         "line 4: reference evapotranspiration [mm/day]: is empty (1 in all): it must be in"),
+        ("2021-06-01T00:10,0,0.02,3\n2021-06-01T00:15,0,0.02,3\n", "",
+         "line 4: reference evapotranspiration [mm/day]: there is no row of 2021-06-01T00:10:00 "
+         "(2 in all): it must be in every step"),
+    ],
+)
+def test_evapotranspiration_must_be_in_every_step(
+    was: str, becomes: str, message: str, tmp_path: Path
+) -> None:
+    text = small("time,rain [mm],level [m],reference evapotranspiration [mm/day]", "0", "0.02", "3")
+    assert was in text
+    file = tmp_path / "record.csv"
+    file.write_text(text.replace(was, becomes))
+    with pytest.raises(ConfigurationError) as error:
+        read_csv_record(file, TWIN)
+    assert str(error.value).startswith(f"{file}, {message}")
 
 
 def test_missing_rows_and_empty_cells_are_gaps(tmp_path: Path) -> None:

@@ -40,16 +40,36 @@ def test_longer_sums_forgive_a_delay() -> None:
     measured = np.zeros(4 * 24)
     measured[[10, 60]] = 5.0, 2.0
     seconds = 3600 * np.arange(96)
-    scores = score(np.roll(measured, 1), measured, seconds, 3600.0)
+    scores = score("runoff", np.roll(measured, 1), measured, seconds, 3600.0)
     assert scores.nse[3600] < 0
     assert scores.nse[86400] == 1.0
     assert scores.volume_error == 0.0
     assert list(scores.nse) == [3600, 86400]
 
 
+def test_gaps_say_nothing_of_a_level() -> None:
+    """Days of 4, 1 and 2 values, of 1, 3 and 2 cm: the mean of the days is worth 0."""
+    days = np.array([0, 0, 0, 0, 1, 2, 2])
+    measured = np.array([0.01, 0.03, 0.02])[days]
+    seconds = 86400 * days + 3600 * np.array([0, 1, 2, 3, 5, 0, 9])
+    scores = score("level", np.full(7, 0.02), measured, seconds, 3600.0)
+    assert scores.nse[86400] == pytest.approx(0.0, abs=1e-12)
+
+
+def test_a_level_and_its_gaps_are_worth_0_by_day_too() -> None:
+    """A month of a level with a noise, a gap of half a day every third day."""
+    hours = np.arange(30 * 24)
+    kept = ~((hours // 24 % 3 == 0) & (hours % 24 < 12))
+    level = 0.03 + np.random.default_rng(2).normal(0, 0.002, len(hours))
+    mean = np.full(len(hours), level[kept].mean())
+    scores = score("level", mean[kept], level[kept], 3600 * hours[kept], 3600.0)
+    assert scores.nse[3600] == pytest.approx(0.0, abs=1e-9)
+    assert scores.nse[86400] == pytest.approx(0.0, abs=0.1)
+
+
 def test_volume() -> None:
     seconds = 300 * np.arange(4)
-    scores = score(np.array([1, 2, 0, 0.9]), np.array([1, 1, 1, 0.0]), seconds, 300.0)
+    scores = score("runoff", np.array([1, 2, 0, 0.9]), np.array([1, 1, 1, 0.0]), seconds, 300.0)
     assert scores.volume_error == pytest.approx(0.3)
 
 

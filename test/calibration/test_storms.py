@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from datetime import datetime, timezone
 from pathlib import Path
 
 import numpy as np
+import pytest
 
 from greenroof_ros.calibration.record import Record
 from greenroof_ros.calibration.storms import Storm, comparable, storms
@@ -47,6 +49,18 @@ def test_the_last_storm_ends_with_the_record() -> None:
 def test_a_storm_in_which_the_meter_failed_is_left_out_whole() -> None:
     record = a_record(6, {100: 5.0, 4 * DAY: 5.0}, missing=(120, 3 * DAY))
     steps = comparable(record)
+    assert not steps[100:101 + DAY].any()
+    assert np.flatnonzero(~steps[101 + DAY:]).tolist() == [
+        3 * DAY + near - 101 - DAY for near in (-1, 0, 1)
+    ]
+
+
+@pytest.mark.parametrize("water", ["rain", "pumped"])
+def test_a_storm_in_which_water_came_unseen_is_left_out_whole(water: str) -> None:
+    record = a_record(6, {100: 5.0, 4 * DAY: 5.0})
+    came = getattr(record, water).copy()
+    came[[120, 3 * DAY]] = np.nan
+    steps = comparable(replace(record, **{water: came}))
     assert not steps[100:101 + DAY].any()
     assert np.flatnonzero(~steps[101 + DAY:]).tolist() == [
         3 * DAY + near - 101 - DAY for near in (-1, 0, 1)

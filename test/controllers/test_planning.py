@@ -17,7 +17,7 @@ import scipy.sparse
 from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
-from paper import PAPER_SITE, paper_run, planner, site_with
+from paper import PAPER_SITE, paper_run, planner, site_file, site_with
 from places import DATA
 from scipy.optimize import linprog
 
@@ -186,6 +186,43 @@ def test_what_is_above_the_outlet_is_not_counted_on() -> None:
     lifted = site.a1 * (site.z_o - site.suction_level)
     lifted += 60 * maximum_pump_flow(site, site.cistern_volume(3.9))
     assert planned == [pytest.approx(lifted, abs=0.02)]
+
+
+@pytest.mark.parametrize(("low", "usable"), [(1.0, 6.25), (0.5, 0.0)])
+def test_what_a_low_outlet_drains_is_not_counted_on(low: float, usable: float) -> None:
+    """At 3 m, for a roof of 91 m3: what stays above the suction level of 0.75 m, and two minutes.
+
+    One of them until the next plan, and one as without a low outlet.
+    """
+    site = site_with(a2=2000.0, low_outlet_level=low, low_outlet_radius=0.02)
+    controller = planner(site)
+    assert controller.command(3.0, 0.0, *dry()) > 0.9
+    full = maximum_pump_flow(site, site.cistern_volume(3.0))
+    expected = (usable + 120 * full) / site.a2
+    assert controller.plan[-1, 2] == pytest.approx(expected, abs=1e-5)
+
+
+@pytest.mark.parametrize("controller", ["planning_mpc", "scenario_mpc"])
+def test_a_draining_cistern_is_used_while_there_is_water(tmp_path: Path, controller: str) -> None:
+    """For a roof that lacks 15 m3 there are 21 m3, and in half an hour 1 m3: as good as on/off."""
+    file = site_file(
+        tmp_path, a2=400.0, x2_star=400 * 0.0457, z_cap=200.0,
+        low_outlet_level=0.8, low_outlet_radius=0.06,
+    )
+    costs = {}
+    for name in (controller, "onoff"):
+        run = paper_run(
+            "--controller", name, "--site", str(file), "--cistern", "40", "--roof", "3",
+            "--hours", "2", *(("--forecast", "ensemble") if name == "scenario_mpc" else ()),
+        )
+        metrics = Metrics()
+        for _ in closed_loop(run, run.make_controller(), metrics):
+            pass
+        costs[name] = metrics
+    assert costs["onoff"]["pumped_m3"] > 5
+    assert costs["onoff"]["outflow_m3"] > 5
+    assert costs[controller]["pumped_m3"] > 0.99 * costs["onoff"]["pumped_m3"]
+    assert costs[controller]["total_deviation_m3"] < 1.002 * costs["onoff"]["total_deviation_m3"]
 
 
 def test_pumps_that_cannot_lift() -> None:

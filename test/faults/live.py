@@ -57,8 +57,17 @@ class Outcome:
         self.wrong = "; ".join(filter(None, (self.wrong, what)))
 
 
-def run_case(rig: Rig, case: Case, rng: random.Random, outcome: Outcome) -> None:
+def run_case(
+    rig: Rig, case: Case, rng: random.Random, outcome: Outcome, hold: float = 0.0
+) -> None:
     """Do a case to a rig, and note what came of it.
+
+    Args:
+        rig: to which.
+        case: which.
+        rng: for all that is random.
+        outcome: where it is noted.
+        hold: how long the fault stays once it was said (s).
 
     Raises:
         BrokenError: the rig did not come to run before it.
@@ -76,9 +85,9 @@ def run_case(rig: Rig, case: Case, rng: random.Random, outcome: Outcome) -> None
         rig.until_running()
     outcome.bound = bounds(rig.site)[case.expected.bound]
     if case.fault == "unstoppable":
-        _unstoppable(rig, case, outcome)
+        _unstoppable(rig, case, outcome, hold)
     else:
-        _fault(rig, case, rng, outcome)
+        _fault(rig, case, rng, outcome, hold)
     if rig.truth.greatest > 1.001:
         outcome.fail(f"the pump turned at {rig.truth.greatest:.3f} of its rated speed")
     if isinstance(rig, SiteRig) and rig.levels()[0] < rig.site.suction_level - _DRY_M:
@@ -97,7 +106,9 @@ def _until_it_records(bag: Path, rng: random.Random) -> None:
     time.sleep(rng.uniform(0.0, FLUSH_S))
 
 
-def _fault(rig: Rig, case: Case, rng: random.Random, outcome: Outcome) -> None:
+def _fault(
+    rig: Rig, case: Case, rng: random.Random, outcome: Outcome, hold: float
+) -> None:
     expected = case.expected
     printed, began = len(rig.main.stderr()), time.monotonic()
     recorded = newest_file(rig.state / "bag") if isinstance(rig, SiteRig) else None
@@ -111,6 +122,7 @@ def _fault(rig: Rig, case: Case, rng: random.Random, outcome: Outcome) -> None:
         else:
             time.sleep(max(0.0, began + expected.watch - time.monotonic()))
         _alarm(rig, case, began, printed, outcome)
+        time.sleep(hold)
         if expected.stops is False and rig.truth.least(began, time.monotonic()) < _LEAST_SPEED:
             outcome.fail(f"the pump stopped, and should run on: {_said(rig, began)}")
     finally:
@@ -246,7 +258,7 @@ def _ends(rig: Rig, case: Case, outcome: Outcome) -> None:
     outcome.recovery = f"ended with exit code {code}"
 
 
-def _unstoppable(rig: Rig, case: Case, outcome: Outcome) -> None:
+def _unstoppable(rig: Rig, case: Case, outcome: Outcome, hold: float) -> None:
     """Let the motor run whatever it is told; only an alarm can be asked for."""
     contactor = case.target == "contactor"
     printed = len(rig.main.stderr())
@@ -262,6 +274,7 @@ def _unstoppable(rig: Rig, case: Case, outcome: Outcome) -> None:
     try:
         _alarm(rig, case, began, printed, outcome)
         outcome.to_safe = time.monotonic() - began
+        time.sleep(hold)
     finally:
         rig.truth.inject_drive("none")
     cleared = time.monotonic()

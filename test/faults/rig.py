@@ -463,9 +463,10 @@ class PlayedRig(Rig):
     def _pump(self) -> tuple[str, ...]:
         return ("--drive", str(self.drive_file), "--drive-at", self.drive_at)
 
-    def __exit__(self, *failure: object) -> None:
-        super().__exit__(*failure)
+    def _end_main(self) -> list[str]:
+        wrong = super()._end_main()
         self.players.close()
+        return wrong
 
 
 class FlowRig(PlayedRig):
@@ -512,9 +513,10 @@ class PumpRig(Rig):
         self.players = Players(self.watcher, self.truth, self.site, self.topics)
         self.main = pump_node(self)
 
-    def __exit__(self, *failure: object) -> None:
-        super().__exit__(*failure)
+    def _end_main(self) -> list[str]:
+        wrong = super()._end_main()
         self.players.close()
+        return wrong
 
 
 class MeteredRig(PumpRig):

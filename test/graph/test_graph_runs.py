@@ -17,7 +17,7 @@ import pytest
 from bag_topics import MPC_TOPICS
 from graphs import bag_file, bring_up, environment
 from mcap.reader import make_reader
-from paper import paper_run
+from paper import paper_run, site_file
 
 from greenroof_ros.common.files import shared_directory
 from greenroof_ros.common.interface import read_topics
@@ -127,19 +127,24 @@ def test_same_plans_of_an_ensemble(domain: int, tmp_path: Path) -> None:
     assert rows.count(32) > 50
 
 
+def simulate(domain: int, directory: Path, *options: str) -> None:
+    """Do the run in one process; it leaves ``run.csv``."""
+    subprocess.run(
+        [
+            sys.executable, "-m", "greenroof_ros.simulate", *options,
+            "--trajectory", "run.csv", "--output", "inprocess",
+        ],
+        cwd=directory, env=environment(domain), check=True, capture_output=True,
+    )
+
+
 @pytest.mark.parametrize("controller", OPTIONS)
 def test_same_bits_as_simulate(domain: int, tmp_path: Path, controller: str) -> None:
     """Graph and simulate: equal in every bit of every value; twelve hours of the paper's MPC."""
     options = ("--controller", controller, *OPTIONS[controller])
     summary = bring_up(domain, tmp_path, *options, output="first")
     (ticks,) = set(summary["messages"].values())
-    subprocess.run(
-        [
-            sys.executable, "-m", "greenroof_ros.simulate", *options,
-            "--trajectory", "run.csv", "--output", "inprocess",
-        ],
-        cwd=tmp_path, env=environment(domain), check=True, capture_output=True,
-    )
+    simulate(domain, tmp_path, *options)
     assert len(assert_same(tmp_path, "first")) == ticks
     if controller in PUBLISHED_M3:
         assert ticks == 43_201
@@ -154,16 +159,28 @@ def test_same_bits_of_a_measured_roof(domain: int, tmp_path: Path, controller: s
         "--site", str(shared_directory() / "config" / "site_neubrandenburg.yaml"),
     )
     summary = bring_up(domain, tmp_path, *options)
-    subprocess.run(
-        [
-            sys.executable, "-m", "greenroof_ros.simulate", *options,
-            "--trajectory", "run.csv", "--output", "inprocess",
-        ],
-        cwd=tmp_path, env=environment(domain), check=True, capture_output=True,
-    )
+    simulate(domain, tmp_path, *options)
     rows = assert_same(tmp_path, "run")
     assert float(rows[-1]["drainage_layer_m3"]) == summary["final_layer_m3"] > 0
     assert max(float(row["drainage_m3_per_s"]) for row in rows) > 0
+
+
+@pytest.mark.parametrize("controller", ["mpc", "planning_mpc"])
+def test_same_bits_with_a_low_outlet(domain: int, tmp_path: Path, controller: str) -> None:
+    """Rain on a catchment of which a part arrives, in a cistern that drains and is pumped from."""
+    file = site_file(
+        tmp_path, a_in=100.0, runoff_coefficient=0.9, low_outlet_level=1.0, low_outlet_radius=0.05
+    )
+    options = (
+        "--controller", controller, "--start", "2021-07-08T08:45", "--hours", "0.5",
+        "--cistern", "60", "--roof", "0.2", "--site", str(file),
+    )
+    summary = bring_up(domain, tmp_path, *options)
+    simulate(domain, tmp_path, *options)
+    assert_same(tmp_path, "run")
+    assert summary["outflow_m3"] > 10
+    assert summary["rain_cistern_m3"] > 0.1
+    assert summary["pumped_m3"] > 0
 
 
 @pytest.mark.parametrize(
@@ -188,13 +205,7 @@ def test_same_bits_on_an_imperfect_site(domain: int, tmp_path: Path, controller:
         "--minimum-on", "50", "--minimum-off", "20",
     ]
     bring_up(domain, tmp_path, *words)
-    subprocess.run(
-        [
-            sys.executable, "-m", "greenroof_ros.simulate", "--trajectory", "run.csv",
-            "--output", "inprocess", *words,
-        ],
-        cwd=tmp_path, env=environment(domain), check=True, capture_output=True,
-    )
+    simulate(domain, tmp_path, *words)
     rows = assert_same(tmp_path, "run")
     assert len(rows) == 181
     flows = [float(row["pump_flow_m3_per_s"]) for row in rows]

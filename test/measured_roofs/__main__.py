@@ -83,7 +83,8 @@ def judge(roof, directory, scratch):
         steps = halves[judged_on]
         for model, runoff in models.items():
             scores = score(
-                runoff[steps], record.runoff[steps], record.seconds[steps], record.step_s
+                "runoff", runoff[steps], record.runoff[steps], record.seconds[steps],
+                record.step_s,
             )
             rows.append((roof.name, names[judged_on], model, scores))
         for storm in whole_storms(record, steps):
@@ -103,7 +104,9 @@ PARTS = {
     },
     "without water stress": {"water_stress": lambda site, x2: 1.0},
     "without percolation below field capacity": {
-        "percolation": lambda site, x2, arriving, seconds: max(0.0, x2 - site.z_cap) / seconds,
+        "mean_percolation": lambda site, x2, arriving, seconds: (
+            max(0.0, x2 - site.z_cap) / seconds
+        ),
     },
 }
 
@@ -138,7 +141,9 @@ def parts(roof, directory, scratch):
 
 def part_row(roof, model, record, runoff, steps):
     """Return a row of the scores of a runoff."""
-    scores = score(runoff[steps], record.runoff[steps], record.seconds[steps], record.step_s)
+    scores = score(
+        "runoff", runoff[steps], record.runoff[steps], record.seconds[steps], record.step_s
+    )
     nse = " | ".join(f"{value:.2f}" for value in scores.nse.values())
     return f"| {roof.name} | {model} | {nse} | {1 + scores.volume_error:.2f} |"
 

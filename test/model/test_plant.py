@@ -119,6 +119,51 @@ def test_flows_are_the_papers(site: Site, cistern: float, roof: float, command: 
     assert found == pytest.approx(exact_flows(site, x1, x2, command), rel=1e-9, abs=1e-12)
 
 
+# 1/5 of the main outlet's radius, 1/25 of its area.
+LOW_OUTLET = site_with(low_outlet_level=1.0, low_outlet_radius=0.025)
+
+
+def test_low_outlet_by_hand() -> None:
+    """A head of 1 m gives 0.61 pi 0.025^2 sqrt(2 9.81) = 0.00530529 m3/s, one of 1/4 m half of it.
+
+    At 4 m, with 1 m above the main outlet, both take water: 0.13263228 + sqrt(3) 0.00530529.
+    """
+    one = 0.1326322799584 / 25
+    assert outlet_flow(LOW_OUTLET, 50.0) == pytest.approx(one, rel=1e-12)
+    assert outlet_flow(LOW_OUTLET, 31.25) == pytest.approx(one / 2, rel=1e-12)
+    assert outlet_flow(LOW_OUTLET, 100.0) == pytest.approx((25 + math.sqrt(3)) * one, rel=1e-12)
+    assert outlet_flow(LOW_OUTLET, 25.0) == 0.0
+    assert 0 < outlet_flow(LOW_OUTLET, just_above(25.0)) < 1e-9
+
+
+def test_low_outlet_empties_the_detention_volume_as_torricelli_says() -> None:
+    """From 2 m to its elevation of 1 m in 2 a1 sqrt(1) / c = 9424.6 s; the head is parabolic.
+
+    After half of that time 1/4 m of head is left, after 3/4 of it 1/16 m.
+    """
+    plant = Plant(LOW_OUTLET, 50.0, 1.0)
+    volumes = [plant.x1]
+    for _ in range(12_000):
+        plant.step(0.0, plant.flows(0.0, 0.0, 0.0))
+        volumes.append(plant.x1)
+    emptied = 2 * 25 * 25 / 0.1326322799584
+    assert volumes[round(emptied / 2)] == pytest.approx(25 * 1.25, abs=2e-3)
+    assert volumes[round(3 * emptied / 4)] == pytest.approx(25 * 1.0625, abs=2e-3)
+    assert volumes[-1] == pytest.approx(25, abs=1e-4)
+    assert min(volumes) > 25 - 1e-4
+
+
+def test_half_of_the_rain_is_that_on_half_of_the_catchment() -> None:
+    """To the bit: 2 is a power of two."""
+    half = Plant(site_with(a_in=100.0, runoff_coefficient=0.5), 20.0, 1.0)
+    smaller = Plant(site_with(a_in=50.0), 20.0, 1.0)
+    for rain in (0.0, 1e-5, 3e-4):
+        for plant in (half, smaller):
+            plant.step(rain, plant.flows(rain, 0.0, 0.0))
+        assert half.x1 == smaller.x1
+    assert half.x1 == pytest.approx(20 + 50 * 3.1e-4, rel=1e-12)
+
+
 def test_mains_fill_up_to_their_level() -> None:
     """0.5 m3/s into 25 m2: from 24.2 m3 in two ticks over the valve's level of 1 m, and no more."""
     plant = Plant(site_with(mains_level=1.0, mains_flow=0.5), 24.2, 1.0)

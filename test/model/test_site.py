@@ -51,8 +51,11 @@ def test_packaged_site_is_table_i() -> None:
     assert site.pop("starts_per_hour") == 20
     # "We have multiplied the flow rate measurements by two": as of pumps side by side.
     assert (site.pop("pumps_in_series"), site.pop("pumps_in_parallel")) == (1, 2)
-    # The paper's soil drains by Eq. (4), and nobody tops its cistern up.
-    assert {site.pop(key) for key in (*MEASURED, "mains_level", "mains_flow")} == {None}
+    # The paper's soil drains by Eq. (4), nobody tops its cistern up, and it has one outlet.
+    absent = (*MEASURED, "mains_level", "mains_flow", "low_outlet_level", "low_outlet_radius")
+    assert {site.pop(key) for key in absent} == {None}
+    # All rain on its inlet arrives.
+    assert site.pop("runoff_coefficient") == 1
     place = {key: value for key, value in site.items() if key not in TABLE_I}
     # Toronto City Centre; FAO-56's reference grass; radiation "for coastal locations" (Eq. 50).
     assert place == {
@@ -243,6 +246,35 @@ def test_a_measured_roof(tmp_path: Path) -> None:
             "must be above z_pump + z_H = 0.75 m, below which the pumps do not work, and below z_o",
         ),
         ({"mains_level": "1.0", "mains_flow": "60"}, "mains_flow", "must be from 1e-06 to 1"),
+        ({"low_outlet_level": "1.0"}, "low_outlet_level", "needs low_outlet_radius as well"),
+        ({"low_outlet_radius": "0.02"}, "low_outlet_radius", "needs low_outlet_level as well"),
+        (
+            {"low_outlet_level": "3.0", "low_outlet_radius": "0.02"}, "low_outlet_level",
+            "must be below z_o = 3 m, the outlet above it",
+        ),
+        (
+            {"low_outlet_level": "0.0", "low_outlet_radius": "0.02"}, "low_outlet_level",
+            "must be from 0.001 to 100",
+        ),
+        (
+            {"low_outlet_level": "1.0", "low_outlet_radius": "20"}, "low_outlet_radius",
+            "must be from 0.001 to 1",
+        ),
+        (
+            {"low_outlet_level": "1.0", "low_outlet_radius": "0"}, "low_outlet_radius",
+            "must be from 0.001 to 1",
+        ),
+        (
+            {
+                "low_outlet_level": "1.0", "low_outlet_radius": "0.02",
+                "mains_level": "1.0", "mains_flow": "0.001",
+            },
+            "mains_level", "must be above z_pump + z_H = 0.75 m, below which the pumps do not "
+            "work, and below low_outlet_level = 1 m, or it flows to the sewer",
+        ),
+        ({"runoff_coefficient": "80"}, "runoff_coefficient", "must be from 0.01 to 1"),
+        ({"runoff_coefficient": "0"}, "runoff_coefficient", "must be from 0.01 to 1"),
+        ({"runoff_coefficient": ".nan"}, "runoff_coefficient", "must be finite"),
     ],
 )
 def test_wrong_measured_roofs(

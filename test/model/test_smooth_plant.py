@@ -45,6 +45,8 @@ def states(draw: st.DrawFn, site: Site) -> tuple[float, float]:
     lift = site.d - site.c_hat
     suction = site.z_pump + site.z_H
     kinks = [site.z_o, site.z_o + site.epsilon, lift, lift + site.epsilon, suction]
+    if site.low_outlet_level is not None:
+        kinks += [site.low_outlet_level, site.low_outlet_level + site.epsilon]
     cistern = draw(
         anywhere.map(lambda share: share * 3 * (site.z_o + site.epsilon))
         | st.builds(float.__add__, st.sampled_from([float(kink) for kink in kinks]), near)

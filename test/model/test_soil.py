@@ -20,8 +20,10 @@ from greenroof_ros.model.soil import (
     free_changes,
     kept_share,
     layer_outflow,
+    mean_percolation,
     percolation,
     water_stress,
+    water_to_fill,
 )
 
 # 100 m2 and 100 mm of substrate: 2 m3 at the wilting point, 6 m3 at field capacity, stress below
@@ -69,6 +71,18 @@ def test_percolation_by_hand() -> None:
     """At 5 m3 9/16 of what arrives; above field capacity all of it, and the excess in a tick."""
     assert percolation(ROOF, 5.0, 0.01, 10.0) == pytest.approx(0.005625, rel=1e-12)
     assert percolation(ROOF, 6.5, 0.01, 10.0) == pytest.approx(0.06, rel=1e-12)
+
+
+@pytest.mark.parametrize("x2", [1.0, 2.0, 4.0, 5.9, 5.9999])
+def test_water_to_fill(x2: float) -> None:
+    """What has arrived, m3 for m3, until the soil, solved by scipy, has come to x2."""
+    needed = water_to_fill(ROOF, x2)
+    came = solve_ivp(
+        lambda _, y: [1 - percolation(ROOF, y[0], 1.0, 1e-9)], (0, needed), [0.0],
+        rtol=1e-10, atol=1e-12, max_step=0.01,
+    )
+    assert came.y[0, -1] == pytest.approx(x2, rel=1e-5)
+    assert water_to_fill(PAPER_SITE, x2) == x2
 
 
 def test_a_step_by_hand() -> None:
@@ -154,6 +168,28 @@ def test_free_changes_follow_their_equations(
     )
     assert found.shape == (1, 1)
     assert x2 + found[0, 0] == pytest.approx(volume, rel=1e-6, abs=1e-6)
+
+
+@settings(max_examples=60, deadline=None)
+@given(
+    x2=st.floats(0, 6), arriving=st.floats(0, 1e-3) | st.just(0.0),
+    seconds=st.sampled_from([10.0, 300.0, 3600.0]),
+)
+def test_what_percolates_in_a_long_step_follows_its_equation(
+    x2: float, arriving: float, seconds: float
+) -> None:
+    """dx/dt = (1 - S^2) i, by scipy; what came and did not stay has percolated."""
+    solved = solve_ivp(
+        lambda _, x: [kept_share(ROOF, float(x[0])) * arriving], (0, seconds), [x2], rtol=1e-9,
+        atol=1e-12, max_step=seconds / 50,
+    )
+    passed = seconds * mean_percolation(ROOF, x2, arriving, seconds)
+    assert passed == pytest.approx(x2 + seconds * arriving - solved.y[0, -1], abs=1e-6)
+
+
+def test_above_field_capacity_all_percolates() -> None:
+    """And the excess: 0.5 m3 in 10 s."""
+    assert mean_percolation(ROOF, 6.5, 0.01, 10.0) == pytest.approx(0.06, rel=1e-12)
 
 
 def test_free_changes_of_the_papers_soil_are_the_weather() -> None:

@@ -270,6 +270,32 @@ def test_mains_raise_the_cistern() -> None:
     assert cistern_reach(site).rise(1.4) - without == pytest.approx(1.5 * 0.04e-3, rel=1e-9)
 
 
+def test_a_low_outlet_lets_the_cistern_fall_and_stand() -> None:
+    """At 1 m of head it takes 0.61 pi 0.025^2 sqrt(2 9.81) = 0.00530529 m3/s.
+
+    4e-4 m/s on 50 m2, of which 0.8 arrives, are 0.016 m3/s: 0.01204 may be all that stays, as the
+    outlet may take 1.5 times as much. Nothing is expected of the outlet alone: it may be clogged.
+    """
+    site = replace(
+        PAPER_SITE, a_in=50.0, runoff_coefficient=0.8,
+        low_outlet_level=1.0, low_outlet_radius=0.025,
+    )
+    rises = {
+        (flow, rain, level): expected_rise(site, flow, rain, level, 0.03)[0]
+        for flow in (0.0, 0.005) for rain in (0.0, 1e-4, 4e-4) for level in (1.0, 2.0)
+    }
+    assert rises[0.0, 4e-4, 1.0] == pytest.approx(0.016 / 25, rel=1e-12)
+    assert rises[0.0, 4e-4, 2.0] == pytest.approx((0.016 - 1.5 * 0.00530529) / 25, rel=1e-5)
+    assert rises[0.0, 1e-4, 2.0] == rises[0.0, 0.0, 2.0] == 0.0
+    assert rises[0.005, 0.0, 1.0] == rises[0.005, 0.0, 2.0] == pytest.approx(-0.2e-3, rel=1e-12)
+    without = cistern_reach(PAPER_SITE).fall(2.0)
+    assert cistern_reach(site).fall(2.0) - without == pytest.approx(
+        1.5 * 0.00530529 / 25, rel=1e-5
+    )
+    # A cloudburst runs off to the last drop: 500 mm/h on 50 m2.
+    assert cistern_reach(site).rise(2.0) == pytest.approx(1.5 * 0.5 / 3600 * 50 / 25, rel=1e-9)
+
+
 @given(
     cistern=st.floats(0.0, 2.99), roof=st.floats(0.0, 0.49), rain=st.floats(0.0, 1e-4),
     share=st.floats(0.0, 1.0),

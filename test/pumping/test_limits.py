@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from paper import PAPER_SITE, sites
+from paper import PAPER_SITE, site_with, sites
 from pump_rig import Rig
 
 from greenroof_ros.model.site import Site
@@ -33,6 +34,21 @@ def test_defaults_by_hand() -> None:
     assert found.greatest_run_per_day == pytest.approx(3507, abs=1)
     assert found.greatest_run == pytest.approx(1918, abs=1)
     assert found.starts_per_hour == PAPER_SITE.starts_per_hour
+
+
+def test_defaults_of_a_measured_roof_near_field_capacity() -> None:
+    """2.4 times its water fills it to 99 %, by hand: atanh(0.99) = 2.6467; none takes 50 times it.
+
+    100 m2 of 4 m3 between wilting, at 2 m3, and field capacity: 2 + 4 2.6467 = 12.587 m3. Of 10 mm,
+    1 m3, its target keeps 1 - 0.99^2 = 0.0199, so that 50.25 m3 replace it: times 1.5, 94.256 m3.
+    """
+    roof = site_with(a2=100.0, z_soil=0.1, z_veg=0.0596)
+    roof = replace(
+        roof, z_cap=6.0, field_capacity=0.6, wilting_point=0.2, depletion_fraction=0.5
+    )
+    found = settings_for(roof)
+    assert found.greatest_volume_per_day == pytest.approx(94.256, abs=2e-3)
+    assert found.greatest_run == pytest.approx(12.587 / (0.2 * 0.00819436), abs=2)
 
 
 @given(site=sites())

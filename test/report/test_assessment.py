@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from paper import PAPER_SITE, paper_run, site_with
+from paper import PAPER_SITE, paper_run, site_file, site_with
 from places import CONFIG
 
 from greenroof_ros.experiment.closed_loop import closed_loop, record
@@ -162,6 +162,26 @@ def test_the_simulations_own_tally(options: tuple[str, ...]) -> None:
     assert found.roof_residual_m3 == pytest.approx(0, abs=1e-9)
     if "--roof" in options:
         assert limited > 0
+
+
+def test_the_low_outlet_is_a_part_of_the_balance(tmp_path: Path) -> None:
+    """Rain on 100 m2 of which half arrives; what both outlets take is the outflow."""
+    file = site_file(
+        tmp_path, a_in=100.0, runoff_coefficient=0.5, low_outlet_level=2.0, low_outlet_radius=0.05
+    )
+    run = paper_run(
+        "--controller", "onoff", "--cistern", "76", "--roof", "1", "--hours", "2",
+        "--start", "2021-07-08T08:00", "--site", str(file),
+    )
+    metrics = Metrics()
+    happened = record(run, closed_loop(run, run.make_controller(), metrics))
+    found = assess(run.site, happened, Assumptions())
+    assert found.metrics["outflow_m3"] == metrics["outflow_m3"] > 20
+    assert found.metrics["rain_cistern_m3"] == metrics["rain_cistern_m3"] > 0
+    assert found.metrics["rain_cistern_m3"] / 50 == pytest.approx(
+        found.metrics["rain_roof_m3"] / run.site.a2, rel=1e-12
+    )
+    assert found.cistern_residual_m3 == pytest.approx(0, abs=1e-9)
 
 
 def test_mains_water_is_a_part_of_the_balance(tmp_path: Path) -> None:

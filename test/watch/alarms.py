@@ -1,14 +1,18 @@
 """Every kind of alarm of the fault campaign, on the page in Chromium.
 
-``python test/watch/alarms.py`` does each case to a real live site as ``make faults`` does. A node
-of the campaign hears ``/diagnostics``; what a part of a node says is wrong for longer than the
-limit must stand on the page within it, in the node's words, and go within it when it is over.
+``python test/watch/alarms.py`` does each case to a real live site as ``make faults`` does, and
+holds each fault for longer than the limit once it was said. What a node says is wrong on
+``/diagnostics`` must stand on the page within the limit, in the node's words, and go within it when
+it is over. What lasts less than the limit may be missed, but of each kind its own alarm must be
+seen: what the campaign wants said of it, or what follows from it for the node that it is done to.
 """
 
 from __future__ import annotations
 
 import argparse
 import contextlib
+import itertools
+import math
 import random
 import re
 import shutil
@@ -16,60 +20,92 @@ import sys
 import tempfile
 import threading
 import time
+from bisect import bisect_left
 from collections.abc import Iterator
+from dataclasses import dataclass
 from pathlib import Path
 
 HERE = Path(__file__).resolve().parent
 sys.path[:0] = [str(HERE.parent / "faults"), str(HERE.parent), str(HERE.parent.parent)]
 
-from cases import LIVE, NODES, Case, all_cases  # noqa: E402
+from cases import LIVE, Case, all_cases  # noqa: E402
+from diagnosed import Diagnosed, compared  # noqa: E402
 from graphs import Process, free_ports, own_domain  # noqa: E402
 from live import Outcome, run_case  # noqa: E402
 from playwright.sync_api import sync_playwright  # noqa: E402
-from rig import RIGS, BrokenError, Rig, SkippedError, wait  # noqa: E402
+from rig import RIGS, BrokenError, Rig, wait  # noqa: E402
 
-# Within which a change of a status must be on the page (s), where the machine does nothing else.
+# Within which a change must be on the page (s), where the machine does nothing else.
 LIMIT_S = 2.0
+# How much longer than that a fault stays once it was said, and each case after its end (s).
+_LONGER_S = 1.0
 _LOOK_S = 0.1
-# So much of a sentence is compared, without its numbers: the page cuts it at 500 characters.
-_COMPARED = 300
-# What is on the page: of each alarm that stands the words, by the name of its status; the events.
+# A process that was started again is found by each listener in its own time: Fast DDS announces one
+# again every 3 s. So long (s) the page may hear of it before this program does.
+_AHEAD_S = 3.0
+# What is on the page: of each alarm that stands level and sentence, by the name of its status; the
+# events, the newest first.
 _ON_PAGE = """() => [Object.fromEntries(
   [...document.querySelectorAll("[data-alarm]:not([data-over])")].map(
-    (one) => [one.dataset.alarm, one.textContent])),
-  document.getElementById("events").textContent]"""
+    (one) => [one.dataset.alarm, [one.dataset.level, one.querySelector(".what").textContent]])),
+  [...document.querySelectorAll("#events li")].map((one) => one.textContent)]"""
+# Kinds that say nothing on this page, by fault and target, and why.
+NOT_SAID = {
+    ("second pump node", "in another domain"):
+        "it reports in its own domain, where this page does not listen",
+}
 
 
 def kinds() -> list[Case]:
     """Return one case for each fault and alarm that must be said of a live site.
 
-    A pump node in another domain is heard of there alone.
+    Neither those that end the site, and with it all that is said, nor bursts of hostile values: the
+    same is said of those that keep coming.
     """
     found: dict[tuple[str, str], Case] = {}
     for case in all_cases():
         if (
             case.way == LIVE and case.expected.alarm and case.expected.recovery != "ends"
-            and case.fault != "10000 hostile" and case.target != "in another domain"
+            and case.fault != "10000 hostile"
         ):
             found.setdefault((case.fault, case.expected.alarm), case)
     return list(found.values())
+
+
+@dataclass(frozen=True)
+class Look:
+    """What stood on the page at a time (s).
+
+    Attributes:
+        at: when.
+        alarms: what is compared of each, by the name of its status.
+        events: the newest first.
+    """
+
+    at: float
+    alarms: dict[str, str]
+    events: list[str]
+
+    def restart(self, name: str) -> str:
+        """Return the newest event that a node was started again; empty for none."""
+        return next((one for one in self.events if f"{name} was started again" in one), "")
 
 
 class Page:
     """The page in Chromium, looked at ten times a second in a thread of its own.
 
     Attributes:
-        seen: what stood on it, as (time, words by the name of the status, events).
+        looks: what stood on it.
         problem: why it cannot be looked at any more; empty where it can.
     """
 
     def __init__(self, url: str) -> None:
-        self.seen: list[tuple[float, dict[str, str], str]] = []
+        self.looks: list[Look] = []
         self.problem = ""
         self._url, self._ended = url, False
         self._thread = threading.Thread(target=self._look, daemon=True)
         self._thread.start()
-        wait(lambda: self.seen or self.problem, 30, "no browser")
+        wait(lambda: self.looks or self.problem, 30, "no browser")
 
     def _look(self) -> None:
         chromium = next(filter(None, map(shutil.which, ("chromium", "chromium-browser"))))
@@ -82,8 +118,8 @@ class Page:
                 while not self._ended:
                     began = time.monotonic()
                     alarms, events = page.evaluate(_ON_PAGE)
-                    words = {name: _without_numbers(text) for name, text in alarms.items()}
-                    self.seen.append((began, words, events))
+                    said = {name: compared(*words) for name, words in alarms.items()}
+                    self.looks.append(Look(began, said, events))
                     time.sleep(_LOOK_S)
                 browser.close()
         except Exception as error:
@@ -93,77 +129,86 @@ class Page:
         self._ended = True
         self._thread.join(10)
 
-    def first(self, name: str, since: float, text: str | None) -> float | None:
-        """Return when a status first stood on the page with these words; None: was not there."""
-        for at, alarms, _ in list(self.seen):
-            if at < since:
-                continue
-            if (text is None and name not in alarms) or (
-                text is not None and text in alarms.get(name, "")
-            ):
-                return at
-        return None
-
-    def names(self, node: str, since: float) -> float | None:
-        """Return when an alarm or event named a node first; None: was not there."""
-        before = next((events for at, _, events in reversed(self.seen) if at < since), "")
-        for at, alarms, events in list(self.seen):
-            told = events.count(f"/{node} ") > before.count(f"/{node} ")
-            if at >= since and (told or any(name.startswith(f"/{node}") for name in alarms)):
-                return at
-        return None
+    def since(self, at: float) -> list[Look]:
+        """Return the looks from a time on."""
+        return self.looks[bisect_left(self.looks, at, key=lambda look: look.at):]
 
 
-def _without_numbers(text: str) -> str:
-    """Return a sentence whose numbers may go on while it stands."""
-    return re.sub(r"[0-9.]+", "", text)
+@dataclass(frozen=True)
+class Change:
+    """A change that the page followed: of which status, to what, and after how long (s)."""
+
+    name: str
+    what: str
+    after: float
 
 
-def changes(
-    rig: Rig, since: float, until: float, limit: float
-) -> Iterator[tuple[float, str, str | None]]:
-    """Yield what the page must follow: time, status and its words, None for well.
+class Comparison:
+    """What was said in a time, and what the page showed of it.
 
-    What lasts less than the limit need not be seen.
+    Attributes:
+        followed: what it showed within the limit.
+        missed: what it did not, in words.
     """
-    by_name: dict[str, list[tuple[float, str | None]]] = {}
-    for at, who, text in list(rig.watcher.said):
-        if ": " not in who:
-            continue
-        words = None
-        if not text.startswith("OK "):
-            words = _without_numbers(text.partition(" ")[2])[:_COMPARED]
-        said = by_name.setdefault(who, [])
-        if not said or said[-1][1] != words:
-            said.append((at, words))
-    for name, said in by_name.items():
-        stood: str | None = None  # before: well
-        for (at, words), (then, _) in zip(said, [*said[1:], (until, "")], strict=True):
-            if then - at > limit and words != stood:
-                stood = words
-                if at >= since:
-                    yield at, name, words
 
+    def __init__(
+        self, said: Diagnosed, page: Page, since: float, until: float, limit: float
+    ) -> None:
+        """Compare.
 
-def check(
-    rig: Rig, page: Page, case: Case, since: float, tally: list[tuple[float, bool]], limit: float
-) -> list[str]:
-    """Return what the page did not follow since a time, and count what it did."""
-    until = time.monotonic()
-    time.sleep(limit)
-    wrong = []
-    if case.fault in ("kill", "stop long") and case.target in NODES:
-        seen = page.names(case.target, since)
-        if seen is None:
-            wrong.append(f"{case.target} was not named")
-    for at, name, words in changes(rig, since, until, limit):
-        seen = page.first(name, at, words)
-        if seen is None or seen - at > limit + _LOOK_S:
-            late = "never" if seen is None else f"after {seen - at:.1f} s"
-            wrong.append(f"{name} {'is well' if words is None else repr(words)}: {late}")
+        Args:
+            said: what was said.
+            page: what was shown.
+            since: what was said from then on counts.
+            until: the page was looked at until then.
+            limit: within which it must follow (s).
+        """
+        self.followed: list[Change] = []
+        self.missed: list[str] = []
+        self._page, self._limit, self._until = page, limit + _LOOK_S, until
+        for name, changes in list(said.said.items()):
+            self._compare(name, [*changes, (until, "")], since)
+        for at, name in list(said.restarts):
+            if at >= since:
+                self._compare_restart(name, at)
+        for name, what in page.looks[-1].alarms.items():
+            changes = said.said.get(name, [(0.0, "")])
+            if not changes[-1][1] and changes[-1][0] < until - self._limit:
+                self.missed.append(f"{name} {what}: stands, and is not said")
+
+    def _compare(self, name: str, changes: list[tuple[float, str]], since: float) -> None:
+        shown, shown_at = "", since
+        for number, ((at, what), (then, _)) in enumerate(itertools.pairwise(changes)):
+            if at < since:
+                shown = what
+            elif what != shown:
+                again = next((when for when, it in changes[number + 1:-1] if it == what), math.inf)
+                looks = self._page.since(max(at - _AHEAD_S, shown_at))
+                seen = next((
+                    one.at for one in looks
+                    if one.at < again and one.alarms.get(name, "") == what
+                ), None)
+                may_miss = self._limit + (_AHEAD_S if what.startswith("stale not heard") else 0.0)
+                if self._note(name, what, at, seen, must=then - at > may_miss):
+                    shown, shown_at = what, seen or at
+
+    def _compare_restart(self, name: str, at: float) -> None:
+        looks = self._page.since(at - _AHEAD_S)
+        before = looks[0].restart(name) if looks else ""
+        seen = next((one.at for one in looks if one.restart(name) != before), None)
+        must = self._until - at > self._limit
+        self._note(name, "was started again", at, seen, must=must)
+
+    def _note(self, name: str, what: str, at: float, seen: float | None, *, must: bool) -> bool:
+        """Note whether a change was followed; return False where it may be missed, and was."""
+        if seen is not None and seen - at <= self._limit:
+            self.followed.append(Change(name, what, max(0.0, seen - at)))
+        elif must:
+            when = "never" if seen is None else f"after {seen - at:.1f} s"
+            self.missed.append(f"{name} {what or 'is well'}: {when}")
         else:
-            tally.append((seen - at, words is not None))
-    return wrong
+            return False
+        return True
 
 
 def _until_it_answers(watch: Process) -> None:
@@ -171,38 +216,56 @@ def _until_it_answers(watch: Process) -> None:
 
 
 def do(
-    cases: list[Case], directory: Path, tally: list[tuple[float, bool]], limit: float
-) -> Iterator[str]:
-    """Do the cases of one rig, and yield a line of each."""
+    cases: list[Case], directory: Path, limit: float
+) -> Iterator[tuple[Case, Comparison | None, str]]:
+    """Do the cases of one rig, and yield of each what came of it, and what was wrong with it."""
     kind, _, drive = cases[0].rig.partition(":")
     rig: Rig | None = None
-    page: Page | None = None
     stack = contextlib.ExitStack()
     for number, case in enumerate(cases):
-        outcome, wrong, count = Outcome(), [], len(tally)
+        outcome, comparison = Outcome(), None
         try:
-            if rig is None or page is None:
+            if rig is None:
                 domain = stack.enter_context(own_domain())
                 rig = stack.enter_context(RIGS[kind](directory / str(number), domain, drive))
+                said = Diagnosed(rig.watcher.node)
                 port = free_ports(1)[0]
                 watch = Process(domain, "watch", "--port", str(port), cwd=rig.directory)
                 stack.callback(watch.process.terminate)
                 _until_it_answers(watch)
                 page = Page(f"http://127.0.0.1:{port}/")
                 stack.callback(page.close)
+                rig.until_running()
+                wait(lambda p=page, s=said: p.looks[-1].alarms == s.stands, 30, "no page of all")
             began = time.monotonic()
-            run_case(rig, case, random.Random(case.id), outcome)
-            wrong = check(rig, page, case, began, tally, limit)
+            run_case(rig, case, random.Random(case.id), outcome, limit + _LONGER_S)
+            time.sleep(limit + _LONGER_S)
+            comparison = Comparison(said, page, began, time.monotonic(), limit)
             if page.problem:
                 raise BrokenError(page.problem)
-        except (BrokenError, SkippedError) as error:
-            outcome.fail(str(error))
-        if outcome.wrong or case.expected.recovery == "stays" or case.fault == "full disk":
-            stack.close()
-            rig = page = None
-        said = "; ".join(filter(None, (*wrong, outcome.wrong and f"the case: {outcome.wrong}")))
-        yield f"{'FAILED' if wrong else 'held':6} {case.id}: {len(tally) - count} changes {said}"
-    stack.close()
+        except Exception as error:  # whatever it is, the next kind gets a new rig
+            outcome.fail(f"{type(error).__name__}: {error}")
+        last = case.expected.recovery == "stays" or case.fault == "full disk"
+        if outcome.wrong or last or number == len(cases) - 1:
+            try:
+                stack.close()
+            except Exception as error:
+                outcome.fail(f"at the end of the rig: {type(error).__name__}: {error}")
+            rig = None
+        yield case, comparison, outcome.wrong
+
+
+def _verdict(case: Case, comparison: Comparison | None) -> list[str]:
+    """Return what the page did not show of a kind, in words; empty where it showed all."""
+    if comparison is None:
+        return ["not compared"]
+    own = any(
+        re.search(case.expected.alarm, one.what) or one.name == f"/{case.target}"
+        for one in comparison.followed if one.what
+    )
+    if own or (case.fault, case.target) in NOT_SAID:
+        return comparison.missed
+    return [*comparison.missed, "its alarm was not shown"]
 
 
 def main() -> int:
@@ -222,21 +285,39 @@ def main() -> int:
     rigs: dict[str, list[Case]] = {}
     for case in cases:
         rigs.setdefault(case.rig, []).append(case)
-    tally: list[tuple[float, bool]] = []
-    failed = done = 0
+    followed: list[Change] = []
+    failed: list[str] = []
     with tempfile.TemporaryDirectory() as directory:
         for number, those in enumerate(rigs.values()):
             those.sort(key=lambda case: case.expected.recovery == "stays")
-            for line in do(those, Path(directory) / str(number), tally, arguments.limit):
-                print(line, flush=True)
-                failed += line.startswith("FAILED")
-                done += 1
-    for shown, what in ((True, "shown"), (False, "gone")):
-        times = sorted(took for took, is_alarm in tally if is_alarm is shown)
-        if times:
-            print(f"{len(times)} {what}, the latest after {times[-1]:.1f} s")
-    print(f"{done - failed} of {done} kinds held")
+            for case, comparison, wrong in do(
+                those, Path(directory) / str(number), arguments.limit
+            ):
+                missed = _verdict(case, comparison)
+                changes = comparison.followed if comparison else []
+                followed += changes
+                failed += [case.id] if missed else []
+                notes = {
+                    "the case": wrong, "need not be shown": NOT_SAID.get((case.fault, case.target)),
+                }
+                print(f"{'FAILED' if missed else 'held':6} {case.id}: {_table(changes)}",
+                      *missed, *(f"{what}: {why}" for what, why in notes.items() if why),
+                      sep="\n       ", flush=True)
+    print(f"{len(cases) - len(failed)} of {len(cases)} kinds held; {_table(followed)}")
+    print(*(f"FAILED {case}" for case in failed), sep="\n", end="\n" if failed else "")
     return 1 if failed else 0
+
+
+def _table(changes: list[Change]) -> str:
+    """Return how many changes were followed, and the latest of those shown and gone (s)."""
+    text = f"{len(changes)} changes compared"
+    for what, times in (
+        ("shown", [one.after for one in changes if one.what]),
+        ("gone", [one.after for one in changes if not one.what]),
+    ):
+        text += f", {len(times)} {what}"
+        text += f" (latest {max(times):.1f} s)" if times else ""
+    return text
 
 
 if __name__ == "__main__":

@@ -279,7 +279,11 @@ def memory(minutes: float) -> None:
             if run.process.poll() is not None:  # a month is over: the next
                 shutil.rmtree(place / "run")
                 run = long_run(domain, place)
-            sizes.append(_rss_mb(process.process.pid))
+            # With the process that reads the bag.
+            tasks = Path(f"/proc/{process.process.pid}/task")
+            children = [int(one) for file in tasks.glob("*/children")
+                        for one in file.read_text().split()]
+            sizes.append(sum(map(_rss_mb, (process.process.pid, *children))))
             time.sleep(2)
         quarter = len(sizes) // 4
         parts = [statistics.mean(sizes[n * quarter:(n + 1) * quarter]) for n in range(4)]

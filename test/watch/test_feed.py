@@ -188,6 +188,7 @@ def test_at_full_speed_the_bag_is_read(domain: int, tmp_path: Path) -> None:
     with fed(domain, tmp_path / "first" / "bag") as (watched, _):
         ended(watched, tmp_path / "first")
         assert watched.of(READ)[LEVEL] == recorded(tmp_path / "first")[LEVEL]
+        assert _shown(watched)["tiles"]["controller"]["value"] == "mpc"
 
 
 def test_samples_where_there_is_no_bag(domain: int, tmp_path: Path) -> None:

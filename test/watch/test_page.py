@@ -497,6 +497,22 @@ def test_all_alarms_are_shown_whole(browser: Any) -> None:
         assert all(one[1] <= other[0] + 1 for one, other in pairwise(lines))
 
 
+def test_equal_events_of_a_moment_stay_as_many_as_they_are(browser: Any) -> None:
+    """In simulated time that stands, or between two reports, a parameter goes to and fro."""
+    watched = site_watched()
+    with served(watched) as port, opened(browser, port) as page:
+        for number in range(3):
+            watched.add_event(BEGIN, "/mpc: weight was changed from 1 to 2")
+            watched.add_event(BEGIN, "/mpc: weight was changed from 2 to 1")
+            until_shown(page, "#events li")
+            page.wait_for_function(
+                "(most) => document.querySelectorAll('#events li').length >= most",
+                arg=2 * (number + 1),
+            )
+            assert page.locator("#events li").count() == 2 * (number + 1)
+        assert page.said == []
+
+
 def test_the_token_is_sent_from_the_address(browser: Any) -> None:
     """Without the right one the page says what is missing, and shows nothing."""
     with served(site_watched(), token="secret") as port, opened(

@@ -107,8 +107,8 @@ STATES = {
 
 
 def drawn(
-    one: Watched, width: int = 80, height: int = 24, *, color: bool = False,
-    ascii_only: bool = False,
+    one: Watched, width: int = 80, height: int | None = 24, *, color: bool = False,
+    ascii_only: bool = False, turned: int = 0,
 ) -> list[str]:
     """Return what stands on the terminal, line by line."""
     document, series = one.document(100.0), one.series(12.0)
@@ -117,7 +117,9 @@ def drawn(
         color_system="truecolor" if color else None,
     )
     with console.capture() as captured:
-        console.print(show(document, series, width, height, color, ascii_only=ascii_only))
+        console.print(
+            show(document, series, width, height, color, ascii_only=ascii_only, turned=turned)
+        )
     return captured.get().splitlines()
 
 
@@ -168,6 +170,38 @@ def test_how_the_pump_is_stopped_is_said_whole_or_not_at_all(name: str, width: i
     if len(call) > width:
         assert any(line.startswith("stop the pump: see the page") for line in lines)
     assert "SetBool" not in " ".join(drawn(Watched(), 120, 24))
+
+
+def test_the_numbers_of_the_gauges() -> None:
+    text = " ".join(" ".join(drawn(run_of(1.0))).split())
+    assert "below its target (target 45.7 mm)" in text
+    assert "(suction level 750 mm, outlet 3000 mm)" in text
+
+
+def test_all_of_it_by_turning_pages() -> None:
+    """A hundred alarms: each with its advice, the account and each event are on some page."""
+    one = with_a_silent_sensor(90)
+    for number in range(30):
+        one.add_event(99.5, f"event {number}")
+    document = one.document(100.0)
+    (last,) = (line for line in drawn(one) if line.startswith("page 1 of "))
+    pages = int(last.split()[3].rstrip(";"))
+    told = [drawn(one, turned=number) for number in range(pages + 1)]
+    assert told[pages] == told[0]
+    assert all(len(page) == 24 for page in told)
+    text = " ".join(" ".join(line for page in told[1:pages] for line in page[:-1]).split())
+    sentences = [
+        *(text for row in document["alarms"] for text in (row["id"], row["what"])),
+        *(one["what"] for one in document["events"]),
+        *(f"{row['label'].lower()} {row['value']}" for row in document["account"]["rows"]
+          if row["number"] is not None),
+    ]
+    assert len(sentences) > 200
+    for sentence in sentences:
+        assert " ".join(sentence.split()) in text, sentence
+    whole = " ".join(" ".join(drawn(one, height=None)).split())
+    assert text.startswith(whole[:5000])
+    assert "space turns it" not in whole
 
 
 def test_bars_by_hand() -> None:
@@ -320,6 +354,8 @@ def test_it_is_drawn_anew_when_the_terminal_changes_and_ends_on_q(terminal: Term
     terminal.press(b"x")
     time.sleep(0.5)
     assert terminal.process.poll() is None
+    terminal.press(b" ")
+    terminal.read_until("page 2 of ", 10.0)
     began = time.monotonic()
     terminal.press(b"q")
     assert terminal.ends() == 0

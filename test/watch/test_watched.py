@@ -116,6 +116,20 @@ def test_cistern(level: float, state: str, sentence: str) -> None:
     assert [mark["at"] for mark in tile["marks"]] == [0.75, 3.0]
 
 
+@pytest.mark.parametrize(("level", "sentence"), [
+    (2.5, "43.8 m3 above the suction level can be pumped; its low outlet drains it"),
+    (1.0, "6.2 m3 above the suction level can be pumped"),
+])
+def test_a_low_outlet(level: float, sentence: str) -> None:
+    one = Watched()
+    one.set_site(replace(SITE, low_outlet_level=1.0, low_outlet_radius=0.02))
+    one.set_present(mode="simulated", factor=30.0, source="heard", note="")
+    hear(one, 0, 61, {**QUIET, "/cistern/level": level})
+    tile = shown(one)["tiles"]["cistern"]
+    assert (tile["state"], tile["sentence"]) == ("good", sentence)
+    assert [mark["at"] for mark in tile["marks"]] == [0.75, 1.0, 3.0]
+
+
 @pytest.mark.parametrize(("values", "state", "why"), [
     ({}, "off", "nothing is commanded"),
     ({"pump_command": 0.4, "pump_flow": 2e-4, "roof_level": 0.04}, "running", ""),
@@ -229,7 +243,7 @@ def test_alarms_and_warnings_are_counted_as_they_are_listed() -> None:
         Status(f"/pump: {part}", level, f"{part} is not well", "host 7")
         for part, level in parts.items()
     )])
-    assert shown(one)["tiles"]["summary"]["word"] == "2 alarms, 3 warnings."
+    assert shown(one)["tiles"]["summary"]["word"] == "2 alarms, 2 warnings (1 more follows)."
 
 
 def test_the_plan_in_words() -> None:
@@ -770,17 +784,46 @@ def test_the_charts_have_the_values_of_the_ticks() -> None:
 
 
 def test_what_was_expected_stays_where_it_is_past() -> None:
-    """Of each plan the end of its first step, and of further ones while it held."""
+    """Of each time what the plan that held an hour before expects, from its first hour's end on.
+
+    That of 0 s rises from 40 mm at 3600 s to 50 mm at 7200 s, and holds for 720 s: to 42 mm at
+    4320 s. The next one expects 30 mm.
+    """
     one = watched()
-    one.add_plan(START + 10 * SECOND, np.array([[10.0, 0, 0.041], [600.0, 0, 0.042]]))
-    one.add_plan(START + 15 * SECOND, np.array([[10.0, 0, 0.043], [30.0, 0, 0.044],
-                                                [600.0, 0, 0.045]]))
-    rows = one.series(3)["lines"]["roof_expected"]
-    # 20 and 25 s share a stretch of 20 s; what the first plan expected of 610 s it no longer does.
-    assert rows == [
-        [START / 1e9 + 25, 0.041, 0.043, 0.043], [START / 1e9 + 45, 0.044, 0.044, 0.044],
+    at = START / 1e9
+    one.add_plan(START, np.array([[3600.0, 0, 0.040], [7200.0, 0, 0.050]]))
+    one.add_plan(START + 720 * SECOND, np.array([[3600.0, 0, 0.030], [7200.0, 0, 0.030]]))
+    assert one.series(3)["lines"]["roof_expected"] == []  # it is still to come
+    assert one.series(3)["plan"] == [
+        [at + 720, at + 4320, 0.0, 0.03], [at + 4320, at + 7920, 0.0, 0.03],
     ]
-    assert one.series(3)["plan"] == [[START / 1e9 + 45, START / 1e9 + 615, 0.0, 0.045]]
+    one.add("/roof/level", np.array([START + 5000 * SECOND]), np.array([0.042]))
+    rows = one.series(3)["lines"]["roof_expected"]
+    assert rows == [[at + 4320, 0.042, 0.042, pytest.approx(0.042, abs=1e-12)]]
+    # Up to an hour after the newest value of the charts.
+    one.add("/roof/level", np.array([START + 9000 * SECOND]), np.array([0.042]))
+    rows = one.series(3)["lines"]["roof_expected"]
+    assert [row[0] - at for row in rows] == [4320, 7920]
+    assert rows[1][3] == pytest.approx(0.03, abs=1e-12)
+
+
+def test_a_glance_is_ahead_of_the_charts() -> None:
+    """A value whose past is still on its way is of now, and its past comes to the charts."""
+    one = watched()
+    one.preview("/roof/level", START + 100 * SECOND, 0.05)
+    assert one.document(0.0)["tiles"]["roof"]["number"] == 0.05
+    assert one.document(0.0)["time"]["now"] == START / 1e9 + 100
+    assert max(row[0] for row in one.series(3)["lines"]["roof"]) == START / 1e9 + 60
+    one.add("/roof/level", START + np.arange(61, 91) * SECOND, np.linspace(0.04, 0.041, 30))
+    assert one.document(0.0)["tiles"]["roof"]["number"] == 0.05
+    assert one.series(3)["lines"]["roof"][-1][::3] == [START / 1e9 + 90, 0.041]
+    # What is older than the glance, or not plausible, is not of now or said to be so.
+    one.preview("/roof/level", START + 99 * SECOND, 0.03)
+    assert one.document(0.0)["tiles"]["roof"]["number"] == 0.05
+    one.preview("/roof/level", START + 101 * SECOND, math.nan)
+    assert one.document(0.0)["tiles"]["roof"]["value"] == words.NOT_PLAUSIBLE
+    one.preview("/no/topic", START + 102 * SECOND, 1.0)
+    assert one.document(0.0)["time"]["now"] == START / 1e9 + 101
 
 
 def test_the_forecast_of_the_charts() -> None:

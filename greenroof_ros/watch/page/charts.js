@@ -15,7 +15,8 @@ const CHARTS = [
     key: "roof", shown: "roof", title: "Roof level", height: 170, marks: ["target"], band: true,
     lines: [
       { name: "roof", label: "measured", colour: "--roof", range: true },
-      { name: "roof_expected", label: "expected by the controller", colour: "--roof", dash: [6, 4] },
+      { name: "roof_expected", label: "was expected an hour before", colour: "--roof", dash: [2, 3] },
+      { name: "roof_planned", label: "expected by the controller", colour: "--roof", dash: [6, 4] },
     ],
   },
   {
@@ -306,8 +307,8 @@ export class Charts {
     const ahead = plan.map(([, t1, , value]) => ({ t: this.ms(t1), v: value * level }));
     if (ahead.length) {
       const newest = rows.roof.at(-1);
-      if (newest) rows.roof_expected.push({ t: newest.t, v: newest.v });
-      rows.roof_expected.push(...ahead);
+      if (newest) rows.roof_planned.push({ t: newest.t, v: newest.v });
+      rows.roof_planned.push(...ahead);
     }
     const expected = series.forecast.filter(([, end]) => end > series.now);
     rows.forecast = steps(expected.map(([t0, t1, mean, low, high]) => [

@@ -36,11 +36,16 @@ const shape = (name) => {
 };
 const setShape = (drawn, name) => drawn.querySelector("use").setAttribute("href", `#shape-${name}`);
 
-// Make the children of a list those of the rows: each keeps its element, and so the focus.
+// Make the children of a list those of the rows: each keeps its element, and so the focus. Rows of
+// one key, such as two equal events of a moment, are numbered.
 const keep = (list, rows, keyOf, make, fill) => {
   const known = new Map([...list.children].map((one) => [one.dataset.key, one]));
+  const times = new Map();
   const wanted = rows.map((row) => {
-    const key = keyOf(row);
+    const plain = keyOf(row);
+    const time = times.get(plain) ?? 0;
+    times.set(plain, time + 1);
+    const key = time ? `${plain} ${time}` : plain;
     const one = known.get(key) ?? make(row);
     known.delete(key);
     one.dataset.key = key;
@@ -149,8 +154,16 @@ const fillAlarm = (row, alarm) => {
   row.toggleAttribute("data-over", alarm.over !== null);
   row.classList.toggle("over", alarm.over !== null);
   setShape(row.firstChild, alarm.level);
-  setText(row.querySelector(".what"), alarm.what);
-  setText(row.querySelector(".do"), alarm.do);
+  // First what an operator understands, then the node's own words.
+  const [what, todo] = [".what", ".do"].map((one) => row.querySelector(one));
+  row.classList.toggle("plain", alarm.plain);
+  row.classList.toggle("follows", Boolean(alarm.follows));
+  const order = alarm.plain ? [todo, what] : [what, todo];
+  if (what.parentNode.firstChild !== order[0]) what.parentNode.prepend(...order);
+  setText(what, alarm.what);
+  setText(todo, alarm.do);
+  // What to do about it stands at its cause.
+  todo.hidden = Boolean(alarm.follows);
   setText(row.querySelector(".word"), alarm.over === null ? WORDS[alarm.level] : "Over");
   const since = `${alarm.since_at_least ? "since before" : "since"} ${alarm.since_text}`;
   const when = alarm.over === null ? since : `${since}, over at ${alarm.over_text}`;

@@ -1,0 +1,145 @@
+"""What nodes say is wrong on /diagnostics, by rules of its own: the page is held against it.
+
+Of a node's part that is what it says itself. Of a node it is that it ended with a failure, is not
+heard for as long as bringup's own limit, is there twice, waits for others, or refuses values.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import re
+import time
+from dataclasses import dataclass, field
+from typing import Any
+
+from diagnostic_msgs.msg import DiagnosticArray
+from rclpy.node import Node
+
+from greenroof_ros.common.interface import read_topics
+from greenroof_ros.graph.qos import qos_profile
+from greenroof_ros.graph.states import ENDED, STARTING, STATES
+
+# A node reports four times a second; doc/explanation/live.md: after 2 s without it holds the pump.
+SILENT_S = 2.0
+# A node that waits for another one for longer says so as an alarm (s).
+_WAITS_S = 5.0
+_LOOK_S = 0.1
+_LEVELS = ("", "warn", "error", "stale")
+# So much of a sentence is compared: the page cuts it at 500 characters.
+_COMPARED = 300
+_NUMBER = re.compile(r"-?\b(?:nan|inf)\b|-?\d[\d.]*(?:e[+-]?\d+)?")
+
+
+def compared(level: str, sentence: str) -> str:
+    """Return what is compared of an alarm: not its numbers, which may go on while it stands."""
+    return f"{level} {_NUMBER.sub('', sentence)}"[:_COMPARED]
+
+
+@dataclass
+class _Node:
+    process: str
+    state: str
+    since: float  # in this state
+    heard: float
+    values: dict[str, Any]
+    before: dict[str, float] = field(default_factory=dict)  # when other processes were last heard
+    twice: float = -math.inf  # when two processes last reported in turn
+    refuses: float = -math.inf  # when it last refused more values than before
+    refused: str = ""  # on these topics
+    parts: dict[str, tuple[float, str]] = field(default_factory=dict)  # when heard, what is wrong
+
+
+class Diagnosed:
+    """Hears /diagnostics in a node that somebody spins. Times are of `time.monotonic` (s).
+
+    Attributes:
+        said: by the name of a status its changes: when, and what is wrong since, as its level and
+            its sentence without numbers; empty for nothing.
+        restarts: when another process came under the name of a node, and the name.
+    """
+
+    def __init__(self, node: Node) -> None:
+        self.said: dict[str, list[tuple[float, str]]] = {}
+        self.restarts: list[tuple[float, str]] = []
+        self._nodes: dict[str, _Node] = {}
+        profile = qos_profile(read_topics()["/diagnostics"].qos)
+        node.create_subscription(DiagnosticArray, "/diagnostics", self._hear, profile)
+        node.create_timer(_LOOK_S, self._look)
+
+    @property
+    def stands(self) -> dict[str, str]:
+        """What is wrong now, by the name of its status."""
+        said = list(self.said.items())  # it grows in another thread
+        return {name: changes[-1][1] for name, changes in said if changes[-1][1]}
+
+    def _hear(self, message: Any) -> None:
+        at = time.monotonic()
+        for status in message.status:
+            name, _, part = status.name.partition(": ")
+            level = _LEVELS[status.level[0]]
+            if part and name in self._nodes:
+                wrong = compared(level, status.message) if level else ""
+                self._nodes[name].parts[part] = at, wrong
+            elif not part and status.message in STATES:
+                values = {one.key: json.loads(one.value) for one in status.values}
+                self._hear_node(at, name, status.message, values)
+        self._look()
+
+    def _hear_node(self, at: float, name: str, state: str, values: dict[str, Any]) -> None:
+        process = values["process"]
+        node = self._nodes.get(name)
+        if node is None:
+            self._nodes[name] = _Node(process, state, at, at, values)
+            return
+        if process != node.process:
+            node.before[node.process] = node.heard
+            if at - node.before.get(process, -math.inf) <= SILENT_S:
+                node.twice = at
+            else:
+                self.restarts.append((at, name))
+                node.parts.clear()
+                node.values = {}
+        counts = node.values.get("refused") or {}
+        more = [
+            topic for topic, count in (values.get("refused") or {}).items()
+            if count > counts.get(topic, 0)
+        ]
+        if more and node.values:
+            node.refuses, node.refused = at, ", ".join(more)
+        if state != node.state:
+            node.since = at
+        node.process, node.state, node.heard, node.values = process, state, at, values
+
+    def _look(self) -> None:
+        at = time.monotonic()
+        wrong = {}
+        for name, node in self._nodes.items():
+            wrong.update(_wrong(at, name, node))
+        for name in self.said.keys() | wrong.keys():
+            changes, now = self.said.get(name, [(at, "")]), wrong.get(name, "")
+            if now != changes[-1][1]:
+                self.said[name] = [*changes, (at, now)]
+
+
+def _wrong(at: float, name: str, node: _Node) -> dict[str, str]:
+    """Return what is wrong with a node, by the name of the status that the page gives it."""
+    if node.state == ENDED:
+        failure = node.values.get("failure")
+        return {name: compared("error", f"ended: {failure}")} if failure else {}
+    silent = compared("stale", "not heard for 2 s")
+    wrong = {
+        f"{name}: {part}": what if at - heard <= SILENT_S or at - node.heard > SILENT_S else silent
+        for part, (heard, what) in node.parts.items()
+    }
+    if at - node.heard > SILENT_S:
+        wrong[name] = silent
+    elif at - node.twice <= SILENT_S:
+        two = " and ".join((node.process, *list(node.before)[-1:]))
+        wrong[name] = compared("error", f"two processes report under this name: {two}")
+    elif node.state == STARTING and at - node.since > _WAITS_S and node.values.get("waiting"):
+        wrong[name] = compared("warn", f"waits for {', '.join(node.values['waiting'])}")
+    if at - node.refuses <= SILENT_S:
+        wrong[f"{name}: refused"] = compared(
+            "warn", f"values of {node.refused} are refused: not plausible")
+    return {one: what for one, what in wrong.items() if what}
