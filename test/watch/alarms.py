@@ -40,8 +40,8 @@ LIMIT_S = 2.0
 # How much longer than that a fault stays once it was said, and each case after its end (s).
 _LONGER_S = 1.0
 _LOOK_S = 0.1
-# A process that was started again is found by each listener in its own time: Fast DDS announces one
-# again every 3 s. So long (s) the page may hear of it before this program does.
+# A process that was started again is found by each listener in its own time, as Fast DDS announces
+# it again and again. So long (s) the page may hear of it before this program does.
 _AHEAD_S = 3.0
 # What is on the page: of each alarm that stands level and sentence, by the name of its status; the
 # events, the newest first.
