@@ -68,7 +68,8 @@ def _parser() -> argparse.ArgumentParser:
         "they have, otherwise the paper's, config/site.yaml)",
     )
     parser.add_argument(
-        "--terminal", action="store_true", help="in this terminal instead of a page; q ends it",
+        "--terminal", action="store_true",
+        help="in this terminal instead of a page; the space bar turns its pages, q ends it",
     )
     parser.add_argument(
         "--host", metavar="ADDRESS",

@@ -44,11 +44,11 @@ _STYLES = {
 }
 
 
-def show(
+def pages(
     document: Mapping[str, Any], series: Mapping[str, Any], width: int, height: int | None,
-    color: bool, *, ascii_only: bool = False, turned: int = 0,
-) -> Group:
-    """Return the document as lines of a terminal, at most so wide and so many.
+    color: bool, *, ascii_only: bool = False,
+) -> list[Group]:
+    """Return the document as pages of a terminal, at most so wide and of so many lines.
 
     What must be seen is on the first page: the summary, what to do, the five tiles and the alarms;
     charts, account and events where there is room left. The pages behind it have all of it whole.
@@ -57,24 +57,25 @@ def show(
         document: of :meth:`greenroof_ros.watch.watched.Watched.document`.
         series: of :meth:`greenroof_ros.watch.watched.Watched.series`.
         width: of the terminal, columns.
-        height: of the terminal, lines; None for all of it, where no page can be turned.
+        height: of the terminal, lines; None for one page of all, where none can be turned.
         color: whether there may be colour.
         ascii_only: whether the terminal has no other characters.
-        turned: how many pages were turned; behind the last one the first comes again.
     """
     page = _Page(max(width, _LEAST_WIDTH), color=color, ascii_only=ascii_only)
     whole = _whole(page, document, series)
     if height is None:
-        return Group(*whole)
+        return [Group(*whole)]
     each = max(height, _LEAST_HEIGHT) - 1
-    pages = [
+    parts = [
         _first(page, document, series, each),
         *(whole[begin:begin + each] for begin in range(0, len(whole), each)),
     ]
-    number = turned % len(pages)
-    lines = pages[number] + [Text()] * (each - len(pages[number]))
-    keys = page.line((f"page {number + 1} of {len(pages)}; space turns it, q ends", "dim"))
-    return Group(*[*lines, keys][:max(height, 1)])
+    found = []
+    for number, lines in enumerate(parts, 1):
+        keys = page.line((f"page {number} of {len(parts)}; space turns it, q ends", "dim"))
+        filled = [*lines, *[Text()] * (each - len(lines)), keys]
+        found.append(Group(*filled[:max(height, 1)]))
+    return found
 
 
 def _first(
@@ -178,7 +179,7 @@ def _tiles(page: _Page, tiles: Mapping[str, Mapping[str, Any]], most: int) -> li
         first, *rest = textwrap.wrap(
             sentence, page.width, initial_indent="_" * len(label + value),
             subsequent_indent=indent, break_on_hyphens=False,
-        )
+        ) or [""]
         lines.append(page.line(
             (label, ""), (value, tile.get("state", "") or "head"), (first[len(label + value):], ""),
         ))
@@ -354,7 +355,7 @@ def _stop(page: _Page, document: Mapping[str, Any]) -> list[Text]:
 def run(watched: Watched) -> None:
     """Show what is known until q is pressed, or a signal or the end of the terminal comes.
 
-    The space bar turns to the next page.
+    The space bar turns to the next page, and from the last to the first.
 
     On a terminal all of it is used, and given back as it was. Where nothing can be drawn over, in
     a file or on a dumb terminal, the document is printed again and again.
@@ -369,10 +370,10 @@ def run(watched: Watched) -> None:
     charts: dict[str, Any] = {}
     charts_at = shown_at = -math.inf
     before: object = None
-    turned = 0
+    number = 0
 
-    def lines(width: int, height: int | None) -> Group:
-        return show(document, charts, width, height, color, ascii_only=ascii_only, turned=turned)
+    def parts(width: int, height: int | None) -> list[Group]:
+        return pages(document, charts, width, height, color, ascii_only=ascii_only)
 
     with suppress(InterruptedRun, OSError), _keys() as pressed, (
         Live(console=console, screen=True, auto_refresh=False) if drawn else nullcontext()
@@ -380,7 +381,7 @@ def run(watched: Watched) -> None:
         while (keys := pressed(0.0 if before is None else _LOOK_S)) is not None:
             if b"q" in keys.lower():
                 break
-            turned += keys.count(b" ")
+            turned = keys.count(b" ")
             signals.check()
             now = time.monotonic()
             document = watched.document(now)
@@ -389,11 +390,15 @@ def run(watched: Watched) -> None:
             size = console.size
             if live is None:
                 if now - shown_at >= _PRINT_S:
-                    console.print(lines(size.width, None), end="\n\n")
+                    console.print(*parts(size.width, None), end="\n\n")
                     shown_at = now
-            elif before != (document, charts, size, turned):
-                live.update(lines(size.width, size.height), refresh=True)
-            before = (document, charts, size, turned)
+            elif turned or before != (document, charts, size):
+                found = parts(size.width, size.height)
+                # As many pages as there are now: alarms come and go.
+                number = min(number, len(found) - 1)
+                number = (number + turned) % len(found)
+                live.update(found[number], refresh=True)
+            before = (document, charts, size)
 
 
 def _series(watched: Watched) -> dict[str, Any]:

@@ -28,7 +28,7 @@ from playwright.sync_api import sync_playwright  # noqa: E402
 from rich.console import Console  # noqa: E402
 from rig import SiteRig  # noqa: E402
 
-from greenroof_ros.watch.terminal import show  # noqa: E402
+from greenroof_ros.watch.terminal import pages  # noqa: E402
 
 WIDTHS, SCHEMES, HEIGHT = (1400, 800, 400), ("light", "dark"), 900
 # A storm of 23 mm begins some hours later.
@@ -120,7 +120,7 @@ def take(state: str, address: str, directory: Path) -> None:
     """Take the pictures of a state."""
     with (directory / f"{state}.txt").open("w") as file:
         console = Console(width=80, height=24, no_color=True, file=file)
-        console.print(show(_told(address, "state"), _told(address, "series"), 80, 24, False))
+        console.print(pages(_told(address, "state"), _told(address, "series"), 80, 24, False)[0])
     found = next(filter(None, map(shutil.which, ("chromium", "chromium-browser"))))
     with sync_playwright() as playwright:
         browser = playwright.chromium.launch(executable_path=found, args=["--no-sandbox"])

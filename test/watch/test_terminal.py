@@ -27,7 +27,7 @@ from test_alarms import ERROR, WARN, node
 
 from greenroof_ros.watch.alarms import Status
 from greenroof_ros.watch.outlook import step_ends
-from greenroof_ros.watch.terminal import show
+from greenroof_ros.watch.terminal import pages
 from greenroof_ros.watch.watched import Watched
 
 SECOND = 10**9
@@ -108,7 +108,7 @@ STATES = {
 
 def drawn(
     one: Watched, width: int = 80, height: int | None = 24, *, color: bool = False,
-    ascii_only: bool = False, turned: int = 0,
+    ascii_only: bool = False, number: int = 0,
 ) -> list[str]:
     """Return what stands on the terminal, line by line."""
     document, series = one.document(100.0), one.series(12.0)
@@ -118,7 +118,7 @@ def drawn(
     )
     with console.capture() as captured:
         console.print(
-            show(document, series, width, height, color, ascii_only=ascii_only, turned=turned)
+            pages(document, series, width, height, color, ascii_only=ascii_only)[number]
         )
     return captured.get().splitlines()
 
@@ -178,6 +178,20 @@ def test_the_numbers_of_the_gauges() -> None:
     assert "(suction level 750 mm, outlet 3000 mm)" in text
 
 
+def test_a_pump_of_which_no_flow_is_known_yet() -> None:
+    """As a site says at first: its state is on /diagnostics, flow and command are not there yet."""
+    one = Watched()
+    one.set_site(PAPER_SITE)
+    one.set_present(mode="live", factor=None, source="heard", note="")
+    assert one.document(0.0)["tiles"]["pump"]["sentence"] == "nothing was heard of it yet"
+    one.add_statuses(1.0, node("/pump", "pump", pump="off: no command"))
+    assert one.document(1.0)["tiles"]["pump"]["sentence"] == ""
+    assert any(line.startswith("Pump          Last known: off") for line in drawn(one))
+    # And a sentence of nothing but a line's end.
+    one.add_statuses(1.5, node("/mpc", "controller", ("program", ERROR, "\n")))
+    assert any(line.startswith("Controller") for line in drawn(one))
+
+
 def test_all_of_it_by_turning_pages() -> None:
     """A hundred alarms: each with its advice, the account and each event are on some page."""
     one = with_a_silent_sensor(90)
@@ -185,11 +199,11 @@ def test_all_of_it_by_turning_pages() -> None:
         one.add_event(99.5, f"event {number}")
     document = one.document(100.0)
     (last,) = (line for line in drawn(one) if line.startswith("page 1 of "))
-    pages = int(last.split()[3].rstrip(";"))
-    told = [drawn(one, turned=number) for number in range(pages + 1)]
-    assert told[pages] == told[0]
+    count = int(last.split()[3].rstrip(";"))
+    told = [drawn(one, number=number) for number in range(count)]
     assert all(len(page) == 24 for page in told)
-    text = " ".join(" ".join(line for page in told[1:pages] for line in page[:-1]).split())
+    assert told[-1][-1].startswith(f"page {count} of {count};")
+    text = " ".join(" ".join(line for page in told[1:] for line in page[:-1]).split())
     sentences = [
         *(text for row in document["alarms"] for text in (row["id"], row["what"])),
         *(one["what"] for one in document["events"]),
