@@ -410,6 +410,11 @@ def _check_water(path: Path, mapping: YamlMapping, site: Site) -> None:
             raise refuse(
                 "wilting_point", f"must be below field_capacity = {site.field_capacity:g}"
             )
+        if site.wilting_volume >= site.x2_star:
+            raise refuse(
+                "wilting_point", f"must be below x2_star / (a2 z_soil) = {site.x2_star / whole:g}, "
+                "or plants take no water at the target"
+            )
         products.append(
             ("z_cap", site.z_cap, whole * site.field_capacity, "a2 z_soil field_capacity")
         )

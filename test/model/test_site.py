@@ -15,7 +15,7 @@ from greenroof_ros.common.files import shared_directory
 from greenroof_ros.model.site import Site, read_site
 
 MEASURED = {
-    "field_capacity": 0.6, "wilting_point": 0.1, "depletion_fraction": 0.5,
+    "field_capacity": 0.6, "wilting_point": 0.05, "depletion_fraction": 0.5,
     "drainage_storage": 0.01, "drainage_time": 600.0,
 }
 """A measured roof."""
@@ -187,14 +187,14 @@ def test_a_soil_that_drains_early(tmp_path: Path) -> None:
 
 
 def test_a_measured_roof(tmp_path: Path) -> None:
-    """A soil of 34.4 m3 that holds 0.6 of it, of which 0.1 is not for plants; 10 mm in its layer.
+    """A soil of 34.4 m3 that holds 0.6 of it, of which 0.05 is not for plants; 10 mm in its layer.
 
     Full, the layer loses 0.688 m3 in 600 s: k = 1 / (0.688 600).
     """
     site = read_site(write(tmp_path, z_cap=20.64, **MEASURED))
     assert {key: getattr(site, key) for key in MEASURED} == MEASURED
-    assert site.wilting_volume == pytest.approx(3.44, rel=1e-12)
-    assert site.available_volume == pytest.approx(17.2, rel=1e-12)
+    assert site.wilting_volume == pytest.approx(1.72, rel=1e-12)
+    assert site.available_volume == pytest.approx(18.92, rel=1e-12)
     assert site.stress_onset == 0.5
     assert site.layer_storage == pytest.approx(0.688, rel=1e-12)
     assert site.layer_coefficient == pytest.approx(1 / 412.8, rel=1e-12)
@@ -216,8 +216,8 @@ def test_a_measured_roof(tmp_path: Path) -> None:
         ({"wilting_point": "-0.02"}, "wilting_point", "must be from 0 to 0.5"),
         ({"wilting_point": "10.0"}, "wilting_point", "must be from 0 to 0.5"),
         (
-            {"field_capacity": "0.1", "z_cap": "3.44"}, "wilting_point",
-            "must be below field_capacity = 0.1",
+            {"field_capacity": "0.05", "z_cap": "1.72"}, "wilting_point",
+            "must be below field_capacity = 0.05",
         ),
         ({"depletion_fraction": "1.0"}, "depletion_fraction", "must be from 0 to 0.95"),
         ({"depletion_fraction": "-0.1"}, "depletion_fraction", "must be from 0 to 0.95"),
@@ -235,6 +235,10 @@ def test_a_measured_roof(tmp_path: Path) -> None:
         ({"z_cap": "34.4"}, "z_cap", "must be a2 z_soil field_capacity = 20.64 m3"),
         ({"z_cap": "20.7"}, "z_cap", "must be a2 z_soil field_capacity = 20.64 m3"),
         ({"z_veg": "0.3", "x2_star": "20.64"}, "z_veg", "must be below z_cap / a2 = 0.3 m"),
+        (
+            {"wilting_point": "0.1"}, "wilting_point",
+            "must be below x2_star / (a2 z_soil) = 0.0914, or plants take no water at the target",
+        ),
         ({"mains_level": "1.0"}, "mains_level", "needs mains_flow as well"),
         ({"mains_flow": "0.001"}, "mains_flow", "needs mains_level as well"),
         (
