@@ -113,6 +113,10 @@ class _Alarm:
         """What is wrong, without the numbers that change."""
         return f"{self.trouble.level} {re.sub(r'[0-9.]+', '', self.trouble.what)}"
 
+    @property
+    def is_serious(self) -> bool:
+        """Whether it counts as an alarm, and not as a warning: other devices warn at most."""
+        return bool(self.trouble.role) and self.trouble.level in (_ERROR, _STALE)
 
     @property
     def is_acknowledged(self) -> bool:
@@ -442,10 +446,20 @@ class Alarms:
 
     def worst(self) -> str:
         """Return how it is: ``ok``, ``warn`` or ``error``; other devices warn at most."""
-        present = [one.trouble for one in self._alarms.values() if one.over is None]
-        if any(one.role and one.level in (_ERROR, _STALE) for one in present):
+        present = [one for one in self._alarms.values() if one.over is None]
+        if any(one.is_serious for one in present):
             return "error"
         return "warn" if present else "ok"
+
+    def counts(self) -> tuple[int, int, int]:
+        """Return how many causes are alarms and how many warnings, and how many follow from these.
+
+        A cause counts by the worst of itself and of what follows from it.
+        """
+        causes = self._causes()
+        present = [name for name, one in self._alarms.items() if one.over is None]
+        serious = {causes.get(one, one) for one in present if self._alarms[one].is_serious}
+        return len(serious), len(present) - len(causes) - len(serious), len(causes)
 
     def advice(self) -> str:
         """Return what to do now: about the cause of what is first and was not acknowledged."""

@@ -492,12 +492,10 @@ class Watched:
         shown = self._tiles(wall, now, present)
         stop = self._stop(wall)
         worst = "error" if stop["warning"] else self._alarms.worst()
-        causes = [row for row in present if not row["follows"]]
-        warnings = sum(row["level"] == "warn" for row in causes)
+        serious, warnings, following = self._alarms.counts()
         shown["summary"] = tiles.summary(
-            shown, alarms=len(causes) - warnings, warnings=warnings,
-            following=len(present) - len(causes), worst=worst, mode=self._mode,
-            known=self._alarms.heard or self._mode != "ended",
+            shown, alarms=serious, warnings=warnings, following=following, worst=worst,
+            mode=self._mode, known=self._alarms.heard or self._mode != "ended",
         )
         alarms = _within(rows, _MOST_ALARMS)
         notes = [self._site_note, self._note]

@@ -246,6 +246,16 @@ def test_alarms_and_warnings_are_counted_as_they_are_listed() -> None:
     assert shown(one)["tiles"]["summary"]["word"] == "2 alarms, 2 warnings (1 more follows)."
 
 
+def test_other_devices_are_counted_as_they_are_judged() -> None:
+    """Whatever they say of themselves, they are worth a look and no alarm of the roof."""
+    one = watched()
+    for wall in (99.0, 100.0):
+        one.add_statuses(wall, [Status("/disk", 2, "99 %", "host"), Status("/fan", 1, "slow", "f")])
+    for wall in (100.0, 106.0):  # heard, and silent
+        summary = shown(one, wall)["tiles"]["summary"]
+        assert (summary["word"], summary["level"]) == ("2 warnings.", "warn")
+
+
 def test_the_plan_in_words() -> None:
     """1e-3 m3/s from 01:20 to 02:00 are 2.4 m3."""
     one = watched()
