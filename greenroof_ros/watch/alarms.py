@@ -298,6 +298,10 @@ class Alarms:
 
     def look(self, wall: float, now: float) -> None:
         """Bring the alarms up to date: called with each message, and about twice a second."""
+        self._foreign = {
+            name: part for name, part in self._foreign.items()
+            if wall - part.heard <= _FOREIGN_SILENT_S or not self._has_ended(name, part)
+        }
         troubles = dict(self._troubles(wall))
         for name, trouble in troubles.items():
             alarm = self._alarms.get(name)
@@ -314,6 +318,11 @@ class Alarms:
         )
         for name in over[:-_OVER]:
             del self._alarms[name]
+
+    def _has_ended(self, name: str, part: _Part) -> bool:
+        """Whether it is of another graph's node, or a part of it, whose last word was its end."""
+        node = self._foreign.get(name.partition(": ")[0])
+        return node is not None and node.message in (FINISHED, ENDED) and part.heard <= node.heard
 
     def _troubles(self, wall: float) -> Iterator[tuple[str, Trouble]]:
         """Return all that is wrong, each by its name."""

@@ -458,6 +458,23 @@ def test_a_namespace_has_its_own_alarms() -> None:
     assert alarms.said("weather") is None
 
 
+@pytest.mark.parametrize("state", ["finished", "ended"])
+def test_the_end_of_another_graph_is_no_alarm(state: str) -> None:
+    """Nor of its nodes' parts, of which the last word may say nothing; one that goes on is."""
+    alarms = Alarms("/site1")
+    inputs = ("inputs", OK, "good")
+    for step in range(8):
+        alarms.hear(step / 4, float(step), [
+            *node("/site2/mpc", "controller", inputs), *node("/site2/pump", "pump", inputs),
+        ])
+    alarms.hear(2.0, 8.0, node("/site2/mpc", "controller", state=state))
+    for wall in (6.0, 7.1, 60.0):
+        alarms.look(wall, wall)
+    assert present(alarms) == ["/site2/pump", "/site2/pump: inputs"]
+    alarms.hear(61.0, 61.0, node("/site2/mpc", "controller", ("inputs", ERROR, "bad")))
+    assert "/site2/mpc: inputs" in present(alarms)
+
+
 def test_a_controller_that_took_another_ones_place() -> None:
     alarms = Alarms()
     alarms.hear(0.0, 0.0, node("/mpc", "controller"))
