@@ -44,6 +44,19 @@ def is_node_name(name: str) -> bool:
     return len(name) <= _NAME and _NODE_NAME.fullmatch(name) is not None
 
 
+def read_value(text: str) -> Any:
+    """Return a value of a status of this package's nodes, which is a JSON text.
+
+    A number that is not finite, or has 20 characters or more without being a fraction, is None: no
+    quantity is such, and what is computed with it would fail.
+
+    Raises:
+        ValueError: it is no JSON.
+        RecursionError: it is nested too deep.
+    """
+    return json.loads(text, parse_int=_integer, parse_float=_number, parse_constant=_nothing)
+
+
 @dataclass(frozen=True)
 class Status:
     """One status of /diagnostics.
@@ -178,9 +191,7 @@ class Alarms:
             if len(text) > _VALUE:
                 continue
             try:
-                values[key] = json.loads(
-                    text, parse_int=_integer, parse_float=_number, parse_constant=_nothing
-                )
+                values[key] = read_value(text)
             except (ValueError, RecursionError):
                 return None
         named = all(isinstance(values.get(key), str) for key in ("role", "process"))
