@@ -317,7 +317,7 @@ BRAKE = "the drive reports: brake check"
     ("the drive: it is in local control", ERROR, f"fault: {BRAKE}; the drive is not ready",
      "/pump/reset"),
     (LOST, WARN, f"off: {LOST}; " + "x" * 500, "The drive is not heard"),
-])
+], ids=["nobody knows", "drive's fault", "leak", "stopped", "turns", "local control", "cut"])
 def test_a_state_of_the_pump_that_its_cause_does_not_tell(
     drive: str, level: int, state: str, advice: str
 ) -> None:
@@ -347,7 +347,7 @@ def test_a_state_of_the_pump_that_its_cause_does_not_tell(
     ("held: the level of the roof is unknown; it is unknown whether there is frost", {
         "levels": "/roof/level is older than 5 s", "frost": "/weather/frost has not come yet",
     }),
-])
+], ids=["drive", "drive timeout", "supervisor", "levels and frost"])
 def test_a_state_follows_where_all_its_reasons_do(state: str, parts: dict[str, str]) -> None:
     alarms = Alarms()
     causes = [(name, ERROR, what) for name, what in parts.items()]
