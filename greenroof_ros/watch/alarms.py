@@ -44,6 +44,19 @@ def is_node_name(name: str) -> bool:
     return len(name) <= _NAME and _NODE_NAME.fullmatch(name) is not None
 
 
+def read_value(text: str) -> Any:
+    """Return a value of a status of this package's nodes, which is a JSON text.
+
+    A number that is not finite, or has 20 characters or more without being a fraction, is None: no
+    quantity is such, and what is computed with it would fail.
+
+    Raises:
+        ValueError: it is no JSON.
+        RecursionError: it is nested too deep.
+    """
+    return json.loads(text, parse_int=_integer, parse_float=_number, parse_constant=_nothing)
+
+
 @dataclass(frozen=True)
 class Status:
     """One status of /diagnostics.
@@ -113,6 +126,10 @@ class _Alarm:
         """What is wrong, without the numbers that change."""
         return f"{self.trouble.level} {re.sub(r'[0-9.]+', '', self.trouble.what)}"
 
+    @property
+    def is_serious(self) -> bool:
+        """Whether it counts as an alarm, and not as a warning: other devices warn at most."""
+        return bool(self.trouble.role) and self.trouble.level in (_ERROR, _STALE)
 
     @property
     def is_acknowledged(self) -> bool:
@@ -174,9 +191,7 @@ class Alarms:
             if len(text) > _VALUE:
                 continue
             try:
-                values[key] = json.loads(
-                    text, parse_int=_integer, parse_float=_number, parse_constant=_nothing
-                )
+                values[key] = read_value(text)
             except (ValueError, RecursionError):
                 return None
         named = all(isinstance(values.get(key), str) for key in ("role", "process"))
@@ -294,6 +309,10 @@ class Alarms:
 
     def look(self, wall: float, now: float) -> None:
         """Bring the alarms up to date: called with each message, and about twice a second."""
+        self._foreign = {
+            name: part for name, part in self._foreign.items()
+            if wall - part.heard <= _FOREIGN_SILENT_S or not self._has_ended(name, part)
+        }
         troubles = dict(self._troubles(wall))
         for name, trouble in troubles.items():
             alarm = self._alarms.get(name)
@@ -310,6 +329,11 @@ class Alarms:
         )
         for name in over[:-_OVER]:
             del self._alarms[name]
+
+    def _has_ended(self, name: str, part: _Part) -> bool:
+        """Whether it is of another graph's node, or a part of it, whose last word was its end."""
+        node = self._foreign.get(name.partition(": ")[0])
+        return node is not None and node.message in (FINISHED, ENDED) and part.heard <= node.heard
 
     def _troubles(self, wall: float) -> Iterator[tuple[str, Trouble]]:
         """Return all that is wrong, each by its name."""
@@ -442,10 +466,20 @@ class Alarms:
 
     def worst(self) -> str:
         """Return how it is: ``ok``, ``warn`` or ``error``; other devices warn at most."""
-        present = [one.trouble for one in self._alarms.values() if one.over is None]
-        if any(one.role and one.level in (_ERROR, _STALE) for one in present):
+        present = [one for one in self._alarms.values() if one.over is None]
+        if any(one.is_serious for one in present):
             return "error"
         return "warn" if present else "ok"
+
+    def counts(self) -> tuple[int, int, int]:
+        """Return how many causes are alarms and how many warnings, and how many follow from these.
+
+        A cause counts by the worst of itself and of what follows from it.
+        """
+        causes = self._causes()
+        present = [name for name, one in self._alarms.items() if one.over is None]
+        serious = {causes.get(one, one) for one in present if self._alarms[one].is_serious}
+        return len(serious), len(present) - len(causes) - len(serious), len(causes)
 
     def advice(self) -> str:
         """Return what to do now: about the cause of what is first and was not acknowledged."""

@@ -9,7 +9,18 @@ from functools import cache
 
 from greenroof_ros.common.interface import read_live_topics, read_topics
 from greenroof_ros.graph.states import PUMP
+from greenroof_ros.pumping.pump_control import OPERATOR_STOPPED, STANDS_UNKNOWN, STILL_TURNS
 
+# Levels of a status.
+_WARN, _ERROR = 1, 2
+# A state of the pump with such words asks for a hand at the pump, whatever caused it; one that was
+# cut may have had them.
+_NEEDS_A_HAND = re.compile(f"^fault: |{OPERATOR_STOPPED}|{STILL_TURNS}|{STANDS_UNKNOWN}|…$")
+# Words of a reason of the pump's state, and the part that says more of it.
+_PART_OF_REASON = (
+    ("speed of the drive", "drive"), ("level of the", "levels"), ("frost", "frost"),
+    ("no command", "command"),
+)
 # Parts of a node that say what comes in from others.
 _TAKES_IN = ("inputs", "levels", "command", "frost", "refused")
 
@@ -37,7 +48,9 @@ def find_causes(troubles: Mapping[str, Trouble]) -> dict[str, str]:
     """Return of each alarm that follows from another one the name of the first of all.
 
     It follows where its own words say so: the pump's state repeats what speaks against running, and
-    an input is named by its topic, which the interface says who publishes.
+    an input is named by its topic, which the interface says who publishes. No error follows from a
+    warning. Nor does a state of the pump that asks for a hand at it: what is to be done about its
+    cause would hide that.
 
     Args:
         troubles: of the graph's own nodes, the older ones first.
@@ -45,15 +58,14 @@ def find_causes(troubles: Mapping[str, Trouble]) -> dict[str, str]:
     causes: dict[str, str] = {}
     for name, trouble in troubles.items():
         for other in _candidates(name, trouble, troubles):
-            root = other
-            while root in causes:
-                root = causes[root]
-            if root != name:
-                causes[name] = root
+            first = causes.get(other, other)
+            group = [name, *(one for one, cause in causes.items() if cause == name)]
+            worse = troubles[first].level == _WARN and any(
+                troubles[one].level == _ERROR for one in group
+            )
+            if first != name and not worse:
+                causes.update(dict.fromkeys(group, first))
                 break
-    for name in causes:
-        while causes[name] in causes:
-            causes[name] = causes[causes[name]]
     return causes
 
 
@@ -63,22 +75,15 @@ def _candidates(
     """Return the alarms from which one may follow, the likeliest first."""
     node = name.partition(": ")[0]
     what, part = trouble.what, trouble.part
-
-    def of(*parts: str) -> list[str]:
-        return [f"{node}: {one}" for one in parts if f"{node}: {one}" in troubles]
-
+    is_state = (trouble.role, part) == (PUMP, PUMP)
+    if is_state and _NEEDS_A_HAND.search(what):
+        return
     if part and node in troubles:  # of a node that is not heard, what it said last
         yield node
-    if (trouble.role, part) == (PUMP, PUMP):
-        yield from _repeated(name, what, troubles)
-        if "the drive reports" in what or "speed of the drive" in what:
-            yield from of("drive")
-        if "level of the" in what:
-            yield from of("levels")
-        if "frost" in what:
-            yield from of("frost")
+    if is_state:
+        yield from _of_each_reason(name, what, troubles)
     elif part == "delivery":
-        yield from of("levels")
+        yield from _part(node, "levels", troubles)
     elif part == "supervisor" or not part:
         yield from _named(node, what, troubles)
     elif part in _TAKES_IN:
@@ -86,15 +91,36 @@ def _candidates(
         if part in ("inputs", "refused"):
             yield from _alike(node, part, what, troubles)
     elif (trouble.role, part) == ("weather", "frost"):
-        yield from of("forecast")
+        yield from _part(node, "forecast", troubles)
 
 
-def _repeated(name: str, what: str, troubles: Mapping[str, Trouble]) -> Iterator[str]:
-    """Return the parts of the pump whose words its state repeats."""
+def _part(node: str, part: str, troubles: Mapping[str, Trouble]) -> list[str]:
+    """Return the alarm of a part of a node, if there is one."""
+    name = f"{node}: {part}"
+    return [name] if name in troubles else []
+
+
+def _of_each_reason(name: str, what: str, troubles: Mapping[str, Trouble]) -> list[str]:
+    """Return the parts of the pump from which its state follows; none unless all of it does.
+
+    A part's words are one reason or several; what they leave of the state is told by its words.
+    """
     node = name.partition(": ")[0]
+    rest, found = what.partition(": ")[2], []
     for other, one in troubles.items():
-        if other != name and other.startswith(f"{node}: ") and _core(one.what) in what:
-            yield other
+        if other != name and other.startswith(f"{node}: "):
+            words = re.escape(_core(one.what))
+            rest, count = re.subn(rf"(^|; )(not activated: )?{words}(?=; |$)", r"\1", rest)
+            found += [other] if count else []
+    for reason in filter(None, rest.split("; ")):
+        parts = [
+            other for words, part in _PART_OF_REASON if words in reason
+            for other in _part(node, part, troubles)
+        ]
+        if not parts:
+            return []
+        found += parts
+    return found
 
 
 def _core(what: str) -> str:

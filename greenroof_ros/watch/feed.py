@@ -251,6 +251,9 @@ class Feed:
             if self._mode == "none":
                 self._waits_since = now
             self._mode = mode
+            if mode == "ended" and self._recorded is not None:
+                # A bag may be followed before anything says who commands.
+                self._watched.set_recorded_controller(_controller_of(self._recorded.bag))
             self._say(now)  # before what comes: an account has other rules on a live site
         self._judge_by(self._site_file or self._site_of_graph())
         self._find_bag()
@@ -440,7 +443,10 @@ class Feed:
         statuses.sort(key=lambda status: not self._graph.own(status))
         self._graph.hear(stamp, arrived_ns / 1e9, statuses, time.monotonic(), self._tau)
         if self._shows_graph():
-            self._watched.add_statuses(time.monotonic(), statuses[:_STATUSES])
+            own = bool(statuses) and self._graph.own(statuses[0])
+            self._watched.add_statuses(
+                time.monotonic(), statuses[:_STATUSES], stamp if own else None
+            )
 
     def _show_heard(self, now: float, *, paused: bool) -> None:
         """Show what was heard, unless the bag has yet to come up to it."""

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import socket
 from collections import deque
 from collections.abc import Sequence
@@ -12,7 +11,7 @@ from typing import Any, TypeGuard
 
 from greenroof_ros.common.interface import Topic
 from greenroof_ros.graph.states import ENDED, FINISHED, PUMP, RECORDER, STATES
-from greenroof_ros.watch.alarms import SILENT_S, Status, is_node_name
+from greenroof_ros.watch.alarms import SILENT_S, Status, is_node_name, read_value
 
 _PLANT = "plant"
 # A node that is silent may be replaced by another process; after so long (s) it is gone.
@@ -106,7 +105,7 @@ class GraphState:
             values = {}
             for key, text in status.values.items():
                 try:
-                    values[key] = json.loads(text)
+                    values[key] = read_value(text)
                 except (ValueError, RecursionError):
                     continue
             role, process = values.get("role"), values.get("process")

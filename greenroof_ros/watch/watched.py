@@ -134,6 +134,8 @@ class Watched:
         self._site_note = ""
         self._recorded_controller = ""
         self._system: float | None = None  # the system's time at the last look (s since 1970)
+        # What the graph's nodes said last that it is (s since 1970): of those of a new run, too.
+        self._stamp: float | None = None
         self._forget()
 
     def _forget(self) -> None:
@@ -398,10 +400,21 @@ class Watched:
             if self._pump_state is None or time_ns > self._pump_state[0]:
                 self._pump_state = (time_ns, words.plain(text, _MOST_TEXT))
 
-    def add_statuses(self, wall: float, statuses: Sequence[Status]) -> None:
-        """Take what nodes said on /diagnostics."""
+    def add_statuses(
+        self, wall: float, statuses: Sequence[Status], stamp_ns: int | None = None
+    ) -> None:
+        """Take what nodes said on /diagnostics.
+
+        Args:
+            wall: now.
+            statuses: of one message.
+            stamp_ns: the message's time (ns since 1970), in a simulation that of its clock; None
+                where it is not of this graph.
+        """
         with self._lock:
-            now = self._now_or_system()
+            if stamp_ns is not None and 0 < stamp_ns < _LATEST_NS:
+                self._stamp = stamp_ns / 1e9
+            now = self._now_or(time.time())
             self._alarms.hear(wall, now, statuses)
             self._note_controller(now)
 
@@ -426,8 +439,7 @@ class Watched:
             text: what happened.
         """
         with self._lock:
-            now = self._now()
-            self._alarms.add_event(system if now is None else now, text)
+            self._alarms.add_event(self._now_or(system), text)
 
     def forgive(self, seconds: float) -> None:
         """Take nobody for silent who was not heard while the watcher stood still, so long (s)."""
@@ -451,9 +463,13 @@ class Watched:
         times = [newest.time_ns for newest in self._newest.values()]
         return max(times) / 1e9 if times else None
 
-    def _now_or_system(self) -> float:
-        now = self._now()
-        return time.time() if now is None else now
+    def _now_or(self, system: float) -> float:
+        """Return the time of what happens now (s since 1970).
+
+        Before any value is known it is what the graph's nodes say; before that, the system's.
+        """
+        known = (self._now(), self._stamp, system)
+        return next(at for at in known if at is not None)
 
     @property
     def _utc_offset(self) -> float:
@@ -492,12 +508,10 @@ class Watched:
         shown = self._tiles(wall, now, present)
         stop = self._stop(wall)
         worst = "error" if stop["warning"] else self._alarms.worst()
-        causes = [row for row in present if not row["follows"]]
-        warnings = sum(row["level"] == "warn" for row in causes)
+        serious, warnings, following = self._alarms.counts()
         shown["summary"] = tiles.summary(
-            shown, alarms=len(causes) - warnings, warnings=warnings,
-            following=len(present) - len(causes), worst=worst, mode=self._mode,
-            known=self._alarms.heard or self._mode != "ended",
+            shown, alarms=serious, warnings=warnings, following=following, worst=worst,
+            mode=self._mode, known=self._alarms.heard or self._mode != "ended",
         )
         alarms = _within(rows, _MOST_ALARMS)
         notes = [self._site_note, self._note]
@@ -535,7 +549,7 @@ class Watched:
         """Note what came since the last look."""
         for newest in self._newest.values():
             newest.look(wall)
-        self._alarms.look(wall, self._now_or_system())
+        self._alarms.look(wall, self._now_or(time.time()))
         if self._came or self._quiet_since is None:
             self._came, self._quiet_since = False, wall
         quiet = wall - self._quiet_since > _QUIET_S

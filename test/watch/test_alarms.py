@@ -15,6 +15,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from greenroof_ros.watch.alarms import Alarms, Status
+from greenroof_ros.watch.causes import Trouble, find_causes
 
 OK, WARN, ERROR, STALE = range(4)
 HELD = "an operator stopped it"
@@ -299,6 +300,96 @@ def test_a_silent_sensor_is_one_cause() -> None:
     assert alarms.advice() == rows(alarms)[cause]["do"]
 
 
+LOST = "no connection to the drive: gateway://127.0.0.1:23500, device 1: cannot connect"
+LEAK = (
+    "delivery: the cistern fell by 0.34 m3 in 0.2 min, but only 0.09 m3 were pumped: perhaps a "
+    "leak, or somebody else takes water"
+)
+BRAKE = "the drive reports: brake check"
+
+
+@pytest.mark.parametrize(("drive", "level", "state", "advice"), [
+    (LOST, WARN, f"off: {LOST}; whether the pump stands is not known", "Go and see"),
+    (LOST, ERROR, f"fault: {BRAKE}; {LOST}", "/pump/reset"),
+    (LOST, ERROR, f"fault: {LEAK}; {LOST}", "/pump/reset"),
+    (LOST, WARN, f"held: {HELD}; {LOST}", "data: false"),
+    (LOST, WARN, f"held: {HELD}; {LOST}; the pump still turns, at 0.80", "at its drive's panel"),
+    ("the drive: it is in local control", ERROR, f"fault: {BRAKE}; the drive is not ready",
+     "/pump/reset"),
+    (LOST, WARN, f"off: {LOST}; " + "x" * 500, "The drive is not heard"),
+], ids=["nobody knows", "drive's fault", "leak", "stopped", "turns", "local control", "cut"])
+def test_a_state_of_the_pump_that_its_cause_does_not_tell(
+    drive: str, level: int, state: str, advice: str
+) -> None:
+    """Its own advice stands first: no reset, release or look is left out for the drive's sake."""
+    alarms = Alarms()
+    of_drive = WARN if drive.startswith("the drive: ") else ERROR
+    said = node("/pump", "pump", ("drive", of_drive, drive), ("pump", level, state))
+    alarms.hear(0.0, 0.0, said)
+    assert [(row["id"], row["follows"]) for row in alarms.rows()] == [
+        ("/pump: pump", None), ("/pump: drive", None),
+    ]
+    assert advice in alarms.advice()
+    alarms.look(2.1, 2.1)  # what a node said last that is not heard any more
+    assert rows(alarms)["/pump: pump"]["follows"] is None
+    assert "Nobody here knows whether the pump runs" in alarms.advice()
+
+
+@pytest.mark.parametrize(("state", "parts"), [
+    (f"off: {LOST}", {"drive": LOST}),
+    (f"off: not activated: the node is not set; {LOST}", {
+        "drive": LOST, "drive timeout": "the node is not set; beware: set it",
+    }),
+    ("off: onoff waits for roof_sensor; no command has come for 3 s (command_limit)", {
+        "supervisor": "onoff waits for roof_sensor",
+        "command": "/pump/command is older than 3 s (command_limit)",
+    }),
+    ("held: the level of the roof is unknown; it is unknown whether there is frost", {
+        "levels": "/roof/level is older than 5 s", "frost": "/weather/frost has not come yet",
+    }),
+], ids=["drive", "drive timeout", "supervisor", "levels and frost"])
+def test_a_state_follows_where_all_its_reasons_do(state: str, parts: dict[str, str]) -> None:
+    alarms = Alarms()
+    causes = [(name, ERROR, what) for name, what in parts.items()]
+    alarms.hear(0.0, 0.0, node("/pump", "pump", ("pump", WARN, state), *causes))
+    assert rows(alarms)["/pump: pump"]["follows"] in [f"/pump: {part}" for part in parts]
+    for missing in parts:
+        rest = [one for one in causes if one[0] != missing]
+        alarms = Alarms()
+        alarms.hear(0.0, 0.0, node("/pump", "pump", ("pump", WARN, state), *rest))
+        assert rows(alarms)["/pump: pump"]["follows"] is None, missing
+
+
+def test_no_error_follows_from_a_warning() -> None:
+    """Neither by itself nor through another one; what is not heard may, and then counts for it."""
+    start = {"state": "starting", "waiting": ["plant"]}
+    waits = node("/mpc", "controller", ("inputs", ERROR, "bad"), **start)
+    silent = "no command has come for 3 s (command_limit)"
+    alarms = Alarms()
+    for at in range(0, 25):
+        alarms.hear(at / 4, float(at), waits)
+    assert [(row["id"], row["follows"]) for row in alarms.rows()] == [
+        ("/mpc: inputs", None), ("/mpc", None),
+    ]
+    assert alarms.counts() == (1, 1, 0)
+    pump = node("/pump", "pump", ("command", STALE, silent), ("pump", WARN, f"off: {silent}"))
+    waits = node("/mpc", "controller", ("inputs", OK, "good"), **start)
+    for at in range(25, 30):
+        alarms.hear(at / 4, float(at), [*waits, *pump])
+    assert {one: rows(alarms)[one]["follows"] for one in present(alarms)} == {
+        "/mpc": None, "/pump: command": "/mpc", "/pump: pump": "/mpc",
+    }
+    assert (alarms.counts(), alarms.worst()) == ((1, 0, 2), "error")
+    old = "/pump/command is older than 3 s"
+    chain = {
+        "/pump: inputs": Trouble(ERROR, old, "pump", "inputs"),
+        "/pump: command": Trouble(STALE, old, "pump", "command"),
+        "/mpc": Trouble(WARN, "waits for plant", "controller"),
+    }
+    assert find_causes(chain) == {"/pump: inputs": "/pump: command"}
+    assert find_causes(dict(reversed(chain.items()))) == {"/pump: command": "/mpc"}
+
+
 def test_the_order_of_alarms() -> None:
     """The pump's state, then errors, what is stale and warnings; other devices last."""
     alarms = Alarms()
@@ -367,6 +458,23 @@ def test_a_namespace_has_its_own_alarms() -> None:
     assert alarms.said("weather") is None
 
 
+@pytest.mark.parametrize("state", ["finished", "ended"])
+def test_the_end_of_another_graph_is_no_alarm(state: str) -> None:
+    """Nor of its nodes' parts, of which the last word may say nothing; one that goes on is."""
+    alarms = Alarms("/site1")
+    inputs = ("inputs", OK, "good")
+    for step in range(8):
+        alarms.hear(step / 4, float(step), [
+            *node("/site2/mpc", "controller", inputs), *node("/site2/pump", "pump", inputs),
+        ])
+    alarms.hear(2.0, 8.0, node("/site2/mpc", "controller", state=state))
+    for wall in (6.0, 7.1, 60.0):
+        alarms.look(wall, wall)
+    assert present(alarms) == ["/site2/pump", "/site2/pump: inputs"]
+    alarms.hear(61.0, 61.0, node("/site2/mpc", "controller", ("inputs", ERROR, "bad")))
+    assert "/site2/mpc: inputs" in present(alarms)
+
+
 def test_a_controller_that_took_another_ones_place() -> None:
     alarms = Alarms()
     alarms.hear(0.0, 0.0, node("/mpc", "controller"))
@@ -381,6 +489,7 @@ def test_other_devices() -> None:
     once, often = Status("/camera", OK, "fine", "c"), Status("disk usage", ERROR, "99 %", "host")
     alarms.hear(0.0, 0.0, [once, often])
     assert (present(alarms), alarms.worst()) == (["disk usage"], "warn")
+    assert alarms.counts() == (0, 1, 0)
     alarms.hear(1.0, 1.0, [often])
     alarms.look(5.9, 6.0)
     assert alarms.rows()[0]["level"] == "error"

@@ -6,6 +6,7 @@ import json
 import os
 import pickle
 import signal
+import socket
 import subprocess
 import sys
 import threading
@@ -217,6 +218,7 @@ def test_hostile_diagnostics(domain: int) -> None:
         {"role": '"plant"', "process": '"a 1"', "tick": "1" * 4000},
         {"role": '"plant"', "process": '"b 1"', "tick": "1e999", "answers_from": "-5"},
         {"role": '"plant"', "process": '"c 1"', "tick": "true", "roof_level": "NaN"},
+        {"role": '"plant"', "process": '"c 1"', "tick": "5", "roof_level": "1" * 400},
         {"role": '"recorder"', "process": '"d 1"', "bag": '"/etc/passwd\\u0000"'},
         {"role": '"recorder"', "process": '"x"', "bag": '"/proc"'},
         {"role": "[" * 100_000, "process": "{"},
@@ -287,6 +289,39 @@ def test_stop_is_for_the_one_pump_node_that_is_shown(domain: int) -> None:
         stop = stop_of(*both)
         assert not stop["possible"]
         assert "/pump (a 1) and /other (b 1)" in refusal(feed)
+        peer.close()
+
+
+def test_a_bag_that_is_followed_before_its_run_is_described(domain: int, tmp_path: Path) -> None:
+    """Who commanded is read at the end; what happened before any value is of the run's time."""
+    own = f"{socket.gethostname()} 1"
+
+    def node(role: str, state: str, **values: Any) -> DiagnosticStatus:
+        pairs = {"role": role, "process": own, "answers_from": 0, **values}
+        texts = [KeyValue(key=key, value=json.dumps(value)) for key, value in pairs.items()]
+        return DiagnosticStatus(name=f"/{role}", message=state, values=texts)
+
+    with fed(domain, tmp_path / "bag") as (watched, _), in_domain(domain):
+        peer = Peer(domain, "stranger")
+        publisher = peer.node.create_publisher(DiagnosticArray, "/diagnostics", 10)
+        wait_for(lambda: publisher.get_subscription_count() == 1, 20, "the subscription")
+
+        def is_so(state: str, mode: str) -> bool:
+            said = DiagnosticArray(status=[node("plant", state, tick=5), node("recorder", state)])
+            said.header.stamp.sec = 1_626_757_200
+            publisher.publish(said)
+            publisher.publish(DiagnosticArray(status=[DiagnosticStatus(name="/fan")]))
+            return watched.mode == mode
+
+        wait_for(lambda: is_so("ready", "simulated"), 20, "the run")
+        (tmp_path / "summary.json").write_text('{"controller": "mpc"}')
+        wait_for(lambda: is_so("finished", "ended"), 20, "its end")
+        wait_for(
+            lambda: _shown(watched)["tiles"]["controller"]["value"] == "mpc", 20, "its controller"
+        )
+        events = _shown(watched)["events"]
+        assert "The run ended." in [event["what"] for event in events]
+        assert {event["at"] for event in events} == {1_626_757_200}
         peer.close()
 
 

@@ -64,6 +64,17 @@ def test_a_pump_node_that_is_started_again_is_one() -> None:
         assert graph.pump(at) == "/pump"
 
 
+@pytest.mark.parametrize(
+    "level", [10**400, 10**19, float("inf"), float("nan"), "1", None],
+    ids=["401 digits", "20 digits", "infinite", "no number", "text", "nothing"],
+)
+def test_a_level_that_is_no_number_is_no_sample(level: object) -> None:
+    graph = GraphState("")
+    say(graph, 1.0, "plant", tick=5, roof_level=level, cistern_level=2.5)
+    assert graph.samples is not None
+    assert graph.samples[1] == {"/cistern/level": 2.5}
+
+
 @pytest.mark.parametrize("name", [
     "/no such name!", "pump", "/a//b", "/1", "/" + "p" * 300, "/x: y",
 ])

@@ -246,6 +246,36 @@ def test_alarms_and_warnings_are_counted_as_they_are_listed() -> None:
     assert shown(one)["tiles"]["summary"]["word"] == "2 alarms, 2 warnings (1 more follows)."
 
 
+def test_what_happens_before_any_value_is_of_the_graphs_time() -> None:
+    """Of a simulation that is joined late: in its time, and so in order with what comes later."""
+    one = Watched()
+    one.set_site(SITE)
+    one.set_present(mode="simulated", factor=30.0, source="heard", note="")
+    lost = [node("pump", pump="off: lost"), Status("/pump: drive", 2, "lost", "host 7")]
+    one.add_statuses(100.0, [Status("/fan", 1, "slow", "fan")])  # of no graph, before it
+    one.add_statuses(100.1, lost, START)
+    one.begin_anew()
+    one.add_event(time.time(), "Another run began.")
+    one.add_statuses(100.2, lost, START + 5 * SECOND)
+    one.add_statuses(100.3, lost, 2**62)
+    hear(one, 7, 8, QUIET)
+    one.add_statuses(100.4, [Status("/pump: limits", 1, "5 m3 are owed", "host 7")])
+    document = shown(one)
+    since = {row["id"]: row["since_text"] for row in document["alarms"]}
+    assert since == {"/pump: drive": "00:00:05", "/pump: limits": "00:00:07"}
+    assert [event["at_text"] for event in document["events"]] == ["00:00:00"]
+
+
+def test_other_devices_are_counted_as_they_are_judged() -> None:
+    """Whatever they say of themselves, they are worth a look and no alarm of the roof."""
+    one = watched()
+    for wall in (99.0, 100.0):
+        one.add_statuses(wall, [Status("/disk", 2, "99 %", "host"), Status("/fan", 1, "slow", "f")])
+    for wall in (100.0, 106.0):  # heard, and silent
+        summary = shown(one, wall)["tiles"]["summary"]
+        assert (summary["word"], summary["level"]) == ("2 warnings.", "warn")
+
+
 def test_the_plan_in_words() -> None:
     """1e-3 m3/s from 01:20 to 02:00 are 2.4 m3."""
     one = watched()
