@@ -533,8 +533,7 @@ class Feed:
                 self._looked = time.monotonic()
 
     def _add(self, batch: Batch) -> None:
-        for topic, (times, values) in batch.numbers.items():
-            self._watched.add(topic, times, values)
+        """Take a batch; numbers last, as they move now on: a plan of then is there by then."""
         for topic, (time_ns, message) in batch.forecasts.items():
             rows = wire.rows(message)
             if rows is not None:
@@ -543,6 +542,8 @@ class Feed:
             self._watched.add_plan(time_ns, plan)
         for topic, time_ns, text in batch.texts:
             self._watched.add_text(topic, time_ns, text)
+        for topic, (times, values) in batch.numbers.items():
+            self._watched.add(topic, times, values)
 
 
 def _controller_of(bag: Path) -> str:

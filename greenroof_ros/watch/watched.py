@@ -43,6 +43,8 @@ _FORECAST, _PUMP_STATE = "/forecast/precipitation", "/pump/state"
 _MODES = ("none", "simulated", "loop", "live", "ended")
 # How long before a time a level is expected that is compared with the one that came (s).
 _LEAD_S = 3600.0
+# How often what one plan expects is kept, though its steps are longer (s): the line has no gaps.
+_EXPECTED_EVERY_S = 300.0
 # No quantity of any site is beyond this, in any unit, although a topic may have no limit.
 _LARGEST = 1e9
 # A value is stale after so many of its usual intervals, and after so long at least (s). That it
@@ -377,18 +379,30 @@ class Watched:
                 return
             self._plan = Plan(at, at + ends, flow, level)
 
-    def _keep_expected(self, now: float) -> None:
-        """Keep of each time, to an hour after now, what the plan of an hour before it expects."""
+    def _keep_expected(self, until: float) -> None:
+        """Keep what the plan expects that held until then: it is known that none came before."""
+        times, levels = self._not_kept(until)
+        if len(times):
+            self._expected.add((times * 1e9).astype(np.int64), levels)
+            self._expected_until = float(times[-1])
+
+    def _not_kept(self, until: float) -> tuple[Values, Values]:
+        """Return what the plan that holds until then expects, of times that nothing is kept of.
+
+        Of each time what the plan of an hour before it expects: times (s since 1970), levels (m).
+        """
         plan = self._plan
         if plan is None:
-            return
-        until = min(now + _LEAD_S, float(plan.ends[-1]))
+            return np.empty(0), np.empty(0)
         begin = max(self._expected_until, plan.at + _LEAD_S)
-        times = np.append(plan.ends[(plan.ends > begin) & (plan.ends < until)], until)
-        if until > begin:
-            levels = np.interp(times, plan.ends, plan.level)
-            self._expected.add((times * 1e9).astype(np.int64), levels)
-            self._expected_until = until
+        end = min(until + _LEAD_S, float(plan.ends[-1]))
+        if end <= begin:
+            return np.empty(0), np.empty(0)
+        often = np.arange(begin + _EXPECTED_EVERY_S, end, _EXPECTED_EVERY_S)
+        times = np.unique(np.concatenate([
+            plan.ends[(plan.ends > begin) & (plan.ends < end)], often, [end],
+        ]))
+        return times, np.interp(times, plan.ends, plan.level)
 
     def add_text(self, topic: str, time_ns: int, text: str) -> None:
         """Take a text: the pump's state, such as ``off: nothing is commanded``."""
@@ -412,7 +426,7 @@ class Watched:
             return
         controller = said["name"], said["process"]
         if self._controller not in (None, controller):
-            self._keep_expected(now)
+            self._keep_expected(self._charted_ns() / 1e9)
             # The new one's first plan may have come before its first word.
             if self._plan is not None and self._plan.at <= self._controller_at:
                 self._plan = None
@@ -450,6 +464,10 @@ class Watched:
             return self._system
         times = [newest.time_ns for newest in self._newest.values()]
         return max(times) / 1e9 if times else None
+
+    def _charted_ns(self) -> int:
+        """Return how far the charts have come (ns since 1970): the newest value of any line."""
+        return max((newest.charted_ns for newest in self._newest.values()), default=0)
 
     def _now_or_system(self) -> float:
         now = self._now()
@@ -699,8 +717,6 @@ class Watched:
             lines: dict[str, list[list[float]]] = {
                 name: [] for name in ("roof", "roof_expected", *list(LINES)[1:])
             }
-            charted = max((one.charted_ns for one in self._newest.values()), default=0)
-            self._keep_expected(charted / 1e9)
             if now is not None:
                 newest = max((one.time_ns for one in self._newest.values()), default=0)
                 last = max(newest, round(now * 1e9))
@@ -709,6 +725,10 @@ class Watched:
                     if topic in self._histories:
                         lines[name] = self._histories[topic].window(first, last, points)
                 lines["roof_expected"] = self._expected.window(first, last, points)
+                times, levels = self._not_kept(self._charted_ns() / 1e9)
+                present = History()
+                present.add((times * 1e9).astype(np.int64), levels)
+                lines["roof_expected"] += present.window(first, last, points)
             return {
                 "now": now,
                 "from": None if now is None else now - hours * 3600,

@@ -799,12 +799,41 @@ def test_what_was_expected_stays_where_it_is_past() -> None:
     ]
     one.add("/roof/level", np.array([START + 5000 * SECOND]), np.array([0.042]))
     rows = one.series(3)["lines"]["roof_expected"]
-    assert rows == [[at + 4320, 0.042, 0.042, pytest.approx(0.042, abs=1e-12)]]
+    assert [row for row in rows if row[0] <= at + 4320][-1] == [
+        at + 4320, *[pytest.approx(0.042, abs=1e-12)] * 3,
+    ]
     # Up to an hour after the newest value of the charts.
     one.add("/roof/level", np.array([START + 9000 * SECOND]), np.array([0.042]))
     rows = one.series(3)["lines"]["roof_expected"]
-    assert [row[0] - at for row in rows] == [4320, 7920]
-    assert rows[1][3] == pytest.approx(0.03, abs=1e-12)
+    assert rows[-1] == [at + 7920, *[pytest.approx(0.03, abs=1e-12)] * 3]
+    # A point in 5 min at least, though the plans' steps are of an hour: there are no gaps.
+    assert np.diff([row[0] for row in rows]).max() <= 300
+
+
+def expected_of(look: bool) -> list[list[float]]:
+    """Return what was expected by a plan for each of 7 h, whose numbers came first, 3 h a batch."""
+    one = watched()
+    for begin in (0, 3, 6):
+        times = START + (begin * 3600 + np.arange(61, 3 * 3600, 10)) * SECOND
+        one.add("/roof/level", times, np.full(len(times), 0.04))
+        if look:
+            one.series(12)
+        for hour in range(begin, begin + 3):
+            rows = [[step * 3600.0, 0.0, 0.001 * hour] for step in range(1, 13)]
+            one.add_plan(START + hour * 3600 * SECOND, np.array(rows))
+    return one.series(12)["lines"]["roof_expected"]
+
+
+def test_a_look_changes_nothing_of_what_was_expected() -> None:
+    """Numbers may be there before the plans of their time: what is shown then is not kept."""
+    found = expected_of(look=True)
+    assert found == expected_of(look=False)
+    hours = [(at - START / 1e9) / 3600 for at, *_ in found]
+    # Between 3 h and 4 h it is the level of the plan of 2 h, up to its end.
+    assert [row[3] for row in found] == pytest.approx(
+        [0.001 * (math.ceil(hour - 1e-9) - 2) for hour in hours], abs=1e-12
+    )
+    assert max(hours) > 8
 
 
 def test_a_glance_is_ahead_of_the_charts() -> None:
