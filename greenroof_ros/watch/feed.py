@@ -533,7 +533,7 @@ class Feed:
                 self._looked = time.monotonic()
 
     def _add(self, batch: Batch) -> None:
-        """Take a batch; numbers last, as they move now on: a plan of then is there by then."""
+        """Take a batch; numbers last: they move now on, and its plans are there by then."""
         for topic, (time_ns, message) in batch.forecasts.items():
             rows = wire.rows(message)
             if rows is not None:
