@@ -9,7 +9,7 @@ import time
 from collections import deque
 from collections.abc import Sequence
 from dataclasses import asdict
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,14 +19,15 @@ from greenroof_ros.graph.states import ENDED, FINISHED
 from greenroof_ros.model.look_ahead import MOST_MEMBERS
 from greenroof_ros.model.site import Site
 from greenroof_ros.watch import tiles, words
+from greenroof_ros.watch.account import HOLDS_NS, Account
 from greenroof_ros.watch.account import TOPICS as ACCOUNTED
-from greenroof_ros.watch.account import Account
 from greenroof_ros.watch.alarms import SILENT_S, Alarms, Status
 from greenroof_ros.watch.history import History
 from greenroof_ros.watch.outlook import AHEAD_S, Forecast, Plan, step_ends
 
 Stamps = NDArray[np.int64]
 Values = NDArray[np.float64]
+_Dated = TypeVar("_Dated", Forecast, Plan)
 
 # Lines of the charts, each with its topic.
 LINES = {
@@ -155,6 +156,8 @@ class Watched:
         self._forecast: Forecast | None = None
         self._announced: tuple[float, float] | None = None  # when (s), and rain (m)
         self._plan: Plan | None = None
+        self._planned_at = -math.inf  # when it, or that there is none, was said (s since 1970)
+        self._previewed: tuple[float, Plan | None] = -math.inf, None  # the same of a newer one
         self._pump_state: tuple[int, str] | None = None
         self._controller: tuple[object, object] | None = None  # name and process
         self._controller_at = -math.inf  # when it was last heard (s since 1970)
@@ -357,27 +360,45 @@ class Watched:
         """Take what the controller means to pump.
 
         Args:
-            time_ns: when it was planned, since 1970.
+            time_ns: when it was planned, since 1970; where a newer one is there, this is left out.
             rows: of each step its end (s from then), mean flow (m3/s), and the level of the roof
                 that is expected at its end (m), shape (steps, 3). Empty: nothing has changed. With
                 a number that cannot be: there is no plan now.
         """
-        plan = np.asarray(rows, dtype=np.float64)
-        if not plan.size or not 0 < time_ns < _LATEST_NS:
-            return
         at = time_ns / 1e9
+        if not np.size(rows) or not 0 < time_ns < _LATEST_NS:
+            return
         with self._lock:
+            if at <= self._planned_at:
+                return  # it was heard already, and is read again
             self._keep_expected(at)
-            self._plan = None
-            if plan.ndim != 2 or plan.shape[1] != 3 or len(plan) > _MOST_STEPS:
-                return
-            ends, flow, level = plan.T
-            if (
-                not np.all((plan >= 0) & (plan <= _LARGEST))
-                or ends[0] <= 0 or np.any(np.diff(ends) <= 0)
-            ):
-                return
-            self._plan = Plan(at, at + ends, flow, level)
+            self._plan, self._planned_at = _plan_of(at, rows), at
+
+    def preview_plan(self, time_ns: int, rows: Values) -> None:
+        """Take a plan whose past is still on its way: it is shown, and not kept as expected.
+
+        Args:
+            time_ns: when it was planned, since 1970; where a newer one is there, this is left out.
+            rows: as of :meth:`add_plan`.
+        """
+        at = time_ns / 1e9
+        if not np.size(rows) or not 0 < time_ns < _LATEST_NS:
+            return
+        with self._lock:
+            self._previewed = at, _plan_of(at, rows)
+
+    def _shown_plan(self) -> Plan | None:
+        """Return the newest plan; None where it is not known, or there is none."""
+        at, plan = self._previewed
+        return plan if at > self._planned_at else self._of_now(self._plan)
+
+    def _of_now(self, newest: _Dated | None) -> _Dated | None:
+        """Return a forecast or plan; None where newer ones may still be to be read."""
+        heard = max((one.time_ns for one in self._newest.values()), default=0)
+        charted = self._charted_ns()
+        if newest is None or (heard - charted > HOLDS_NS and newest.at * 1e9 <= charted):
+            return None
+        return newest
 
     def _keep_expected(self, until: float) -> None:
         """Keep what the plan expects that held until then: it is known that none came before."""
@@ -430,6 +451,8 @@ class Watched:
             # The new one's first plan may have come before its first word.
             if self._plan is not None and self._plan.at <= self._controller_at:
                 self._plan = None
+            if self._previewed[0] <= self._controller_at:
+                self._previewed = self._previewed[0], None
         self._controller, self._controller_at = controller, now
 
     def add_event(self, system: float, text: str) -> None:
@@ -606,10 +629,11 @@ class Watched:
             "cistern": tiles.cistern(values["cistern"], self._site),
             "pump": tiles.pump(pumping, self._site),
             "rain": tiles.rain(
-                rain, self._forecast, now, self._utc_offset, ended=self._mode == "ended"
+                rain, self._of_now(self._forecast), now, self._utc_offset,
+                ended=self._mode == "ended",
             ),
             "controller": tiles.controller(
-                name, values["command"], self._plan, now, self._utc_offset,
+                name, values["command"], self._shown_plan(), now, self._utc_offset,
                 alarm=wrong[0] if wrong else "", ended=self._mode == "ended",
             ),
         }
@@ -729,19 +753,31 @@ class Watched:
                 present = History()
                 present.add((times * 1e9).astype(np.int64), levels)
                 lines["roof_expected"] += present.window(first, last, points)
+            forecast, plan = self._of_now(self._forecast), self._shown_plan()
             return {
                 "now": now,
                 "from": None if now is None else now - hours * 3600,
                 "to": None if now is None else now + AHEAD_S,
                 "lines": lines,
-                "forecast": [] if self._forecast is None else self._forecast.rows(),
-                "plan": [] if self._plan is None or now is None else self._plan.rows(now),
+                "forecast": [] if forecast is None else forecast.rows(),
+                "plan": [] if plan is None or now is None else plan.rows(now),
                 "marks": marks,
                 "display": {
                     name: asdict(words.display_of(topic))
                     for name, topic in {**LINES, "forecast": _FORECAST}.items()
                 },
             }
+
+
+def _plan_of(at: float, rows: Values) -> Plan | None:
+    """Return the plan of some time (s since 1970); None where one of its numbers cannot be."""
+    plan = np.asarray(rows, dtype=np.float64)
+    if plan.ndim != 2 or plan.shape[1] != 3 or len(plan) > _MOST_STEPS:
+        return None
+    ends, flow, level = plan.T
+    if not np.all((plan >= 0) & (plan <= _LARGEST)) or ends[0] <= 0 or np.any(np.diff(ends) <= 0):
+        return None
+    return Plan(at, at + ends, flow, level)
 
 
 def _plausible(topic: Topic, numbers: Values) -> NDArray[np.bool_]:

@@ -836,6 +836,17 @@ def test_a_look_changes_nothing_of_what_was_expected() -> None:
     assert max(hours) > 8
 
 
+def test_a_plan_that_is_read_again_is_not_the_newest() -> None:
+    """What is heard is read from the bag as well, some seconds later."""
+    one = watched()
+    plans = [np.array([[7200.0, 0.0, level]]) for level in (0.03, 0.04, 0.05)]
+    for place in (0, 1, 0, 2):  # each 600 s
+        one.add_plan(START + place * 600 * SECOND, plans[place])
+    one.add("/roof/level", np.array([START + 5400 * SECOND]), np.array([0.04]))
+    found = one.series(3)["lines"]["roof_expected"]
+    assert [round(row[3], 3) for row in found] == [0.03] * 2 + [0.04] * 2 + [0.05] * 2
+
+
 def test_a_glance_is_ahead_of_the_charts() -> None:
     """A value whose past is still on its way is of now, and its past comes to the charts."""
     one = watched()
@@ -853,6 +864,32 @@ def test_a_glance_is_ahead_of_the_charts() -> None:
     assert one.document(0.0)["tiles"]["roof"]["value"] == words.NOT_PLAUSIBLE
     one.preview("/no/topic", START + 102 * SECOND, 1.0)
     assert one.document(0.0)["time"]["now"] == START / 1e9 + 101
+
+
+def test_forecast_and_plan_are_of_now_while_the_bag_is_read() -> None:
+    """What was read of 13 h ago is over by now; it is not said to be the newest."""
+    one, hours = watched(), 13 * 3600
+    plan = np.array([[step * 3600.0, 0.0, 0.04] for step in range(1, 13)])
+    one.add_forecast("/forecast/precipitation", START, ENSEMBLE)
+    one.add_plan(START, plan)
+    one.preview("/roof/level", START + hours * SECOND, 0.044)
+    assert one.document(0.0)["tiles"]["rain"]["sentence"] == "no forecast is known"
+    assert "plan" not in one.document(0.0)["tiles"]["controller"]["sentence"]
+    assert one.series(24)["forecast"] == one.series(24)["plan"] == []
+    # The newest are shown as soon as they are heard, whatever is still read.
+    one.add_forecast("/forecast/precipitation", START + hours * SECOND, ENSEMBLE)
+    one.preview_plan(START + hours * SECOND, plan + np.array([0, 1e-4, 0]))
+    one.add_forecast("/forecast/precipitation", START + 3600 * SECOND, 2 * ENSEMBLE)
+    one.add_plan(START + 3600 * SECOND, plan)
+    tiles = one.document(0.0)["tiles"]
+    assert tiles["rain"]["sentence"] == "26 mm expected in the next 12 h (8.6 to 43 mm)"
+    assert tiles["controller"]["sentence"].startswith("will pump 4.32 m3")
+    assert [row[2] for row in one.series(24)["plan"]] == [1e-4] * 12
+    # Nothing that was shown only is kept as expected.
+    one.add("/roof/level", np.array([START + (hours + 1) * SECOND]), np.array([0.044]))
+    assert one.series(24)["lines"]["roof_expected"][-1][0] == START / 1e9 + hours
+    one.preview_plan(START + (hours + 2) * SECOND, np.full((1, 3), np.nan))
+    assert one.series(24)["plan"] == []
 
 
 def test_the_forecast_of_the_charts() -> None:
