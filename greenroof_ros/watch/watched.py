@@ -22,7 +22,7 @@ from greenroof_ros.watch import tiles, words
 from greenroof_ros.watch.account import HOLDS_NS, Account
 from greenroof_ros.watch.account import TOPICS as ACCOUNTED
 from greenroof_ros.watch.alarms import SILENT_S, Alarms, Status
-from greenroof_ros.watch.history import History
+from greenroof_ros.watch.history import History, stretch_of
 from greenroof_ros.watch.outlook import AHEAD_S, Forecast, Plan, step_ends
 
 Stamps = NDArray[np.int64]
@@ -723,6 +723,9 @@ class Watched:
     def series(self, hours: float, points: int = 400) -> dict[str, Any]:
         """Return what the charts show, from some hours ago to 12 h ahead, in SI units.
 
+        Nothing is known between two rows of a line that are further apart than its entry of
+        ``gaps`` (s), and no value holds for longer.
+
         Args:
             hours: how far back, at most a week.
             points: of each line, at most, about.
@@ -741,10 +744,12 @@ class Watched:
             lines: dict[str, list[list[float]]] = {
                 name: [] for name in ("roof", "roof_expected", *list(LINES)[1:])
             }
+            stretch = 0
             if now is not None:
                 newest = max((one.time_ns for one in self._newest.values()), default=0)
                 last = max(newest, round(now * 1e9))
                 first = last - round(hours * 3.6e12)
+                stretch = stretch_of(first, last, points)
                 for name, topic in LINES.items():
                     if topic in self._histories:
                         lines[name] = self._histories[topic].window(first, last, points)
@@ -759,6 +764,7 @@ class Watched:
                 "from": None if now is None else now - hours * 3600,
                 "to": None if now is None else now + AHEAD_S,
                 "lines": lines,
+                "gaps": {name: _gap(rows, stretch) for name, rows in lines.items()},
                 "forecast": [] if forecast is None else forecast.rows(),
                 "plan": [] if plan is None or now is None else plan.rows(now),
                 "marks": marks,
@@ -784,6 +790,18 @@ def _plausible(topic: Topic, numbers: Values) -> NDArray[np.bool_]:
     """Return of which values of a topic, in its unit, each is in its range; a NaN is not."""
     low, high = max(topic.low, -_LARGEST), min(topic.high, _LARGEST)
     return (numbers >= low) & (numbers <= high)
+
+
+def _gap(rows: list[list[float]], stretch_ns: int) -> float:
+    """Return beyond which time between its rows a line has a gap (s).
+
+    It is that of the account, or two stretches of which a row tells where those are longer. What
+    usually comes less often has a gap where so many of its values are missing that it is stale:
+    samples of a run at full speed may be an hour apart.
+    """
+    gap = max(HOLDS_NS, 2 * stretch_ns) / 1e9
+    usual = float(np.median(np.diff([row[0] for row in rows]))) if len(rows) > 1 else 0.0
+    return _INTERVALS * usual if usual > gap else gap
 
 
 def _within(rows: list[dict[str, Any]], most: int) -> list[dict[str, Any]]:

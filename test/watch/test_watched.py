@@ -901,6 +901,21 @@ def test_the_forecast_of_the_charts() -> None:
     assert rows[-1][1] == START / 1e9 + 60 + 43_200
 
 
+@pytest.mark.parametrize(("seconds", "hours", "gap"), [
+    (10, 12, 600.0),  # as the account's
+    (10, 168, 3040.0),  # two stretches: 168 h in 400 are of 1512 s, in whole ones of 20 s 1520 s
+    (3000, 12, 9000.0),  # samples; three of them
+])
+def test_what_is_a_gap_of_a_line(seconds: int, hours: float, gap: float) -> None:
+    one = Watched()
+    times = START + np.arange(0, 10 * 3600, seconds) * SECOND
+    one.add("/roof/level", times, np.full(len(times), 0.04))
+    series = one.series(hours)
+    assert series["gaps"]["roof"] == gap
+    assert np.diff([row[0] for row in series["lines"]["roof"]]).max() <= gap
+    assert series["gaps"].keys() == series["lines"].keys()
+
+
 @pytest.mark.parametrize("hours", [-1.0, 0.0, 1e9, math.nan, math.inf])
 @pytest.mark.parametrize("points", [-5, 0, 10**9])
 def test_odd_windows(hours: float, points: int) -> None:
