@@ -21,6 +21,7 @@ from pathlib import Path
 from types import TracebackType
 
 import numpy as np
+from numpy.typing import NDArray
 
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.files import read_text, shared_directory
@@ -70,7 +71,7 @@ class _Heard:
     def __init__(self) -> None:
         self.numbers: defaultdict[str, list[tuple[int, float]]] = defaultdict(list)
         self.forecasts: dict[str, tuple[int, bytes]] = {}
-        self.plans: list[tuple[int, bytes]] = []
+        self.plans: list[tuple[int, NDArray[np.float64]]] = []
         self.texts: list[tuple[str, int, str]] = []
 
     @property
@@ -81,14 +82,10 @@ class _Heard:
 
     def batch(self) -> Batch:
         """Return it as what is read from a bag."""
-        batch = Batch(forecasts=self.forecasts, texts=self.texts)
+        batch = Batch(forecasts=self.forecasts, plans=self.plans, texts=self.texts)
         for topic, pairs in self.numbers.items():
             times, values = zip(*pairs, strict=True)
             batch.numbers[topic] = np.array(times, np.int64), np.array(values)
-        for time_ns, message in self.plans:
-            rows = wire.rows(message)
-            if rows is not None and len(rows):
-                batch.plans.append((time_ns, rows))
         return batch
 
 
@@ -423,7 +420,9 @@ class Feed:
         if not stamp:
             return
         if name == _PLAN:
-            self._heard.plans.append((stamp, message))
+            rows = wire.rows(message)
+            if rows is not None and len(rows):
+                self._heard.plans.append((stamp, rows))
         elif topic.type.endswith("MultiArray"):
             self._heard.forecasts[name] = stamp, message
         elif topic.type.endswith("String"):
@@ -475,8 +474,11 @@ class Feed:
         self._show_heard_now()
 
     def _show_heard_now(self) -> None:
-        """Show what was heard; while the bag is waited for, the newest numbers alone."""
+        """Show what was heard; while the bag is waited for, the newest of it alone."""
         if not self._hearing:
+            self._add_forecasts(self._heard.forecasts)
+            for time_ns, plan in self._heard.plans[-1:]:
+                self._watched.preview_plan(time_ns, plan)
             for topic, pairs in self._heard.numbers.items():
                 self._watched.preview(topic, *pairs[-1])
         else:
@@ -539,16 +541,20 @@ class Feed:
                 self._looked = time.monotonic()
 
     def _add(self, batch: Batch) -> None:
-        for topic, (times, values) in batch.numbers.items():
-            self._watched.add(topic, times, values)
-        for topic, (time_ns, message) in batch.forecasts.items():
-            rows = wire.rows(message)
-            if rows is not None:
-                self._watched.add_forecast(topic, time_ns, rows)
+        """Take a batch; numbers last: they move now on, and its plans are there by then."""
+        self._add_forecasts(batch.forecasts)
         for time_ns, plan in batch.plans:
             self._watched.add_plan(time_ns, plan)
         for topic, time_ns, text in batch.texts:
             self._watched.add_text(topic, time_ns, text)
+        for topic, (times, values) in batch.numbers.items():
+            self._watched.add(topic, times, values)
+
+    def _add_forecasts(self, forecasts: dict[str, tuple[int, bytes]]) -> None:
+        for topic, (time_ns, message) in forecasts.items():
+            rows = wire.rows(message)
+            if rows is not None:
+                self._watched.add_forecast(topic, time_ns, rows)
 
 
 def _controller_of(bag: Path) -> str:

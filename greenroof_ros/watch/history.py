@@ -77,13 +77,18 @@ class History:
             return []
         # Whole stretches, at the same times whenever it is asked: a line that is drawn again
         # and again stands still.
-        each = STRETCH_NS * max(1, -(-(last - first) // (STRETCH_NS * points)))
+        each = stretch_of(first, last, points)
         firsts, lasts = _groups(times // each)
         columns = (
             times[lasts] / 1e9, np.minimum.reduceat(rows[:, 0], firsts),
             np.maximum.reduceat(rows[:, 1], firsts), rows[lasts, 2],
         )
         return [list(row) for row in zip(*(column.tolist() for column in columns), strict=True)]
+
+
+def stretch_of(first: int, last: int, points: int) -> int:
+    """Return how long a stretch is of which a row of such a window tells (ns)."""
+    return STRETCH_NS * max(1, -(-(last - first) // (STRETCH_NS * points)))
 
 
 def _groups(numbers: Stamps) -> tuple[NDArray[np.intp], NDArray[np.intp]]:

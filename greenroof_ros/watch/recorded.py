@@ -53,6 +53,8 @@ _PLAN = "/controller/plan"
 Times = NDArray[np.int64]
 Values = NDArray[np.float64]
 
+_NONE = np.empty(0, np.int64), np.empty(0)
+
 
 @dataclass
 class Batch:
@@ -290,7 +292,11 @@ class Recorded:
             name = self._name(file, int(channel))
             mine = channels == channel
             if self._types.get(name) == _FLOAT:
-                batch.numbers[name] = times[mine], values[mine]
+                before = batch.numbers.get(name, _NONE)  # of a file that ended in damage
+                batch.numbers[name] = (
+                    np.concatenate((before[0], times[mine])),
+                    np.concatenate((before[1], values[mine])),
+                )
             elif self._types.get(name) == _TEXT:  # a short one, such as "off"
                 for one in found[mine]:
                     message = one["header"].tobytes() + one["value"].tobytes()

@@ -9,7 +9,7 @@ import time
 from collections import deque
 from collections.abc import Sequence
 from dataclasses import asdict
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,14 +19,15 @@ from greenroof_ros.graph.states import ENDED, FINISHED
 from greenroof_ros.model.look_ahead import MOST_MEMBERS
 from greenroof_ros.model.site import Site
 from greenroof_ros.watch import tiles, words
+from greenroof_ros.watch.account import HOLDS_NS, Account
 from greenroof_ros.watch.account import TOPICS as ACCOUNTED
-from greenroof_ros.watch.account import Account
 from greenroof_ros.watch.alarms import SILENT_S, Alarms, Status
-from greenroof_ros.watch.history import History
+from greenroof_ros.watch.history import History, stretch_of
 from greenroof_ros.watch.outlook import AHEAD_S, Forecast, Plan, step_ends
 
 Stamps = NDArray[np.int64]
 Values = NDArray[np.float64]
+_Dated = TypeVar("_Dated", Forecast, Plan)
 
 # Lines of the charts, each with its topic.
 LINES = {
@@ -43,6 +44,8 @@ _FORECAST, _PUMP_STATE = "/forecast/precipitation", "/pump/state"
 _MODES = ("none", "simulated", "loop", "live", "ended")
 # How long before a time a level is expected that is compared with the one that came (s).
 _LEAD_S = 3600.0
+# How often what one plan expects is kept, though its steps are longer (s): the line has no gaps.
+_EXPECTED_EVERY_S = 300.0
 # No quantity of any site is beyond this, in any unit, although a topic may have no limit.
 _LARGEST = 1e9
 # A value is stale after so many of its usual intervals, and after so long at least (s). That it
@@ -155,6 +158,8 @@ class Watched:
         self._forecast: Forecast | None = None
         self._announced: tuple[float, float] | None = None  # when (s), and rain (m)
         self._plan: Plan | None = None
+        self._planned_at = -math.inf  # when it, or that there is none, was said (s since 1970)
+        self._previewed: tuple[float, Plan | None] = -math.inf, None  # the same of a newer one
         self._pump_state: tuple[int, str] | None = None
         self._controller: tuple[object, object] | None = None  # name and process
         self._controller_at = -math.inf  # when it was last heard (s since 1970)
@@ -357,40 +362,70 @@ class Watched:
         """Take what the controller means to pump.
 
         Args:
-            time_ns: when it was planned, since 1970.
+            time_ns: when it was planned, since 1970; where a newer one is there, this is left out.
             rows: of each step its end (s from then), mean flow (m3/s), and the level of the roof
                 that is expected at its end (m), shape (steps, 3). Empty: nothing has changed. With
                 a number that cannot be: there is no plan now.
         """
-        plan = np.asarray(rows, dtype=np.float64)
-        if not plan.size or not 0 < time_ns < _LATEST_NS:
-            return
         at = time_ns / 1e9
+        if not np.size(rows) or not 0 < time_ns < _LATEST_NS:
+            return
         with self._lock:
+            if at <= self._planned_at:
+                return  # it was heard already, and is read again
             self._keep_expected(at)
-            self._plan = None
-            if plan.ndim != 2 or plan.shape[1] != 3 or len(plan) > _MOST_STEPS:
-                return
-            ends, flow, level = plan.T
-            if (
-                not np.all((plan >= 0) & (plan <= _LARGEST))
-                or ends[0] <= 0 or np.any(np.diff(ends) <= 0)
-            ):
-                return
-            self._plan = Plan(at, at + ends, flow, level)
+            self._plan, self._planned_at = _plan_of(at, rows), at
 
-    def _keep_expected(self, now: float) -> None:
-        """Keep of each time, to an hour after now, what the plan of an hour before it expects."""
+    def preview_plan(self, time_ns: int, rows: Values) -> None:
+        """Take a plan whose past is still on its way: it is shown, and not kept as expected.
+
+        Args:
+            time_ns: when it was planned, since 1970; where a newer one is there, this is left out.
+            rows: as of :meth:`add_plan`.
+        """
+        at = time_ns / 1e9
+        if not np.size(rows) or not 0 < time_ns < _LATEST_NS:
+            return
+        with self._lock:
+            self._previewed = at, _plan_of(at, rows)
+
+    def _shown_plan(self) -> Plan | None:
+        """Return the newest plan; None where it is not known, or there is none."""
+        at, plan = self._previewed
+        return plan if at > self._planned_at else self._of_now(self._plan)
+
+    def _of_now(self, newest: _Dated | None) -> _Dated | None:
+        """Return a forecast or plan; None where newer ones may still be to be read."""
+        heard = max((one.time_ns for one in self._newest.values()), default=0)
+        charted = self._charted_ns()
+        if newest is None or (heard - charted > HOLDS_NS and newest.at * 1e9 <= charted):
+            return None
+        return newest
+
+    def _keep_expected(self, until: float) -> None:
+        """Keep what the plan expects that held until then: it is known that none came before."""
+        times, levels = self._not_kept(until)
+        if len(times):
+            self._expected.add((times * 1e9).astype(np.int64), levels)
+            self._expected_until = float(times[-1])
+
+    def _not_kept(self, until: float) -> tuple[Values, Values]:
+        """Return what the plan that holds until then expects, of times that nothing is kept of.
+
+        Of each time what the plan of an hour before it expects: times (s since 1970), levels (m).
+        """
         plan = self._plan
         if plan is None:
-            return
-        until = min(now + _LEAD_S, float(plan.ends[-1]))
+            return np.empty(0), np.empty(0)
         begin = max(self._expected_until, plan.at + _LEAD_S)
-        times = np.append(plan.ends[(plan.ends > begin) & (plan.ends < until)], until)
-        if until > begin:
-            levels = np.interp(times, plan.ends, plan.level)
-            self._expected.add((times * 1e9).astype(np.int64), levels)
-            self._expected_until = until
+        end = min(until + _LEAD_S, float(plan.ends[-1]))
+        if end <= begin:
+            return np.empty(0), np.empty(0)
+        often = np.arange(begin + _EXPECTED_EVERY_S, end, _EXPECTED_EVERY_S)
+        times = np.unique(np.concatenate([
+            plan.ends[(plan.ends > begin) & (plan.ends < end)], often, [end],
+        ]))
+        return times, np.interp(times, plan.ends, plan.level)
 
     def add_text(self, topic: str, time_ns: int, text: str) -> None:
         """Take a text: the pump's state, such as ``off: nothing is commanded``."""
@@ -425,10 +460,12 @@ class Watched:
             return
         controller = said["name"], said["process"]
         if self._controller not in (None, controller):
-            self._keep_expected(now)
+            self._keep_expected(self._charted_ns() / 1e9)
             # The new one's first plan may have come before its first word.
             if self._plan is not None and self._plan.at <= self._controller_at:
                 self._plan = None
+            if self._previewed[0] <= self._controller_at:
+                self._previewed = self._previewed[0], None
         self._controller, self._controller_at = controller, now
 
     def add_event(self, system: float, text: str) -> None:
@@ -470,6 +507,10 @@ class Watched:
         """
         known = (self._now(), self._stamp, system)
         return next(at for at in known if at is not None)
+
+    def _charted_ns(self) -> int:
+        """Return how far the charts have come (ns since 1970): the newest value of any line."""
+        return max((newest.charted_ns for newest in self._newest.values()), default=0)
 
     @property
     def _utc_offset(self) -> float:
@@ -602,10 +643,11 @@ class Watched:
             "cistern": tiles.cistern(values["cistern"], self._site),
             "pump": tiles.pump(pumping, self._site),
             "rain": tiles.rain(
-                rain, self._forecast, now, self._utc_offset, ended=self._mode == "ended"
+                rain, self._of_now(self._forecast), now, self._utc_offset,
+                ended=self._mode == "ended",
             ),
             "controller": tiles.controller(
-                name, values["command"], self._plan, now, self._utc_offset,
+                name, values["command"], self._shown_plan(), now, self._utc_offset,
                 alarm=wrong[0] if wrong else "", ended=self._mode == "ended",
             ),
         }
@@ -695,6 +737,9 @@ class Watched:
     def series(self, hours: float, points: int = 400) -> dict[str, Any]:
         """Return what the charts show, from some hours ago to 12 h ahead, in SI units.
 
+        Nothing is known between two rows of a line that are further apart than its entry of
+        ``gaps`` (s), and no value holds for longer.
+
         Args:
             hours: how far back, at most a week.
             points: of each line, at most, about.
@@ -713,23 +758,29 @@ class Watched:
             lines: dict[str, list[list[float]]] = {
                 name: [] for name in ("roof", "roof_expected", *list(LINES)[1:])
             }
-            charted = max((one.charted_ns for one in self._newest.values()), default=0)
-            self._keep_expected(charted / 1e9)
+            stretch = 0
             if now is not None:
                 newest = max((one.time_ns for one in self._newest.values()), default=0)
                 last = max(newest, round(now * 1e9))
                 first = last - round(hours * 3.6e12)
+                stretch = stretch_of(first, last, points)
                 for name, topic in LINES.items():
                     if topic in self._histories:
                         lines[name] = self._histories[topic].window(first, last, points)
                 lines["roof_expected"] = self._expected.window(first, last, points)
+                times, levels = self._not_kept(self._charted_ns() / 1e9)
+                present = History()
+                present.add((times * 1e9).astype(np.int64), levels)
+                lines["roof_expected"] += present.window(first, last, points)
+            forecast, plan = self._of_now(self._forecast), self._shown_plan()
             return {
                 "now": now,
                 "from": None if now is None else now - hours * 3600,
                 "to": None if now is None else now + AHEAD_S,
                 "lines": lines,
-                "forecast": [] if self._forecast is None else self._forecast.rows(),
-                "plan": [] if self._plan is None or now is None else self._plan.rows(now),
+                "gaps": {name: _gap(rows, stretch) for name, rows in lines.items()},
+                "forecast": [] if forecast is None else forecast.rows(),
+                "plan": [] if plan is None or now is None else plan.rows(now),
                 "marks": marks,
                 "display": {
                     name: asdict(words.display_of(topic))
@@ -738,10 +789,33 @@ class Watched:
             }
 
 
+def _plan_of(at: float, rows: Values) -> Plan | None:
+    """Return the plan of some time (s since 1970); None where one of its numbers cannot be."""
+    plan = np.asarray(rows, dtype=np.float64)
+    if plan.ndim != 2 or plan.shape[1] != 3 or len(plan) > _MOST_STEPS:
+        return None
+    ends, flow, level = plan.T
+    if not np.all((plan >= 0) & (plan <= _LARGEST)) or ends[0] <= 0 or np.any(np.diff(ends) <= 0):
+        return None
+    return Plan(at, at + ends, flow, level)
+
+
 def _plausible(topic: Topic, numbers: Values) -> NDArray[np.bool_]:
     """Return of which values of a topic, in its unit, each is in its range; a NaN is not."""
     low, high = max(topic.low, -_LARGEST), min(topic.high, _LARGEST)
     return (numbers >= low) & (numbers <= high)
+
+
+def _gap(rows: list[list[float]], stretch_ns: int) -> float:
+    """Return beyond which time between its rows a line has a gap (s).
+
+    It is that of the account, or two stretches of which a row tells where those are longer. What
+    usually comes less often has a gap where so many of its values are missing that it is stale:
+    samples of a run at full speed may be an hour apart.
+    """
+    gap = max(HOLDS_NS, 2 * stretch_ns) / 1e9
+    usual = float(np.median(np.diff([row[0] for row in rows]))) if len(rows) > 1 else 0.0
+    return _INTERVALS * usual if usual > gap else gap
 
 
 def _within(rows: list[dict[str, Any]], most: int) -> list[dict[str, Any]]:

@@ -13,6 +13,8 @@ from rosbags.typesys import Stores, get_typestore
 
 from greenroof_ros.watch import wire
 from greenroof_ros.watch.alarms import Status
+from greenroof_ros.watch.feed import Feed
+from greenroof_ros.watch.watched import Watched
 
 STORE = get_typestore(Stores.ROS2_JAZZY)
 
@@ -131,3 +133,33 @@ def test_hostile_diagnostics_are_cut() -> None:
     assert (found[1][0].level, len(found[1][0].message)) == (2, 20_000)
     assert wire.text(struct.pack("<III", 256, 4, 0x00FEFFFE)) == "\ufffd\ufffd\ufffd"
     assert wire.text(struct.pack("<II", 256, 2**32 - 1) + b"text") is None
+
+
+def test_the_newest_that_is_heard_is_shown_while_the_bag_is_read() -> None:
+    """Level, forecast and plan of now; an empty plan says that it is unchanged."""
+    watched = Watched()
+    feed = Feed(watched, "", bag=None, site_file=None)  # not entered: no graph
+    feed._mode = "live"  # a message is of the time when it came
+    now_ns = 1_626_757_200 * 10**9
+    plan = np.array([[3600.0, 1e-4, 0.05], [7200.0, 0.0, 0.04]])
+    rain = np.full(32, 1e-7)
+    for topic, message in {
+        "/roof/level": written("std_msgs/Float64", 0.045),
+        "/forecast/precipitation": written(
+            "std_msgs/Float64MultiArray", *rows_message(rain, (32,))
+        ),
+    }.items():
+        feed._on_message(topic, message, None, now_ns)
+    for values, shape in ((plan.ravel(), (2, 3)), (np.empty(0), ())):
+        message = written("std_msgs/Float64MultiArray", *rows_message(values, shape))
+        feed._on_message("/controller/plan", message, None, now_ns)
+    feed._show_heard_now()
+    series = watched.series(12)
+    now = now_ns / 1e9
+    assert series["now"] == now
+    assert series["plan"] == [
+        [now, now + 3600, 1e-4, 0.05], [now + 3600, now + 7200, 0.0, 0.04],
+    ]
+    assert [row[2] for row in series["forecast"]] == pytest.approx([1e-7] * 32)
+    assert watched.document(0.0)["tiles"]["roof"]["number"] == 0.045
+    assert series["lines"]["roof"] == series["lines"]["roof_expected"] == []

@@ -279,6 +279,41 @@ def test_charts_have_one_time_axis_and_the_values(browser: Any) -> None:
         assert page.said == []
 
 
+def test_nothing_is_drawn_or_read_where_nothing_was_heard(browser: Any) -> None:
+    """Two hours without values, and an hour since the rain was heard; a value holds for 10 min."""
+    watched = site_watched()
+    newest = BEGIN + 4 * 3600 - 10
+    later = np.arange(newest + 2 * 3600, newest + 3 * 3600, 10)
+    for topic in ("/roof/level", "/pump/flow"):
+        watched.add(topic, later * 10**9, np.full(len(later), 0.05))
+    gaps = '''() => [...charts.views.values()].flatMap(({ view }) => {
+      const found = [];
+      const visit = (item) => {
+        if (item.marktype === "line" && item.items.some((one) => one.datum.v === null)) {
+          found.push(item.items.filter((one) => one.defined === false).length);
+        }
+        for (const one of item.items ?? []) visit(one);
+      };
+      visit(view.scenegraph().root);
+      return found;
+    })'''
+    read = '''([key, name, t]) => {
+      const { chart } = charts.views.get(key);
+      return charts.valueAt(chart, chart.lines.find((line) => line.name === name), charts.ms(t));
+    }'''
+    with served(watched) as port, opened(browser, port) as page:
+        until_drawn(page)
+        assert page.evaluate(gaps) == [1, 1]  # of roof and flow
+        for key, name in (("roof", "roof"), ("pump", "flow"), ("rain", "rain")):
+            assert page.evaluate(read, [key, name, newest - 5]) != ""
+            assert page.evaluate(read, [key, name, newest + 3600]) == ""
+        assert page.evaluate(read, ["pump", "flow", newest + 590]) != ""
+        assert page.evaluate(read, ["pump", "flow", newest + 610]) == ""
+        held = page.evaluate("charts.rows.rain.at(-1).t - charts.ms(0)") / 1000
+        assert held == newest + 600
+        assert page.said == []
+
+
 def test_pointer_and_keyboard_read_values(browser: Any) -> None:
     watched = site_watched()
     with served(watched) as port, opened(browser, port) as page:

@@ -195,6 +195,29 @@ def test_damage_is_said_and_the_rest_is_read(finished: Path, tmp_path: Path) -> 
     assert most >= 480  # a chunk that is damaged costs its 16 ticks alone
 
 
+def test_a_file_that_ends_in_zeros_keeps_what_was_before(finished: Path, tmp_path: Path) -> None:
+    """As after a loss of power; the next file of the bag is read with it."""
+    bag = tmp_path / "bag"
+    bag.mkdir()
+    content = finished.read_bytes()
+    half = len(content) // 2
+    (bag / "bag_0.mcap").write_bytes(content[:half] + bytes(len(content) - half))
+    later = Run(tmp_path / "later", start_ns=START_NS + 500 * 10**9)
+    later.ticks(20)
+    later.writer.close()
+    (later.writer.directory / "later_0.mcap").rename(bag / "bag_1.mcap")
+    reader = Reader(bag, "")
+    reader.read()
+    assert "damaged" in reader.recorded.problem
+    for topic, pairs in whole(finished).items():
+        found = reader.numbers[topic]
+        kept = len(found) - 20
+        assert found[:kept] == pairs[:kept]
+        assert kept > 200
+    after = whole(bag / "bag_1.mcap")
+    assert {topic: pairs[-20:] for topic, pairs in reader.numbers.items()} == after
+
+
 def test_files_that_are_none(tmp_path: Path) -> None:
     """An empty one is being begun; text, a directory and a record of any length are said."""
     for name, content in (

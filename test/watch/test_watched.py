@@ -829,12 +829,52 @@ def test_what_was_expected_stays_where_it_is_past() -> None:
     ]
     one.add("/roof/level", np.array([START + 5000 * SECOND]), np.array([0.042]))
     rows = one.series(3)["lines"]["roof_expected"]
-    assert rows == [[at + 4320, 0.042, 0.042, pytest.approx(0.042, abs=1e-12)]]
+    assert [row for row in rows if row[0] <= at + 4320][-1] == [
+        at + 4320, *[pytest.approx(0.042, abs=1e-12)] * 3,
+    ]
     # Up to an hour after the newest value of the charts.
     one.add("/roof/level", np.array([START + 9000 * SECOND]), np.array([0.042]))
     rows = one.series(3)["lines"]["roof_expected"]
-    assert [row[0] - at for row in rows] == [4320, 7920]
-    assert rows[1][3] == pytest.approx(0.03, abs=1e-12)
+    assert rows[-1] == [at + 7920, *[pytest.approx(0.03, abs=1e-12)] * 3]
+    # A point in 5 min at least, though the plans' steps are of an hour: there are no gaps.
+    assert np.diff([row[0] for row in rows]).max() <= 300
+
+
+def expected_of(look: bool) -> list[list[float]]:
+    """Return what was expected by a plan for each of 7 h, whose numbers came first, 3 h a batch."""
+    one = watched()
+    for begin in (0, 3, 6):
+        times = START + (begin * 3600 + np.arange(61, 3 * 3600, 10)) * SECOND
+        one.add("/roof/level", times, np.full(len(times), 0.04))
+        if look:
+            one.series(12)
+        for hour in range(begin, begin + 3):
+            rows = [[step * 3600.0, 0.0, 0.001 * hour] for step in range(1, 13)]
+            one.add_plan(START + hour * 3600 * SECOND, np.array(rows))
+    return one.series(12)["lines"]["roof_expected"]
+
+
+def test_a_look_changes_nothing_of_what_was_expected() -> None:
+    """Numbers may be there before the plans of their time: what is shown then is not kept."""
+    found = expected_of(look=True)
+    assert found == expected_of(look=False)
+    hours = [(at - START / 1e9) / 3600 for at, *_ in found]
+    # Between 3 h and 4 h it is the level of the plan of 2 h, up to its end.
+    assert [row[3] for row in found] == pytest.approx(
+        [0.001 * (math.ceil(hour - 1e-9) - 2) for hour in hours], abs=1e-12
+    )
+    assert max(hours) > 8
+
+
+def test_a_plan_that_is_read_again_is_not_the_newest() -> None:
+    """What is heard is read from the bag as well, some seconds later."""
+    one = watched()
+    plans = [np.array([[7200.0, 0.0, level]]) for level in (0.03, 0.04, 0.05)]
+    for place in (0, 1, 0, 2):  # each 600 s
+        one.add_plan(START + place * 600 * SECOND, plans[place])
+    one.add("/roof/level", np.array([START + 5400 * SECOND]), np.array([0.04]))
+    found = one.series(3)["lines"]["roof_expected"]
+    assert [round(row[3], 3) for row in found] == [0.03] * 2 + [0.04] * 2 + [0.05] * 2
 
 
 def test_a_glance_is_ahead_of_the_charts() -> None:
@@ -856,6 +896,32 @@ def test_a_glance_is_ahead_of_the_charts() -> None:
     assert one.document(0.0)["time"]["now"] == START / 1e9 + 101
 
 
+def test_forecast_and_plan_are_of_now_while_the_bag_is_read() -> None:
+    """What was read of 13 h ago is over by now; it is not said to be the newest."""
+    one, hours = watched(), 13 * 3600
+    plan = np.array([[step * 3600.0, 0.0, 0.04] for step in range(1, 13)])
+    one.add_forecast("/forecast/precipitation", START, ENSEMBLE)
+    one.add_plan(START, plan)
+    one.preview("/roof/level", START + hours * SECOND, 0.044)
+    assert one.document(0.0)["tiles"]["rain"]["sentence"] == "no forecast is known"
+    assert "plan" not in one.document(0.0)["tiles"]["controller"]["sentence"]
+    assert one.series(24)["forecast"] == one.series(24)["plan"] == []
+    # The newest are shown as soon as they are heard, whatever is still read.
+    one.add_forecast("/forecast/precipitation", START + hours * SECOND, ENSEMBLE)
+    one.preview_plan(START + hours * SECOND, plan + np.array([0, 1e-4, 0]))
+    one.add_forecast("/forecast/precipitation", START + 3600 * SECOND, 2 * ENSEMBLE)
+    one.add_plan(START + 3600 * SECOND, plan)
+    tiles = one.document(0.0)["tiles"]
+    assert tiles["rain"]["sentence"] == "26 mm expected in the next 12 h (8.6 to 43 mm)"
+    assert tiles["controller"]["sentence"].startswith("will pump 4.32 m3")
+    assert [row[2] for row in one.series(24)["plan"]] == [1e-4] * 12
+    # Nothing that was shown only is kept as expected.
+    one.add("/roof/level", np.array([START + (hours + 1) * SECOND]), np.array([0.044]))
+    assert one.series(24)["lines"]["roof_expected"][-1][0] == START / 1e9 + hours
+    one.preview_plan(START + (hours + 2) * SECOND, np.full((1, 3), np.nan))
+    assert one.series(24)["plan"] == []
+
+
 def test_the_forecast_of_the_charts() -> None:
     one = watched()
     one.add_forecast("/forecast/precipitation", START + 60 * SECOND, ENSEMBLE)
@@ -863,6 +929,21 @@ def test_the_forecast_of_the_charts() -> None:
     assert len(rows) == 32
     assert rows[0] == pytest.approx([START / 1e9 + 60, START / 1e9 + 70, 6e-7, 2e-7, 1e-6])
     assert rows[-1][1] == START / 1e9 + 60 + 43_200
+
+
+@pytest.mark.parametrize(("seconds", "hours", "gap"), [
+    (10, 12, 600.0),  # as the account's
+    (10, 168, 3040.0),  # two stretches: 168 h in 400 are of 1512 s, in whole ones of 20 s 1520 s
+    (3000, 12, 9000.0),  # samples; three of them
+])
+def test_what_is_a_gap_of_a_line(seconds: int, hours: float, gap: float) -> None:
+    one = Watched()
+    times = START + np.arange(0, 10 * 3600, seconds) * SECOND
+    one.add("/roof/level", times, np.full(len(times), 0.04))
+    series = one.series(hours)
+    assert series["gaps"]["roof"] == gap
+    assert np.diff([row[0] for row in series["lines"]["roof"]]).max() <= gap
+    assert series["gaps"].keys() == series["lines"].keys()
 
 
 @pytest.mark.parametrize("hours", [-1.0, 0.0, 1e9, math.nan, math.inf])

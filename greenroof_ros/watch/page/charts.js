@@ -171,7 +171,7 @@ const specification = (chart, units) => {
     layer: right.length ? [{ layer: left }, { layer: right }] : left,
     resolve: right.length ? { scale: { y: "independent" } } : {},
     config: {
-      mark: { invalid: null }, // there are none: no time is spent on looking for them
+      mark: { invalid: "break-paths-show-domains" }, // a line has none in a gap
       font: "Arial, Helvetica, sans-serif", background: null, view: { stroke: colour("--edge") },
       axis: {
         labelFontSize: 12, titleFontSize: 12, titleFontWeight: "normal", labelColor: colour("--ink"),
@@ -289,14 +289,15 @@ export class Charts {
   // Series as the charts' rows: SI units become the shown ones, and what ends has a row there.
   rowsOf(series) {
     const rows = {};
+    const now = this.ms(series.now);
     const factor = (name) => this.units(name).factor;
     for (const chart of CHARTS) {
       for (const line of chart.lines) {
         const f = factor(line.right ? chart.right : chart.shown);
         const points = series.lines[line.name] ?? [];
-        rows[line.name] = points.map(([t, low, high, last]) => ({
+        rows[line.name] = broken(points.map(([t, low, high, last]) => ({
           t: this.ms(t), v: last * f, low: low * f, high: high * f,
-        }));
+        })), series.gaps[line.name] * 1000, line.steps, now);
       }
     }
     const level = factor("roof");
@@ -307,18 +308,13 @@ export class Charts {
     const ahead = plan.map(([, t1, , value]) => ({ t: this.ms(t1), v: value * level }));
     if (ahead.length) {
       const newest = rows.roof.at(-1);
-      if (newest) rows.roof_planned.push({ t: newest.t, v: newest.v });
+      if (newest && now - newest.t <= series.gaps.roof * 1000) rows.roof_planned.push({ t: newest.t, v: newest.v });
       rows.roof_planned.push(...ahead);
     }
     const expected = series.forecast.filter(([, end]) => end > series.now);
     rows.forecast = steps(expected.map(([t0, t1, mean, low, high]) => [
       this.ms(Math.max(t0, series.now)), this.ms(t1), { v: mean * rain, low: low * rain, high: high * rain },
     ]));
-    // What holds until the next message holds until now.
-    for (const name of ["flow", "command", "rain", "evapotranspiration"]) {
-      const newest = rows[name].at(-1);
-      if (newest && newest.t < this.ms(series.now)) rows[name].push({ ...newest, t: this.ms(series.now) });
-    }
     return rows;
   }
 
@@ -528,7 +524,7 @@ export class Charts {
     const after = rows.findIndex((row) => row.t > t);
     const before = after < 0 ? rows.length - 1 : after - 1;
     const row = rows[before];
-    if (!row || (after < 0 && t - row.t > FEWEST)) return "";
+    if (!row || row.v === null || (after < 0 && t - row.t > FEWEST)) return "";
     const { decimals, unit } = this.units(line.right ? chart.right : chart.shown);
     let value = row.v;
     const next = rows[before + 1];
@@ -540,6 +536,16 @@ export class Charts {
     return `${value.toFixed(decimals)}${range} ${unit}`;
   }
 }
+
+// Rows with one of no values where nothing came for longer than 'gap' (ms). What holds until the next
+// message holds for no longer than that, and until now at most.
+const broken = (rows, gap, holds, now) => rows.flatMap((row, i) => {
+  const next = rows[i + 1];
+  if (next && next.t - row.t <= gap) return [row];
+  const t = holds ? Math.min(row.t + gap, now) : row.t;
+  const end = t > row.t ? [row, { ...row, t }] : [row];
+  return next ? [...end, { t, v: null, low: null, high: null }] : end;
+});
 
 // Points of steps [start, end, values]: each holds until its end.
 const steps = (parts) => {
