@@ -387,7 +387,8 @@ class Watched:
         if not np.size(rows) or not 0 < time_ns < _LATEST_NS:
             return
         with self._lock:
-            self._previewed = at, _plan_of(at, rows)
+            if at > self._previewed[0]:
+                self._previewed = at, _plan_of(at, rows)
 
     def _shown_plan(self) -> Plan | None:
         """Return the newest plan; None where it is not known, or there is none."""
@@ -417,8 +418,8 @@ class Watched:
         plan = self._plan
         if plan is None:
             return np.empty(0), np.empty(0)
-        begin = max(self._expected_until, plan.at + _LEAD_S)
         end = min(until + _LEAD_S, float(plan.ends[-1]))
+        begin = max(self._expected_until, plan.at + _LEAD_S, end - _WEEK_H * 3600)
         if end <= begin:
             return np.empty(0), np.empty(0)
         often = np.arange(begin + _EXPECTED_EVERY_S, end, _EXPECTED_EVERY_S)

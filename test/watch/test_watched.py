@@ -371,11 +371,11 @@ def test_hostile_forecasts_and_plans() -> None:
     ):
         one.add_forecast("/forecast/precipitation", at, values)
         assert shown(one)["tiles"]["rain"]["sentence"] == "no forecast is known"
-    for rows in (
+    for later, rows in enumerate((
         np.ones(3), np.ones((2, 2)), np.ones((2, 3, 1)), np.full((2, 3), 1e300), np.ones((2, 3)),
         np.array([[-1.0, 0, 0]]), np.array([[0.0, 0, 0]]), np.full((10_000, 3), 1.0),
-    ):
-        one.add_plan(at, rows)
+    )):
+        one.add_plan(at + later * SECOND, rows)
         assert one.series(3)["plan"] == []
     one.add_plan(2**63, np.array([[1.0, 0, 0]]))
     one.add("/roof/level", np.array([2**63 - 1, at + 5 * SECOND]), np.array([0.1, 0.02]))
