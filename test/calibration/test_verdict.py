@@ -18,8 +18,8 @@ SECONDS = 3600 * np.arange(HOURS)
 MEASURED = np.where(np.arange(HOURS) % 60 < 6, 1.0, 0.0)
 MEAN = np.full(HOURS, MEASURED.mean())
 RECORD = Record(
-    Path("roof.csv"), datetime(2021, 4, 1, tzinfo=timezone.utc), 3600.0, np.zeros(HOURS), np.zeros(HOURS),
-    np.zeros(HOURS), MEASURED, None,
+    Path("roof.csv"), datetime(2021, 4, 1, tzinfo=timezone.utc), 3600.0,
+    np.zeros(HOURS), np.zeros(HOURS), np.zeros(HOURS), MEASURED, None,
 )
 
 
