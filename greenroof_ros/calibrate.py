@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import textwrap
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -24,6 +25,7 @@ from greenroof_ros.calibration.scores import ScoreRow, Scores, score, time_name
 from greenroof_ros.calibration.site_file import CROP_NOTE, fitted_site_file, pump_site_file
 from greenroof_ros.calibration.storms import comparable
 from greenroof_ros.calibration.suspicions import refuse_wrong
+from greenroof_ros.calibration.verdict import refuse_hopeless, warning
 from greenroof_ros.common.command_line import EXIT_DONE, command
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.files import read_text, shared_directory
@@ -180,10 +182,13 @@ def _fit(
         for name in record.measured
         for part, steps in zip(("fit", "validation"), halves, strict=True)
     ]
-    fitted_text = fitted_site_file(text, fitted, _heading(record, spans, rows), sheet)
+    refuse_hopeless(record, rows)
+    wrong = warning(rows)
+    heading = [*_heading(record, spans, rows), *textwrap.wrap(wrong, 98)]
+    fitted_text = fitted_site_file(text, fitted, heading, sheet)
     page_file.write_text(
         page.render(record, fitted, rows, figures.make_figures(record, halves, fitted),
-                    fitted_text, spans),
+                    fitted_text, spans, wrong),
         encoding="utf-8",
     )
     _print(fitted, rows)
@@ -191,6 +196,8 @@ def _fit(
         _print_sensor(dry_nights(record, fitted.simulated.level))
     if pump is not None:
         _print_pump(pump)
+    if wrong:
+        Console().print(wrong, style="bold", soft_wrap=True, highlight=False)
     return fitted_text
 
 

@@ -116,7 +116,13 @@ def read_csv_record(file: Path, site: Site) -> Record:
     )
     if "reference evapotranspiration" in series:
         reference = series["reference evapotranspiration"]
-        _refuse_gaps(record, columns["reference evapotranspiration"].name, reference, slots, rows)
+        name = columns["reference evapotranspiration"].name
+        _refuse_gaps(record, name, reference, slots, rows)
+        if not np.any(reference > 0):
+            raise ConfigurationError(
+                "is 0 throughout: it must be there, or nothing of how the roof dries can be fitted",
+                file=file, key=name,
+            )
     else:
         reference = reference_from_temperatures(record, site, series)
     return replace(record, reference=reference)

@@ -29,7 +29,7 @@ class _ParameterRow(NamedTuple):
 
 def render(
     record: Record, fit: Fit, scores: Sequence[ScoreRow], figures: Sequence[Figure],
-    site_file: str, spans: Mapping[str, str],
+    site_file: str, spans: Mapping[str, str], warning: str,
 ) -> str:
     """Return the page.
 
@@ -40,6 +40,7 @@ def render(
         figures: in the order in which they appear.
         site_file: that was written.
         spans: from when to when each part is.
+        warning: what speaks against the fit; empty where nothing does.
     """
     environment = jinja2.Environment(
         autoescape=True, trim_blocks=True, lstrip_blocks=True, undefined=jinja2.StrictUndefined
@@ -61,7 +62,7 @@ def render(
     return environment.from_string(text).render(
         source=str(record.source), parameters=parameters, scores=scores, figures=figures,
         times=list(scores[0].scores.nse), time_name=time_name, shown=_shown, site_file=site_file,
-        spans=spans, rain=f"{float(np.nansum(record.rain)):.4g}",
+        spans=spans, warning=warning, rain=f"{float(np.nansum(record.rain)):.4g}",
         step=time_name(round(record.step_s)), versions=versions(),
         library=library(), payload=payload(figures),
     )

@@ -58,7 +58,7 @@ def test_the_last_decimal_of_runoff(runoff: str, last_decimal: float, tmp_path: 
     file = tmp_path / "record.csv"
     for unit, factor in (("mm", 1.0), ("l", 0.01)):
         file.write_text(small(
-            f"time,rain [mm],runoff [{unit}],reference evapotranspiration [mm]", "0", runoff, "0",
+            f"time,rain [mm],runoff [{unit}],reference evapotranspiration [mm]", "0", runoff, "0.1",
         ))
         assert read_csv_record(file, TWIN).last_decimal == pytest.approx(factor * last_decimal)
 
@@ -75,7 +75,7 @@ def test_a_pump_state_is_a_share_of_the_flow_at_the_cistern_level(tmp_path: Path
         read_csv_record(file, TWIN)
     file.write_text(small(
         "time,rain [mm],level [m],pump state [%],cistern level [m],"
-        "reference evapotranspiration [mm]", "0", "0.02", "50", "3", "0",
+        "reference evapotranspiration [mm]", "0", "0.02", "50", "3", "0.1",
     ))
     flow = 0.5 * TWIN.b * np.sqrt(3 + TWIN.c_hat - TWIN.d)
     record = read_csv_record(file, TWIN)
@@ -88,7 +88,7 @@ def test_a_pump_of_which_too_little_is_known_is_a_gap(tmp_path: Path) -> None:
     """Without the cistern's level a pump that runs lifts nobody knows what, one that stands 0."""
     text = small(
         "time,rain [mm],level [m],pump state [1],cistern level [m],"
-        "reference evapotranspiration [mm]", "0", "0.02", "0", "3", "0",
+        "reference evapotranspiration [mm]", "0", "0.02", "0", "3", "0.1",
     )
     for minute, state, level in (("15", "1", ""), ("25", "0", ""), ("35", "", "3")):
         text = text.replace(f"T00:{minute},0,0.02,0,3,", f"T00:{minute},0,0.02,{state},{level},")
@@ -236,6 +236,19 @@ WRONG = {
         "the sensor is stuck"),
     "a blocked rain gauge": (
         change(1, lambda row, text: text if row < 8 * DAY else "0"), "is the gauge blocked"),
+    "a blocked rain gauge beside a level": (
+        both(without(2), change(1, lambda row, text: text if row < 8 * DAY else "0")),
+        "is 0 for a day and more when at"),
+    "rain of the hour in 5 minutes": (
+        both(scaled(1, 12), without(3)), "are the units of rain and runoff right?"),
+    "runoff of a smaller roof": (
+        both(scaled(2, 4), without(3)), "is more than what came, storm by storm"),
+    "level in cm called mm": (scaled(3, 0.1), "of rain falls: is the unit right? It should be"),
+    "a level of every third row": (
+        change(3, lambda row, text: text if row % 3 == 0 else ""),
+        "level: has a value every 15 min, and there is a row every 5 min: every row must have one"),
+    "a clock two hours early": (shifted(2, -24), "before it falls"),
+    "half an hour early": (both(without(2), shifted(2, -12)), "before it falls"),
     "runoff an hour early": (shifted(2, -12), "before it falls"),
     "runoff of another time zone": (shifted(2, 96), "after it falls"),
     "level a day late": (both(without(2), shifted(2, 288)), "is a clock shifted"),
@@ -250,6 +263,42 @@ def test_wrong_records_are_refused(name: str, tmp_path: Path) -> None:
         refuse_wrong(read_csv_record(file, TWIN), TWIN)
     assert str(error.value).startswith(str(file))
     assert message in str(error.value)
+
+
+LONG = record_rows(TWIN, 100, 1, gaps=False)
+
+
+@pytest.mark.parametrize(
+    ("column", "factor"), [(1, 12), (1, 10), (1, 1 / 12), (1, 0.1), (2, 10), (2, 12), (2, 0.1),
+                           (2, 1 / 12), (3, 10), (3, 0.1)],
+)
+def test_of_a_season_a_unit_that_is_wrong_is_refused(
+    column: int, factor: float, tmp_path: Path
+) -> None:
+    file = tmp_path / "season.csv"
+    refuse_wrong(read_csv_record(write(LONG, file), TWIN), TWIN)
+    with pytest.raises(ConfigurationError, match="unit"):
+        refuse_wrong(read_csv_record(write(scaled(column, factor)(LONG), file), TWIN), TWIN)
+
+
+def test_a_dead_flow_meter_is_refused(tmp_path: Path) -> None:
+    """More than 100 mm fall, and the soil is 100 mm deep."""
+    rows = change(2, lambda row, text: text if row < 30 * DAY else "0")(LONG)
+    file = write(rows, tmp_path / "dead.csv")
+    with pytest.raises(ConfigurationError, match=r"runoff: is 0 for \d\d days from .* mm came"):
+        refuse_wrong(read_csv_record(file, TWIN), TWIN)
+
+
+def test_evapotranspiration_of_0_is_refused(tmp_path: Path) -> None:
+    file = tmp_path / "record.csv"
+    file.write_text(small(
+        "time,rain [mm],level [m],reference evapotranspiration [mm]", "0", "0.02", "0",
+    ))
+    with pytest.raises(ConfigurationError) as error:
+        read_csv_record(file, TWIN)
+    assert str(error.value).startswith(
+        f"{file}: reference evapotranspiration [mm]: is 0 throughout"
+    )
 
 
 @pytest.mark.parametrize(
