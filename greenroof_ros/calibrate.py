@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import os
 import textwrap
 from collections.abc import Sequence
 from dataclasses import replace
@@ -22,7 +23,14 @@ from greenroof_ros.calibration.halves import Halves, halve
 from greenroof_ros.calibration.pump import PumpFit, fit_pump
 from greenroof_ros.calibration.record import Record
 from greenroof_ros.calibration.scores import ScoreRow, Scores, score, time_name
-from greenroof_ros.calibration.site_file import CROP_NOTE, fitted_site_file, pump_site_file
+from greenroof_ros.calibration.site_file import (
+    CROP_NOTE,
+    INTERVAL_NOTE,
+    fitted_site_file,
+    pump_site_file,
+    refuse_other_forms,
+    refuse_unlike,
+)
 from greenroof_ros.calibration.storms import comparable
 from greenroof_ros.calibration.suspicions import refuse_wrong
 from greenroof_ros.calibration.verdict import refuse_hopeless, warning
@@ -94,34 +102,49 @@ def main() -> int:
     """Fit the record that the command line names."""
     arguments = _parser().parse_args()
     output: Path = arguments.output
-    page_file = output.with_suffix(".html")
-    for file in (output, page_file):
-        if file.exists():
-            raise ConfigurationError("exists; name another file", key="--output", value=str(file))
+    page_file = output.with_suffix(".html") if output.name else output
+    _check_output(output, page_file)
     if arguments.measured is None and arguments.pump_data is None:
         raise ConfigurationError("must be given, or --pump-data alone", key="MEASURED")
     site_file: Path = arguments.site or shared_directory() / "config" / "site.yaml"
     site = read_site(site_file)
+    refuse_other_forms(site_file)
+    text = read_text(site_file)
     sheet = None
     if arguments.pump_data is not None:
+        source = arguments.pump_data.name
         sheet = _read_sheet(arguments.pump_data, site)
         site = replace(site, a_hat=sheet.a_hat, c_hat=sheet.c_hat)
+        heading = [f"Pumps fitted to {source} by python -m greenroof_ros.calibrate."]
+        pumps_text = pump_site_file(text, sheet, heading)
+        refuse_unlike(pumps_text, site, site_file)
     if arguments.measured is not None:
-        text = _fit(arguments.measured, measured_roof(site), sheet, read_text(site_file), page_file)
+        fitted, fitted_text, page_text = _fit(arguments.measured, measured_roof(site), sheet, text)
+        refuse_unlike(fitted_text, fitted.site, site_file)
+        page_file.write_text(page_text, encoding="utf-8")
+        output.write_text(fitted_text, encoding="utf-8")
         written = f"{output}, {page_file}"
     else:
-        assert sheet is not None
-        source = arguments.pump_data.name
-        heading = [f"Pumps fitted to {source} by python -m greenroof_ros.calibrate."]
-        text = pump_site_file(read_text(site_file), sheet, heading)
+        output.write_text(pumps_text, encoding="utf-8")
         written = str(output)
-    output.write_text(text, encoding="utf-8")
-    try:
-        read_site(output)
-    except ConfigurationError as error:
-        Console().print(f"to be repaired before it is used: {error}", style="bold", markup=False)
     Console().print(f"written: {written}", soft_wrap=True, highlight=False)
     return EXIT_DONE
+
+
+def _check_output(output: Path, page_file: Path) -> None:
+    """Refuse, before minutes of a fit, where its files could not be written."""
+    if output.suffix not in (".yaml", ".yml"):
+        raise ConfigurationError(
+            "must be the name of a file that ends in .yaml", key="--output", value=str(output)
+        )
+    if not (output.parent.is_dir() and os.access(output.parent, os.W_OK)):
+        raise ConfigurationError(
+            "must be in a directory that exists and can be written to", key="--output",
+            value=str(output),
+        )
+    for file in (output, page_file):
+        if file.exists():
+            raise ConfigurationError("exists; name another file", key="--output", value=str(file))
 
 
 def _read_sheet(file: Path, site: Site) -> PumpCurve:
@@ -149,9 +172,9 @@ def _missing(error: ModuleNotFoundError) -> ConfigurationError:
 
 
 def _fit(
-    measured: Path, site: Site, sheet: PumpCurve | None, text: str, page_file: Path
-) -> str:
-    """Fit a record, print what was found, write the page, and return the text of the site file."""
+    measured: Path, site: Site, sheet: PumpCurve | None, text: str
+) -> tuple[Fit, str, str]:
+    """Fit a record, print what was found, and return it with the texts of site file and page."""
     try:
         from greenroof_ros.calibration import figures, page
     except ModuleNotFoundError as error:
@@ -186,10 +209,9 @@ def _fit(
     wrong = warning(rows)
     heading = [*_heading(record, spans, rows), *textwrap.wrap(wrong, 98)]
     fitted_text = fitted_site_file(text, fitted, heading, sheet)
-    page_file.write_text(
-        page.render(record, fitted, rows, figures.make_figures(record, halves, fitted),
-                    fitted_text, spans, wrong),
-        encoding="utf-8",
+    page_text = page.render(
+        record, fitted, rows, figures.make_figures(record, halves, fitted), fitted_text, spans,
+        wrong,
     )
     _print(fitted, rows)
     if record.level is not None:
@@ -198,7 +220,7 @@ def _fit(
         _print_pump(pump)
     if wrong:
         Console().print(wrong, style="bold", soft_wrap=True, highlight=False)
-    return fitted_text
+    return fitted, fitted_text, page_text
 
 
 def _refuse_dry(record: Record, halves: Halves) -> None:
@@ -239,7 +261,7 @@ def _heading(record: Record, spans: dict[str, str], rows: Sequence[ScoreRow]) ->
         if row.quantity == "runoff":
             line += f"; volume {100 * row.scores.volume_error:+.1f} %"
         lines.append(f"{line}.")
-    return lines
+    return [*lines, INTERVAL_NOTE]
 
 
 def _print(fitted: Fit, rows: Sequence[ScoreRow]) -> None:
@@ -262,6 +284,7 @@ def _print(fitted: Fit, rows: Sequence[ScoreRow]) -> None:
         scores.add_row(f"{row.quantity}, {row.part}", *values, error)
     console = Console()
     console.print(table)
+    console.print(INTERVAL_NOTE, soft_wrap=True, highlight=False)
     console.print(f"crop_coefficient {CROP_NOTE}", soft_wrap=True, highlight=False)
     console.print(scores)
 

@@ -2,18 +2,26 @@
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Mapping, Sequence
+from dataclasses import fields
+from pathlib import Path
+from tempfile import TemporaryDirectory
 
 from greenroof_ros.calibration.fit import FILLED, Fit, Parameter
+from greenroof_ros.common.errors import ConfigurationError
+from greenroof_ros.common.files import read_text, read_yaml
 from greenroof_ros.model.pump_curve import PumpCurve
-from greenroof_ros.model.site import site_parameters
+from greenroof_ros.model.site import Site, read_site, site_parameters
 
 CROP_NOTE = (
     "counts where evapotranspiration is computed (fao56; hargreaves in calibrate), not with a "
     "weather file's own column"
 )
 """What a crop coefficient does in a run."""
+INTERVAL_NOTE = "The intervals hold only while what was not fitted is as the site file has it."
+"""What the interval of a fitted parameter leaves out."""
 
 _COMMENT = 30
 _FROM_SHEET = "fitted to points of the data sheet"
@@ -59,6 +67,56 @@ def pump_site_file(text: str, sheet: PumpCurve, heading: Sequence[str]) -> str:
         heading: lines for the top.
     """
     return _replaced(text, _sheet_lines(sheet), heading)
+
+
+def refuse_other_forms(file: Path) -> None:
+    """Refuse a site file whose lines cannot be replaced: each must be ``key: value``.
+
+    YAML lets keys be in quotes, and all of them be in one line; their old values would stay.
+
+    Raises:
+        ConfigurationError: it has such a line.
+    """
+    lines = read_text(file).splitlines()
+    for key, line in read_yaml(file).lines.items():
+        if not re.match(rf"{key}\s*:", lines[line - 1]):
+            raise ConfigurationError(
+                f"the site file must have one 'key: value' a line, as in '{key}: 1.0'", file=file,
+                line=line, key=key,
+            )
+
+
+def refuse_unlike(text: str, site: Site, file: Path) -> None:
+    """Refuse the text of a site file that cannot be read, or is not the site that was fitted.
+
+    Args:
+        text: that is to be written.
+        site: that it should be, but for the last of its six digits.
+        file: the site file that the fit began with, which is to be changed then.
+
+    Raises:
+        ConfigurationError: it is so.
+    """
+    with TemporaryDirectory() as directory:
+        written = Path(directory) / "site.yaml"
+        written.write_text(text, encoding="utf-8")
+        try:
+            read = read_site(written)
+        except ConfigurationError as error:
+            what = re.sub(r"^[, ]*(line \d+)?[: ]*", "", str(error).removeprefix(str(written)))
+            raise ConfigurationError(
+                f"with what was fitted it is no site, and nothing is written: {what}", file=file
+            ) from error
+    for name in (field.name for field in fields(Site)):
+        value, fitted = getattr(read, name), getattr(site, name)
+        same = value == fitted or (
+            None not in (value, fitted) and math.isclose(value, fitted, rel_tol=1e-5, abs_tol=1e-9)
+        )
+        if not same:
+            raise ConfigurationError(
+                "the site file must have one 'key: value' a line: this would stay, and "
+                f"{fitted:.6g} was fitted", file=file, key=name, value=value,
+            )
 
 
 def _replaced(text: str, lines: Mapping[str, str], heading: Sequence[str]) -> str:

@@ -18,6 +18,9 @@ from greenroof_ros.model.site import Site
 from greenroof_ros.model.smooth_plant import linearise
 from greenroof_ros.report.drawing import Figure, Panel, Rows, distinct, short
 
+# As of a site's parameters: beyond, a unit is wrong.
+_LARGEST = 1e9
+
 
 def read_pump_data(path: Path) -> list[tuple[float, float]]:
     """Read the points of a pump's data sheet: lines of flow (m3/s) and head (m).
@@ -43,6 +46,10 @@ def read_pump_data(path: Path) -> list[tuple[float, float]]:
                 "must be two numbers, flow (m3/s) and head (m)",
                 file=path, line=line, value=",".join(row),
             ) from error
+        if max(abs(flow), abs(head)) > _LARGEST:
+            raise ConfigurationError(
+                f"must be at most {_LARGEST:g} in size", file=path, line=line, value=",".join(row)
+            )
         points.append((flow, head))
     try:
         fit_pump_curve([flow for flow, _ in points], [head for _, head in points])

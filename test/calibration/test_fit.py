@@ -19,6 +19,8 @@ from greenroof_ros.calibration.csv_record import read_csv_record
 from greenroof_ros.calibration.fit import fit
 from greenroof_ros.calibration.halves import halve
 from greenroof_ros.calibration.record import Record
+from greenroof_ros.calibration.site_file import refuse_unlike
+from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.files import shared_directory
 from greenroof_ros.model.site import read_site
 
@@ -116,6 +118,8 @@ def fitted(tmp_path_factory: pytest.TempPathFactory) -> Path:
     assert ended.returncode == 0, ended.stderr
     assert "runoff, validation" in ended.stdout
     assert "crop_coefficient counts where evapotranspiration is computed" in ended.stdout
+    assert "intervals hold only while what was not fitted is as the site file" in ended.stdout
+    assert "do not use it" not in ended.stdout
     assert "data sheet: a_hat -1e+06 s2/m5, c_hat 50 m" in ended.stdout
     assert "pumps: 5" in ended.stdout  # l/s, sqrt((2 + 45 - 16) / 1e6) and a little less
     noise = re.search(r"level sensor: noise (\S+) mm and drift", ended.stdout)[1]
@@ -177,6 +181,73 @@ def test_pumps_that_lift_no_water_are_refused(tmp_path: Path) -> None:
         "error: low.csv: the curve has 15 m at no flow; it must exceed d - z_pump - z_H = 15.25 m "
         "of the site, or the pumps never lift water to the roof (Eq. 3e)\n"
     )
+
+
+@pytest.mark.parametrize("form", ["flow", "quoted"])
+def test_a_site_file_whose_lines_cannot_be_replaced_is_refused(
+    form: str, fitted: Path, tmp_path: Path
+) -> None:
+    """YAML that reads alike: all in one line, or keys in quotes. Their old values would stay."""
+    text = (shared_directory() / "config" / "site.yaml").read_text(encoding="utf-8")
+    pairs = re.findall(r"(?m)^(\w+): *([^ #\n]+)", text)
+    lines = {
+        "flow": "{" + ", ".join(f"{key}: {value}" for key, value in pairs) + "}\n",
+        "quoted": "".join(f'"{key}": {value}\n' for key, value in pairs),
+    }[form]
+    (tmp_path / "site.yaml").write_text(lines, encoding="utf-8")
+    read_site(tmp_path / "site.yaml")
+    ended = calibrate(
+        tmp_path, "--pump-data", str(fitted / "pump.csv"), "--site", "site.yaml", "-o", "new.yaml"
+    )
+    assert ended.returncode == 2
+    assert ended.stderr == (
+        f"error: site.yaml, line 1: {pairs[0][0]}: the site file must have one 'key: value' a "
+        f"line, as in '{pairs[0][0]}: 1.0'\n"
+    )
+    assert not (tmp_path / "new.yaml").exists()
+
+
+def test_a_text_that_is_not_the_fitted_site_is_refused(tmp_path: Path) -> None:
+    """A value on a line of its own stays, as one of whose line only the key was replaced."""
+    file = shared_directory() / "config" / "site.yaml"
+    site, text = read_site(file), file.read_text(encoding="utf-8")
+    refuse_unlike(text, site, file)
+    with pytest.raises(ConfigurationError, match=r"c_hat = 55\.2: .* stay, and 50 was fitted"):
+        refuse_unlike(text, replace(site, c_hat=50.0), file)
+    with pytest.raises(ConfigurationError) as error:
+        refuse_unlike(text.replace("x2_star: 3.14416", "x2_star: 40"), site, file)
+    assert str(error.value).startswith(
+        f"{file}: with what was fitted it is no site, and nothing is written: x2_star = 40: must"
+    )
+
+
+@pytest.mark.parametrize(
+    ("output", "why"),
+    [(".", "must be the name of a file that ends in .yaml"),
+     ("/", "must be the name of a file that ends in .yaml"),
+     ("site.html", "must be the name of a file that ends in .yaml"),
+     ("nowhere/site.yaml", "must be in a directory that exists and can be written to")],
+)
+def test_an_output_that_cannot_be_written_is_refused_before_the_fit(
+    output: str, why: str, tmp_path: Path
+) -> None:
+    """That there is no such record is found after it."""
+    ended = calibrate(tmp_path, "none.csv", "-o", output)
+    assert ended.returncode == 2
+    assert ended.stderr == f"error: --output = '{output}': {why}\n"
+
+
+def test_a_data_sheet_in_no_unit_at_all_is_refused(tmp_path: Path) -> None:
+    (tmp_path / "wild.csv").write_text("flow [m3/s],head [m]\n0,1e300\n0.004,9\n")
+    ended = calibrate(tmp_path, "--pump-data", "wild.csv", "-o", "pumped.yaml")
+    assert ended.returncode == 2
+    assert ended.stderr == (
+        "error: wild.csv, line 2: '0,1e300': must be at most 1e+09 in size\n"
+    )
+    (tmp_path / "wild.csv").write_text("flow [m3/s],head [m]\n0,50\n1e-8,9\n")
+    ended = calibrate(tmp_path, "--pump-data", "wild.csv", "-o", "pumped.yaml")
+    assert ended.returncode == 2
+    assert "nothing is written: a_hat = -4.1e+17: must be from" in ended.stderr
 
 
 def test_something_must_be_given(tmp_path: Path) -> None:
