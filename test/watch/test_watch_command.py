@@ -96,7 +96,8 @@ def test_it_waits_for_a_graph_on_loopback_and_ends_soon(
 def test_a_port_that_is_taken(domain: int, tmp_path: Path) -> None:
     first, port = watcher(domain, tmp_path)
     second, other = watcher(domain, tmp_path)
-    assert other > port >= 8080
+    assert other != port
+    assert min(port, other) >= 8080  # another one's may have ended meanwhile
     assert "port 8080 is taken" in second.stderr()
     third = Process(domain, "watch", "--port", str(port), cwd=tmp_path)
     assert third.wait(60) == 2
