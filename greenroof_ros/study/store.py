@@ -17,6 +17,7 @@ from greenroof_ros.study.case_run import Outcome
 from greenroof_ros.study.grid import Case
 
 _OUTCOME = "outcome.json"
+_LOCK = ".lock"
 
 
 class Store:
@@ -70,13 +71,17 @@ class Store:
     def _open(self, grid: Path, identity: dict[str, Any]) -> None:
         configuration = self.directory / "configuration"
         file = configuration / "study.json"
-        if self.directory.exists() and any(self.directory.iterdir()) and not file.is_file():
+        self.directory.mkdir(parents=True, exist_ok=True)
+        there = {path.name for path in self.directory.iterdir()}
+        # One that was killed while it began has left its lock, and perhaps a part of the other.
+        killed = _LOCK in there and there <= {_LOCK, configuration.name}
+        if there and not killed and not file.is_file():
             raise ConfigurationError(
                 "exists, is not empty and no study; nothing is written over",
                 key="--output", value=str(self.directory),
             )
-        configuration.mkdir(parents=True, exist_ok=True)
         self._lock()
+        configuration.mkdir(exist_ok=True)
         if file.is_file():
             self._check(file, identity)
         else:
@@ -91,7 +96,7 @@ class Store:
 
     def _lock(self) -> None:
         """Keep other processes out for as long as this one lives."""
-        self._held: TextIO = (self.directory / ".lock").open("w")
+        self._held: TextIO = (self.directory / _LOCK).open("w")
         try:
             fcntl.flock(self._held, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except OSError:

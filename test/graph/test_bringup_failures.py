@@ -304,7 +304,7 @@ def test_node_that_was_never_started(domain: int, tmp_path: Path) -> None:
     finally:
         weather.kill()
         weather.wait()
-    assert plant.returncode == 1
+    assert plant.returncode in (1, -signal.SIGALRM)
     # Before that it may have said that it waits for the weather, too: that node starts beside it.
     last_words = plant.stderr.strip().splitlines()[-1]
     assert "/pump/command from the controller" in last_words

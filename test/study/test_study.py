@@ -75,6 +75,23 @@ def test_killed_and_gone_on(tmp_path: Path) -> None:
     assert (again.returncode, again.stdout) == (0, result.stdout)
 
 
+def test_killed_while_it_began(tmp_path: Path) -> None:
+    """Before its configuration was whole: it is begun again, where nothing but a study is."""
+    name = grid(tmp_path, edited("0.25", "0.05"))
+    (tmp_path / "out" / "configuration").mkdir(parents=True)
+    (tmp_path / "out" / ".lock").touch()
+    (tmp_path / "out" / "configuration" / "grid.yaml").write_text("a part")
+    assert study(tmp_path, name, "--output", "out").returncode == 0
+    for other in (".lock", "mine.txt"):
+        directory = tmp_path / f"with {other}"
+        (directory / "configuration").mkdir(parents=True)
+        (directory / other).touch()
+        (directory / "notes.txt").touch()
+        refused = study(tmp_path, name, "--output", str(directory))
+        assert refused.returncode == 2
+        assert "is not empty and no study" in refused.stderr
+
+
 def test_windows_of_july(tmp_path: Path) -> None:
     """Three windows of the real month, one of them with hours that were missing."""
     file = DATA / "en_climate_hourly_07-2021.csv"
