@@ -24,6 +24,7 @@ INTERVAL_NOTE = "The intervals hold only while what was not fitted is as the sit
 """What the interval of a fitted parameter leaves out."""
 
 _COMMENT = 30
+_UNITS = {one.symbol: one.unit for one in site_parameters()}
 _FROM_SHEET = "fitted to points of the data sheet"
 # Written in this order where the file has none of them.
 _ROOF = (
@@ -46,7 +47,6 @@ def fitted_site_file(
         heading: lines about the record and the scores, for the top.
         sheet: what was fitted to the pumps' data sheet before.
     """
-    units = {one.symbol: one.unit for one in site_parameters()}
     told = {one.name: one for one in fit.parameters}
     lines = _roof_lines(fit) | ({} if sheet is None else _sheet_lines(sheet))
     for name in PumpCurve._fields:
@@ -54,7 +54,7 @@ def fitted_site_file(
             comment = _comment(told[name])
             if sheet is not None and not told[name].told:
                 comment = f"{_FROM_SHEET}; {told[name].words}"
-            lines[name] = _line(name, f"{told[name].value:.6g}", units[name], comment)
+            lines[name] = _line(name, f"{told[name].value:.6g}", comment)
     return _replaced(text, lines, heading)
 
 
@@ -103,9 +103,9 @@ def refuse_unlike(text: str, site: Site, file: Path) -> None:
         try:
             read = read_site(written)
         except ConfigurationError as error:
-            what = re.sub(r"^[, ]*(line \d+)?[: ]*", "", str(error).removeprefix(str(written)))
             raise ConfigurationError(
-                f"with what was fitted it is no site, and nothing is written: {what}", file=file
+                f"with what was fitted it is no site, and nothing is written: {error.wrong}",
+                file=file,
             ) from error
     for name in (field.name for field in fields(Site)):
         value, fitted = getattr(read, name), getattr(site, name)
@@ -142,14 +142,12 @@ def _replaced(text: str, lines: Mapping[str, str], heading: Sequence[str]) -> st
 def _sheet_lines(sheet: PumpCurve) -> dict[str, str]:
     """Return the lines of a curve that was fitted to a data sheet."""
     return {
-        "a_hat": _line("a_hat", f"{sheet.a_hat:.6g}", "s2/m5", _FROM_SHEET),
-        "c_hat": _line("c_hat", f"{sheet.c_hat:.6g}", "m", _FROM_SHEET),
+        name: _line(name, f"{value:.6g}", _FROM_SHEET) for name, value in sheet._asdict().items()
     }
 
 
 def _roof_lines(fit: Fit) -> dict[str, str]:
     """Return the line of each parameter of the roof."""
-    units = {one.symbol: one.unit for one in site_parameters()}
     told = {one.name: one for one in fit.parameters if one.name != FILLED}
     lines = {}
     for name in _ROOF:
@@ -163,12 +161,12 @@ def _roof_lines(fit: Fit) -> dict[str, str]:
             comment = _comment(told[name]) if name in told else "as it was, not fitted"
             if name == "crop_coefficient":
                 comment += f"; {CROP_NOTE}"
-        lines[name] = _line(name, number, units[name], comment)
+        lines[name] = _line(name, number, comment)
     return lines
 
 
-def _line(name: str, number: str, unit: str, comment: str) -> str:
-    return f"{f'{name}: {number}':<{_COMMENT}}# {unit:<7} {comment}"
+def _line(name: str, number: str, comment: str) -> str:
+    return f"{f'{name}: {number}':<{_COMMENT}}# {_UNITS[name]:<7} {comment}"
 
 
 def _comment(one: Parameter) -> str:

@@ -42,21 +42,21 @@ def warning(rows: Sequence[ScoreRow]) -> str:
     What speaks against it is found in the validation: an NSE of days below 0, of hours where there
     are too few days, or a volume that is wrong by more than half.
     """
-    found = []
+    worse, off = [], []
     for row in rows:
         if row.part != "validation":
             continue
         known = [over_s for over_s in (DAY_S, HOUR_S) if not math.isnan(row.scores.nse[over_s])]
         if known and row.scores.nse[known[0]] < 0:
-            found.append(f"NSE of {row.quantity} {_listed(row, known[:1])}")
+            worse.append(f"NSE of {row.quantity} {_listed(row, known[:1])}")
         if row.quantity == "runoff" and abs(row.scores.volume_error) > _VOLUME_OFF:
-            found.append(f"volume of runoff {100 * row.scores.volume_error:+.0f} %")
-    if not found:
+            off.append(f"volume of runoff {100 * row.scores.volume_error:+.0f} %")
+    if not worse and not off:
         return ""
-    what = "worse than the mean of what was measured" if "NSE" in found[0] else "wrong by much"
+    what = "worse than the mean of what was measured" if worse else "wrong by much"
     return (
-        f"This fit is {what} in the half that it has not seen ({', '.join(found)}): do not use it. "
-        f"{_LOOK_AT}"
+        f"This fit is {what} in the half that it has not seen ({', '.join(worse + off)}): do not "
+        f"use it. {_LOOK_AT}"
     )
 
 

@@ -9,6 +9,9 @@ class ConfigurationError(Exception):
     """A file or an option is wrong; the message says where, what is there, and what would be right.
 
     Commands end with exit code 2 on it, without a traceback.
+
+    Attributes:
+        wrong: the message without file and line.
     """
 
     def __init__(
@@ -26,7 +29,8 @@ class ConfigurationError(Exception):
         what = key or ""
         if value is not None:
             what += f" = {value!r}" if key else repr(value)
-        super().__init__(": ".join(part for part in (where, what, expected) if part))
+        self.wrong = ": ".join(part for part in (what, expected) if part)
+        super().__init__(f"{where}: {self.wrong}" if where else self.wrong)
 
 
 class OccupiedError(ConfigurationError):

@@ -551,13 +551,14 @@ class Watched:
         stop = self._stop(wall)
         worst = "error" if stop["warning"] else self._alarms.worst()
         serious, warnings, following = self._alarms.counts()
+        known = self._alarms.heard or self._mode != "ended"
         shown["summary"] = tiles.summary(
             shown, alarms=serious, warnings=warnings, following=following, worst=worst,
-            mode=self._mode, known=self._alarms.heard or self._mode != "ended",
+            mode=self._mode, known=known,
         )
         alarms = _within(rows, _MOST_ALARMS)
         notes = [self._site_note, self._note]
-        if self._mode == "ended" and not self._alarms.heard:
+        if not known:
             notes.append("A recording does not tell which alarms there were.")
         if len(alarms) < len(rows):
             notes.append(f"{len(rows) - len(alarms)} more alarms are not shown.")
@@ -582,6 +583,7 @@ class Watched:
             "tiles": shown,
             "advice": self._alarms.advice() if present else tiles.advice(shown, mode=self._mode),
             "alarms": alarms,
+            "alarms_known": known,
             "events": _within(self._alarms.events(say_time)[:_MOST_EVENTS], _MOST_OF_EVENTS),
             "account": self._account_of(offset),
             "stop": stop,

@@ -679,6 +679,7 @@ def test_a_recorded_fault_is_not_fine() -> None:
     summary = document["tiles"]["summary"]
     assert (summary["word"], summary["level"]) == ("Alarms are not known.", "warn")
     assert document["notes"] == ["A recording does not tell which alarms there were."]
+    assert (document["alarms_known"], shown(watched())["alarms_known"]) == (False, True)
     assert document["advice"] == "This was recorded: what is now is not shown."
 
 

@@ -212,6 +212,7 @@ const show = (document_) => {
     (tile, key) => fillTile(tile, document_.tiles[key]));
   keep(byId("alarms"), document_.alarms, (alarm) => JSON.stringify([alarm.id, alarm.since]), makeAlarm, fillAlarm);
   byId("no-alarms").hidden = document_.alarms.length > 0;
+  setText(byId("no-alarms"), document_.alarms_known ? "None." : "Not recorded.");
   keep(byId("events"), document_.events, (event) => JSON.stringify([event.at, event.what]), (event) => {
     const row = element("li");
     row.append(element("time", "", event.at_text), element("span", "", event.what));
