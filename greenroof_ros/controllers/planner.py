@@ -70,10 +70,14 @@ class Planner:
     plus the price of energy and of pump starts if there is one, or with squares in place of the
     absolute values. The rules on the third and fourth line are those of Eq. (3a): water is pumped
     at a time j only if it is missing then, which is more than anything pumped before. What is above
-    the cistern's outlet now is not counted on in the fourth line: it may be gone in minutes. What
-    is above a low outlet goes, too: of it counts what can be pumped before the next plan. The
+    the cistern's outlet now is not counted on in the fourth line: it may be gone in minutes. The
     minute is there because the last tick that pumps may end below the suction level: where a plan
     asks for no more than there is, that tick has too little of it, and once below, nothing works.
+
+    Where the cistern has a low outlet, what that takes has its part in the program: what is left
+    in each step (:class:`~greenroof_ros.controllers.cistern_ahead.CisternAhead`), how high it must
+    be lifted from there, which is what energy costs, and how much the pumps can lift. Without one
+    the lift is that from the outlet, and the flow that of now.
 
     With an ensemble of forecasts (``scenario_mpc``) each member has such a program; what is pumped
     until ``recourse`` is the same for all - one decision now - and each may be answered on its own

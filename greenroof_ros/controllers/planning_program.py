@@ -36,8 +36,8 @@ _SOLVER_SETTINGS = {
 _ENSEMBLE_SETTINGS = {
     "eps_abs": 1e-3, "eps_rel": 1e-3, "rho": 0.03, "adaptive_rho": 0, "polishing": False,
 }
-# Weights of the rows of what the pumps can do, of the volumes, of the excess over the value at risk,
-# and of the balance of a cistern with a low outlet; those of the least iterations.
+# Weights of the rows of what the pumps can do, of the volumes, of the excess over the value at
+# risk, and of the balance of a cistern with a low outlet; those of the least iterations.
 _CAPACITY, _VOLUME, _EXCESS, _BALANCE = 5.0, 2.0, 8.0, 8.0
 _USABLE = (osqp.SolverStatus.OSQP_SOLVED, osqp.SolverStatus.OSQP_SOLVED_INACCURATE)
 
