@@ -243,7 +243,8 @@ def test_alarms_and_warnings_are_counted_as_they_are_listed() -> None:
         Status(f"/pump: {part}", level, f"{part} is not well", "host 7")
         for part, level in parts.items()
     )])
-    assert shown(one)["tiles"]["summary"]["word"] == "2 alarms, 2 warnings (1 more caused by these)."
+    word = shown(one)["tiles"]["summary"]["word"]
+    assert word == "2 alarms, 2 warnings (1 more caused by these)."
 
 
 def test_what_happens_before_any_value_is_of_the_graphs_time() -> None:
