@@ -49,7 +49,7 @@ setup(
     license_files=["LICENSE"],
     python_requires=">=3.10",
     packages=find_packages(include=[NAME, f"{NAME}.*"]),
-    package_data={f"{NAME}.report": ["template.html"], f"{NAME}.watch": ["page/*"],
+    package_data={f"{NAME}.report": ["*.html"], f"{NAME}.watch": ["page/*"],
                   f"{NAME}.calibration": ["page.html"]},
     data_files=[
         ("share/ament_index/resource_index/packages", [f"resource/{NAME}"]),

@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import importlib.resources
 from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
-import jinja2
 import numpy as np
 
 from greenroof_ros.calibration.fit import FILLED, Fit
@@ -16,6 +14,7 @@ from greenroof_ros.common.versions import versions
 from greenroof_ros.model.site import site_parameters
 from greenroof_ros.report.drawing import Figure
 from greenroof_ros.report.page import library, payload
+from greenroof_ros.report.templates import environment
 
 
 class _ParameterRow(NamedTuple):
@@ -42,10 +41,6 @@ def render(
         spans: from when to when each part is.
         warning: what speaks against the fit; empty where nothing does.
     """
-    environment = jinja2.Environment(
-        autoescape=True, trim_blocks=True, lstrip_blocks=True, undefined=jinja2.StrictUndefined
-    )
-    text = importlib.resources.files(__package__).joinpath("page.html").read_text("utf-8")
     sites = {one.symbol: one for one in site_parameters()}
     parameters = [
         _ParameterRow(
@@ -59,7 +54,7 @@ def render(
         )
         for one in fit.parameters
     ]
-    return environment.from_string(text).render(
+    return environment(__package__).get_template("page.html").render(
         source=str(record.source), parameters=parameters, scores=scores, figures=figures,
         times=list(scores[0].scores.nse), time_name=time_name, shown=_shown, site_file=site_file,
         spans=spans, warning=warning, rain=f"{float(np.nansum(record.rain)):.4g}",

@@ -13,12 +13,13 @@ from numpy.typing import NDArray
 
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.parameter import Parameter
+from greenroof_ros.controllers.cistern_ahead import cistern_ahead
 from greenroof_ros.controllers.objective import MEAN_OF_ALL, NO_PRICES, Ensemble, Prices
 from greenroof_ros.controllers.protocol import solver_statistics
 from greenroof_ros.controllers.regret_limit import RegretLimit
 from greenroof_ros.controllers.roof_observer import RoofObserver
 from greenroof_ros.model.look_ahead import MOST_MEMBERS, growing_steps
-from greenroof_ros.model.plant import maximum_pump_flow
+from greenroof_ros.model.plant import maximum_pump_flow, maximum_pump_flows
 from greenroof_ros.model.site import Site
 from greenroof_ros.model.soil import free_changes, kept_share, water_stress
 
@@ -69,10 +70,14 @@ class Planner:
     plus the price of energy and of pump starts if there is one, or with squares in place of the
     absolute values. The rules on the third and fourth line are those of Eq. (3a): water is pumped
     at a time j only if it is missing then, which is more than anything pumped before. What is above
-    the cistern's outlet now is not counted on in the fourth line: it may be gone in minutes. What
-    is above a low outlet goes, too: of it counts what can be pumped before the next plan. The
+    the cistern's outlet now is not counted on in the fourth line: it may be gone in minutes. The
     minute is there because the last tick that pumps may end below the suction level: where a plan
     asks for no more than there is, that tick has too little of it, and once below, nothing works.
+
+    Where the cistern has a low outlet, what that takes has its part in the program: what is left
+    in each step (:class:`~greenroof_ros.controllers.cistern_ahead.CisternAhead`), how high it must
+    be lifted from there, which is what energy costs, and how much the pumps can lift. Without one
+    the lift is that from the outlet, and the flow that of now.
 
     With an ensemble of forecasts (``scenario_mpc``) each member has such a program; what is pumped
     until ``recourse`` is the same for all - one decision now - and each may be answered on its own
@@ -329,9 +334,6 @@ class Planner:
         collected = np.cumsum(rain * self._lengths, axis=1) * site.effective_catchment
         there = np.minimum(x1 + collected, site.a1 * site.z_o)
         full = maximum_pump_flow(site, x1)
-        if site.low_outlet_level is not None:
-            stays = site.cistern_volume(max(site.low_outlet_level, site.suction_level))
-            there = np.minimum(there, stays + self._longest * full)
         if site.mains_level is not None and site.mains_flow is not None:
             filled = site.cistern_volume(site.mains_level)
             given = site.mains_flow * self._edges[1:]
@@ -339,13 +341,18 @@ class Planner:
         slack = max(_LONGEST_PLAN_S, site.tau) * full
         above = np.maximum(there - site.a1 * site.suction_level + slack, 0.0)
         kept = self._kept(x2)
+        ahead, flows = None, np.full_like(rain, full)
+        if site.low_outlet_level is not None:
+            ahead = cistern_ahead(site, x1, rain, self._lengths, slack, kept)
+            flows = maximum_pump_flows(site, ahead.volume)
         self.solves += 1
         pumped = self._program.solve(
             (before[:, :-1] + before[:, 1:]) / 2,
             np.minimum(missing, kept * above),
-            kept * full,
+            kept * flows,
             kept * self._flow,
             self._moved_on(),
+            ahead,
         )
         if pumped is None:
             self.fallbacks += 1
@@ -357,10 +364,10 @@ class Planner:
             return
         self._pumped = np.hstack([start, pumped])
         self._age = self._off_plan = 0.0
-        flows = np.diff(self._pumped) / self._lengths / kept
+        planned = np.diff(self._pumped) / self._lengths / kept
         levels = np.maximum(before[:, 1:] + pumped + site.x2_star, 0.0) / site.a2
         self.plan = np.column_stack(
-            (self._edges[1:], flows.mean(axis=0), levels.mean(axis=0))
+            (self._edges[1:], planned.mean(axis=0), levels.mean(axis=0))
         )
 
     def _kept(self, x2: float) -> float:

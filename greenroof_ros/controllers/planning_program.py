@@ -10,6 +10,7 @@ import osqp
 import scipy.sparse
 from numpy.typing import NDArray
 
+from greenroof_ros.controllers.cistern_ahead import CisternAhead
 from greenroof_ros.controllers.objective import Ensemble, Prices
 from greenroof_ros.model.plant import JOULES_PER_KWH, WATER_DENSITY, maximum_pump_flow
 from greenroof_ros.model.site import Site
@@ -35,9 +36,9 @@ _SOLVER_SETTINGS = {
 _ENSEMBLE_SETTINGS = {
     "eps_abs": 1e-3, "eps_rel": 1e-3, "rho": 0.03, "adaptive_rho": 0, "polishing": False,
 }
-# Weights of the rows of what the pumps can do, of the volumes, and of the excess over the value at
-# risk; those of the least iterations.
-_CAPACITY, _VOLUME, _EXCESS = 5.0, 2.0, 8.0
+# Weights of the rows of what the pumps can do, of the volumes, of the excess over the value at
+# risk, and of the balance of a cistern with a low outlet; those of the least iterations.
+_CAPACITY, _VOLUME, _EXCESS, _BALANCE = 5.0, 2.0, 8.0, 8.0
 _USABLE = (osqp.SolverStatus.OSQP_SOLVED, osqp.SolverStatus.OSQP_SOLVED_INACCURATE)
 
 Array = NDArray[np.float64]
@@ -80,12 +81,14 @@ class PlanningProgram:
         """
         self.status = 0
         self.cost = math.nan
+        self._site = site
         self._max_command = max_command
         self._members = members
         self._lengths = np.diff(edges)
         # A step's deviation is scaled so that seconds and hours are alike to the solver.
         self._weights = self._lengths / self._lengths.mean()
         self._starts = prices.start > 0
+        self._drains = site.low_outlet_level is not None
         # A rise is scaled so that it costs as much as a deviation, or the solver takes ten times
         # the iterations, if it comes to an end.
         self._rise = max(1.0, prices.start / float(edges[-1]) * len(self._lengths))
@@ -100,9 +103,11 @@ class PlanningProgram:
         self._between = scipy.sparse.diags(
             [np.full(n, 0.5), np.full(n - 1, 0.5)], [0, -1], format="csc"
         )
-        rows = self._rows()
+        # Per m and m3 that is kept: more is lifted.
+        self._price = prices.energy / float(edges[-1]) * WATER_DENSITY * site.g / JOULES_PER_KWH
+        self._price /= kept_share(site, site.x2_star)
         hessian, linear = self._objective(site, power, prices, float(edges[-1]))
-        matrix = scipy.sparse.block_diag([rows] * members, format="csc")
+        self._cost = linear  # of a member
         cost = np.tile(linear, members) / members
         quadratic = [scipy.sparse.csc_matrix(hessian / members)] * members
         self._columns = len(linear)
@@ -111,8 +116,6 @@ class PlanningProgram:
         if self._risk:
             # CVaR = min over t of t + sum_m max(0, D_m - t) / ((1 - level) members), where D_m is
             # the mean deviation of a member (Rockafellar and Uryasev 2000).
-            deviations = np.tile(linear, members)
-            matrix = self._with_excess(matrix, deviations)
             cost = np.concatenate([
                 np.zeros_like(cost), [1.0],
                 np.full(members, 1 / ((1 - ensemble.level) * members)),
@@ -124,14 +127,18 @@ class PlanningProgram:
         spread = self._spread
         self._first = np.asarray(spread.argmax(axis=0)).ravel()
         zero = np.zeros((members, n))
-        lower, upper = self._bounds(zero, zero, self._full, 0.0)
+        ahead, matrix = None, self._matrix()
+        if self._drains:
+            ahead = CisternAhead(0.0, zero, zero + 1.0, zero[0], zero)
+            self._mark_shares(matrix, self._matrix(share=0.5))
+        lower, upper = self._bounds(zero, zero, self._full, 0.0, ahead)
         self._solver = osqp.OSQP()
         self._solver.setup(
             P=scipy.sparse.triu(
                 spread.T @ scipy.sparse.block_diag(quadratic) @ spread, format="csc"
             ),
             q=spread.T @ cost,
-            A=scipy.sparse.csc_matrix(matrix @ spread),
+            A=matrix,
             l=lower,
             u=upper,
             max_iter=max_iterations,
@@ -139,24 +146,37 @@ class PlanningProgram:
         )
 
     def solve(
-        self, mean: Array, most: Array, full: float, flow: float, guess: Array | None
+        self,
+        mean: Array,
+        most: Array,
+        full: float | Array,
+        flow: float,
+        guess: Array | None,
+        ahead: CisternAhead | None = None,
     ) -> Array | None:
         """Return the volumes pumped, and kept, until each step's end (m3), shape (members, n).
 
         Args:
             mean: of the roof's deviation in each step without pumping (m3), shape (members, n).
             most: upper bound of the volumes (m3), shape (members, n).
-            full: the pumps' flow at command 1 (m3/s), as far as the soil keeps it.
+            full: the pumps' flow at command 1 (m3/s), as far as the soil keeps it; in each step,
+                shape (members, n), or in all.
             flow: what is pumped now (m3/s), likewise.
             guess: of the answer.
+            ahead: the cistern, volumes likewise; None where it has no low outlet.
 
         Returns:
             None where the solver found none; ``status`` says why.
         """
-        lower, upper = self._bounds(mean, most, full, flow)
+        lower, upper = self._bounds(mean, most, full, flow, ahead)
         self._solver.update(l=lower, u=upper)
+        if ahead is not None:
+            shares = self._share_weights * ahead.share[self._share_steps]
+            self._solver.update(Ax=shares, Ax_idx=self._share_entries)
+            if self._price:
+                self._solver.update(q=self._linear(ahead))
         if guess is not None:
-            self._solver.warm_start(x=self._variables(guess, mean, flow)[self._first])
+            self._solver.warm_start(x=self._variables(guess, mean, flow, ahead)[self._first])
         result = self._solver.solve(raise_error=False)
         self.status = int(result.info.status_val)
         self.cost = math.nan
@@ -169,8 +189,28 @@ class PlanningProgram:
         # The solver ends within its tolerance of the constraints, on either side.
         return np.asarray(np.maximum.accumulate(np.clip(volumes, 0.0, most), axis=1))
 
-    def _rows(self) -> Matrix:
-        """Return the constraints of one member: on volumes, scaled deviations, and rises."""
+    def _matrix(self, share: float = 1.0) -> Matrix:
+        """Return the constraints; of a cistern with a low outlet if it leaves that share."""
+        blocks = [self._rows(share)] * self._members
+        matrix = scipy.sparse.block_diag(blocks, format="csc")
+        if self._risk:
+            matrix = self._with_excess(matrix, np.tile(self._cost, self._members))
+        matrix = scipy.sparse.csc_matrix(matrix @ self._spread)
+        matrix.sort_indices()
+        return matrix
+
+    def _mark_shares(self, whole: Matrix, half: Matrix) -> None:
+        """Find the entries that go with the share that a step's outlets leave, of 1 and of 1/2."""
+        entries = np.flatnonzero(whole.data != half.data)
+        n, rows = len(self._lengths), self._rows(1.0).shape[0]
+        member, row = np.divmod(whole.indices[entries], rows)
+        # A member's last rows but n are those with the shares.
+        self._share_entries = entries.astype(np.int32)
+        self._share_steps = member, row - (rows - 2 * n)
+        self._share_weights = whole.data[entries]
+
+    def _rows(self, share: float) -> Matrix:
+        """Return the constraints of one member: on volumes, scaled deviations, rises, surplus."""
         n = len(self._lengths)
         eye = scipy.sparse.identity(n, format="csc")
         none = scipy.sparse.csc_matrix((n, n))
@@ -184,6 +224,14 @@ class PlanningProgram:
             rows = [[*row, none] for row in rows] + [
                 [-self._rise * rise, none, eye], [none, none, eye]
             ]
+        if self._drains:
+            before = scipy.sparse.diags([np.ones(n - 1)], [-1])
+            between = [none] * (len(rows[0]) - 1)
+            rows = [[*row, none] for row in rows] + [
+                [_BALANCE * step, *between, _BALANCE * (eye - before)],
+                [_BALANCE * share * step, *between, _BALANCE * (eye - share * before)],
+                [none, *between, eye],
+            ]
         return scipy.sparse.bmat(rows, format="csc")
 
     def _step(self) -> Matrix:
@@ -195,9 +243,8 @@ class PlanningProgram:
     ) -> tuple[Matrix, Array]:
         """Return Hessian and linear part for one member, in the mean deviation's unit."""
         n = len(self._lengths)
-        # Per m and m3 that is kept: more is lifted.
         kept = kept_share(site, site.x2_star)
-        price = prices.energy / seconds * WATER_DENSITY * site.g / JOULES_PER_KWH / kept
+        price = self._price
         volume = np.zeros(n)
         volume[-1] = price * (site.d - site.z_o)
         # Friction goes with the cube of the flow; here with its square, exact at full flow.
@@ -213,7 +260,17 @@ class PlanningProgram:
         if self._starts:
             hessian.append(scipy.sparse.csc_matrix((n, n)))
             linear.append(np.full(n, prices.start / seconds / self._rise))
+        if self._drains:
+            hessian.append(scipy.sparse.csc_matrix((n, n)))
+            linear.append(np.zeros(n))
         return scipy.sparse.block_diag(hessian, format="csc"), np.concatenate(linear)
+
+    def _linear(self, ahead: CisternAhead) -> Array:
+        """Return the linear part, with what it costs to lift water from the level of each step."""
+        parts = np.tile(self._cost, (self._members, 1))
+        lift = self._site.d - ahead.volume / self._site.a1
+        parts[:, : len(self._lengths)] = self._price * (lift @ self._step())
+        return np.asarray(self._spread.T @ (parts.ravel() / self._members))
 
     def _shared(self) -> Matrix:
         """Return what copies the first member's common volumes to all members."""
@@ -244,28 +301,40 @@ class PlanningProgram:
             format="csc",
         )
 
-    def _bounds(self, mean: Array, most: Array, full: float, flow: float) -> tuple[Array, Array]:
+    def _bounds(
+        self, mean: Array, most: Array, full: float | Array, flow: float,
+        ahead: CisternAhead | None,
+    ) -> tuple[Array, Array]:
         """Return the bounds of all rows."""
         n = len(self._lengths)
         zero = np.zeros(n)
         # Where the pumps cannot lift, no bound on their commands makes them.
-        capacity = _CAPACITY * self._lengths * (full * self._max_command if full else 0.0)
+        flows = np.broadcast_to(full, mean.shape)
+        largest = np.multiply(flows, self._max_command, out=np.zeros_like(mean), where=flows > 0)
+        capacity = _CAPACITY * self._lengths * largest
         lower, upper = [], []
-        for free, bound in zip(self._weights * mean, _VOLUME * most, strict=True):
+        for member, free in enumerate(self._weights * mean):
             lower += [zero, -self._infinite, -free, zero]
-            upper += [capacity, -free, self._infinite, bound]
+            upper += [capacity[member], -free, self._infinite, _VOLUME * most[member]]
             if self._starts:
                 now = np.zeros(n)
                 now[0] = -self._rise * flow / self._full
                 lower += [now, zero]
                 upper += [self._infinite, self._infinite]
+            if ahead is not None:
+                added = _BALANCE * ahead.rain[member]
+                added[0] += _BALANCE * ahead.surplus
+                lower += [-self._infinite, -self._infinite, ahead.least]
+                upper += [added, ahead.share[member] * added, self._infinite]
         if self._risk:
             nothing, any_ = np.zeros(self._members), np.full(self._members, np.inf)
             lower += [-any_, nothing]
             upper += [nothing, any_]
         return np.concatenate(lower), np.concatenate(upper)
 
-    def _variables(self, volumes: Array, mean: Array, flow: float) -> Array:
+    def _variables(
+        self, volumes: Array, mean: Array, flow: float, ahead: CisternAhead | None = None
+    ) -> Array:
         """Return all variables at some volumes; the risk's start again."""
         deviation = self._weights * np.abs(mean + volumes @ self._between.T)
         parts = [volumes, deviation]
@@ -273,6 +342,8 @@ class PlanningProgram:
             flows = np.diff(volumes, prepend=0.0, axis=1) / self._lengths / self._full
             rises = np.maximum(np.diff(flows, prepend=flow / self._full, axis=1), 0.0)
             parts.append(self._rise * rises)
+        if ahead is not None:
+            parts.append(ahead.left(volumes))
         variables = np.hstack(parts).ravel()
         if self._risk:
             each = deviation.mean(axis=1)

@@ -11,7 +11,8 @@ Three balances are kept, each of water (m3) that the levels do not account for:
   water leaves and the pump stands: leak, stuck contactor. Rain only lets it fall, and what the
   outlet takes does not count, since the cistern counts up to the outlet only. While the level is
   above a low outlet, or unknown, what leaves beside must be more than that outlet takes, or it is
-  not seen; that a low outlet is clogged is no fault.
+  not seen: not before the level has fallen to where the outlet takes less. That a low outlet is
+  clogged is no fault.
 - *not from the cistern*: a share ``least_delivery`` of the pumped volume, less the fall of the
   cistern, less ``greatest_loss`` for a drifting sensor, and less what the mains may have let in
   while the reading was below the level of their valve, or unknown. It grows where a pump runs and

@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-import importlib.resources
 import json
 from collections.abc import Sequence
 from importlib import metadata
 from typing import Any, NamedTuple
 
-import jinja2
 import vl_convert
 from markupsafe import Markup
 
@@ -22,6 +20,7 @@ from greenroof_ros.report.results import Report, heading
 from greenroof_ros.report.seeds import place, spreads
 from greenroof_ros.report.settings import controller_name
 from greenroof_ros.report.tables import make_tables, shown_metrics, unit
+from greenroof_ros.report.templates import environment
 from greenroof_ros.report.warnings import make_warnings
 
 
@@ -36,12 +35,9 @@ def render(
         sources: where the results are from.
         assumptions: what the assessments rest on.
     """
-    environment = jinja2.Environment(
-        autoescape=True, trim_blocks=True, lstrip_blocks=True, undefined=jinja2.StrictUndefined
-    )
-    environment.filters["two_lines"] = _two_lines
-    text = importlib.resources.files(__package__).joinpath("template.html").read_text("utf-8")
-    return environment.from_string(text).render(
+    templates = environment(__package__)
+    templates.filters["two_lines"] = _two_lines
+    return templates.get_template("template.html").render(
         report=report,
         figures=figures,
         controllers=[controller_name(name) for name in report.controllers],

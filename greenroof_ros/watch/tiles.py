@@ -377,7 +377,7 @@ def summary(
         for count, name in ((alarms, "alarm"), (warnings, "warning")) if count
     ]
     none = "No alarms" if known else "Alarms are not known"
-    more = f" ({following} more follow{'s' if following == 1 else ''})" if following else ""
+    more = f" ({following} more caused by these)" if following else ""
     return {
         "word": f"{', '.join(counts) or none}{more}.", "sentence": " ".join(parts),
         "level": "warn" if attention and worst == "ok" else worst,

@@ -752,11 +752,14 @@ class Watched:
         with self._lock:
             now = self._now()
             site = self._site
-            marks: dict[str, Any] = dict.fromkeys(("target", "band", "suction", "outlet"))
+            marks: dict[str, Any] = dict.fromkeys(
+                ("target", "band", "suction", "low_outlet", "outlet")
+            )
             if site is not None:
                 marks = {
                     "target": site.z_veg, "band": tiles.band_of(site),
-                    "suction": site.suction_level, "outlet": site.z_o,
+                    "suction": site.suction_level, "low_outlet": site.low_outlet_level,
+                    "outlet": site.z_o,
                 }
             lines: dict[str, list[list[float]]] = {
                 name: [] for name in ("roof", "roof_expected", *list(LINES)[1:])

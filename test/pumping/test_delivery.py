@@ -139,6 +139,22 @@ def test_a_leak_beside_a_low_outlet_by_hand() -> None:
     assert not any(check.step(1.0, 2.0 - 0.0004 * k, 0.01, 0.0, 0.0) for k in range(1, 600))
 
 
+@pytest.mark.parametrize(
+    ("leak", "minutes"), [(0.0106, 2), (0.0053, 11), (0.003, 55), (0.001, 120)]
+)
+def test_a_leak_is_seen_when_the_low_outlet_takes_less(leak: float, minutes: float) -> None:
+    """From 2 m, where it takes 0.0053 m3/s: twice as much, as much, and less leaves beside it.
+
+    It takes as much as the leak at 1 m + (leak / 0.0053)^2, and nothing more at 1 m.
+    """
+    rig = Rig(50.0, 2.0, site=LOW_OUTLET, noise=NOISE)
+    rig.run(200, 0.0)
+    rig.leak = leak
+    assert time_to_fault(rig, 4 * 3600, 0.0) < 60 * minutes
+    assert "m3 by its low outlet: perhaps a leak" in rig.decisions[-1].why
+    assert 0.97 < rig.plant.x1 / LOW_OUTLET.a1 < 1 + (leak / 0.0053) ** 2
+
+
 def test_a_stuck_contactor_beside_a_low_outlet() -> None:
     """The pump takes 0.0084 m3/s, more than the low outlet: found, if later than 55 s."""
     rig = Rig(site=LOW_OUTLET, noise=NOISE)

@@ -9,7 +9,8 @@ import threading
 import time
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
-from itertools import pairwise
+from dataclasses import replace
+from itertools import combinations, pairwise
 from pathlib import Path
 from typing import Any
 
@@ -368,6 +369,34 @@ def test_zoom_pause_and_how_far_back(browser: Any) -> None:
         left, right = page.evaluate(seen)
         assert (right - left) / 3_600_000 == pytest.approx(6, abs=0.1)
         assert page.said == []
+
+
+def test_a_low_outlet_has_its_line_and_no_words_stand_on_others(browser: Any) -> None:
+    """In chart and tile, at a desk and on a phone: the words of three references."""
+    watched = site_watched()
+    with served(watched) as port:
+        watched.set_site(replace(
+            read_site(CONFIG / "site.yaml"), low_outlet_level=1.0, low_outlet_radius=0.02
+        ))
+        for width in (1400, 400):
+            with opened(browser, port, width) as page:
+                until_drawn(page)
+                marks = page.evaluate("charts.views.get('cistern').view.data('marks')")
+                assert [(one["text"], one["inside"]) for one in marks] == [
+                    ("suction level 750 mm", True), ("low outlet 1000 mm", True),
+                    ("outlet 3000 mm \u2191", False),
+                ]
+                shown = page.locator(".tile[data-key=cistern] .text")
+                words = [one.bounding_box() for one in shown.all()]
+                assert len(words) == 3
+                for one, other in combinations(words, 2):
+                    assert (
+                        one["x"] + one["width"] <= other["x"]
+                        or other["x"] + other["width"] <= one["x"]
+                        or one["y"] + one["height"] <= other["y"] + 1
+                        or other["y"] + other["height"] <= one["y"] + 1
+                    )
+                assert page.said == []
 
 
 def test_colours_are_the_reports() -> None:

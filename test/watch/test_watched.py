@@ -243,7 +243,8 @@ def test_alarms_and_warnings_are_counted_as_they_are_listed() -> None:
         Status(f"/pump: {part}", level, f"{part} is not well", "host 7")
         for part, level in parts.items()
     )])
-    assert shown(one)["tiles"]["summary"]["word"] == "2 alarms, 2 warnings (1 more follows)."
+    word = shown(one)["tiles"]["summary"]["word"]
+    assert word == "2 alarms, 2 warnings (1 more caused by these)."
 
 
 def test_what_happens_before_any_value_is_of_the_graphs_time() -> None:
@@ -807,7 +808,7 @@ def test_the_charts_have_the_values_of_the_ticks() -> None:
     assert (series["now"], series["to"]) == (START / 1e9 + 3599, START / 1e9 + 3599 + 43_200)
     assert series["marks"] == {
         "target": 0.0457, "band": pytest.approx([0.043415, 0.047985]), "suction": 0.75,
-        "outlet": 3.0,
+        "low_outlet": None, "outlet": 3.0,
     }
     assert series["display"]["roof"] == {
         "label": "Roof level", "unit": "mm", "factor": 1000, "decimals": 1,

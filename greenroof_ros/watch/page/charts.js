@@ -20,14 +20,14 @@ const CHARTS = [
     ],
   },
   {
-    key: "cistern", shown: "cistern", title: "Cistern level", height: 120, marks: ["suction", "outlet"],
+    key: "cistern", shown: "cistern", title: "Cistern level", height: 120, marks: ["suction", "low_outlet", "outlet"],
     lines: [{ name: "cistern", label: "measured", colour: "--cistern", range: true }],
   },
   {
     key: "pump", shown: "flow", title: "Pump", height: 140, zero: true,
     right: "command", rightColour: "--command",
     lines: [
-      { name: "flow", label: "flow", colour: "--flow", steps: true, range: true },
+      { name: "flow", label: "flow", colour: "--flow", steps: true, range: true, rangeLabel: "its range" },
       { name: "plan", label: "flow planned", colour: "--flow", steps: true, dash: [6, 4] },
       { name: "command", label: "command", colour: "--command", steps: true, right: true, dash: [2, 2] },
     ],
@@ -42,7 +42,7 @@ const CHARTS = [
     ],
   },
 ];
-const MARKS = { target: "target", suction: "suction level", outlet: "outlet" };
+const MARKS = { target: "target", suction: "suction level", low_outlet: "low outlet", outlet: "outlet" };
 
 const colour = (name) => getComputedStyle(document.documentElement).getPropertyValue(name).trim();
 const two = (number) => String(number).padStart(2, "0");
@@ -81,6 +81,23 @@ const swatch = (line) => {
   for (const [key, value] of Object.entries(set)) stroke.setAttribute(key, value);
   drawn.append(stroke);
   return drawn;
+};
+
+// Where the lines and words of some references stand on an axis, from the lowest on: beyond its ends in
+// one line together, and between two lines that are near to one another each word on its own side.
+const placed = (named, unit, low, high, height) => {
+  const beyond = (some, v, arrow) => some.length
+    ? [{ v, inside: false, above: v === high, text: `${some.map(({ text }) => text).join(", ")} ${unit} ${arrow}` }] : [];
+  const inside = named.filter(({ value }) => low <= value && value <= high);
+  const word = (16 / height) * (high - low);
+  return [
+    ...beyond(named.filter(({ value }) => value < low), low, "↓"),
+    ...inside.map(({ value, text }, i) => ({
+      v: value, inside: true, text: `${text} ${unit}`,
+      above: value > high - 0.1 * (high - low) || inside[i + 1]?.value - value < word,
+    })),
+    ...beyond(named.filter(({ value }) => value > high), high, "↑"),
+  ];
 };
 
 // Times of an axis: the day at midnight, else the time.
@@ -255,6 +272,7 @@ export class Charts {
       if (line.rangeLabel) {
         const range = element("span", "", line.rangeLabel);
         range.dataset.line = line.name;
+        range.dataset.range = "";
         range.prepend(swatch({ block: line.colour }));
         head.append(range);
       }
@@ -377,19 +395,19 @@ export class Charts {
       for (const [name, value] of Object.entries(set)) view.signal(name, value);
       for (const line of chart.lines) view.data(line.name, this.rows[line.name]);
       for (const entry of head.querySelectorAll("[data-line]")) {
-        const { line } = entry.dataset;
-        entry.hidden = line === "band" ? !band.length : !this.rows[line].length;
+        const { line, range } = entry.dataset;
+        const rows = this.rows[line];
+        entry.hidden = line === "band" ? !band.length
+          : range === undefined ? !rows.length : !rows.some((row) => row.high > row.low);
       }
       view.data("now", [{ t: now, end: Math.max(to, now) }]);
       if (chart.band) view.data("band", band.length ? [{ low: Math.max(low, band[0]), high: Math.min(high, band[1]) }] : []);
       if (chart.marks) {
-        view.data("marks", marks.map((name) => {
+        const named = marks.map((name) => {
           const value = known[name] * factor;
-          const inside = low <= value && value <= high;
-          const above = value > high;
-          const text = `${MARKS[name]} ${value.toFixed(decimals)} ${unit}${inside ? "" : above ? " ↑" : " ↓"}`;
-          return { v: inside ? value : above ? high : low, inside, above: above || value > high - 0.1 * (high - low), text };
-        }));
+          return { value, text: `${MARKS[name]} ${value.toFixed(decimals)}` };
+        });
+        view.data("marks", placed(named, unit, low, high, chart.height));
       }
     }
     await Promise.all([...this.views.values()].map(({ view }) => view.runAsync()));

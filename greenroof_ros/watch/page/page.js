@@ -120,8 +120,13 @@ const fillGauge = (gauge, one) => {
       track.append(band);
     }
     gauge.replaceChildren(track);
-    (one.marks ?? []).filter(({ at }) => Number.isFinite(at)).forEach(({ at, label }, i) => {
-      const side = i % 2 ? "above" : "below";
+    const marks = (one.marks ?? []).filter(({ at }) => Number.isFinite(at));
+    // The lowest of three stands in a second line, where its mark crosses no other words.
+    const sides = marks.length > 2 ? ["below second", "below", "above"] : ["below", "above"];
+    if (marks.length > 2) marks.sort((a, b) => a.at - b.at);
+    gauge.classList.toggle("three", marks.length > 2);
+    marks.forEach(({ at, label }, i) => {
+      const side = sides[i];
       const mark = element("div", `mark ${side}`);
       mark.style.left = percent(at);
       const text = element("div", `text ${side}`, label);
