@@ -222,7 +222,6 @@ def _fit(
         notes.append(of_sensor(dry_nights(seen, fitted.simulated.level)))
     if pump is not None:
         notes.append(of_pump(pump))
-    if pump is not None:
         fitted = fitted._replace(parameters=[*fitted.parameters, *pump.parameters])
     spans = {
         part: _span(record, steps)
@@ -332,6 +331,7 @@ class _Bar:
             TextColumn("{task.description}"), BarColumn(),
             TextColumn("{task.percentage:>3.0f} %"), TimeElapsedColumn(), console=console,
             transient=True, disable=not console.is_terminal,
+            refresh_per_second=2,  # a thread that takes its share of two cores
         )
         self._task = self._progress.add_task("", total=1.0)
 

@@ -97,6 +97,7 @@ def _filled(record: Record, days: NDArray[np.datetime64], values: Values) -> Val
         worst = int(np.argmax(nearest > _LONGEST_GAP))
         raise ConfigurationError(
             f"has no temperature within {_LONGEST_GAP} days of {days[worst]}, from which "
-            "evapotranspiration is computed", file=record.source,
+            "evapotranspiration is computed; add a row of each day without, its temperatures in it "
+            "and the other cells empty", file=record.source,
         )
     return np.interp(number, number[known], values[known])

@@ -145,7 +145,8 @@ def fitted(tmp_path_factory: pytest.TempPathFactory) -> Path:
     # On the curve 50 - 1e6 q^2.
     (directory / "pump.csv").write_text("flow [m3/s],head [m]\n0,50\n0.002,46\n0.004,34\n")
     ended = calibrate(
-        directory, "twin.csv", "--site", "site.yaml", "-o", "fitted.yaml", "--pump-data", "pump.csv"
+        directory, "twin.csv", "--site", "site.yaml", "-o", "fitted.yaml", "--pump-data",
+        "pump.csv", "--months", "4-6",
     )
     assert ended.returncode == 0, ended.stderr
     assert "runoff, validation" in ended.stdout
@@ -168,7 +169,7 @@ def test_the_command_writes_a_site_that_can_be_used(fitted: Path) -> None:
     assert text.startswith("# Fitted to twin.csv by python -m greenroof_ros.calibrate.\n")
     assert "# runoff, validation: NSE " in text
     top = " ".join(line[2:] for line in text.split("\n\n")[0].splitlines())
-    for note in ("data sheet: a_hat ", "level sensor: noise ", "pumps: 5"):
+    for note in ("data sheet: a_hat ", "months: 4-6 are", "level sensor: noise ", "pumps: 5"):
         assert note in top
     assert site.a_hat == pytest.approx(-1e6, rel=1e-5)
     lines = {line.split(":")[0]: line for line in text.splitlines()}
@@ -286,6 +287,13 @@ def test_a_data_sheet_in_no_unit_at_all_is_refused(tmp_path: Path) -> None:
     assert "nothing is written: a_hat = -4.1e+17: must be from" in ended.stderr
 
 
+def test_months_that_are_none_are_refused_before_the_record_is_read(tmp_path: Path) -> None:
+    ended = calibrate(tmp_path, "none.csv", "-o", "fitted.yaml", "--months", "April")
+    assert ended.returncode == 2
+    assert ended.stderr.startswith("error: --months = 'April': must be the first and the last")
+    assert ended.stderr.count("\n") == 1
+
+
 def test_something_must_be_given(tmp_path: Path) -> None:
     ended = calibrate(tmp_path, "-o", "fitted.yaml")
     assert ended.returncode == 2
@@ -312,6 +320,8 @@ def test_the_page_draws_everything_and_asks_for_nothing(fitted: Path) -> None:
         assert "field_capacity" in words
         assert "Measured and simulated" not in words  # titles are drawn
         notes = page.locator("#notes li").all_inner_texts()
-        assert [note.split(":")[0] for note in notes] == ["data sheet", "level sensor", "pumps"]
+        assert [note.split(":")[0] for note in notes] == [
+            "data sheet", "months", "level sensor", "pumps"
+        ]
         assert "The crop_coefficient counts where evapotranspiration is computed" in words
         assert page.locator("canvas").count() == 8
