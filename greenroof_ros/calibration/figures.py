@@ -186,7 +186,7 @@ def _scatter(
     scale = alt.Scale(domain=[low, high], nice=True)
     line = alt.Chart(alt.InlineData([{"v": low}, {"v": high}])).mark_line(
         color="#888888", strokeWidth=1
-    ).encode(x="v:Q", y="v:Q")
+    ).encode(x=alt.X("v:Q", scale=scale), y=alt.Y("v:Q", scale=scale))
     points = alt.Chart(alt.NamedData(f"{name}-{part}")).mark_point(
         size=14, filled=True, opacity=0.5, color=COLOURS[part == VALIDATED]
     ).encode(

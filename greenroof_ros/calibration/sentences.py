@@ -21,7 +21,10 @@ def of_sheet(sheet: PumpCurve) -> str:
 def of_sensor(sensor: LevelSensor | None) -> str:
     """Say what the dry nights tell about the level sensor."""
     if sensor is None:
-        return "level sensor: fewer than five dry nights, so nothing is said of its noise and drift"
+        return (
+            "level sensor: fewer than five dry nights are seen in the record, so nothing is said "
+            "of its noise and drift"
+        )
     drift, half = (30 * 1000 * value for value in (sensor.drift, sensor.half))
     text = (
         f"level sensor: noise {1000 * sensor.noise:.2g} mm and drift {drift:+.2g} mm a month, "
