@@ -12,17 +12,19 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 from rich.console import Console
-from rich.progress import Progress, TextColumn, TimeElapsedColumn
+from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 from rich.table import Table
 
 from greenroof_ros.calibration.bag_record import read_bag_record
 from greenroof_ros.calibration.csv_record import read_csv_record
-from greenroof_ros.calibration.dry_nights import LevelSensor, dry_nights
+from greenroof_ros.calibration.dry_nights import dry_nights
 from greenroof_ros.calibration.fit import Fit, fit, measured_roof
 from greenroof_ros.calibration.halves import Halves, halve
-from greenroof_ros.calibration.pump import PumpFit, fit_pump
+from greenroof_ros.calibration.months import Months
+from greenroof_ros.calibration.pump import fit_pump
 from greenroof_ros.calibration.record import Record
 from greenroof_ros.calibration.scores import ScoreRow, Scores, score, time_name
+from greenroof_ros.calibration.sentences import of_months, of_pump, of_sensor, of_sheet
 from greenroof_ros.calibration.site_file import (
     CROP_NOTE,
     INTERVAL_NOTE,
@@ -47,7 +49,7 @@ is fitted, the second judges the fit. Where the record has the pumps' state and 
 the pump curve is fitted first, to how fast the cistern falls.
 """
 _EPILOG = """\
-MEASURED is a bag of this project, or CSV: a row a step, at most an hour apart, and columns named
+MEASURED is a bag of this project, or CSV: a row a step, at most a day apart, and columns named
 like these, in which empty cells and missing rows are gaps:
 
   time, rain [mm], runoff [mm], level [m], temperature [degC]
@@ -59,11 +61,14 @@ like these, in which empty cells and missing rows are gaps:
   reference evapotranspiration mm, mm/h, mm/day; or instead of it
   temperature                  degC; or least temperature and greatest temperature of the day
 
+The model knows no snow: where winters were recorded, say which months count, as in --months 4-10.
+
 Written are the site file, and a page beside it with its name and .html. With --pump-data and no
 MEASURED the site file alone, with the pumps of the data sheet.
 
 examples:
   python -m greenroof_ros.calibrate roof_2025.csv --site my_site.yaml -o fitted_site.yaml
+  python -m greenroof_ros.calibrate roof_2024_2025.csv --months 4-10 -o fitted_site.yaml
   python -m greenroof_ros.calibrate --pump-data sheet.csv --site my_site.yaml -o fitted_site.yaml
   python -m greenroof_ros.simulate --site fitted_site.yaml
 
@@ -94,6 +99,11 @@ def _parser() -> argparse.ArgumentParser:
         help="points of the pumps' data sheet, to fit their curve to: lines of "
         "'flow [m3/s],head [m]'",
     )
+    parser.add_argument(
+        "--months", metavar="FIRST-LAST",
+        help="months of the record that are fitted and judged, such as 4-10, or 11-3 over new "
+        "year; the others are simulated only (default: all)",
+    )
     return parser
 
 
@@ -106,25 +116,33 @@ def main() -> int:
     _check_output(output, page_file)
     if arguments.measured is None and arguments.pump_data is None:
         raise ConfigurationError("must be given, or --pump-data alone", key="MEASURED")
+    months = None if arguments.months is None else Months(arguments.months)
     site_file: Path = arguments.site or shared_directory() / "config" / "site.yaml"
     site = read_site(site_file)
     refuse_other_forms(site_file)
     text = read_text(site_file)
     sheet = None
+    notes = []
     if arguments.pump_data is not None:
         source = arguments.pump_data.name
         sheet = _read_sheet(arguments.pump_data, site)
+        notes.append(of_sheet(sheet))
         site = replace(site, a_hat=sheet.a_hat, c_hat=sheet.c_hat)
         heading = [f"Pumps fitted to {source} by python -m greenroof_ros.calibrate."]
         pumps_text = pump_site_file(text, sheet, heading)
         refuse_unlike(pumps_text, site, site_file)
     if arguments.measured is not None:
-        fitted, fitted_text, page_text = _fit(arguments.measured, measured_roof(site), sheet, text)
+        if months is not None:
+            notes.append(of_months(months))
+        fitted, fitted_text, page_text = _fit(
+            arguments.measured, months, measured_roof(site), sheet, text, notes
+        )
         refuse_unlike(fitted_text, fitted.site, site_file)
         page_file.write_text(page_text, encoding="utf-8")
         output.write_text(fitted_text, encoding="utf-8")
         written = f"{output}, {page_file}"
     else:
+        _print_notes(notes)
         output.write_text(pumps_text, encoding="utf-8")
         written = str(output)
     Console().print(f"written: {written}", soft_wrap=True, highlight=False)
@@ -148,7 +166,7 @@ def _check_output(output: Path, page_file: Path) -> None:
 
 
 def _read_sheet(file: Path, site: Site) -> PumpCurve:
-    """Return the pump curve of a data sheet, and print it."""
+    """Return the pump curve of a data sheet."""
     try:
         from greenroof_ros.report.pump_figures import read_pump_data
     except ModuleNotFoundError as error:
@@ -161,9 +179,6 @@ def _read_sheet(file: Path, site: Site) -> PumpCurve:
             f"{site.d - site.suction_level:g} m of the site, or the pumps never lift water to the "
             "roof (Eq. 3e)", file=file,
         )
-    Console().print(
-        f"data sheet: a_hat {sheet.a_hat:.6g} s2/m5, c_hat {sheet.c_hat:.6g} m", highlight=False
-    )
     return sheet
 
 
@@ -172,29 +187,41 @@ def _missing(error: ModuleNotFoundError) -> ConfigurationError:
 
 
 def _fit(
-    measured: Path, site: Site, sheet: PumpCurve | None, text: str
+    measured: Path, months: Months | None, site: Site, sheet: PumpCurve | None, text: str,
+    notes: Sequence[str],
 ) -> tuple[Fit, str, str]:
-    """Fit a record, print what was found, and return it with the texts of site file and page."""
+    """Fit a record, print what was found, and return it with the texts of site file and page.
+
+    Args:
+        measured: the record.
+        months: of it that count; None for all.
+        site: where the fit begins.
+        sheet: what was fitted to the pumps' data sheet before.
+        text: of the site file.
+        notes: what is to be said of the fit already.
+    """
     try:
         from greenroof_ros.calibration import figures, page
     except ModuleNotFoundError as error:
         raise _missing(error) from error
     read = read_bag_record if measured.is_dir() else read_csv_record
     record = read(measured, site)
-    pump = fit_pump(site, record)
+    counted = np.full(record.steps, True) if months is None else months.steps(record)
+    pump = fit_pump(site, record.only(counted))
     if pump is not None:
         site = pump.site
         record = read(measured, site)  # the pumps' state is now another flow
-    refuse_wrong(record, site)
-    halves = halve(record, comparable(record))
+    seen = record.only(counted)
+    refuse_wrong(seen, site)
+    halves = halve(record, comparable(record) & counted)
     _refuse_dry(record, halves)
-    with Progress(
-        TextColumn("{task.description}"), TextColumn("{task.completed} simulations"),
-        TimeElapsedColumn(), console=Console(stderr=True), transient=True,
-    ) as progress:
-        task = progress.add_task("fitting", total=None)
-        fitted = fit(site, record, halves.earlier, lambda: progress.advance(task))
+    with _Bar() as bar:
+        fitted = fit(site, record, halves.earlier, bar.tell)
+    notes = [*notes]
+    if record.level is not None:
+        notes.append(of_sensor(dry_nights(seen, fitted.simulated.level)))
     if pump is not None:
+        notes.append(of_pump(pump))
         fitted = fitted._replace(parameters=[*fitted.parameters, *pump.parameters])
     spans = {
         part: _span(record, steps)
@@ -207,17 +234,17 @@ def _fit(
     ]
     refuse_hopeless(record, rows)
     wrong = warning(rows)
-    heading = [*_heading(record, spans, rows), *textwrap.wrap(wrong, 98)]
+    heading = [
+        line for one in (*_heading(record, spans, rows), *notes, wrong)
+        for line in textwrap.wrap(one, 98)
+    ]
     fitted_text = fitted_site_file(text, fitted, heading, sheet)
     page_text = page.render(
-        record, fitted, rows, figures.make_figures(record, halves, fitted), fitted_text, spans,
-        wrong,
+        seen, fitted, rows, figures.make_figures(record, halves, fitted), fitted_text, spans,
+        notes, wrong,
     )
     _print(fitted, rows)
-    if record.level is not None:
-        _print_sensor(dry_nights(record, fitted.simulated.level))
-    if pump is not None:
-        _print_pump(pump)
+    _print_notes(notes)
     if wrong:
         Console().print(wrong, style="bold", soft_wrap=True, highlight=False)
     return fitted, fitted_text, page_text
@@ -289,28 +316,35 @@ def _print(fitted: Fit, rows: Sequence[ScoreRow]) -> None:
     console.print(scores)
 
 
-def _print_sensor(sensor: LevelSensor | None) -> None:
-    """Say what the dry nights tell about the level sensor."""
-    if sensor is None:
-        text = "fewer than five dry nights, so nothing is said of its noise and drift"
-    else:
-        drift, half = (30 * 1000 * value for value in (sensor.drift, sensor.half))
-        text = (
-            f"noise {1000 * sensor.noise:.2g} mm and drift {drift:+.2g} mm a month, {half:.2g} mm "
-            f"either way (95 %), in {sensor.nights} dry nights"
+def _print_notes(notes: Sequence[str]) -> None:
+    """Print what was found beside the roof's parameters."""
+    for note in notes:
+        Console().print(note, soft_wrap=True, highlight=False)
+
+
+class _Bar:
+    """The bar of a fit on standard error, where that is a terminal."""
+
+    def __init__(self) -> None:
+        console = Console(stderr=True)
+        self._progress = Progress(
+            TextColumn("{task.description}"), BarColumn(),
+            TextColumn("{task.percentage:>3.0f} %"), TimeElapsedColumn(), console=console,
+            transient=True, disable=not console.is_terminal,
+            refresh_per_second=2,  # a thread that takes its share of two cores
         )
-        if abs(drift) <= half:
-            text += ": no drift that can be told"
-    Console().print(f"level sensor: {text}", soft_wrap=True, highlight=False)
+        self._task = self._progress.add_task("", total=1.0)
 
+    def __enter__(self) -> _Bar:
+        self._progress.start()
+        return self
 
-def _print_pump(pump: PumpFit) -> None:
-    """Say what the cistern's fall tells about the pumps."""
-    Console().print(
-        f"pumps: {1000 * pump.flow:.3g} l/s at full command, {1000 * pump.half:.2g} l/s either way "
-        f"(95 %), with {pump.level:.2f} m in the cistern; from {pump.runs} runs without rain",
-        soft_wrap=True, highlight=False,
-    )
+    def __exit__(self, *_: object) -> None:
+        self._progress.stop()
+
+    def tell(self, text: str, share: float) -> None:
+        """Show how far it is: see :data:`greenroof_ros.calibration.stages.Tell`."""
+        self._progress.update(self._task, description=text, completed=share)
 
 
 if __name__ == "__main__":

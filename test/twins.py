@@ -107,6 +107,22 @@ def record_rows(
     return rows
 
 
+def summed(rows: list[list[str]], hours: int) -> list[list[str]]:
+    """Return the rows that a logger of longer steps would write, the header first.
+
+    Rain and runoff are sums, the level that of the step's beginning, and each row has the
+    temperatures of its day; a gap in any part is one of the whole.
+    """
+    count = hours * 3600 // STEP_S
+    result = [rows[0]]
+    for at in range(1, len(rows) - count + 1, count):
+        part, day = rows[at:at + count], rows[1 + (at - 1) // _DAY * _DAY]
+        sums = ["" if any(not row[column] for row in part)
+                else f"{sum(float(row[column]) for row in part):.4f}" for column in (1, 2)]
+        result.append([part[0][0], *sums, part[0][3], *day[4:6]])
+    return result
+
+
 def write(rows: list[list[str]], file: Path) -> Path:
     """Write rows as CSV."""
     with file.open("w", newline="", encoding="utf-8") as stream:

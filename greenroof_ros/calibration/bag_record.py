@@ -9,8 +9,11 @@ import numpy as np
 
 from greenroof_ros.calibration.record import Record, Values
 from greenroof_ros.common.errors import ConfigurationError
-from greenroof_ros.model.site import Site
+from greenroof_ros.model.site import Site, read_site
 from greenroof_ros.recording.bag_reader import load_bag
+from greenroof_ros.report.about import read_about
+from greenroof_ros.report.bags import run_directory
+from greenroof_ros.weather.evapotranspiration import FAO56
 
 # Of the steps that a bag is divided into: short beside a storm, long beside a sensor's noise.
 _STEP_S = 300.0
@@ -23,6 +26,12 @@ def read_bag_record(bag: Path, site: Site) -> Record:
 
     Rain, evapotranspiration and what was pumped are summed over each; ``/roof/level`` is that at
     its beginning. Where ``/roof/drainage`` is not recorded, or nothing drained, only levels count.
+
+    Evapotranspiration that the run computed (``fao56``, as it wrote beside its bag) is divided by
+    the crop coefficient of the run's site, which is in it. It is not in a weather file's own
+    column, nor in the forecasts of a live site: where nothing says that it was computed it is taken
+    as it is.
+
     What the pumps were told counts while they deliver, in steps in which it is never above 1, which
     is beyond a real pump. Steps in a gap have no values but evapotranspiration, since a roof dries
     through gaps, too: that of a day before, or in the first day that before the gap.
@@ -54,7 +63,11 @@ def read_bag_record(bag: Path, site: Site) -> Record:
 
     mm = 1000 / site.a2
     first = np.searchsorted(seen.time, edges[:-1], side="right") - 1
-    reference = summed(seen.evapotranspiration) * mm / site.crop_coefficient
+    reference = summed(seen.evapotranspiration) * mm
+    run = run_directory(bag)
+    if read_about(run).method == FAO56:
+        own = run / "configuration" / "site.yaml"
+        reference /= (read_site(own) if own.is_file() else site).crop_coefficient
     if not np.any(reference > 0):
         raise ConfigurationError(
             "is not in the bag, or 0 throughout: it must be there, or nothing of how the roof "

@@ -11,18 +11,21 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from greenroof_ros.calibration.daily import reference_from_temperatures
 from greenroof_ros.calibration.record import Record, Values
+from greenroof_ros.calibration.row_steps import (
+    Slots,
+    means_of_steps,
+    steps_of_rows,
+    sums_of_steps,
+)
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.files import read_text
 from greenroof_ros.common.times import parse_time
 from greenroof_ros.model.plant import maximum_pump_flow
 from greenroof_ros.model.site import Site
 from greenroof_ros.weather.table import Row, Table, numbered_lines
-
-Slots = NDArray[np.int64]
 
 TIME = "time"
 _SECONDS = {"s": 1.0, "min": 60.0, "h": 3600.0, "day": 86400.0}
@@ -46,9 +49,6 @@ _AMOUNTS = {
     "pumped": ("mm", "l", "l/s", "m3/h", "m3/s"),
     "reference evapotranspiration": ("mm", "mm/h", "mm/day"),
 }
-# Time steps may be this much off (share of a step), and this long: a roof drains within the hour.
-_LOOSENESS = 0.1
-_LONGEST_STEP_S = 3600.0
 _FEWEST_ROWS = 100
 # So far a level sensor's zero may be off, or its noise go.
 _ZERO_OFF_M = 0.1
@@ -61,6 +61,8 @@ class _Column(NamedTuple):
     factor: float
     """to mm in a step, m, 1 or degC; of a rate to mm/s"""
     rate: bool
+    amount: bool
+    """of its row, so that those of two rows add up"""
 
 
 def read_csv_record(file: Path, site: Site) -> Record:
@@ -70,8 +72,9 @@ def read_csv_record(file: Path, site: Site) -> Record:
     no offset. Others are named like ``rain [mm]``: quantity and unit. Each row is of the step that
     begins at its time; levels are those of that moment. An amount without ``/`` is that of its
     step; ``mm`` are over the roof, ``l`` and ``m3`` those of the whole roof of ``a2``. Rows are a
-    regular step apart, of at most an hour. Missing rows and empty cells are gaps. Lines that begin
-    with ``#`` are comments.
+    regular step apart, of at most a day; where a clock was set, each is of the step that begins
+    nearest to its time, amounts of two rows of one step add up, and all else of them is averaged.
+    Missing rows and empty cells are gaps. Lines that begin with ``#`` are comments.
 
     ``rain`` must be there, ``level`` or ``runoff``, and ``reference evapotranspiration``, which has
     no gaps, or temperatures: ``temperature``, or the day's ``least temperature`` and ``greatest
@@ -97,12 +100,12 @@ def read_csv_record(file: Path, site: Site) -> Record:
         raise ConfigurationError(
             f"has {len(times)} rows; a record must have {_FEWEST_ROWS} at least", file=file
         )
-    slots, step_s = _slots(file, times, rows)
+    slots, step_s = steps_of_rows(file, TIME, times, rows)
     series = {}
     last_decimal = 0.0
     for quantity, column in columns.items():
-        values = np.full(slots[-1] + 1, np.nan)
-        values[slots] = np.array(cells[quantity])
+        together = sums_of_steps if column.amount else means_of_steps
+        values = together(np.array(cells[quantity]), slots)
         factor = column.factor * (step_s if column.rate else 1.0)
         series[quantity] = values * factor
         if quantity == "runoff":
@@ -143,7 +146,7 @@ def _columns(table: Table, site: Site) -> dict[str, _Column]:
         if quantity in _PLAIN:
             if unit not in _PLAIN[quantity]:
                 raise _unit_error(table, name, quantity, _PLAIN[quantity])
-            columns[quantity] = _Column(name, _PLAIN[quantity][unit], False)
+            columns[quantity] = _Column(name, _PLAIN[quantity][unit], False, False)
         elif quantity in _AMOUNTS:
             rate = _RATE.fullmatch(unit)
             depth_only = "l" not in _AMOUNTS[quantity]
@@ -152,7 +155,8 @@ def _columns(table: Table, site: Site) -> dict[str, _Column]:
             factor = {"mm": 1.0, "l": 1 / site.a2, "m3": 1000 / site.a2}[rate["amount"]]
             if rate["time"]:
                 factor /= _SECONDS[rate["time"]] * int(rate["count"] or 1)
-            columns[quantity] = _Column(name, factor, rate["time"] is not None)
+            is_rate = rate["time"] is not None
+            columns[quantity] = _Column(name, factor, is_rate, not is_rate)
         else:
             raise table.refuse(
                 f"is not a known column; they are {', '.join((*_AMOUNTS, *_PLAIN))}, each with "
@@ -219,29 +223,6 @@ def _number(row: Row, column: str) -> float:
     if not math.isfinite(value):
         raise row.refuse("must be a number, or empty where there is none", column)
     return value
-
-
-def _slots(
-    file: Path, times: list[datetime], lines: list[int]
-) -> tuple[Slots, float]:
-    """Return the step that each row is of, counted from the first, and its duration (s)."""
-    spacing = np.diff([time.timestamp() for time in times])
-    step_s = float(np.median(spacing))
-    if not 0 < step_s <= _LONGEST_STEP_S:
-        raise ConfigurationError(
-            f"the rows are {step_s:g} s apart; they must be an hour apart at most, each later than "
-            "the one before", file=file, line=lines[1], key=TIME, value=times[1].isoformat(),
-        )
-    counts = np.round(spacing / step_s)
-    wrong = np.flatnonzero((counts < 1) | (np.abs(spacing / step_s - counts) > _LOOSENESS))
-    if len(wrong):
-        row = int(wrong[0]) + 1
-        raise ConfigurationError(
-            f"must be {step_s:g} s after the row before, or a whole number of such steps, not "
-            f"{spacing[row - 1]:g} s", file=file, line=lines[row], key=TIME,
-            value=times[row].isoformat(),
-        )
-    return np.concatenate(([0], np.cumsum(counts))).astype(np.int64), step_s
 
 
 def _last_decimal(values: Values) -> float:

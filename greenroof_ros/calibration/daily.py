@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from greenroof_ros.calibration.record import Record, Values
+from greenroof_ros.calibration.scores import time_name
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.model.site import Site
 from greenroof_ros.weather.hargreaves import hargreaves, over_the_day
@@ -13,6 +14,9 @@ from greenroof_ros.weather.hargreaves import hargreaves, over_the_day
 _DAY_S = 86400
 # Of a day, so that its extremes are among them; and days without that take those beside them (d).
 _ENOUGH = 0.75
+# Temperatures further apart (s) miss a day's extremes: those three hours apart see 0.92 of a sine's
+# range at least, those six hours apart 0.71.
+_LONGEST_STEP_S = 3 * 3600
 _LONGEST_GAP = 3
 
 
@@ -31,7 +35,8 @@ def reference_from_temperatures(
             their day (degC).
 
     Raises:
-        ConfigurationError: the site has no place, or more days in a row have no temperature.
+        ConfigurationError: the site has no place, temperatures are too far apart to show a day's
+            extremes, or more days in a row have none.
     """
     if site.latitude is None or site.longitude is None:
         raise ConfigurationError(
@@ -44,6 +49,13 @@ def reference_from_temperatures(
     dates, day = np.unique(seconds // _DAY_S, return_inverse=True)
     days = dates.astype("datetime64[D]")
     if "temperature" in series:
+        if record.step_s > _LONGEST_STEP_S:
+            raise ConfigurationError(
+                f"its rows are {time_name(round(record.step_s))} apart, and show a day's extremes "
+                "where they are three hours apart at most; write columns 'least temperature "
+                "[degC]' and 'greatest temperature [degC]' instead", file=record.source,
+                key="temperature",
+            )
         enough = _ENOUGH * _DAY_S / record.step_s
         least, greatest = _extremes(series["temperature"], day, len(days), enough)
     else:
@@ -85,6 +97,7 @@ def _filled(record: Record, days: NDArray[np.datetime64], values: Values) -> Val
         worst = int(np.argmax(nearest > _LONGEST_GAP))
         raise ConfigurationError(
             f"has no temperature within {_LONGEST_GAP} days of {days[worst]}, from which "
-            "evapotranspiration is computed", file=record.source,
+            "evapotranspiration is computed; add a row of each day without, its temperatures in it "
+            "and the other cells empty", file=record.source,
         )
     return np.interp(number, number[known], values[known])

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import NamedTuple
 
 import numpy as np
@@ -46,11 +47,12 @@ def dry_nights(record: Record, simulated: Values) -> LevelSensor | None:
     """
     assert record.level is not None
     water = np.nan_to_num(record.rain) + np.nan_to_num(record.pumped) > 0
-    recent = np.convolve(water, np.ones(round(_DRY_S / record.step_s)), "full")[:record.steps] > 0
+    since = np.ones(math.ceil(_DRY_S / record.step_s))
+    recent = np.convolve(water, since, "full")[:record.steps] > 0
     still = ~recent & (record.reference == 0) & ~np.isnan(record.level)
     times, errors, variances = [], [], []
     for low, high in gaps(still):
-        if (high - low) * record.step_s >= _SHORTEST_NIGHT_S:
+        if high - low > 1 and (high - low) * record.step_s >= _SHORTEST_NIGHT_S:
             times.append((low + high) / 2 * record.step_s / _DAY_S)
             errors.append(float(np.mean(record.level[low:high] - simulated[low:high])))
             variances.append(float(np.var(record.level[low:high], ddof=1)))

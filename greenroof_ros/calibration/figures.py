@@ -11,13 +11,13 @@ from numpy.typing import NDArray
 from greenroof_ros.calibration.fit import Fit
 from greenroof_ros.calibration.halves import Halves
 from greenroof_ros.calibration.record import TOGETHER, Record, Values
+from greenroof_ros.calibration.scores import DAY_S, HOUR_S, time_name
 from greenroof_ros.report.drawing import COLOURS, Figure, Panel, Rows, distinct, hover_points, short
 
-_HOUR_S, _DAY_S = 3600, 86400
 MEASURED, SIMULATED = "measured", "simulated"
 FITTED, VALIDATED = "fit", "validation"
-# Hours in which neither is this share of the largest are left out of a scatter: there are thousands
-# of them, all in one corner.
+# Points of which neither value is this share of the largest are left out of a scatter: there are
+# thousands of them, all in one corner.
 _SEEN = 0.01
 
 
@@ -26,16 +26,19 @@ class _Quantity(NamedTuple):
 
     name: str
     title: str
-    per_day: str
-    per_hour: str
     total: bool
     """whether its steps add up, and its axis begins at 0; otherwise their mean counts"""
     factor: float
 
+    def axis(self, over_s: int) -> str:
+        """Return what an axis of its sums or means over a time (s) is called."""
+        per = f"/{time_name(over_s).removeprefix('1 ')}" if self.total else ""
+        return f"{self.name} (mm{per})"
+
 
 _QUANTITIES = (
-    _Quantity("runoff", "Runoff", "runoff (mm/day)", "runoff (mm/h)", True, 1.0),
-    _Quantity("level", "Level on the roof", "level (mm)", "level (mm)", False, 1000.0),
+    _Quantity("runoff", "Runoff", True, 1.0),
+    _Quantity("level", "Level on the roof", False, 1000.0),
 )
 
 
@@ -55,11 +58,12 @@ def _figure(
 ) -> Figure:
     parts = {FITTED: halves.earlier, VALIDATED: halves.later}
     days = {
-        part: _sums(quantity, record, steps, measured, simulated, _DAY_S)
+        part: _sums(quantity, record, steps, measured, simulated, DAY_S)
         for part, steps in parts.items()
     }
-    hours = {
-        part: _sums(quantity, record, steps, measured, simulated, _HOUR_S)
+    over_s = max(HOUR_S, round(record.step_s))
+    pairs = {
+        part: _sums(quantity, record, steps, measured, simulated, over_s)
         for part, steps in parts.items()
     }
     name = f"calibration-{quantity.name}"
@@ -67,19 +71,20 @@ def _figure(
     caption = (
         f"Above: {'sums' if quantity.total else 'means'} of days, and what is simulated too much "
         "of them. The dashed line parts fit and validation; what was not measured is left out. "
-        "Below: hour against hour; a perfect fit lies on the line."
+        f"Below: simulated over measured, each point of {time_name(over_s)}; a perfect fit lies on "
+        "the line."
     )
     return Figure(
         name, quantity.title, caption,
         (
             _over_time(quantity, name, boundary), _residuals(quantity, name, boundary),
-            *(_scatter(quantity, name, part, hours) for part in parts),
+            *(_scatter(quantity, name, part, pairs, over_s) for part in parts),
         ),
         2,
         {
             f"{name}-days": _series(days),
             f"{name}-residuals": _errors(days),
-            **{f"{name}-{part}": _points(hours[part]) for part in parts},
+            **{f"{name}-{part}": _points(pairs[part]) for part in parts},
         },
     )
 
@@ -120,13 +125,13 @@ def _errors(days: dict[str, _Sums]) -> Rows:
     ]
 
 
-def _points(hours: _Sums) -> Rows:
-    largest = max(float(np.max(hours.measured, initial=0.0)),
-                  float(np.max(hours.simulated, initial=0.0)))
-    seen = np.maximum(hours.measured, hours.simulated) > _SEEN * largest
+def _points(pairs: _Sums) -> Rows:
+    largest = max(float(np.max(pairs.measured, initial=0.0)),
+                  float(np.max(pairs.simulated, initial=0.0)))
+    seen = np.maximum(pairs.measured, pairs.simulated) > _SEEN * largest
     return [
         {"m": short(float(one)), "s": short(float(other))}
-        for one, other in zip(hours.measured[seen], hours.simulated[seen], strict=True)
+        for one, other in zip(pairs.measured[seen], pairs.simulated[seen], strict=True)
     ]
 
 
@@ -148,8 +153,8 @@ def _over_time(quantity: _Quantity, name: str, boundary: float | None) -> Panel:
     lines = alt.Chart(alt.NamedData(f"{name}-days")).mark_line(
         clip=True, strokeWidth=1.2, interpolate="step-after"
     ).encode(
-        x=_TIME, y=alt.Y("v:Q", title=quantity.per_day, scale=alt.Scale(zero=quantity.total)),
-        tooltip=["series:N", _WHEN, alt.Tooltip("v:Q", title=quantity.per_day, format=".4~g")],
+        x=_TIME, y=alt.Y("v:Q", title=quantity.axis(DAY_S), scale=alt.Scale(zero=quantity.total)),
+        tooltip=["series:N", _WHEN, alt.Tooltip("v:Q", title=quantity.axis(DAY_S), format=".4~g")],
         **distinct("series", [MEASURED, SIMULATED], ""),
     )
     return Panel(
@@ -162,7 +167,7 @@ def _residuals(quantity: _Quantity, name: str, boundary: float | None) -> Panel:
     bars = alt.Chart(alt.NamedData(f"{name}-residuals")).mark_line(
         clip=True, strokeWidth=1.2, interpolate="step-after"
     ).encode(
-        x=_TIME, y=alt.Y("v:Q", title=f"too much {quantity.per_day}"),
+        x=_TIME, y=alt.Y("v:Q", title=f"too much {quantity.axis(DAY_S)}"),
         tooltip=["part:N", _WHEN, alt.Tooltip("v:Q", title="too much", format=".4~g")],
         **distinct("part", [FITTED, VALIDATED], ""),
     )
@@ -173,20 +178,20 @@ def _residuals(quantity: _Quantity, name: str, boundary: float | None) -> Panel:
 
 
 def _scatter(
-    quantity: _Quantity, name: str, part: str, hours: dict[str, _Sums]
+    quantity: _Quantity, name: str, part: str, pairs: dict[str, _Sums], over_s: int
 ) -> Panel:
-    both = [series for one in hours.values() for series in (one.measured, one.simulated)]
+    both = [series for one in pairs.values() for series in (one.measured, one.simulated)]
     low = 0.0 if quantity.total else min(float(np.min(one, initial=np.inf)) for one in both)
     high = max(float(np.max(one, initial=0.0)) for one in both)
     scale = alt.Scale(domain=[low, high], nice=True)
     line = alt.Chart(alt.InlineData([{"v": low}, {"v": high}])).mark_line(
         color="#888888", strokeWidth=1
-    ).encode(x="v:Q", y="v:Q")
+    ).encode(x=alt.X("v:Q", scale=scale), y=alt.Y("v:Q", scale=scale))
     points = alt.Chart(alt.NamedData(f"{name}-{part}")).mark_point(
         size=14, filled=True, opacity=0.5, color=COLOURS[part == VALIDATED]
     ).encode(
-        x=alt.X("m:Q", title=f"measured {quantity.per_hour}", scale=scale),
-        y=alt.Y("s:Q", title=f"simulated {quantity.per_hour}", scale=scale),
+        x=alt.X("m:Q", title=f"measured {quantity.axis(over_s)}", scale=scale),
+        y=alt.Y("s:Q", title=f"simulated {quantity.axis(over_s)}", scale=scale),
         tooltip=[alt.Tooltip("m:Q", title=MEASURED), alt.Tooltip("s:Q", title=SIMULATED)],
     )
-    return Panel(alt.layer(line, points), f"Hour by hour: {part}", height=300)
+    return Panel(alt.layer(line, points), f"Simulated over measured: {part}", height=300)

@@ -16,7 +16,17 @@ from scipy.optimize import OptimizeResult, least_squares
 from greenroof_ros.calibration.intervals import half_intervals, moves
 from greenroof_ros.calibration.meter import least_reading, through_meter
 from greenroof_ros.calibration.record import TOGETHER, Record, Values
+from greenroof_ros.calibration.scores import time_name
 from greenroof_ros.calibration.simulation import Simulated, simulate
+from greenroof_ros.calibration.stages import (
+    BEGINNING,
+    LAST_SEARCH,
+    SEARCH,
+    TELLING,
+    TELLING_THERE,
+    Stages,
+    Tell,
+)
 from greenroof_ros.model.site import Site
 
 Steps = NDArray[np.bool_]
@@ -37,10 +47,15 @@ _GRID = {
     "depletion_fraction": (0.3, 0.85),
 }
 _STEP = 1e-3
+_MOST_EVALUATIONS = 60
+# Of longer sums (s) the drainage time cannot be told: in a simulation their rain comes evenly, and
+# leaves the drainage layer more slowly than its showers do. A shorter time would make up for that.
+_TELLS_DRAINAGE_S = 3600
 # A half of its interval this large, as a share of the parameter or of its range, says little.
 _HARDLY = 0.5
 _END = 0.005
 FILLED = "filled"
+_DRAINAGE = "drainage_time"
 
 
 @dataclass(frozen=True)
@@ -92,7 +107,7 @@ def ranges(site: Site, record: Record) -> list[Range]:
         Range("field_capacity", wilting.high + 0.01, 0.9, max(0.35, wilting.high + 0.1)),
         wilting,
         Range("depletion_fraction", 0.0, 0.95, 0.5),
-        Range("drainage_time", 10.0, 2e4, 600.0, logarithmic=True),
+        Range(_DRAINAGE, 10.0, 2e4, 600.0, logarithmic=True),
         Range("crop_coefficient", 0.1, 2.5, 1.0),
         Range(FILLED, 0.0, 1.0, 0.5),
     ]
@@ -152,7 +167,7 @@ def with_values(site: Site, values: dict[str, float]) -> tuple[Site, float]:
 
 
 def fit(
-    site: Site, record: Record, steps: Steps, progress: Callable[[], None] = lambda: None
+    site: Site, record: Record, steps: Steps, tell: Tell = lambda text, share: None
 ) -> Fit:
     """Fit a measured roof to some steps of a record.
 
@@ -162,56 +177,64 @@ def fit(
     not decide. What is simulated is taken as the record's meter would show it. The search begins at
     the best of a coarse grid.
 
-    Parameters that the record cannot tell stay as the site has them: those whose column of the
-    Jacobian, over their range, is small or a sum of others' (QR with column pivoting; Golub and Van
-    Loan, Matrix Computations, 5.5.7). Intervals are those of :mod:`.intervals` with weeks as
-    groups.
+    Parameters that the record cannot tell stay as the site has them: the drainage time where steps
+    are longer than an hour, and those whose column of the Jacobian, over their range, is small or a
+    sum of others' (QR with column pivoting; Golub and Van Loan, Matrix Computations, 5.5.7).
+    Intervals are those of :mod:`.intervals` with weeks as groups.
 
     Args:
         site: where the search begins, and what is held.
         record: what was measured.
         steps: that count; the roof is simulated through all.
-        progress: called after each simulation.
+        tell: how far the fit is, with each simulation.
     """
     site = measured_roof(site)
-    every = ranges(site, record)
+    known = ranges(site, record)
+    too_long = record.step_s > _TELLS_DRAINAGE_S
+    every = [one for one in known if one.name != _DRAINAGE or not too_long]
     start = {one.name: _begin(site, one) for one in every}
     compare = _Comparison(record, steps)
+    stages = Stages(tell)
 
     least = least_reading(record)
 
     def differences(values: dict[str, float], least: float = least) -> Values:
-        progress()
+        stages.simulated()
         fitted, filled = with_values(site, values)
         return compare(_shown(simulate(fitted, record, filled), least))
 
     def moved(free: Sequence[Range], shares: Values) -> dict[str, float]:
         return start | {one.name: one.value(at) for one, at in zip(free, shares, strict=True)}
 
-    def tell_apart() -> tuple[list[Range], list[tuple[Range, str]]]:
+    def tell_apart(stage: str) -> tuple[list[Range], list[tuple[Range, str]]]:
+        stages.begin(stage, 1 + len(every))
         shares = np.array([one.share(start[one.name]) for one in every])
         # Without the meter, whose steps would make equal columns differ.
         return _tell_apart(
             every, _jacobian(lambda near: differences(moved(every, near), 0.0), shares)
         )
 
-    def solve(free: Sequence[Range]) -> OptimizeResult:
+    def solve(stage: str, free: Sequence[Range]) -> OptimizeResult:
+        # Each evaluation may be followed by a Jacobian, of as many as there are parameters.
+        stages.begin(stage, _MOST_EVALUATIONS * (1 + len(free)))
         found = least_squares(
             lambda shares: differences(moved(free, shares)),
             [one.share(start[one.name]) for one in free],
             bounds=(0.0, 1.0), diff_step=_STEP, loss="soft_l1", f_scale=_ROBUST_FROM,
-            xtol=1e-8, ftol=1e-9, max_nfev=60,
+            xtol=1e-8, ftol=1e-9, max_nfev=_MOST_EVALUATIONS,
         )
         start.update({one.name: one.value(at) for one, at in zip(free, found.x, strict=True)})
         return found
 
-    telling, _ = tell_apart()
-    start.update(_scan(telling, start, differences))
-    solve(telling)
+    telling, _ = tell_apart(TELLING)
+    tried = _beginnings(telling, start)
+    stages.begin(BEGINNING, len(tried))
+    start = min(tried, key=lambda values: _cost(differences(values)))
+    solve(SEARCH, telling)
     # Once more where the roof now is: what tells there may differ from where the search began.
-    telling, held = tell_apart()
+    telling, held = tell_apart(TELLING_THERE)
     start.update({one.name: getattr(site, one.name, one.typical) for one, _ in held})
-    found = solve(telling)
+    found = solve(LAST_SEARCH, telling)
     # scipy's Jacobian is scaled for the robust loss, and residuals are not: by (1 + z)^(1/4), so
     # that their product is the gradient, in which a residual counts by (1 + z)^(-1/2).
     scaled = found.fun * (1 + (found.fun / _ROBUST_FROM) ** 2) ** 0.25
@@ -220,10 +243,15 @@ def fit(
         _judged(one, share, width)
         for one, share, width in zip(telling, found.x.tolist(), half.tolist(), strict=True)
     ] + [Parameter(one.name, start[one.name], np.nan, np.nan, why) for one, why in held]
-    order = [one.name for one in every]
+    if too_long:
+        assert site.drainage_time is not None
+        why = f"steps of {time_name(round(record.step_s))} are too long to tell it"
+        parameters.append(Parameter(_DRAINAGE, site.drainage_time, np.nan, np.nan, why))
+    order = [one.name for one in known]
     parameters.sort(key=lambda one: order.index(one.name))
     fitted, filled = with_values(site, start)
     simulated = _shown(simulate(fitted, record, filled), least)
+    stages.end()
     return Fit(fitted, filled, parameters, simulated)
 
 
@@ -237,11 +265,8 @@ def _begin(site: Site, one: Range) -> float:
     return one.value(min(max(share, 0.01), 0.99))
 
 
-def _scan(
-    telling: Sequence[Range], start: dict[str, float],
-    residuals: Callable[[dict[str, float]], Values],
-) -> dict[str, float]:
-    """Return the values of a coarse grid from which the search begins.
+def _beginnings(telling: Sequence[Range], start: dict[str, float]) -> list[dict[str, float]]:
+    """Return where the search may begin: the start, and the values of a coarse grid.
 
     A large store that evaporates little and a small one that evaporates much leave a ridge between
     them that no search from one side crosses.
@@ -252,12 +277,12 @@ def _scan(
         for name, shares in _GRID.items()
     ]
     tried = [start | dict(zip(_GRID, values, strict=True)) for values in itertools.product(*grid)]
+    return [start, *tried]
 
-    def cost(values: dict[str, float]) -> float:
-        squares = (residuals(values) / _ROBUST_FROM) ** 2
-        return float(np.sum(np.sqrt(1 + squares) - 1))
 
-    return min([start, *tried], key=cost)
+def _cost(residuals: Values) -> float:
+    """Return what the search makes least, but for a factor."""
+    return float(np.sum(np.sqrt(1 + (residuals / _ROBUST_FROM) ** 2) - 1))
 
 
 class _Comparison:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import NamedTuple
 
 import numpy as np
@@ -36,7 +37,8 @@ def halve(record: Record, steps: Steps) -> Halves:
     came = np.nan_to_num(record.rain) + np.nan_to_num(record.pumped)
     total = np.cumsum(np.where(steps, came, 0.0))
     enough = total >= total[-1] / 2
-    dry = np.convolve(came > 0, np.ones(round(_DRY_S / record.step_s)), "full")[:record.steps] == 0
+    since = np.ones(math.ceil(_DRY_S / record.step_s))
+    dry = np.convolve(came > 0, since, "full")[:record.steps] == 0
     # Without a dry day there is no half: the caller sees that nothing is in it.
     later = np.cumsum(enough & dry) > 0
     return Halves(steps & ~later, steps & later)

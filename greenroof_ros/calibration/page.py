@@ -10,6 +10,7 @@ import numpy as np
 from greenroof_ros.calibration.fit import FILLED, Fit
 from greenroof_ros.calibration.record import Record
 from greenroof_ros.calibration.scores import ScoreRow, time_name
+from greenroof_ros.calibration.site_file import CROP_NOTE
 from greenroof_ros.common.versions import versions
 from greenroof_ros.model.site import site_parameters
 from greenroof_ros.report.drawing import Figure
@@ -28,17 +29,18 @@ class _ParameterRow(NamedTuple):
 
 def render(
     record: Record, fit: Fit, scores: Sequence[ScoreRow], figures: Sequence[Figure],
-    site_file: str, spans: Mapping[str, str], warning: str,
+    site_file: str, spans: Mapping[str, str], notes: Sequence[str], warning: str,
 ) -> str:
     """Return the page.
 
     Args:
-        record: that was fitted.
+        record: what was measured in the months that count.
         fit: the result.
         scores: of each quantity, in the fit and in the validation.
         figures: in the order in which they appear.
         site_file: that was written.
         spans: from when to when each part is.
+        notes: what was found beside the roof's parameters.
         warning: what speaks against the fit; empty where nothing does.
     """
     sites = {one.symbol: one for one in site_parameters()}
@@ -57,7 +59,8 @@ def render(
     return environment(__package__).get_template("page.html").render(
         source=str(record.source), parameters=parameters, scores=scores, figures=figures,
         times=list(scores[0].scores.nse), time_name=time_name, shown=_shown, site_file=site_file,
-        spans=spans, warning=warning, rain=f"{float(np.nansum(record.rain)):.4g}",
+        spans=spans, notes=notes, crop_note=CROP_NOTE, warning=warning,
+        rain=f"{float(np.nansum(record.rain)):.4g}",
         step=time_name(round(record.step_s)), versions=versions(),
         library=library(), payload=payload(figures),
     )

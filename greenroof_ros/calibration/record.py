@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from datetime import datetime
 from pathlib import Path
 
@@ -68,6 +68,17 @@ class Record:
         """What a simulation is compared with, by name: ``runoff`` (mm) and ``level`` (m)."""
         both = {"runoff": self.runoff, "level": self.level}
         return {name: series for name, series in both.items() if series is not None}
+
+    def only(self, steps: NDArray[np.bool_]) -> Record:
+        """Return the record with nothing measured outside of some steps: NaN is there instead."""
+        def there(series: Values) -> Values:
+            return np.where(steps, series, np.nan)
+
+        return replace(
+            self, rain=there(self.rain),
+            runoff=None if self.runoff is None else there(self.runoff),
+            level=None if self.level is None else there(self.level),
+        )
 
     @property
     def known(self) -> NDArray[np.bool_]:

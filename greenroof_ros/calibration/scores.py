@@ -36,7 +36,9 @@ class ScoreRow(NamedTuple):
 
 
 def time_name(seconds: int) -> str:
-    """Name a time: ``5 min``, ``1 h``, ``1 day``."""
+    """Name a time: ``5 min``, ``1 h``, ``1 day``, ``2 days``."""
+    if seconds >= 2 * DAY_S and seconds % DAY_S == 0:
+        return f"{seconds // DAY_S} days"
     for unit, size in (("day", 86400), ("h", 3600), ("min", 60)):
         if seconds % size == 0:
             return f"{seconds // size} {unit}"
@@ -67,10 +69,16 @@ def kling_gupta(simulated: Values, measured: Values) -> float:
     return float(1 - np.sqrt((correlation - 1) ** 2 + (spread - 1) ** 2 + (mean - 1) ** 2))
 
 
+def score_times(step_s: float) -> list[int]:
+    """Return over which times (s) steps are scored: their own, and each longer of hour and day."""
+    step = round(step_s)
+    return [step, *(time for time in (HOUR_S, DAY_S) if time > step)]
+
+
 def score(
     quantity: str, simulated: Values, measured: Values, seconds: NDArray[np.int64], step_s: float
 ) -> Scores:
-    """Score a series by its steps, hours and days.
+    """Score a series by its steps, and by the hours and days that are longer.
 
     Args:
         quantity: ``runoff`` or ``level``.
@@ -80,7 +88,7 @@ def score(
         step_s: duration of a step (s).
     """
     nses, kges = {}, {}
-    for over_s in dict.fromkeys((round(step_s), HOUR_S, DAY_S)):
+    for over_s in score_times(step_s):
         ours, theirs = (
             TOGETHER[quantity](series, seconds, over_s) for series in (simulated, measured)
         )

@@ -13,8 +13,9 @@ from greenroof_ros.model.soil import layer_outflow, mean_percolation, water_stre
 
 # Less in the drainage layer does not count: its outflow falls with the square (m3 per m2).
 _EMPTY = 1e-9
-# Within less the drainage layer's inflow hardly changes (s).
-_LONGEST_S = 600.0
+# Within less the drainage layer's inflow hardly changes, and within less the soil dries so little
+# that its water stress stays (s).
+_WET_S, _DRY_S = 600.0, 3600.0
 
 
 class Simulated(NamedTuple):
@@ -31,8 +32,9 @@ def simulate(site: Site, record: Record, filled: float) -> Simulated:
 
     It is the roof of :class:`greenroof_ros.model.plant.Plant` with short ticks: how much percolates
     is solved for the whole of a step. So is what runs off, but for an inflow that is constant:
-    longer steps than ten minutes are parted while water arrives. Rain that was not measured counts
-    as none. The soil is asked only in steps in which something moves, which are few in a dry week.
+    steps longer than ten minutes are parted while water arrives, and those longer than an hour
+    always. What comes in a step comes evenly. Rain that was not measured counts as none. The soil
+    is asked only in steps in which something moves, which are few in a dry week.
 
     Args:
         site: with a ``field_capacity``.
@@ -41,7 +43,8 @@ def simulate(site: Site, record: Record, filled: float) -> Simulated:
     """
     volume_flow = site.a2 / 1000 / record.step_s  # m3/s of a mm in a step
     came = np.nan_to_num(record.rain) + np.nan_to_num(record.pumped)
-    parts = np.where(came > 0, math.ceil(record.step_s / _LONGEST_S), 1)
+    wet, dry = (math.ceil(record.step_s / longest) for longest in (_WET_S, _DRY_S))
+    parts = np.where(came > 0, wet, dry)
     starts = np.cumsum(parts) - parts
     durations = np.repeat(record.step_s / parts, parts)
     arriving = np.repeat(came * volume_flow, parts)

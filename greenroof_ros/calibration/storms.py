@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import NamedTuple
 
 import numpy as np
@@ -25,12 +26,13 @@ class Storm(NamedTuple):
 
 
 def storms(record: Record) -> list[Storm]:
-    """Return all storms: rain with less than six hours between."""
+    """Return all storms: rain with less than six hours between, and less than a dry step."""
     wet = np.flatnonzero(np.nan_to_num(record.rain) > 0)
     if not len(wet):
         return []
-    after = round(_AFTER_S / record.step_s)
-    parts = np.split(wet, np.flatnonzero(np.diff(wet) > _APART_S / record.step_s) + 1)
+    after = math.ceil(_AFTER_S / record.step_s)
+    apart = max(1.0, _APART_S / record.step_s)
+    parts = np.split(wet, np.flatnonzero(np.diff(wet) > apart) + 1)
     starts = [int(part[0]) for part in parts] + [record.steps]
     return [
         Storm(

@@ -64,7 +64,8 @@ def _when(record: Record, step: int) -> str:
 
 
 def _days(record: Record) -> float:
-    return record.steps * record.step_s / _DAY_S
+    """Return of how many days the rain is known."""
+    return float(np.count_nonzero(~np.isnan(record.rain))) * record.step_s / _DAY_S
 
 
 def _rain(record: Record) -> None:
@@ -113,7 +114,9 @@ def _rises(record: Record, level: Values) -> list[_Answer]:
         if storm.first < beside or last + beside > record.steps:
             continue
         came = float(np.sum(water[storm.first - beside:last + beside]))
-        before, after = level[storm.first - beside:storm.first], level[last:last + beside]
+        # Levels are of the beginnings of steps: the storm's first is before its rain.
+        before = level[storm.first + 1 - beside:storm.first + 1]
+        after = level[last:last + beside]
         rise = 1000 * float(np.mean(after) - np.mean(before))
         if came >= _COUNTS and not np.isnan(rise):
             answers.append(_Answer(storm.first, came, rise))

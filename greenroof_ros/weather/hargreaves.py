@@ -6,6 +6,8 @@ Rome 1998; the extraterrestrial radiation is that of the package ``eto``.
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 from eto import ETo
 from numpy.typing import NDArray
@@ -15,6 +17,7 @@ Days = NDArray[np.datetime64]
 
 _MM_PER_MJ = 0.408  # per m2, FAO-56 Eq. 20
 _DAY_S = 86400
+_PART_S = 300
 
 
 def day_of_year(days: Days) -> NDArray[np.int64]:
@@ -77,6 +80,8 @@ def over_the_day(
 ) -> Values:
     """Spread days' evapotranspiration over steps as the sun stands; each whole day keeps its sum.
 
+    A step that goes on past midnight has the evapotranspiration of the day that it begins in.
+
     Args:
         daily: of each day (mm), shape (days,).
         latitude: degrees, north positive.
@@ -88,10 +93,14 @@ def over_the_day(
     Returns:
         Of each step (mm), shape (steps,).
     """
-    shares = sun_height(latitude, seconds + round(step_s / 2), east_of_meridian)
+    # The sun's mean height in a step is that of its parts, of five minutes at most.
+    parts = math.ceil(step_s / _PART_S)
+    middles = np.round((np.arange(parts) + 0.5) * step_s / parts).astype(np.int64)
+    inside = (seconds[:, None] + middles[None, :]).ravel()
+    shares = sun_height(latitude, inside, east_of_meridian).reshape(-1, parts).mean(axis=1)
     # What a whole day would have: at the ends of a record there are parts of one.
-    middles = (np.arange(0, _DAY_S, 300) + 150)[None, :]
+    of_a_day = (np.arange(0, _DAY_S, _PART_S) + _PART_S // 2)[None, :]
     first = (seconds // _DAY_S * _DAY_S)[np.searchsorted(day, np.arange(len(daily)))]
-    whole = sun_height(latitude, (first[:, None] + middles).ravel(), east_of_meridian)
-    totals = whole.reshape(len(daily), -1).sum(axis=1) * 300
+    whole = sun_height(latitude, (first[:, None] + of_a_day).ravel(), east_of_meridian)
+    totals = whole.reshape(len(daily), -1).sum(axis=1) * _PART_S
     return np.asarray(daily[day] * shares * step_s / totals[day])

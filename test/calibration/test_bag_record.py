@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import struct
 from collections.abc import Callable
 from pathlib import Path
@@ -12,6 +13,7 @@ from twins import TWIN
 
 from greenroof_ros.calibration.bag_record import read_bag_record
 from greenroof_ros.common.errors import ConfigurationError
+from greenroof_ros.common.files import shared_directory
 from greenroof_ros.common.interface import read_topics
 from greenroof_ros.recording.bag_writer import BagWriter
 
@@ -53,8 +55,8 @@ def test_sums_of_five_minutes(tmp_path: Path) -> None:
     assert record.pumped == pytest.approx([4.8, *[6.0] * 5])
     assert record.runoff == pytest.approx(np.full(6, 0.3))
     assert record.level == pytest.approx(0.02 + 300e-6 * np.arange(6))
-    # The bag's has the site's crop coefficient, the reference has not: 0.03 mm / 0.85.
-    assert record.reference == pytest.approx(np.full(6, 0.03 / 0.85))
+    # Nothing says that it was computed, so the site's crop coefficient is not in it.
+    assert record.reference == pytest.approx(np.full(6, 0.03))
     assert record.cistern == pytest.approx(np.full(6, 2.0))
     # While nothing is delivered nothing was told.
     assert record.command == pytest.approx([0.4, *[0.5] * 5])
@@ -78,6 +80,27 @@ def test_a_gap_is_no_rain(tmp_path: Path) -> None:
     assert np.flatnonzero(np.isnan(record.pumped)).tolist() == [2, 3, 4, 5, 6, 7]
 
 
+@pytest.mark.parametrize(
+    ("method", "reference"), [("fao56", 0.03 / 0.5), ("Penman-Monteith", 0.03)]
+)
+def test_a_crop_coefficient_counts_where_evapotranspiration_was_computed(
+    method: str, reference: float, tmp_path: Path
+) -> None:
+    """That of the run's own site, 0.5, and not that of the site that is fitted, 0.85."""
+    bag = write_bag(tmp_path / "bag", list(range(0, 1810, 10)), 1e-4)
+    (tmp_path / "summary.json").write_text(
+        json.dumps({"controller": "onoff", "evapotranspiration_method": method})
+    )
+    (tmp_path / "configuration").mkdir()
+    paper = (shared_directory() / "config" / "site.yaml").read_text(encoding="utf-8")
+    assert "crop_coefficient: 1.0" in paper
+    (tmp_path / "configuration" / "site.yaml").write_text(
+        paper.replace("crop_coefficient: 1.0", "crop_coefficient: 0.5")
+    )
+    assert TWIN.crop_coefficient == 0.85
+    assert read_bag_record(bag, TWIN).reference == pytest.approx(np.full(6, reference))
+
+
 def test_the_roof_dries_through_a_gap(tmp_path: Path) -> None:
     """Before a day has passed as before the gap; from then on as a day before.
 
@@ -86,7 +109,7 @@ def test_the_roof_dries_through_a_gap(tmp_path: Path) -> None:
     hour, gaps = 3600, ((2, 8), (27, 33))
     times = [now for now in range(0, 36 * hour, 60)
              if not any(low * hour < now < high * hour for low, high in gaps)]
-    mm = TWIN.crop_coefficient * TWIN.a2 / 1000 / 300
+    mm = TWIN.a2 / 1000 / 300
     bag = write_bag(
         tmp_path / "bag", times, 0.0,
         lambda now: mm * (0.1 if 6 <= now / hour % 24 < 12 else 0.01),

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 from browsers import started_browser
 from recover_twins import ELSEWHERE, recover, true_value
-from twins import TWIN, record_rows, write
+from twins import TWIN, record_rows, summed, write
 
 from greenroof_ros.calibration.csv_record import read_csv_record
 from greenroof_ros.calibration.fit import fit
@@ -65,6 +65,38 @@ def test_levels_alone_tell_nothing_of_the_drainage_layer(record: Record) -> None
     assert by_name["field_capacity"].value == pytest.approx(TWIN.field_capacity, rel=0.03)
 
 
+def test_of_daily_sums_the_soil_is_found(tmp_path: Path) -> None:
+    """Of 150 days' sums and morning levels; how fast the roof drains they cannot tell."""
+    rows = summed(record_rows(TWIN, 150, 1, gaps=False), 24)
+    record = read_csv_record(write(rows, tmp_path / "days.csv"), TWIN)
+    found = fit(ELSEWHERE, record, record.known)
+    by_name = {one.name: one for one in found.parameters}
+    for name in ("field_capacity", "wilting_point", "crop_coefficient", "depletion_fraction"):
+        one = by_name[name]
+        assert one.low <= true_value(name) <= one.high, one
+    assert by_name["field_capacity"].value == pytest.approx(TWIN.field_capacity, rel=0.1)
+    assert by_name["crop_coefficient"].value == pytest.approx(TWIN.crop_coefficient, rel=0.15)
+    drainage = by_name["drainage_time"]
+    assert not drainage.told
+    assert drainage.words == "steps of 1 day are too long to tell it"
+    assert drainage.value == found.site.drainage_time == ELSEWHERE.drainage_time
+
+
+def test_a_fit_says_how_far_it_is(record: Record) -> None:
+    """Each stage in turn; the share grows with each simulation, and ends at 1."""
+    told: list[tuple[str, float]] = []
+    fit(ELSEWHERE, record, record.known, lambda text, share: told.append((text, share)))
+    shares = [share for _, share in told]
+    assert shares == sorted(shares)
+    assert (shares[0], told[-1]) == (0.0, ("done", 1.0))
+    stages = [re.match(r"(\d) of 5: (.*), \d+ simulations", text) for text, _ in told[:-1]]
+    assert list(dict.fromkeys(stage[1] for stage in stages)) == ["1", "2", "3", "4", "5"]
+    # One for each parameter and one before; then the start and a grid of 3 x 4 x 2.
+    assert sum(stage[1] == "1" for stage in stages) == 1 + 7
+    assert sum(stage[1] == "2" for stage in stages) == 1 + 25
+    assert f"last search, {len(told) - 1 - 5} simulations" in told[-2][0]
+
+
 def test_a_dead_day_of_a_sensor_does_not_decide(record: Record) -> None:
     """A level that reads 8 cm too much for a day, among sixty: the loss is robust."""
     level = record.level.copy()
@@ -113,7 +145,8 @@ def fitted(tmp_path_factory: pytest.TempPathFactory) -> Path:
     # On the curve 50 - 1e6 q^2.
     (directory / "pump.csv").write_text("flow [m3/s],head [m]\n0,50\n0.002,46\n0.004,34\n")
     ended = calibrate(
-        directory, "twin.csv", "--site", "site.yaml", "-o", "fitted.yaml", "--pump-data", "pump.csv"
+        directory, "twin.csv", "--site", "site.yaml", "-o", "fitted.yaml", "--pump-data",
+        "pump.csv", "--months", "4-6",
     )
     assert ended.returncode == 0, ended.stderr
     assert "runoff, validation" in ended.stdout
@@ -122,6 +155,7 @@ def fitted(tmp_path_factory: pytest.TempPathFactory) -> Path:
     assert "do not use it" not in ended.stdout
     assert "data sheet: a_hat -1e+06 s2/m5, c_hat 50 m" in ended.stdout
     assert "pumps: 5" in ended.stdout  # l/s, sqrt((2 + 45 - 16) / 1e6) and a little less
+    assert ended.stderr == ""
     noise = re.search(r"level sensor: noise (\S+) mm and drift", ended.stdout)[1]
     assert float(noise) == pytest.approx(2.0, abs=0.15)  # as the twin was made
     return directory
@@ -134,6 +168,9 @@ def test_the_command_writes_a_site_that_can_be_used(fitted: Path) -> None:
     text = (fitted / "fitted.yaml").read_text(encoding="utf-8")
     assert text.startswith("# Fitted to twin.csv by python -m greenroof_ros.calibrate.\n")
     assert "# runoff, validation: NSE " in text
+    top = " ".join(line[2:] for line in text.split("\n\n")[0].splitlines())
+    for note in ("data sheet: a_hat ", "months: 4-6 are", "level sensor: noise ", "pumps: 5"):
+        assert note in top
     assert site.a_hat == pytest.approx(-1e6, rel=1e-5)
     lines = {line.split(":")[0]: line for line in text.splitlines()}
     assert lines["a_hat"].endswith(
@@ -250,6 +287,13 @@ def test_a_data_sheet_in_no_unit_at_all_is_refused(tmp_path: Path) -> None:
     assert "nothing is written: a_hat = -4.1e+17: must be from" in ended.stderr
 
 
+def test_months_that_are_none_are_refused_before_the_record_is_read(tmp_path: Path) -> None:
+    ended = calibrate(tmp_path, "none.csv", "-o", "fitted.yaml", "--months", "April")
+    assert ended.returncode == 2
+    assert ended.stderr.startswith("error: --months = 'April': must be the first and the last")
+    assert ended.stderr.count("\n") == 1
+
+
 def test_something_must_be_given(tmp_path: Path) -> None:
     ended = calibrate(tmp_path, "-o", "fitted.yaml")
     assert ended.returncode == 2
@@ -275,4 +319,9 @@ def test_the_page_draws_everything_and_asks_for_nothing(fitted: Path) -> None:
         words = page.inner_text("main")
         assert "field_capacity" in words
         assert "Measured and simulated" not in words  # titles are drawn
+        notes = page.locator("#notes li").all_inner_texts()
+        assert [note.split(":")[0] for note in notes] == [
+            "data sheet", "months", "level sensor", "pumps"
+        ]
+        assert "The crop_coefficient counts where evapotranspiration is computed" in words
         assert page.locator("canvas").count() == 8

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from commands import run_command
-from twins import TWIN, record_rows, write
+from twins import TWIN, record_rows, summed, write
 
 from greenroof_ros.calibration.csv_record import read_csv_record
 from greenroof_ros.calibration.suspicions import refuse_wrong
@@ -208,7 +208,10 @@ WRONG = {
     "infinite": (cell(7, 3, "inf"), "line 8: level [m] = 'inf': must be a number"),
     "no time": (cell(9, 0, "noon"), "line 10: time = 'noon': must be a time such as"),
     "a time twice": (cell(9, 0, "2021-04-01T00:35:00"), "line 10: time = '2021-04-01T00:35:00"),
-    "an irregular step": (cell(9, 0, "2021-04-01T00:42:00"), "must be 300 s after the row before"),
+    "irregular steps": (
+        change(0, lambda row, text: text[:-2] + "59" if row % 20 == 7 else text),
+        "line 9: time = '2021-04-01T00:35:59+01:00': must be 300 s after the row before, or a "
+        "whole number of such steps, not 359 s; so are 864 of 8640 rows"),
     "a row cut off": (lambda rows: [*rows[:50], rows[50][:3], *rows[51:]], "must have 6 cells"),
     "too short": (lambda rows: rows[:40], "has 39 rows; a record must have 100 at least"),
     "negative rain": (cell(7, 1, "-1"), "line 8: rain [mm] = -1.0: must be from 0 to 1900 mm/h"),
@@ -238,7 +241,7 @@ WRONG = {
         change(1, lambda row, text: text if row < 8 * DAY else "0"), "is the gauge blocked"),
     "a blocked rain gauge beside a level": (
         both(without(2), change(1, lambda row, text: text if row < 8 * DAY else "0")),
-        "is 0 for a day and more when at"),
+        "is 0 for 1 day and more when at"),
     "rain of the hour in 5 minutes": (
         both(scaled(1, 12), without(3)), "are the units of rain and runoff right?"),
     "runoff of a smaller roof": (
@@ -281,6 +284,62 @@ def test_of_a_season_a_unit_that_is_wrong_is_refused(
         refuse_wrong(read_csv_record(write(scaled(column, factor)(LONG), file), TWIN), TWIN)
 
 
+OTHER = record_rows(TWIN, 100, 2, gaps=False)
+LONGER = {hours: summed(LONG, hours) for hours in (1, 6, 24)}
+
+
+@pytest.mark.parametrize("hours", LONGER)
+def test_sums_of_longer_steps_are_not_refused(hours: int, tmp_path: Path) -> None:
+    """With runoff, with the level alone, and of other weather."""
+    for seed, rows in ((1, LONGER[hours]), (2, summed(OTHER, hours))):
+        for number, changed in enumerate((lambda rows: rows, without(2), without(3))):
+            file = write(changed(rows), tmp_path / f"{seed}-{number}.csv")
+            record = read_csv_record(file, TWIN)
+            assert record.step_s == 3600.0 * hours
+            refuse_wrong(record, TWIN)
+
+
+def from_day(day: int, column: int, text: str, hours: int) -> Callable[[Rows], Rows]:
+    return change(column, lambda row, was: was if row * hours < 24 * day else text)
+
+
+WRONG_SUMS = {
+    "runoff of a larger roof": (lambda hours: scaled(2, 10), "and the soil holds 100 mm at most"),
+    "a level in m called cm": (
+        lambda hours: both(without(2), header(2, "level [cm]")), "of rain falls: is the unit right?"
+    ),
+    "a stuck level": (lambda hours: from_day(20, 3, "0.03", hours), "the sensor is stuck"),
+    "a stuck rain gauge": (
+        lambda hours: change(1, lambda row, text: "0.3" if 12 <= row < 20 else text),
+        "the sensor is stuck",
+    ),
+    "a blocked rain gauge": (lambda hours: from_day(30, 1, "0", hours), "is the gauge blocked"),
+    "runoff a day early": (lambda hours: shifted(2, -24 // hours), "before it falls"),
+    "a level a day early": (
+        lambda hours: both(without(2), shifted(2, -24 // hours)), "before it falls"),
+}
+
+
+@pytest.mark.parametrize("hours", LONGER)
+@pytest.mark.parametrize("name", WRONG_SUMS)
+def test_wrong_sums_of_longer_steps_are_refused(name: str, hours: int, tmp_path: Path) -> None:
+    changed, message = WRONG_SUMS[name]
+    file = write(changed(hours)(LONGER[hours]), tmp_path / "wrong.csv")
+    with pytest.raises(ConfigurationError) as error:
+        refuse_wrong(read_csv_record(file, TWIN), TWIN)
+    assert message in str(error.value)
+
+
+def test_temperatures_of_every_sixth_hour_do_not_show_a_day(tmp_path: Path) -> None:
+    rows = [[*row[:4], "12"] for row in LONGER[6]]
+    rows[0][4] = "temperature [degC]"
+    with pytest.raises(ConfigurationError) as error:
+        read_csv_record(write(rows, tmp_path / "record.csv"), TWIN)
+    assert "temperature: its rows are 6 h apart, and show a day's extremes where they" in str(
+        error.value
+    )
+
+
 def test_a_dead_flow_meter_is_refused(tmp_path: Path) -> None:
     """More than 100 mm fall, and the soil is 100 mm deep."""
     rows = change(2, lambda row, text: text if row < 30 * DAY else "0")(LONG)
@@ -303,7 +362,7 @@ def test_evapotranspiration_of_0_is_refused(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(
     "name",
-    ["no rain column", "unknown unit", "not a number", "a time twice", "an irregular step",
+    ["no rain column", "unknown unit", "not a number", "a time twice", "irregular steps",
      "too short", "rain in metres", "level in m called mm", "a stuck level", "a stuck rain gauge",
      "a blocked rain gauge", "temperatures end", "runoff an hour early"],
 )

@@ -67,6 +67,17 @@ def test_a_level_and_its_gaps_are_worth_0_by_day_too() -> None:
     assert scores.nse[86400] == pytest.approx(0.0, abs=0.1)
 
 
+@pytest.mark.parametrize(
+    ("step_s", "times"),
+    [(60, [60, 3600, 86400]), (3600, [3600, 86400]), (21600, [21600, 86400]), (86400, [86400])],
+)
+def test_sums_shorter_than_a_step_are_not_scored(step_s: int, times: list[int]) -> None:
+    seconds = step_s * np.arange(200)
+    measured = np.random.default_rng(1).random(200)
+    scores = score("runoff", 0.9 * measured, measured, seconds, float(step_s))
+    assert list(scores.nse) == list(scores.kge) == times
+
+
 def test_volume() -> None:
     seconds = 300 * np.arange(4)
     scores = score("runoff", np.array([1, 2, 0, 0.9]), np.array([1, 1, 1, 0.0]), seconds, 300.0)
@@ -74,7 +85,8 @@ def test_volume() -> None:
 
 
 @pytest.mark.parametrize(
-    ("seconds", "name"), [(300, "5 min"), (3600, "1 h"), (86400, "1 day"), (90, "90 s")]
+    ("seconds", "name"),
+    [(300, "5 min"), (3600, "1 h"), (86400, "1 day"), (172800, "2 days"), (90, "90 s")],
 )
 def test_times_have_names(seconds: int, name: str) -> None:
     assert time_name(seconds) == name

@@ -45,14 +45,17 @@ def by_the_plant(record: Record, filled: float) -> tuple[np.ndarray, np.ndarray]
     return np.array(runoff), np.array(level)
 
 
-@pytest.mark.parametrize("step_s", [60.0, 300.0, 3600.0])
-def test_the_plant_does_the_same(step_s: float) -> None:
-    """Five days; an hour's rain or pumping is as much as that of five minutes is elsewhere."""
+@pytest.mark.parametrize(
+    ("step_s", "days", "times"),
+    [(60.0, 5, 1.0), (300.0, 5, 1.0), (3600.0, 5, 1.0), (6 * 3600.0, 10, 1.0), (86400.0, 20, 8.0)],
+)
+def test_the_plant_does_the_same(step_s: float, days: int, times: float) -> None:
+    """An hour's rain or pumping is as much as that of five minutes elsewhere, a day's 8 times."""
     random = np.random.default_rng(3)
-    steps = round(5 * 86400 / step_s)
-    rain = np.resize(storms(20, random)[1000:], steps)
+    steps = round(days * 86400 / step_s)
+    rain = times * np.resize(storms(20, random)[1000:], steps)
     reference = np.maximum(0.0, random.normal(3e-5, 3e-5, steps)) * step_s
-    pumped = np.where(random.random(steps) < 0.01, 1.5, 0.0)
+    pumped = np.where(random.random(steps) < max(0.01, 3 / steps), 1.5, 0.0)
     record = a_record(step_s, rain, reference, pumped)
     simulated = simulate(TWIN, record, 0.7)
     runoff, level = by_the_plant(record, 0.7)

@@ -38,6 +38,12 @@ def test_six_dry_hours_part_two_storms_and_a_day_ends_one() -> None:
     ]
 
 
+def test_wet_days_in_a_row_are_one_storm() -> None:
+    """Of daily sums: a dry day parts two, and the day after the last rain is a storm's still."""
+    record = replace(a_record(1, {}), step_s=86400.0, rain=np.array([0, 2.0, 3, 0, 4, 0, 0, 1, 0]))
+    assert storms(record) == [Storm(1, 4, 5.0), Storm(4, 6, 4.0), Storm(7, 9, 1.0)]
+
+
 def test_without_rain_there_is_none() -> None:
     assert storms(a_record(1, {})) == []
 

@@ -58,6 +58,18 @@ def test_a_volume_that_is_wrong_by_more_than_half_is_named() -> None:
     assert "(volume of runoff +60 %)" in warning(rows)
 
 
+def test_of_daily_sums_days_judge() -> None:
+    """One of all days falls where it rises: NSE -3, as above."""
+    def daily(part: str, simulated: np.ndarray) -> ScoreRow:
+        days = 86400 * np.arange(HOURS)
+        return ScoreRow("runoff", part, score("runoff", simulated, MEASURED, days, 86400.0))
+
+    refuse_hopeless(RECORD, [daily("fit", GOOD), daily("validation", OPPOSITE)])
+    assert "NSE of runoff -3.00 (1 day)" in warning([daily("validation", OPPOSITE)])
+    with pytest.raises(ConfigurationError, match=r"NSE of runoff, fit: -3\.00 \(1 day\), and the"):
+        refuse_hopeless(RECORD, [daily("fit", OPPOSITE)])
+
+
 def test_nothing_is_said_of_a_good_fit() -> None:
     rows = [row("fit", OPPOSITE), row("validation", GOOD)]
     refuse_hopeless(RECORD, rows)

@@ -15,11 +15,11 @@ from pathlib import Path
 import numpy as np
 
 from greenroof_ros.calibration.csv_record import read_csv_record
+from greenroof_ros.calibration.months import Months
 from greenroof_ros.calibration.record import Record
 from greenroof_ros.model.site import Site
 
 STEP_S = 300
-WARM_MONTHS = (4, 10)
 
 
 @dataclass(frozen=True)
@@ -100,5 +100,4 @@ def temperatures(file: Path) -> dict[str, tuple[float, float]]:
 
 def warm(record: Record) -> np.ndarray:
     """Return which steps are of April to October; what runs off in winter is melted snow."""
-    month = record.times.astype("datetime64[M]").astype(int) % 12 + 1
-    return (month >= WARM_MONTHS[0]) & (month <= WARM_MONTHS[1])
+    return Months("4-10").steps(record)

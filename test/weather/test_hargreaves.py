@@ -58,3 +58,16 @@ def test_whole_days_keep_their_sum_and_parts_theirs() -> None:
     assert sums[1:] == pytest.approx([5.0, 6.0], rel=1e-3)
     assert sums[0] == pytest.approx(2.0, abs=0.1)  # from noon on, half of the day's
     assert steps[(seconds % 86400) < 3 * 3600].tolist() == [0.0] * 72
+
+
+@pytest.mark.parametrize("hours", [1, 6, 24])
+def test_longer_steps_have_the_sums_of_five_minutes(hours: int) -> None:
+    first = np.datetime64("2015-06-01", "s").astype(np.int64)
+    daily = np.array([4.0, 5.0, 6.0])
+
+    def over(step_s: int) -> np.ndarray:
+        seconds = first + step_s * np.arange(3 * 86400 // step_s)
+        day = seconds // 86400 - first // 86400
+        return over_the_day(daily, 52.5, seconds, day, float(step_s), -1.5)
+
+    assert over(3600 * hours) == pytest.approx(over(300).reshape(-1, 12 * hours).sum(axis=1))

@@ -1,0 +1,41 @@
+"""What a calibration found beside the roof's parameters, in words: output, page, site file."""
+
+from __future__ import annotations
+
+from greenroof_ros.calibration.dry_nights import LevelSensor
+from greenroof_ros.calibration.months import Months
+from greenroof_ros.calibration.pump import PumpFit
+from greenroof_ros.model.pump_curve import PumpCurve
+
+
+def of_months(months: Months) -> str:
+    """Say which months count."""
+    return f"months: {months.text} are fitted and judged; the others are simulated only"
+
+
+def of_sheet(sheet: PumpCurve) -> str:
+    """Say which curve was fitted to the pumps' data sheet."""
+    return f"data sheet: a_hat {sheet.a_hat:.6g} s2/m5, c_hat {sheet.c_hat:.6g} m"
+
+
+def of_sensor(sensor: LevelSensor | None) -> str:
+    """Say what the dry nights tell about the level sensor."""
+    if sensor is None:
+        return (
+            "level sensor: fewer than five dry nights are seen in the record, so nothing is said "
+            "of its noise and drift"
+        )
+    drift, half = (30 * 1000 * value for value in (sensor.drift, sensor.half))
+    text = (
+        f"level sensor: noise {1000 * sensor.noise:.2g} mm and drift {drift:+.2g} mm a month, "
+        f"{half:.2g} mm either way (95 %), in {sensor.nights} dry nights"
+    )
+    return f"{text}: no drift that can be told" if abs(drift) <= half else text
+
+
+def of_pump(pump: PumpFit) -> str:
+    """Say what the cistern's fall tells about the pumps."""
+    return (
+        f"pumps: {1000 * pump.flow:.3g} l/s at full command, {1000 * pump.half:.2g} l/s either way "
+        f"(95 %), with {pump.level:.2f} m in the cistern; from {pump.runs} runs without rain"
+    )
