@@ -24,7 +24,13 @@ from greenroof_ros.calibration.months import Months
 from greenroof_ros.calibration.pump import fit_pump
 from greenroof_ros.calibration.record import Record
 from greenroof_ros.calibration.scores import ScoreRow, Scores, score, time_name
-from greenroof_ros.calibration.sentences import of_months, of_pump, of_sensor, of_sheet
+from greenroof_ros.calibration.sentences import (
+    of_months,
+    of_pump,
+    of_sensor,
+    of_sheet,
+    of_target,
+)
 from greenroof_ros.calibration.site_file import (
     CROP_NOTE,
     INTERVAL_NOTE,
@@ -35,6 +41,7 @@ from greenroof_ros.calibration.site_file import (
 )
 from greenroof_ros.calibration.storms import comparable
 from greenroof_ros.calibration.suspicions import refuse_wrong
+from greenroof_ros.calibration.target import reachable_target
 from greenroof_ros.calibration.verdict import refuse_hopeless, warning
 from greenroof_ros.common.command_line import EXIT_DONE, command
 from greenroof_ros.common.errors import ConfigurationError
@@ -217,7 +224,10 @@ def _fit(
     _refuse_dry(record, halves)
     with _Bar() as bar:
         fitted = fit(site, record, halves.earlier, bar.tell)
+    fitted = fitted._replace(site=reachable_target(fitted.site))
     notes = [*notes]
+    if fitted.site.z_veg != site.z_veg:
+        notes.append(of_target(site, fitted.site))
     if record.level is not None:
         notes.append(of_sensor(dry_nights(seen, fitted.simulated.level)))
     if pump is not None:
@@ -238,7 +248,7 @@ def _fit(
         line for one in (*_heading(record, spans, rows), *notes, wrong)
         for line in textwrap.wrap(one, 98)
     ]
-    fitted_text = fitted_site_file(text, fitted, heading, sheet)
+    fitted_text = fitted_site_file(text, site, fitted, heading, sheet)
     page_text = page.render(
         seen, fitted, rows, figures.make_figures(record, halves, fitted), fitted_text, spans,
         notes, wrong,

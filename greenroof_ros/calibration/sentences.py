@@ -6,6 +6,7 @@ from greenroof_ros.calibration.dry_nights import LevelSensor
 from greenroof_ros.calibration.months import Months
 from greenroof_ros.calibration.pump import PumpFit
 from greenroof_ros.model.pump_curve import PumpCurve
+from greenroof_ros.model.site import Site
 
 
 def of_months(months: Months) -> str:
@@ -31,6 +32,15 @@ def of_sensor(sensor: LevelSensor | None) -> str:
         f"{half:.2g} mm either way (95 %), in {sensor.nights} dry nights"
     )
     return f"{text}: no drift that can be told" if abs(drift) <= half else text
+
+
+def of_target(site: Site, fitted: Site) -> str:
+    """Say which target stands in place of one that the fitted roof cannot hold."""
+    return (
+        f"target: z_veg was {site.z_veg:g} m, and the fitted roof holds "
+        f"{fitted.roof_level(fitted.z_cap):.3g} m; it is set to {fitted.z_veg:g} m, where half of "
+        "what plants can take is left (FAO-56, chapter 8): choose your own"
+    )
 
 
 def of_pump(pump: PumpFit) -> str:

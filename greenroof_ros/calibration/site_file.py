@@ -34,7 +34,7 @@ _ROOF = (
 
 
 def fitted_site_file(
-    text: str, fit: Fit, heading: Sequence[str], sheet: PumpCurve | None = None
+    text: str, site: Site, fit: Fit, heading: Sequence[str], sheet: PumpCurve | None = None
 ) -> str:
     """Return the text of a site file with the fitted roof in it, and its pumps where they were.
 
@@ -43,12 +43,18 @@ def fitted_site_file(
 
     Args:
         text: of the site file that the fit began with.
+        site: that it is of.
         fit: its result, with the pumps' parameters if the record tells something of them.
         heading: lines about the record and the scores, for the top.
         sheet: what was fitted to the pumps' data sheet before.
     """
     told = {one.name: one for one in fit.parameters}
     lines = _roof_lines(fit) | ({} if sheet is None else _sheet_lines(sheet))
+    if fit.site.z_veg != site.z_veg:
+        lines |= {
+            "z_veg": _line("z_veg", f"{fit.site.z_veg:.6g}", "choose your own"),
+            "x2_star": _line("x2_star", f"{fit.site.x2_star:.10g}", "a2 z_veg"),
+        }
     for name in PumpCurve._fields:
         if name in told:
             comment = _comment(told[name])

@@ -127,14 +127,14 @@ def calibrate(directory: Path, *arguments: str) -> subprocess.CompletedProcess[s
 def fitted(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A directory in which the command has run on a twin, from the paper's site.
 
-    Its pumps are worn: their data sheet has 50 m.
+    Its pumps are worn: their data sheet has 50 m. Its target is more than the roof holds.
     """
     directory = tmp_path_factory.mktemp("command")
     write(record_rows(PUMPED, DAYS, 2, pumping=True), directory / "twin.csv")
     text = (shared_directory() / "config" / "site.yaml").read_text(encoding="utf-8")
     for was, now in (
-        ("a2: 68.8", "a2: 100.0"), ("x2_star: 3.14416", "x2_star: 2.0"),
-        ("z_veg: 0.0457", "z_veg: 0.02"),
+        ("a2: 68.8", "a2: 100.0"), ("x2_star: 3.14416", "x2_star: 6.0"),
+        ("z_veg: 0.0457", "z_veg: 0.06"),
         ("z_soil: 0.5", "z_soil: 0.1"), ("z_cap: 34.4", "z_cap: 10.0"),
         ("latitude: 43.63", "latitude: 52.5"), ("longitude: -79.40", "longitude: 13.4"),
         ("utc_offset: -5.0", "utc_offset: 1.0"), ("a_in: 0.2922466566001905", "a_in: 300.0"),
@@ -154,6 +154,7 @@ def fitted(tmp_path_factory: pytest.TempPathFactory) -> Path:
     assert "intervals hold only while what was not fitted is as the site file" in ended.stdout
     assert "do not use it" not in ended.stdout
     assert "data sheet: a_hat -1e+06 s2/m5, c_hat 50 m" in ended.stdout
+    assert "target: z_veg was 0.06 m, and the fitted roof holds 0.0" in ended.stdout
     assert "pumps: 5" in ended.stdout  # l/s, sqrt((2 + 45 - 16) / 1e6) and a little less
     assert ended.stderr == ""
     noise = re.search(r"level sensor: noise (\S+) mm and drift", ended.stdout)[1]
@@ -169,8 +170,14 @@ def test_the_command_writes_a_site_that_can_be_used(fitted: Path) -> None:
     assert text.startswith("# Fitted to twin.csv by python -m greenroof_ros.calibrate.\n")
     assert "# runoff, validation: NSE " in text
     top = " ".join(line[2:] for line in text.split("\n\n")[0].splitlines())
-    for note in ("data sheet: a_hat ", "months: 4-6 are", "level sensor: noise ", "pumps: 5"):
+    for note in (
+        "data sheet: a_hat ", "months: 4-6 are", "target: z_veg was ", "level sensor: noise ",
+        "pumps: 5",
+    ):
         assert note in top
+    # Between wilting point and field capacity, 0.1 m deep.
+    middle = (site.wilting_point + site.field_capacity) / 2
+    assert site.z_veg == pytest.approx(0.1 * middle, rel=1e-4)
     assert site.a_hat == pytest.approx(-1e6, rel=1e-5)
     lines = {line.split(":")[0]: line for line in text.splitlines()}
     assert lines["a_hat"].endswith(
