@@ -306,11 +306,13 @@ def _print_sensor(sensor: LevelSensor | None) -> None:
 
 def _print_pump(pump: PumpFit) -> None:
     """Say what the cistern's fall tells about the pumps."""
-    Console().print(
+    text = (
         f"pumps: {1000 * pump.flow:.3g} l/s at full command, {1000 * pump.half:.2g} l/s either way "
-        f"(95 %), with {pump.level:.2f} m in the cistern; from {pump.runs} runs without rain",
-        soft_wrap=True, highlight=False,
+        f"(95 %), with {pump.level:.2f} m in the cistern; from {pump.runs} runs without rain"
     )
+    if pump.left_out:
+        text += f"; {pump.left_out} more, in which something else moved the cistern, do not count"
+    Console().print(". ".join([text, *pump.words]), soft_wrap=True, highlight=False)
 
 
 if __name__ == "__main__":
