@@ -266,10 +266,10 @@ def _words(record: Record, command: Values, runs: Runs, late: float) -> list[str
             f"The pump state is {abs(minutes):.2g} min {'late' if late > 0 else 'early'} against "
             "the cistern's fall"
         )
-    steps = float(np.median(runs.lasting(command)))
+    steps = float(np.quantile(runs.lasting(command), 0.9))
     if steps <= _SHORT:
         words.append(
-            f"Half of the runs last {steps:g} steps or less: the flow is right only if the pump "
+            f"Nine in ten runs last {steps:g} steps or less: the flow is right only if the pump "
             "state is the mean of each step, and not what was seen at one time in it"
         )
     return words

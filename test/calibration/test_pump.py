@@ -22,10 +22,13 @@ SITE = replace(TWIN, a_in=1000.0)
 """With the pump curve of Table I, and rain of a catchment that fills the cistern again."""
 
 
-def twin(site: Site, days: int, seed: int, *, refills: bool = False, shortest: bool = False) -> Record:
+def twin(
+    site: Site, days: int, seed: int, *, refills: bool = False, shortest: bool = False
+) -> Record:
     """A cistern whose pumps run twice a day: ten minutes at full command, twenty at half.
 
-    The shortest runs are of five minutes at full command. If it is refilled, then once a week during a run or beside it, with 1 to 5 m3 in 5 to 15 min.
+    The shortest runs are of five minutes at full command. If it is refilled, then once a week
+    during a run or beside it, with 1 to 5 m3 in 5 to 15 min.
     """
     random = np.random.default_rng(seed)
     rain = storms(days, random)
@@ -81,8 +84,7 @@ def test_the_flow_of_worn_pumps_is_found(seed: int) -> None:
 
 def later(record: Record, steps: int) -> Record:
     """A record whose pump state is late by some steps; at its beginning or end the pumps stand."""
-    command = np.roll(record.command, steps)
-    return replace(record, command=command)
+    return replace(record, command=np.roll(record.command, steps))
 
 
 @pytest.mark.parametrize("steps", [-2, -1, 1, 2])
@@ -102,7 +104,7 @@ def test_a_pump_state_that_is_late_or_early_does_not_matter(steps: int) -> None:
 
 
 def test_a_pump_state_of_another_clock_is_refused() -> None:
-    with pytest.raises(ConfigurationError, match=r"^record.csv: pump state: is more than 10 min after"):
+    with pytest.raises(ConfigurationError, match="pump state: is more than 10 min after the cist"):
         fit_pump(SITE, later(twin(SITE, 30, 1), 3))
 
 
@@ -126,17 +128,17 @@ def test_short_runs_are_said_to_tell_less() -> None:
     assert found.flow == pytest.approx(
         maximum_pump_flow(SITE, found.level * SITE.a1), abs=found.half
     )
-    assert found.words[-1].startswith("Half of the runs last 1 steps or less: the flow is right only")
+    assert found.words[-1].startswith("Nine in ten runs last 1 steps or less: the")
 
 
-@pytest.mark.parametrize(("days", "refills"), [(7, False), (7, True), (60, True)])
-def test_intervals_hold_the_truth(days: int, refills: bool) -> None:
-    """In 20 records of ten runs and more: of intervals of 95 %, three miss at most, but for 1.6 %."""
+@pytest.mark.parametrize("refills", [False, True])
+def test_intervals_of_one_week_hold_the_truth(refills: bool) -> None:
+    """In 20 records of ten runs and more; right intervals miss four times and more in 1.6 %."""
     worn = replace(SITE, c_hat=48.0)
     inside, fits, seed = 0, 0, 0
     while fits < 20:
         seed += 1
-        found = fit_pump(SITE, later(twin(worn, days, seed, refills=refills), 1))
+        found = fit_pump(SITE, later(twin(worn, 7, seed, refills=refills), 1))
         if found is not None:
             fits += 1
             true = maximum_pump_flow(worn, found.level * SITE.a1)
