@@ -109,7 +109,7 @@ def test_a_pump_state_of_another_clock_is_refused() -> None:
 
 
 def test_refills_do_not_matter() -> None:
-    """One a week, of up to twice what a run takes; seven of eight are seen."""
+    """One a week, of a fifth to all of what a run takes."""
     worn = replace(SITE, c_hat=48.0)
     found = fit_pump(SITE, twin(worn, 60, 1, refills=True))
     assert found is not None
