@@ -230,8 +230,9 @@ def _fit(
         notes.append(of_target(site, fitted.site))
     if record.level is not None:
         notes.append(of_sensor(dry_nights(seen, fitted.simulated.level)))
-    if pump is not None:
+    if record.command is not None and record.cistern is not None:
         notes.append(of_pump(pump))
+    if pump is not None:
         fitted = fitted._replace(parameters=[*fitted.parameters, *pump.parameters])
     spans = {
         part: _span(record, steps)

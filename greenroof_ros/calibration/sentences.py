@@ -43,9 +43,17 @@ def of_target(site: Site, fitted: Site) -> str:
     )
 
 
-def of_pump(pump: PumpFit) -> str:
+def of_pump(pump: PumpFit | None) -> str:
     """Say what the cistern's fall tells about the pumps."""
-    return (
+    if pump is None:
+        return (
+            "pumps: fewer than ten runs in which nothing else moves the cistern, so nothing is "
+            "said of their flow"
+        )
+    text = (
         f"pumps: {1000 * pump.flow:.3g} l/s at full command, {1000 * pump.half:.2g} l/s either way "
         f"(95 %), with {pump.level:.2f} m in the cistern; from {pump.runs} runs without rain"
     )
+    if pump.left_out:
+        text += f"; {pump.left_out} more, in which something else moved the cistern, do not count"
+    return ". ".join([text, *pump.words])

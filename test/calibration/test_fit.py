@@ -328,7 +328,7 @@ def test_the_page_draws_everything_and_asks_for_nothing(fitted: Path) -> None:
         assert "Measured and simulated" not in words  # titles are drawn
         notes = page.locator("#notes li").all_inner_texts()
         assert [note.split(":")[0] for note in notes] == [
-            "data sheet", "months", "level sensor", "pumps"
+            "data sheet", "months", "target", "level sensor", "pumps"
         ]
         assert "The crop_coefficient counts where evapotranspiration is computed" in words
         assert page.locator("canvas").count() == 8
