@@ -35,6 +35,10 @@ WRONG = {
     "method": (edited("published, fao56", "hargreaves"), "'hargreaves': must be fao56, or publ"),
     "window": (edited("    hours", "    length"), "line 6: length: is not known here; there are f"),
     "initial": (edited("low-low", "low"), "line 8: initial: 'low' must be one of low-low, hig"),
+    "own-state": (
+        edited("low-low", "site"),
+        "line 8: initial: site needs initial_cistern and initial_roof in site.yaml",
+    ),
     "volume": (edited("roof: 0.5", "roof: -0.5"), "initial: volumes must not be negative"),
     "half-state": (edited(", roof: 0.5", ""), "initial: a state has no roof"),
     "state-twice": (edited("name: dry", "name: low-low"), "initial: has low-low twice"),

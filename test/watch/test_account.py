@@ -124,6 +124,22 @@ def test_a_measured_roof_gives_the_summary() -> None:
         assert found[key] == pytest.approx(totals[key], rel=1e-9), key
 
 
+def test_water_in_the_layer_at_first_gives_the_summary(tmp_path: Path) -> None:
+    """It drains off, and what is stored falls by it."""
+    measured = (CONFIG / "site_neubrandenburg.yaml").read_text(encoding="utf-8")
+    file = tmp_path / "site.yaml"
+    file.write_text(f"{measured}initial_layer: 0.3\n", encoding="utf-8")
+    run = paper_run("--controller", "onoff", "--hours", "0.5", "--site", str(file))
+    metrics = Metrics()
+    happened = record(run, closed_loop(run, run.make_controller(), metrics))
+    account = Account(run.site)
+    for topic, (times, values) in recorded(happened, run.site).items():
+        account.add(topic, times, values)
+    assert_equal(account.totals(), metrics.results())
+    assert account.totals()["drained"] > 0.1
+    assert abs(account.totals()["unexplained"]) < 1e-9
+
+
 def test_a_low_outlet_gives_the_summary(tmp_path: Path) -> None:
     """Half an hour in which the detention volume drains; a live site computes the same from it."""
     file = site_file(tmp_path, runoff_coefficient=0.8, low_outlet_level=1.0, low_outlet_radius=0.05)
