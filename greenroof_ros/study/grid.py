@@ -393,12 +393,15 @@ class _Grid:
                         "{name: dry, cistern: 60.0, roof: 1.0} in m3",
                     )
                 own = own_state(site)
-                if name == SITES_OWN and own is None:
+                if name != SITES_OWN:
+                    volumes = initial_state(site, name)
+                elif own is not None:
+                    volumes = own
+                else:
                     raise self._refuse(
                         self._mapping, "initial",
                         f"{SITES_OWN} needs {' and '.join(OWN_KEYS)} in {site_file.name}",
                     )
-                volumes = own if name == SITES_OWN else initial_state(site, name)
             if name in names:
                 raise self._refuse(self._mapping, "initial", f"has {name} twice")
             names.add(name)

@@ -171,6 +171,19 @@ def test_grids_that_come_with_it(tmp_path: Path, file: str) -> None:
     assert case.weather[0].content == WEATHER.read_bytes()
 
 
+def test_a_sites_own_state_beside_one_of_the_papers(tmp_path: Path) -> None:
+    """Each site of a grid has its own."""
+    text = (CONFIG / "site.yaml").read_text()
+    for name, cistern in (("a.yaml", 70.0), ("b.yaml", 60.0)):
+        (tmp_path / name).write_text(f"{text}initial_cistern: {cistern}\ninitial_roof: 1.5\n")
+    own = GRID.replace(str(CONFIG / "site.yaml"), "[a.yaml, b.yaml]").replace("low-low", "site")
+    cases = read_grid(tmp_path / grid(tmp_path, own))
+    assert {(case.site.name, case.initial, case.cistern, case.roof) for case in cases} == {
+        ("a.yaml", "site", 70.0, 1.5), ("a.yaml", "dry", 40.0, 0.5),
+        ("b.yaml", "site", 60.0, 1.5), ("b.yaml", "dry", 40.0, 0.5),
+    }
+
+
 def test_names_of_files(tmp_path: Path) -> None:
     """Beside the grid first, then the package's config/; an error names both places."""
     text = GRID.replace(str(CONFIG / "site.yaml"), "site.yaml")

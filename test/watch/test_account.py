@@ -32,7 +32,8 @@ SUMMED = {
 STORM = ("--start", "2021-07-08T12:00-05:00", "--cistern", "75.5", "--roof", "34.39")
 # A dry day; a storm on a full roof beside a full cistern; a roof with nothing to evaporate.
 MEASURED = (
-    "--hours", "0.5", "--controller", "onoff", "--start", "2021-07-08T05:00-05:00",
+    "--hours", "0.5", "--controller", "onoff", "--fraction", "0.02", "--cistern", "57.7",
+    "--roof", "1.7", "--start", "2021-07-08T05:00-05:00",
     "--site", str(CONFIG / "site_neubrandenburg.yaml"),
 )
 RUNS = {
