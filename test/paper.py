@@ -96,6 +96,7 @@ def measured_sites(draw: st.DrawFn) -> Site:
     # The target is below field capacity, and perhaps below the wilting point.
     z_veg = site.z_soil * capacity * draw(st.floats(0.01, 0.99))
     layer = draw(st.none() | st.tuples(st.floats(0.001, 0.1), st.floats(1.0, 1e5)))
+    layer_filled = draw(st.just(0.0) | st.floats(0.0, 1.0)) if layer else 0.0
     mains = draw(st.none() | st.tuples(st.floats(0.01, 0.99), st.floats(1e-6, 1.0)))
     low = draw(st.none() | st.tuples(st.floats(0.01, 0.99), st.floats(0.001, 0.2)))
     lowest = site.suction_level
@@ -110,6 +111,7 @@ def measured_sites(draw: st.DrawFn) -> Site:
         z_veg=z_veg, x2_star=site.a2 * z_veg, z_cap=site.a2 * site.z_soil * capacity,
         field_capacity=capacity, wilting_point=wilting, depletion_fraction=draw(st.floats(0, 0.9)),
         drainage_storage=layer and layer[0], drainage_time=layer and layer[1],
+        initial_layer=layer_filled * site.a2 * layer[0] if layer else 0.0,
     )
 
 

@@ -15,7 +15,7 @@ from greenroof_ros.drives.drive_file import DriveFile
 from greenroof_ros.drives.faults import DRIVE_FAULTS
 from greenroof_ros.drives.faulty_server import FaultyServer, Wire, make_device
 from greenroof_ros.drives.simulated_drive import DriveSettings, SimulatedDrive
-from greenroof_ros.model.initial_state import initial_state
+from greenroof_ros.model.initial_state import default_state
 from greenroof_ros.model.pump_speed import flow_at
 from greenroof_ros.model.site import Site
 
@@ -48,14 +48,15 @@ class DriveBench:
                 file tells of no timeout of an Ethernet port of its own is behind a gateway there.
             workbench_address: TCP port of the workbench, likewise.
             site: for the flow, of drives that report it; until the workbench is told of another
-                level, the cistern's is that of the paper's low-low.
+                level, the cistern's is the one that runs begin with.
             say: is told what happens, for people.
 
         Raises:
             ConfigurationError: the make cannot be simulated.
         """
         self._site = site
-        self._level = site.cistern_level(initial_state(site, "low-low")[0])
+        _, (cistern, _) = default_state(site)
+        self._level = site.cistern_level(cistern)
         self._say = say
         self._gateway = not address.line and file.timeout.tcp is None
         interface = replace(address, gateway=self._gateway).interface

@@ -19,7 +19,14 @@ from greenroof_ros.controllers.registry import (
 )
 from greenroof_ros.experiment.run import Run, build_run, count_ticks
 from greenroof_ros.forecast.choice import MODELS, OPTIONS, ForecastChoice, choose
-from greenroof_ros.model.initial_state import INITIAL_STATES, check_volumes, initial_state
+from greenroof_ros.model.initial_state import (
+    INITIAL_STATES,
+    OWN_KEYS,
+    SITES_OWN,
+    check_volumes,
+    default_state,
+    initial_state,
+)
 from greenroof_ros.model.sensor_pump_errors import RANGES, SensorPumpErrors
 from greenroof_ros.model.site import read_site
 from greenroof_ros.weather.joining import find_files
@@ -114,7 +121,8 @@ def add_site_arguments(group: argparse._ArgumentGroup) -> None:
     )
     group.add_argument(
         "--initial", choices=list(INITIAL_STATES), default=None,
-        help="initial levels of cistern and roof, Table II of the paper (default: low-low)",
+        help="initial levels of cistern and roof, Table II of the paper (default: those of "
+        "the site file, low-low if it gives none)",
     )
     group.add_argument(
         "--cistern", type=within(0, 1e9), metavar="V",
@@ -297,10 +305,13 @@ def _run(
                 "says the initial state twice with --cistern and --roof", key="--initial"
             )
         initial, volumes = "custom", (arguments.cistern, arguments.roof)
+    elif arguments.initial is not None:
+        initial, volumes = arguments.initial, initial_state(site, arguments.initial)
     else:
-        initial = arguments.initial or "low-low"
-        volumes = initial_state(site, initial)
-    check_volumes(site, *volumes, keys=("--cistern", "--roof"))
+        initial, volumes = default_state(site)
+    check_volumes(
+        site, *volumes, keys=OWN_KEYS if initial == SITES_OWN else ("--cistern", "--roof")
+    )
     weather = read_weather(
         find_files(arguments.weather or [str(default_weather())], "--weather"),
         site,

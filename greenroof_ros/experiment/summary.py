@@ -100,7 +100,10 @@ def _setting(run: Run) -> dict[str, Any]:
         "controller": run.controller.name,
         "controller_reference": run.controller.reference,
         "parameters": finite(run.parameters),
-        "initial": {"name": run.initial, "cistern_m3": run.x1, "roof_m3": run.x2},
+        "initial": {
+            "name": run.initial, "cistern_m3": run.x1, "roof_m3": run.x2,
+            **({} if run.site.drainage_storage is None else {"layer_m3": run.site.initial_layer}),
+        },
         "start": run.start.isoformat(),
         "steps": run.steps,
         "tau_s": run.site.tau,

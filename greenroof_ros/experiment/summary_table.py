@@ -32,6 +32,15 @@ def _limit(value: float | None) -> str:
     return "no limit" if value is None else f"{value:g}"
 
 
+def _initial(initial: Mapping[str, Any]) -> tuple[str, str]:
+    """Return the volumes that a run began with (m3), and what they are."""
+    volumes, tanks = [initial["cistern_m3"], initial["roof_m3"]], "in cistern / on roof"
+    if initial.get("layer_m3"):
+        volumes.append(initial["layer_m3"])
+        tanks += " / in drainage layer"
+    return " / ".join(f"{volume:.3f}" for volume in volumes), f"m3 {tanks} ({initial['name']})"
+
+
 def table(summary: Mapping[str, Any]) -> Table:
     """Return the table that a person sees at the end of a run."""
     grid = Table(title="Result", title_justify="left", show_header=False)
@@ -43,11 +52,7 @@ def table(summary: Mapping[str, Any]) -> Table:
     )
     rows: list[tuple[str, str, str]] = [
         ("controller", summary["controller"], parameters),
-        (
-            "from",
-            f"{summary['initial']['cistern_m3']:.3f} / {summary['initial']['roof_m3']:.3f}",
-            f"m3 in cistern / on roof ({summary['initial']['name']})",
-        ),
+        ("from", *_initial(summary["initial"])),
         (
             "length", f"{summary['steps']} ticks",
             f"of {summary['tau_s']:g} s, evapotranspiration {summary['evapotranspiration_method']}",

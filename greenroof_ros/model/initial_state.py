@@ -1,4 +1,4 @@
-"""Initial states: the paper's, Table II, and the volumes that a place can hold."""
+"""Initial states: the paper's, Table II, a site's own, and the volumes that a place can hold."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import functools
 import logging
 
 from greenroof_ros.common.errors import ConfigurationError
-from greenroof_ros.model.site import Site
+from greenroof_ros.model.site import Site, unheld
 
 _log = logging.getLogger(__name__)
 
@@ -17,17 +17,33 @@ INITIAL_STATES = {
     "high-high": (1.3, 1.3),
 }
 
-# Eq. (4) has what the soil does not hold stand on it until it drains. No more stands there than the
-# most rain that ever fell in a day: Foc-Foc, La Reunion, 1966 [WMO] (m).
-_MOST_PONDED = 1.825
-# A cistern lies below the roof; where its outlet does not, it holds what Table II asks of it.
-_ABOVE_OUTLET = 1.3
+SITES_OWN = "site"
+"""Name of the state that a site file gives, by ``initial_cistern`` and ``initial_roof``."""
+OWN_KEYS = ("initial_cistern", "initial_roof")
+"""What the volumes of that state are called in the site file."""
 
 
 def initial_state(site: Site, name: str) -> tuple[float, float]:
     """Return the volumes x1 and x2 (m3) of one of the paper's initial states, Table II."""
     cistern, roof = INITIAL_STATES[name]
     return site.a1 * site.z_o * cistern, site.a2 * site.z_veg * roof
+
+
+def own_state(site: Site) -> tuple[float, float] | None:
+    """Return the volumes x1 and x2 (m3) that the site file gives; None where it gives none."""
+    if site.initial_cistern is None or site.initial_roof is None:
+        return None
+    return site.initial_cistern, site.initial_roof
+
+
+def default_state(site: Site) -> tuple[str, tuple[float, float]]:
+    """Return the state that a run begins in if not told otherwise, by name and volumes (m3).
+
+    It is the site file's own, or else low-low. What the drainage layer of a measured roof holds at
+    first is always the site file's ``initial_layer``: no other state speaks of it.
+    """
+    own = own_state(site)
+    return ("low-low", initial_state(site, "low-low")) if own is None else (SITES_OWN, own)
 
 
 @functools.cache  # so that a study says what it warns of once, not for each of its runs
@@ -46,25 +62,12 @@ def check_volumes(site: Site, cistern: float, roof: float, keys: tuple[str, str]
     Raises:
         ConfigurationError: no rain could have made such a state; a unit is wrong.
     """
-    full = site.roof_level(site.z_cap)
-    for key, volume, area, level, why in (
-        (
-            keys[0], cistern, site.a1, max(site.d, _ABOVE_OUTLET * site.z_o),
-            f"its outlet is at {site.z_o:g} m, the roof {site.d:g} m above its base",
-        ),
-        (
-            keys[1], roof, site.a2, full + _MOST_PONDED,
-            f"the soil holds {site.z_cap:g} m3, {full:g} m, and at most {_MOST_PONDED:g} m "
-            "stand on it",
-        ),
+    for key, volume, expected in zip(
+        keys, (cistern, roof), unheld(site, cistern, roof), strict=True
     ):
-        if volume > level * area:
-            raise ConfigurationError(
-                f"must be at most {level * area:g} m3, a level of {level:g} m ({why}); is a unit "
-                f"wrong? It is a volume in m3; a level of {volume:g} mm is "
-                f"{volume / 1000 * area:g} m3",
-                key=key, value=volume,
-            )
+        if expected:
+            raise ConfigurationError(expected, key=key, value=volume)
+    full = site.roof_level(site.z_cap)
     if roof > site.z_cap:
         _log.warning(
             "warning: %s = %r: more than the %g m3 (a level of %g m) that the soil holds: %.3g m "

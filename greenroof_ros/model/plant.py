@@ -144,8 +144,8 @@ class Plant:
     Attributes:
         x1: water volume in the cistern (m3).
         x2: water volume in the green roof (m3), of a measured roof that in its substrate.
-        layer: water volume in the drainage layer of a measured roof (m3), at first and of other
-            roofs always 0.
+        layer: water volume in the drainage layer of a measured roof (m3), at first the site's
+            ``initial_layer``; of other roofs always 0.
     """
 
     def __init__(self, site: Site, x1: float, x2: float) -> None:
@@ -153,7 +153,7 @@ class Plant:
         self._catchment = site.effective_catchment  # here once: the time of a tick counts
         self.x1 = x1
         self.x2 = x2
-        self.layer = 0.0
+        self.layer = site.initial_layer
 
     def levels(self) -> tuple[float, float]:
         """Water depth in the cistern and on the roof (m), as sensors would measure them.

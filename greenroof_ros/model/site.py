@@ -18,11 +18,16 @@ _LEAST, _LARGEST = 1e-12, 1e9
 # A product that a person rounds when writing it down, such as x2_star, is still consistent.
 _ROUNDING = 1e-6
 _WHOLE = {"pumps_in_series", "pumps_in_parallel"}
+# Eq. (4) has what the soil does not hold stand on it until it drains. No more stands there than the
+# most rain that ever fell in a day: Foc-Foc, La Reunion, 1966 [WMO] (m).
+_MOST_PONDED = 1.825
+# A cistern lies below the roof; where its outlet does not, it holds what Table II asks of it.
+_ABOVE_OUTLET = 1.3
 # What may be left out, with its range: the runoff coefficient, what a measured roof has and the
-# paper's soil has not, a mains top-up and a low outlet of the cistern, how many pumps the curve
-# stands for, which only the duty of one of them needs, the pumps' efficiency, which only the
-# electric energy does, their starts, which only planners, pump and a warning do, and the place,
-# which only a computed evapotranspiration does.
+# paper's soil has not, a mains top-up and a low outlet of the cistern, what a run begins with, how
+# many pumps the curve stands for, which only the duty of one of them needs, the pumps' efficiency,
+# which only the electric energy does, their starts, which only planners, pump and a warning do, and
+# the place, which only a computed evapotranspiration does.
 _OPTIONAL = {
     "runoff_coefficient": (0.01, 1.0),
     "field_capacity": (0.01, 0.9),
@@ -34,6 +39,9 @@ _OPTIONAL = {
     "mains_flow": (1e-6, 1.0),
     "low_outlet_level": (0.001, 100.0),
     "low_outlet_radius": (0.001, 1.0),
+    "initial_cistern": (0.0, 1e9),
+    "initial_roof": (0.0, 1e9),
+    "initial_layer": (0.0, 1e9),
     "pumps_in_series": (1, 100),
     "pumps_in_parallel": (1, 100),
     "pump_efficiency": (0.001, 1.0),
@@ -54,6 +62,7 @@ _TOGETHER = (
     (("drainage_storage", "drainage_time"), ("field_capacity",)),
     (("mains_level", "mains_flow"), ()),
     (("low_outlet_level", "low_outlet_radius"), ()),
+    (("initial_cistern", "initial_roof"), ()),
 )
 
 
@@ -136,6 +145,13 @@ class Site:
         "empties the detention volume above it between storms; without it there is none",
     )
     low_outlet_radius: float | None = _may_be_left_out(None, "m", "radius of that outlet")
+    initial_cistern: float | None = _may_be_left_out(
+        None, "m3", "in the cistern when a run begins; without it low-low of Table II",
+    )
+    initial_roof: float | None = _may_be_left_out(None, "m3", "the same on the roof")
+    initial_layer: float = _may_be_left_out(
+        0.0, "m3", "in the drainage layer when a run begins, in whatever state of the rest",
+    )
     pumps_in_series: int = _may_be_left_out(
         1, "pumps", "one behind another, for whose summed head the pump curve stands",
     )
@@ -272,6 +288,40 @@ class Site:
         return level * self.a2
 
 
+def unheld(site: Site, cistern: float, roof: float) -> tuple[str, str]:
+    """Say of two volumes what would be right where the place cannot hold them.
+
+    No rain could have made such a state; a unit is wrong.
+
+    Args:
+        site: the place.
+        cistern: volume x1 (m3).
+        roof: volume x2 (m3).
+
+    Returns:
+        Of cistern and roof; empty where the place can hold it.
+    """
+    full = site.roof_level(site.z_cap)
+    tanks = (
+        (
+            cistern, site.a1, max(site.d, _ABOVE_OUTLET * site.z_o),
+            f"its outlet is at {site.z_o:g} m, the roof {site.d:g} m above its base",
+        ),
+        (
+            roof, site.a2, full + _MOST_PONDED,
+            f"the soil holds {site.z_cap:g} m3, {full:g} m, and at most {_MOST_PONDED:g} m "
+            "stand on it",
+        ),
+    )
+    of_cistern, of_roof = (
+        "" if volume <= level * area else
+        f"must be at most {level * area:g} m3, a level of {level:g} m ({why}); is a unit wrong? "
+        f"It is a volume in m3; a level of {volume:g} mm is {volume / 1000 * area:g} m3"
+        for volume, area, level, why in tanks
+    )
+    return of_cistern, of_roof
+
+
 class SiteParameter(NamedTuple):
     """A parameter of a site, for people."""
 
@@ -403,6 +453,16 @@ def _check_water(path: Path, mapping: YamlMapping, site: Site) -> None:
             "mains_level", f"must be above z_pump + z_H = {site.suction_level:g} m, below which "
             f"the pumps do not work, and below {name} = {lowest:g} m, or it flows to the sewer",
         )
+    if site.initial_layer > site.layer_storage:
+        raise refuse(
+            "initial_layer", f"must be at most what the drainage layer holds, a2 drainage_storage "
+            f"= {site.layer_storage:g} m3",
+        )
+    if site.initial_cistern is not None and site.initial_roof is not None:
+        initial = {"initial_cistern": site.initial_cistern, "initial_roof": site.initial_roof}
+        for name, expected in zip(initial, unheld(site, *initial.values()), strict=True):
+            if expected:
+                raise refuse(name, expected)
     whole = site.a2 * site.z_soil
     products = [("x2_star", site.x2_star, site.a2 * site.z_veg, "a2 z_veg")]
     if site.field_capacity is not None:

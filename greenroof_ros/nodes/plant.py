@@ -22,7 +22,7 @@ from greenroof_ros.graph.parameters import (
     default_site,
     site_file,
 )
-from greenroof_ros.model.initial_state import check_volumes, initial_state
+from greenroof_ros.model.initial_state import check_volumes, default_state
 from greenroof_ros.model.metrics import Metrics
 from greenroof_ros.model.plant import Flows, Plant
 from greenroof_ros.model.sensor_pump_errors import RANGES, Pump, RoofSensor, SensorPumpErrors
@@ -45,7 +45,7 @@ _SENSOR_PUMP_ERRORS = {
 
 def parameters(site: Site) -> list[NodeParameter]:
     """Return the node's parameters, but that of the site."""
-    cistern, roof = initial_state(site, "low-low")
+    _, (cistern, roof) = default_state(site)
     perfect = SensorPumpErrors().values()
     return [
         NodeParameter(

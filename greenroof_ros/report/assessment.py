@@ -110,7 +110,8 @@ def assess(site: Site, trajectory: Trajectory, assumptions: Assumptions) -> Asse
 def _samples(site: Site, trajectory: Trajectory) -> Samples:
     """Return a whole run as samples; where a tank's flows were limited is unknown.
 
-    The drainage layer of a measured roof is computed from what percolates, empty at first.
+    The drainage layer of a measured roof is computed from what percolates; it begins with
+    the site's ``initial_layer``.
     """
     dt = np.append(np.diff(trajectory.time), site.tau)
 
@@ -129,7 +130,9 @@ def _samples(site: Site, trajectory: Trajectory) -> Samples:
         mains = until_the_end(mains_flows(site, trajectory.cistern))
     evaporated, layer = np.minimum(asked, np.maximum(held, 0.0)), None
     if site.field_capacity is not None:
-        followed = follow(site, 0.0, trajectory.roof, rain * site.a2 + flow, asked, dt)
+        followed = follow(
+            site, site.initial_layer, trajectory.roof, rain * site.a2 + flow, asked, dt
+        )
         evaporated, layer = followed.evaporated, followed.layer
     return Samples(
         duration=dt,

@@ -18,7 +18,14 @@ from greenroof_ros.common.files import YamlMapping, read_yaml, shared_directory,
 from greenroof_ros.controllers.registry import ControllerChoice, find_controller
 from greenroof_ros.experiment.run import build_run, count_ticks
 from greenroof_ros.forecast.choice import OPTIONS, PERFECT, ForecastChoice, choose
-from greenroof_ros.model.initial_state import INITIAL_STATES, check_volumes, initial_state
+from greenroof_ros.model.initial_state import (
+    INITIAL_STATES,
+    OWN_KEYS,
+    SITES_OWN,
+    check_volumes,
+    initial_state,
+    own_state,
+)
 from greenroof_ros.model.sensor_pump_errors import RANGES, SensorPumpErrors
 from greenroof_ros.model.site import Site, read_site
 from greenroof_ros.weather.joining import find_files
@@ -207,7 +214,7 @@ class _Grid:
         }
         given = window if "forecast" in window else self._mapping
         for choice, (initial, volumes) in itertools.product(
-            list(self._forecasts(given)), list(self._initial_states(site))
+            list(self._forecasts(given)), list(self._initial_states(site_file, site))
         ):
             for controller, parameters in same_forecasts.values():
                 with self._at(window, "start"):
@@ -360,7 +367,9 @@ class _Grid:
                     )
             yield window
 
-    def _initial_states(self, site: Site) -> Iterator[tuple[str, tuple[float, float]]]:
+    def _initial_states(
+        self, site_file: Path, site: Site
+    ) -> Iterator[tuple[str, tuple[float, float]]]:
         states = self._mapping["initial"]
         names = set()
         for state in states if isinstance(states, list) else [states]:
@@ -377,13 +386,22 @@ class _Grid:
                     raise self._refuse(self._mapping, "initial", "volumes must not be negative")
             else:
                 name = state
-                if not isinstance(name, str) or name not in INITIAL_STATES:
+                if not isinstance(name, str) or name not in (*INITIAL_STATES, SITES_OWN):
                     raise self._refuse(
                         self._mapping, "initial",
-                        f"{name!r} must be one of {', '.join(INITIAL_STATES)}, or "
+                        f"{name!r} must be one of {', '.join((*INITIAL_STATES, SITES_OWN))}, or "
                         "{name: dry, cistern: 60.0, roof: 1.0} in m3",
                     )
-                volumes = initial_state(site, name)
+                own = own_state(site)
+                if name != SITES_OWN:
+                    volumes = initial_state(site, name)
+                elif own is not None:
+                    volumes = own
+                else:
+                    raise self._refuse(
+                        self._mapping, "initial",
+                        f"{SITES_OWN} needs {' and '.join(OWN_KEYS)} in {site_file.name}",
+                    )
             if name in names:
                 raise self._refuse(self._mapping, "initial", f"has {name} twice")
             names.add(name)

@@ -90,7 +90,8 @@ class Account:
 
     What nobody measures on a live site is computed from the levels: the overflow by Eq. (2), and
     the drainage by Eq. (4), which begins at the soil's capacity, or of a measured roof by
-    :mod:`greenroof_ros.model.soil`. Its drainage layer is empty when the account begins.
+    :mod:`greenroof_ros.model.soil`. Its drainage layer holds the site's ``initial_layer`` when the
+    account begins.
 
     Attributes:
         live: whether it is known that nobody says drainage and overflow, and they are not waited
@@ -110,7 +111,7 @@ class Account:
         self._topics: dict[str, _Pending] = {}
         self._totals: dict[str, float] = {}
         self._roofs: tuple[float, float] | None = None  # first and last volume (m3)
-        self._layer = 0.0  # in the drainage layer of a measured roof (m3)
+        self._layer = site.initial_layer  # in the drainage layer of a measured roof (m3)
         self._adds = 0
         self._waiting = 0  # values, since they were counted last
         self._ended = False
@@ -155,7 +156,9 @@ class Account:
         self._count()
         totals = dict(self._totals)
         if self._roofs is not None:
-            totals["stored"] = self._roofs[1] - self._roofs[0] + self._layer
+            totals["stored"] = (
+                self._roofs[1] - self._roofs[0] + self._layer - self._site.initial_layer
+            )
             flows = [totals.get(key) for key in ("rain", "pumped", "drained", "evapotranspired")]
             if None not in flows:
                 rain, pumped, drained, evaporated = (flow or 0.0 for flow in flows)

@@ -165,6 +165,27 @@ def test_same_bits_of_a_measured_roof(domain: int, tmp_path: Path, controller: s
     assert max(float(row["drainage_m3_per_s"]) for row in rows) > 0
 
 
+def test_same_bits_of_a_sites_own_initial_state(domain: int, tmp_path: Path) -> None:
+    """Cistern, roof and drainage layer begin with what the site file says, in the graph, too."""
+    measured = (shared_directory() / "config" / "site_neubrandenburg.yaml").read_text()
+    file = tmp_path / "site.yaml"
+    file.write_text(
+        f"{measured}initial_cistern: 61.0\ninitial_roof: 2.7\ninitial_layer: 0.3\n"
+    )
+    options = (
+        "--controller", "planning_mpc", "--start", "2021-07-08T04:45", "--hours", "0.25",
+        "--site", str(file),
+    )
+    summary = bring_up(domain, tmp_path, *options)
+    simulate(domain, tmp_path, *options)
+    rows = assert_same(tmp_path, "run")
+    assert summary["initial"] == {
+        "name": "site", "cistern_m3": 61.0, "roof_m3": 2.7, "layer_m3": 0.3,
+    }
+    assert float(rows[0]["drainage_layer_m3"]) == 0.3
+    assert float(rows[0]["drainage_m3_per_s"]) > 1e-4
+
+
 @pytest.mark.parametrize("controller", ["mpc", "planning_mpc"])
 def test_same_bits_with_a_low_outlet(domain: int, tmp_path: Path, controller: str) -> None:
     """Rain on a catchment of which a part arrives, in a cistern that drains and is pumped from."""

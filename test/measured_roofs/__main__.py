@@ -18,7 +18,6 @@ from pathlib import Path
 
 import altair as alt
 import numpy as np
-from scipy.optimize import minimize_scalar
 
 HERE = Path(__file__).resolve().parent
 sys.path[:0] = [str(HERE), str(HERE.parent.parent)]
@@ -31,7 +30,6 @@ from greenroof_ros.calibration import simulation  # noqa: E402
 from greenroof_ros.calibration.fit import fit, measured_roof  # noqa: E402
 from greenroof_ros.calibration.halves import halve  # noqa: E402
 from greenroof_ros.calibration.meter import least_reading, through_meter  # noqa: E402
-from greenroof_ros.calibration.record import sums  # noqa: E402
 from greenroof_ros.calibration.scores import score  # noqa: E402
 from greenroof_ros.calibration.storms import comparable, storms  # noqa: E402
 from greenroof_ros.common.files import shared_directory  # noqa: E402
@@ -134,9 +132,9 @@ def parts(roof, directory, scratch):
     shipped = shared_directory() / "config" / f"site_{roof.name}.yaml"
     if shipped.exists():
         site = read_site(shipped)
-        for crop in (fitted_crop_coefficient(site, record, earlier), site.crop_coefficient):
-            model = f"{shipped.name}, crop_coefficient {crop:.2f}"
-            yield part_row(roof, model, record, shown(site, record, crop), later)
+        # Half full at first, as the meter would show it.
+        runoff = through_meter(simulation.simulate(site, record, 0.5).runoff, least_reading(record))
+        yield part_row(roof, shipped.name, record, runoff, later)
 
 
 def part_row(roof, model, record, runoff, steps):
@@ -146,24 +144,6 @@ def part_row(roof, model, record, runoff, steps):
     )
     nse = " | ".join(f"{value:.2f}" for value in scores.nse.values())
     return f"| {roof.name} | {model} | {nse} | {1 + scores.volume_error:.2f} |"
-
-
-def shown(site, record, crop_coefficient):
-    """Return the runoff (mm) that the meter would show of a site's roof, half full at first."""
-    site = replace(site, crop_coefficient=crop_coefficient)
-    return through_meter(simulation.simulate(site, record, 0.5).runoff, least_reading(record))
-
-
-def fitted_crop_coefficient(site, record, steps):
-    """Fit the crop coefficient of a site alone, to sums over hours of what ran off."""
-    seconds = record.seconds[steps]
-    measured = sums(record.runoff[steps], seconds, 3600)
-
-    def misfit(crop_coefficient):
-        runoff = shown(site, record, crop_coefficient)[steps]
-        return float(np.sum((sums(runoff, seconds, 3600) - measured) ** 2))
-
-    return minimize_scalar(misfit, bounds=(0.1, 2.5), method="bounded").x
 
 
 def _volumes(roof, names, fitted_on, judged_on, record, halves, runoff):

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import pytest
-from paper import PAPER_SITE
+from paper import PAPER_SITE, paper_run, site_file
 
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.model.initial_state import INITIAL_STATES, check_volumes, initial_state
@@ -37,3 +39,17 @@ def test_above_the_soil_is_said_once(caplog: pytest.LogCaptureFixture) -> None:
         check_volumes(PAPER_SITE, *initial_state(PAPER_SITE, name), KEYS)
     check_volumes(PAPER_SITE, 0.0, 34.4, KEYS)
     assert len(caplog.messages) == 1
+
+
+def test_a_sites_own_state_is_what_a_run_begins_in(tmp_path: Path) -> None:
+    """Unless the command line says another, by name or by volumes."""
+    options = ("--site", str(site_file(tmp_path, initial_cistern=70.0, initial_roof=1.5)))
+    run = paper_run(*options)
+    assert (run.initial, run.x1, run.x2) == ("site", 70.0, 1.5)
+    named = paper_run(*options, "--initial", "low-low")
+    # Table II: a1 z_o / 1.3 and a2 z_veg / 1.3.
+    assert named.initial == "low-low"
+    assert (named.x1, named.x2) == pytest.approx((75 / 1.3, 3.14416 / 1.3), rel=1e-12)
+    given = paper_run(*options, "--cistern", "60", "--roof", "2")
+    assert (given.initial, given.x1, given.x2) == ("custom", 60.0, 2.0)
+    assert paper_run().initial == "low-low"

@@ -54,6 +54,9 @@ def test_packaged_site_is_table_i() -> None:
     # The paper's soil drains by Eq. (4), nobody tops its cistern up, and it has one outlet.
     absent = (*MEASURED, "mains_level", "mains_flow", "low_outlet_level", "low_outlet_radius")
     assert {site.pop(key) for key in absent} == {None}
+    # A run begins in one of Table II's states.
+    assert {site.pop(key) for key in ("initial_cistern", "initial_roof")} == {None}
+    assert site.pop("initial_layer") == 0
     # All rain on its inlet arrives.
     assert site.pop("runoff_coefficient") == 1
     place = {key: value for key, value in site.items() if key not in TABLE_I}
@@ -279,6 +282,35 @@ def test_a_measured_roof(tmp_path: Path) -> None:
         ({"runoff_coefficient": "80"}, "runoff_coefficient", "must be from 0.01 to 1"),
         ({"runoff_coefficient": "0"}, "runoff_coefficient", "must be from 0.01 to 1"),
         ({"runoff_coefficient": ".nan"}, "runoff_coefficient", "must be finite"),
+        ({"initial_cistern": "50.0"}, "initial_cistern", "needs initial_roof as well"),
+        ({"initial_roof": "2.0"}, "initial_roof", "needs initial_cistern as well"),
+        (
+            {"initial_cistern": "-1.0", "initial_roof": "2.0"}, "initial_cistern",
+            "must be from 0 to 1e+09",
+        ),
+        (
+            {"initial_cistern": "401.0", "initial_roof": "2.0"}, "initial_cistern",
+            "must be at most 400 m3, a level of 16 m (its outlet is at 3 m, the roof 16 m above "
+            "its base); is a unit wrong? It is a volume in m3; a level of 401 mm is 10.025 m3",
+        ),
+        (
+            {"initial_cistern": "50.0", "initial_roof": "150.0"}, "initial_roof",
+            "must be at most 146.2 m3, a level of 2.125 m (the soil holds 20.64 m3, 0.3 m, and at "
+            "most 1.825 m stand on it)",
+        ),
+        (
+            {"initial_cistern": "50.0", "initial_roof": ".nan"}, "initial_roof", "must be finite",
+        ),
+        (
+            {"initial_layer": "5.5"}, "initial_layer",
+            "must be at most what the drainage layer holds, a2 drainage_storage = 0.688 m3",
+        ),
+        ({"initial_layer": "-0.1"}, "initial_layer", "must be from 0 to 1e+09"),
+        (
+            {"initial_layer": "0.1", "drainage_storage": None, "drainage_time": None},
+            "initial_layer",
+            "must be at most what the drainage layer holds, a2 drainage_storage = 0 m3",
+        ),
     ],
 )
 def test_wrong_measured_roofs(

@@ -164,6 +164,23 @@ def test_the_simulations_own_tally(options: tuple[str, ...]) -> None:
         assert limited > 0
 
 
+def test_what_a_layer_holds_at_first_is_a_part_of_the_balance(tmp_path: Path) -> None:
+    """A site's own initial state: all metrics from its trajectory, and nothing unexplained."""
+    file = tmp_path / "site.yaml"
+    measured = (CONFIG / "site_neubrandenburg.yaml").read_text(encoding="utf-8")
+    file.write_text(
+        f"{measured}initial_cistern: 61.0\ninitial_roof: 2.7\ninitial_layer: 0.3\n",
+        encoding="utf-8",
+    )
+    run = paper_run("--controller", "onoff", "--hours", "0.5", "--site", str(file))
+    metrics = Metrics()
+    happened = record(run, closed_loop(run, run.make_controller(), metrics))
+    found = assess(run.site, happened, Assumptions())
+    assert found.metrics["final_layer_m3"] == metrics["final_layer_m3"] < 0.3
+    assert found.metrics["drainage_m3"] == metrics["drainage_m3"] > 0.1
+    assert found.roof_residual_m3 == pytest.approx(0, abs=1e-9)
+
+
 def test_the_low_outlet_is_a_part_of_the_balance(tmp_path: Path) -> None:
     """Rain on 100 m2 of which half arrives; what both outlets take is the outflow."""
     file = site_file(

@@ -35,6 +35,10 @@ WRONG = {
     "method": (edited("published, fao56", "hargreaves"), "'hargreaves': must be fao56, or publ"),
     "window": (edited("    hours", "    length"), "line 6: length: is not known here; there are f"),
     "initial": (edited("low-low", "low"), "line 8: initial: 'low' must be one of low-low, hig"),
+    "own-state": (
+        edited("low-low", "site"),
+        "line 8: initial: site needs initial_cistern and initial_roof in site.yaml",
+    ),
     "volume": (edited("roof: 0.5", "roof: -0.5"), "initial: volumes must not be negative"),
     "half-state": (edited(", roof: 0.5", ""), "initial: a state has no roof"),
     "state-twice": (edited("name: dry", "name: low-low"), "initial: has low-low twice"),
@@ -165,6 +169,19 @@ def test_grids_that_come_with_it(tmp_path: Path, file: str) -> None:
     (case, *_) = read_grid(copy)
     assert case.site.content == (CONFIG / "site.yaml").read_bytes()
     assert case.weather[0].content == WEATHER.read_bytes()
+
+
+def test_a_sites_own_state_beside_one_of_the_papers(tmp_path: Path) -> None:
+    """Each site of a grid has its own."""
+    text = (CONFIG / "site.yaml").read_text()
+    for name, cistern in (("a.yaml", 70.0), ("b.yaml", 60.0)):
+        (tmp_path / name).write_text(f"{text}initial_cistern: {cistern}\ninitial_roof: 1.5\n")
+    own = GRID.replace(str(CONFIG / "site.yaml"), "[a.yaml, b.yaml]").replace("low-low", "site")
+    cases = read_grid(tmp_path / grid(tmp_path, own))
+    assert {(case.site.name, case.initial, case.cistern, case.roof) for case in cases} == {
+        ("a.yaml", "site", 70.0, 1.5), ("a.yaml", "dry", 40.0, 0.5),
+        ("b.yaml", "site", 60.0, 1.5), ("b.yaml", "dry", 40.0, 0.5),
+    }
 
 
 def test_names_of_files(tmp_path: Path) -> None:

@@ -4,13 +4,16 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from places import CONFIG, DATA
 
+from greenroof_ros.model.site import read_site
 from greenroof_ros.weather.hargreaves import (
     extraterrestrial_radiation,
     hargreaves,
     over_the_day,
     sun_height,
 )
+from greenroof_ros.weather.reading import read_weather
 
 
 def test_example_8() -> None:
@@ -71,3 +74,18 @@ def test_longer_steps_have_the_sums_of_five_minutes(hours: int) -> None:
         return over_the_day(daily, 52.5, seconds, day, float(step_s), -1.5)
 
     assert over(3600 * hours) == pytest.approx(over(300).reshape(-1, 12 * hours).sum(axis=1))
+
+
+def test_july_in_toronto_by_both_methods() -> None:
+    """A crop coefficient fitted with Hargreaves' equation is good with ``fao56`` there.
+
+    The sums over July 2021 differ by less than 1 %.
+    """
+    site = read_site(CONFIG / "site.yaml")
+    weather = read_weather([DATA / "en_climate_hourly_07-2021.csv"], site, "fao56")
+    temperature = weather.records.values["temperature"].reshape(31, 24)
+    days = np.arange("2021-07-01", "2021-08-01", dtype="datetime64[D]")
+    assert site.latitude is not None
+    depth = hargreaves(site.latitude, days, temperature.min(axis=1), temperature.max(axis=1))
+    assert depth.sum() == pytest.approx(weather.evapotranspiration.reshape(31, 24).mean(1).sum(),
+                                        rel=0.01)
