@@ -206,13 +206,18 @@ def fit(
     def moved(free: Sequence[Range], shares: Values) -> dict[str, float]:
         return start | {one.name: one.value(at) for one, at in zip(free, shares, strict=True)}
 
+    def without_meter(free: Sequence[Range], shares: Values) -> Values:
+        """Return the Jacobian of a meter without a least reading.
+
+        That reading makes steps of a smooth simulation: a short difference sees a few of them, and
+        takes one parameter for well told, or equal columns for different ones.
+        """
+        return _jacobian(lambda near: differences(moved(free, near), 0.0), shares)
+
     def tell_apart(stage: str) -> tuple[list[Range], list[tuple[Range, str]]]:
         stages.begin(stage, 1 + len(every))
         shares = np.array([one.share(start[one.name]) for one in every])
-        # Without the meter, whose steps would make equal columns differ.
-        return _tell_apart(
-            every, _jacobian(lambda near: differences(moved(every, near), 0.0), shares)
-        )
+        return _tell_apart(every, without_meter(every, shares))
 
     def solve(stage: str, free: Sequence[Range]) -> OptimizeResult:
         # Each evaluation may be followed by a Jacobian, of as many as there are parameters.
@@ -235,10 +240,11 @@ def fit(
     telling, held = tell_apart(TELLING_THERE)
     start.update({one.name: getattr(site, one.name, one.typical) for one, _ in held})
     found = solve(LAST_SEARCH, telling)
-    # scipy's Jacobian is scaled for the robust loss, and residuals are not: by (1 + z)^(1/4), so
-    # that their product is the gradient, in which a residual counts by (1 + z)^(-1/2).
-    scaled = found.fun * (1 + (found.fun / _ROBUST_FROM) ** 2) ** 0.25
-    half = half_intervals(moves(found.jac, scaled, compare.weeks))
+    # Of the robust loss both rows and residuals are scaled as scipy's least_squares does, so that
+    # their product is the gradient, in which a residual counts by (1 + z)^(-1/2).
+    robust = 1 + (found.fun / _ROBUST_FROM) ** 2
+    rows = without_meter(telling, found.x) * robust[:, None] ** -0.75
+    half = half_intervals(moves(rows, found.fun * robust**0.25, compare.weeks))
     parameters = [
         _judged(one, share, width)
         for one, share, width in zip(telling, found.x.tolist(), half.tolist(), strict=True)
