@@ -79,7 +79,7 @@ examples:
   python -m greenroof_ros.calibrate --pump-data sheet.csv --site my_site.yaml -o fitted_site.yaml
   python -m greenroof_ros.simulate --site fitted_site.yaml
 
-exit codes: 0 done, 2 bad usage, configuration or record
+exit codes: 0 done, 2 bad usage, configuration or record, 130 interrupted
 """
 
 

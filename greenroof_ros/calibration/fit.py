@@ -180,7 +180,8 @@ def fit(
     Parameters that the record cannot tell stay as the site has them: the drainage time where steps
     are longer than an hour, and those whose column of the Jacobian, over their range, is small or a
     sum of others' (QR with column pivoting; Golub and Van Loan, Matrix Computations, 5.5.7).
-    Intervals are those of :mod:`.intervals` with weeks as groups.
+    Intervals are those of :mod:`.intervals` with weeks as groups. They are wider by how far a
+    parameter would follow those that cannot be told apart from it, anywhere in their ranges.
 
     Args:
         site: where the search begins, and what is held.
@@ -243,8 +244,12 @@ def fit(
     # Of the robust loss both rows and residuals are scaled as scipy's least_squares does, so that
     # their product is the gradient, in which a residual counts by (1 + z)^(-1/2).
     robust = 1 + (found.fun / _ROBUST_FROM) ** 2
-    rows = without_meter(telling, found.x) * robust[:, None] ** -0.75
-    half = half_intervals(moves(rows, found.fun * robust**0.25, compare.weeks))
+    untold = [one for one, _ in held]
+    shares = np.array([one.share(start[one.name]) for one in (*telling, *untold)])
+    rows = without_meter([*telling, *untold], shares) * robust[:, None] ** -0.75
+    own, others = rows[:, :len(telling)], rows[:, len(telling):]
+    half = half_intervals(moves(own, found.fun * robust**0.25, compare.weeks))
+    half = np.hypot(half, _moved_by_held(own, others, shares[len(telling):]))
     parameters = [
         _judged(one, share, width)
         for one, share, width in zip(telling, found.x.tolist(), half.tolist(), strict=True)
@@ -350,6 +355,22 @@ def _tell_apart(
         held.append((every[place], why))
     telling.sort(key=every.index)
     return telling, held
+
+
+def _moved_by_held(own: Values, others: Values, shares: Values) -> Values:
+    """Return by how much the told parameters move if those held are anywhere in their ranges.
+
+    Args:
+        own: Jacobian of what is told, shape (n, told).
+        others: of what is held, shape (n, held).
+        shares: at which each is held, shape (held,).
+
+    Returns:
+        Shares of the ranges, shape (told,): of each the root of the sum of squares over those held,
+        each at the end of its range that is further away.
+    """
+    follows = np.linalg.lstsq(own, others, rcond=None)[0]
+    return np.asarray(np.linalg.norm(follows * np.maximum(shares, 1 - shares), axis=1))
 
 
 def _judged(one: Range, share: float, half: float) -> Parameter:

@@ -10,7 +10,7 @@ import numpy as np
 from greenroof_ros.calibration.fit import FILLED, Fit
 from greenroof_ros.calibration.record import Record
 from greenroof_ros.calibration.scores import ScoreRow, time_name
-from greenroof_ros.calibration.site_file import CROP_NOTE
+from greenroof_ros.calibration.site_file import CROP_NOTE, INTERVAL_NOTE
 from greenroof_ros.common.versions import versions
 from greenroof_ros.model.site import site_parameters
 from greenroof_ros.report.drawing import Figure
@@ -59,7 +59,8 @@ def render(
     return environment(__package__).get_template("page.html").render(
         source=str(record.source), parameters=parameters, scores=scores, figures=figures,
         times=list(scores[0].scores.nse), time_name=time_name, shown=_shown, site_file=site_file,
-        spans=spans, notes=notes, crop_note=CROP_NOTE, warning=warning,
+        spans=spans, notes=notes, crop_note=CROP_NOTE,
+        interval_note=INTERVAL_NOTE, warning=warning,
         rain=f"{float(np.nansum(record.rain)):.4g}",
         step=time_name(round(record.step_s)), versions=versions(),
         library=library(), payload=payload(figures),

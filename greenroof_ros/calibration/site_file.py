@@ -20,7 +20,10 @@ CROP_NOTE = (
     "weather file's own column"
 )
 """What a crop coefficient does in a run."""
-INTERVAL_NOTE = "The intervals hold only while what was not fitted is as the site file has it."
+INTERVAL_NOTE = (
+    "The intervals allow for what the record cannot tell apart, wherever it lies in its range. All "
+    "else is taken to be as the site file has it."
+)
 """What the interval of a fitted parameter leaves out."""
 
 _COMMENT = 30

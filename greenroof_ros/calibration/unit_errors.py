@@ -98,8 +98,8 @@ def _level(record: Record, level: Values, site: Site) -> None:
     if len(answers) >= _FEWEST_STORMS and not _LEAST_RISE < risen / came < _MOST_RISE:
         raise _error(
             record, "level",
-            f"rises by {risen:.2g} mm while {came:.4g} mm of rain falls: is the unit right? It "
-            f"should be {_LEAST_RISE:g} to {_MOST_RISE:g} times the rain",
+            f"rises by {risen:.2g} mm in storms that bring {came:.4g} mm, what is pumped included: "
+            f"is the unit right? It should be {_LEAST_RISE:g} to {_MOST_RISE:g} times that",
         )
 
 

@@ -448,6 +448,11 @@ def _check_water(path: Path, mapping: YamlMapping, site: Site) -> None:
         name = "low_outlet_level"
         if lowest >= site.z_o:
             raise refuse(name, f"must be below z_o = {site.z_o:g} m, the outlet above it")
+        if lowest <= site.suction_level:
+            raise refuse(
+                name, f"must be above z_pump + z_H = {site.suction_level:g} m, or it takes all "
+                "that the pumps could",
+            )
     if site.mains_level is not None and not site.suction_level < site.mains_level < lowest:
         raise refuse(
             "mains_level", f"must be above z_pump + z_H = {site.suction_level:g} m, below which "

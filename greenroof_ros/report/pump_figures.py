@@ -18,8 +18,8 @@ from greenroof_ros.model.site import Site
 from greenroof_ros.model.smooth_plant import linearise
 from greenroof_ros.report.drawing import Figure, Panel, Rows, distinct, short
 
-# As of a site's parameters: beyond, a unit is wrong.
-_LARGEST = 1e9
+# No pump that waters a roof is believed to have more [assumed]; sheets in l/s, m3/h or mm have.
+_LARGEST_FLOW, _LARGEST_HEAD = 0.5, 500.0
 
 
 def read_pump_data(path: Path) -> list[tuple[float, float]]:
@@ -46,9 +46,11 @@ def read_pump_data(path: Path) -> list[tuple[float, float]]:
                 "must be two numbers, flow (m3/s) and head (m)",
                 file=path, line=line, value=",".join(row),
             ) from error
-        if max(abs(flow), abs(head)) > _LARGEST:
+        if not (0 <= flow <= _LARGEST_FLOW and 0 <= head <= _LARGEST_HEAD):
             raise ConfigurationError(
-                f"must be at most {_LARGEST:g} in size", file=path, line=line, value=",".join(row)
+                f"must be a flow from 0 to {_LARGEST_FLOW:g} m3/s and a head from 0 to "
+                f"{_LARGEST_HEAD:g} m; are they in other units, such as l/s (0.001 m3/s)?",
+                file=path, line=line, value=",".join(row),
             )
         points.append((flow, head))
     try:

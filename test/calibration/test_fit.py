@@ -16,7 +16,7 @@ from recover_twins import ELSEWHERE, recover, true_value
 from twins import TWIN, record_rows, summed, write
 
 from greenroof_ros.calibration.csv_record import read_csv_record
-from greenroof_ros.calibration.fit import fit
+from greenroof_ros.calibration.fit import fit, ranges
 from greenroof_ros.calibration.halves import halve
 from greenroof_ros.calibration.record import Record
 from greenroof_ros.calibration.site_file import refuse_unlike
@@ -47,14 +47,22 @@ def test_a_twin_is_recovered(tmp_path: Path) -> None:
 
 
 def test_runoff_alone_tells_only_what_the_soil_holds_between(record: Record) -> None:
-    """Field capacity and wilting point count by their difference; the level tells them apart."""
-    found = fit(ELSEWHERE, replace(record, level=None), record.known)
+    """Field capacity and wilting point count by their difference; the level tells them apart.
+
+    So the interval of the field capacity allows for any wilting point, also for the true one.
+    """
+    record = replace(record, level=None)
+    found = fit(ELSEWHERE, record, record.known)
     by_name = {one.name: one for one in found.parameters}
     assert not by_name["wilting_point"].told
     assert "cannot tell it apart from field_capacity" in by_name["wilting_point"].words
     assert by_name["wilting_point"].value == pytest.approx(0.02)
     true = TWIN.field_capacity - TWIN.wilting_point
-    assert by_name["field_capacity"].value - 0.02 == pytest.approx(true, rel=0.05)
+    capacity = by_name["field_capacity"]
+    assert capacity.value - 0.02 == pytest.approx(true, rel=0.05)
+    assert capacity.low < TWIN.field_capacity < capacity.high
+    highest = next(one.high for one in ranges(ELSEWHERE, record) if one.name == "wilting_point")
+    assert capacity.high - capacity.value == pytest.approx(highest - 0.02, rel=0.15)
 
 
 def test_levels_alone_tell_nothing_of_the_drainage_layer(record: Record) -> None:
@@ -151,7 +159,7 @@ def fitted(tmp_path_factory: pytest.TempPathFactory) -> Path:
     assert ended.returncode == 0, ended.stderr
     assert "runoff, validation" in ended.stdout
     assert "crop_coefficient counts where evapotranspiration is computed" in ended.stdout
-    assert "intervals hold only while what was not fitted is as the site file" in ended.stdout
+    assert "intervals allow for what the record cannot tell apart" in ended.stdout
     assert "do not use it" not in ended.stdout
     assert "data sheet: a_hat -1e+06 s2/m5, c_hat 50 m" in ended.stdout
     assert "target: z_veg was 0.06 m, and the fitted roof holds 0.0" in ended.stdout
@@ -285,9 +293,15 @@ def test_a_data_sheet_in_no_unit_at_all_is_refused(tmp_path: Path) -> None:
     (tmp_path / "wild.csv").write_text("flow [m3/s],head [m]\n0,1e300\n0.004,9\n")
     ended = calibrate(tmp_path, "--pump-data", "wild.csv", "-o", "pumped.yaml")
     assert ended.returncode == 2
-    assert ended.stderr == (
-        "error: wild.csv, line 2: '0,1e300': must be at most 1e+09 in size\n"
+    assert ended.stderr.startswith(
+        "error: wild.csv, line 2: '0,1e300': must be a flow from 0 to 0.5 m3/s and a head from 0 "
+        "to 500 m; are they in other units"
     )
+    (tmp_path / "litres.csv").write_text("flow [m3/s],head [m]\n0,55\n4,46\n8,20\n")
+    ended = calibrate(tmp_path, "--pump-data", "litres.csv", "-o", "pumped.yaml")
+    assert ended.returncode == 2
+    assert "error: litres.csv, line 3: '4,46': must be a flow from 0 to 0.5 m3/s" in ended.stderr
+    assert "such as l/s" in ended.stderr
     (tmp_path / "wild.csv").write_text("flow [m3/s],head [m]\n0,50\n1e-8,9\n")
     ended = calibrate(tmp_path, "--pump-data", "wild.csv", "-o", "pumped.yaml")
     assert ended.returncode == 2

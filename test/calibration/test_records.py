@@ -220,7 +220,7 @@ WRONG = {
     "rain of a day in an hour": (scaled(1, 24), "more than anywhere on earth: is the unit right?"),
     "level in mm called m": (scaled(3, 1000), "m, more than twice the soil's depth of 0.1 m"),
     "level in cm called m": (scaled(3, 100), "more than twice the soil's depth of 0.1 m"),
-    "level in m called mm": (header(3, "level [mm]"), "of rain falls: is the unit right?"),
+    "level in m called mm": (header(3, "level [mm]"), "included: is the unit right?"),
     "runoff of a larger roof": (scaled(2, 10), "where"),
     "runoff in m called mm": (scaled(2, 1e-4), "is its unit right, or the sensor dead?"),
     "an empty column": (change(3, lambda *_: ""), "level: has 0 values; it must have 100 at least"),
@@ -246,7 +246,7 @@ WRONG = {
         both(scaled(1, 12), without(3)), "are the units of rain and runoff right?"),
     "runoff of a smaller roof": (
         both(scaled(2, 4), without(3)), "is more than what came, storm by storm"),
-    "level in cm called mm": (scaled(3, 0.1), "of rain falls: is the unit right? It should be"),
+    "level in cm called mm": (scaled(3, 0.1), "included: is the unit right? It should be"),
     "a level of every third row": (
         change(3, lambda row, text: text if row % 3 == 0 else ""),
         "level: has a value every 15 min, and there is a row every 5 min: every row must have one"),
@@ -306,7 +306,7 @@ def from_day(day: int, column: int, text: str, hours: int) -> Callable[[Rows], R
 WRONG_SUMS = {
     "runoff of a larger roof": (lambda hours: scaled(2, 10), "and the soil holds 100 mm at most"),
     "a level in m called cm": (
-        lambda hours: both(without(2), header(2, "level [cm]")), "of rain falls: is the unit right?"
+        lambda hours: both(without(2), header(2, "level [cm]")), "included: is the unit right?"
     ),
     "a stuck level": (lambda hours: from_day(20, 3, "0.03", hours), "the sensor is stuck"),
     "a stuck rain gauge": (

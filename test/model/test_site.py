@@ -264,6 +264,10 @@ def test_a_measured_roof(tmp_path: Path) -> None:
             "must be from 0.001 to 100",
         ),
         (
+            {"low_outlet_level": "0.7", "low_outlet_radius": "0.02"}, "low_outlet_level",
+            "must be above z_pump + z_H = 0.75 m, or it takes all that the pumps could",
+        ),
+        (
             {"low_outlet_level": "1.0", "low_outlet_radius": "20"}, "low_outlet_radius",
             "must be from 0.001 to 1",
         ),
