@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
-from greenroof_ros.forecast.skill import REAL
+from greenroof_ros.forecast.skill import REAL, SKILLS
 from greenroof_ros.model.look_ahead import MOST_MEMBERS
 
 PERFECT = "perfect"
@@ -19,10 +19,11 @@ MODELS: dict[str, tuple[str, ...]] = {
     "ensemble": ("skill", "seed", "members"),
 }
 
+# What the errors of a forecast are made from.
 OPTIONS = ("skill", "seed", "members")
 
-# Ranges of the options that are whole numbers.
-RANGES = {"seed": (0, 2**31 - 1), "members": (1, MOST_MEMBERS)}
+# Ranges of those that are whole numbers.
+WHOLE = {"seed": (0, 2**31 - 1), "members": (1, MOST_MEMBERS)}
 
 
 @dataclass(frozen=True)
@@ -48,9 +49,24 @@ class ForecastChoice:
         """The model's name or the file's path, as the option ``--forecast`` has it."""
         return self.model if self.file is None else str(self.file)
 
+    @property
+    def skill_file(self) -> Path | None:
+        """The file of the skill; None where it has a name."""
+        return None if self.skill in SKILLS else Path(self.skill)
+
     def options(self) -> dict[str, str | int]:
         """Return those of :data:`OPTIONS` that the model has, with their values."""
         return {name: getattr(self, name) for name in MODELS.get(self.model, ())}
+
+
+def check_skill(text: str) -> None:
+    """Check a skill's name, or the path of its file.
+
+    Raises:
+        ValueError: it is neither; the message says what it must be.
+    """
+    if text not in SKILLS and not text.lower().endswith(".yaml"):
+        raise ValueError(f"must be one of {', '.join(SKILLS)}, or a FILE.yaml")
 
 
 def choose(text: str) -> ForecastChoice:

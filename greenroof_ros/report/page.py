@@ -121,7 +121,7 @@ def _seeded_windows(report: Report) -> list[str]:
         assert entry.seeded is not None
         of = entry.seeded
         facts = place(entry).facts
-        facts["forecast"] += f" size {shortest(of.size)}"
+        facts["forecast"] += f" skill {of.skill}"
         seeds.setdefault(heading(facts, apart), set()).add(of.seed)
     return [f"{window}, {len(found)} seeds" for window, found in seeds.items()]
 

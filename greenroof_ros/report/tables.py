@@ -285,7 +285,7 @@ def _seeded(report: Report) -> list[Table]:
         return [
             _word(controller_name(one.controller)),
             Cell(one.setting, f"{one.controller} {rank:06}"),
-            Cell(shortest(one.size), one.size),
+            _word(one.skill),
             *(_word(one.place.facts[name]) for name in where),
             _word(one.place.initial),
             _number(len(one.totals), "d"),
@@ -297,7 +297,7 @@ def _seeded(report: Report) -> list[Table]:
     amounts = ("mean", "worst tenth", "worst")
     return [Table(
         "Total deviation under forecast errors, over their seeds",
-        ["controller", "setting", "size of the errors", *where, "from",
+        ["controller", "setting", "skill of the forecasts", *where, "from",
          "seeds", *(f"{amount} (m³)" for amount in amounts),
          *(f"{amount} over the least (1)" for amount in amounts if known)],
         [row(rank, one) for rank, one in enumerate(found)],
