@@ -139,7 +139,8 @@ def _drawn(climate: Climate, rain: Array, first: int) -> Array:
     drawn = missing | (rain == 0)
     ceiling = np.where(missing, np.inf, climate.threshold)
     pull, spread = _given_neighbours(climate, len(rain))
-    turns = [np.flatnonzero(drawn & ((np.arange(len(rain)) + first) % 2 == turn)) for turn in (0, 1)]
+    odd = (np.arange(len(rain)) + first) % 2 == 1
+    turns = [np.flatnonzero(drawn & odd), np.flatnonzero(drawn & ~odd)]
     normal = np.zeros(len(rain) + 2)  # and one on either side, of no weight
     normal[1:-1][~drawn] = climate.normal(rain[~drawn])
     uniform = _Uniform(first, len(rain))

@@ -116,7 +116,8 @@ class ErrorModel:
         reach = filters.reach
         hours = np.arange(issued - reach, issued + leads + reach)
         common, own, dry = self._noise.of(issue, len(hours), reach)
-        known = _filtered(filters.signal, self._normal.at(hours)) + _filtered(filters.common, common)
+        known = _filtered(filters.signal, self._normal.at(hours))
+        known += _filtered(filters.common, common)
         members = np.stack([known + _filtered(filters.own, noise) for noise in own])
         errors, unknown = self._skill.errors, filters.unknown[:leads]
         rain = self._skill.climate.rain(members + errors.wetness * unknown)
@@ -198,7 +199,7 @@ class _Noise:
         ages = np.arange(math.ceil(_FORGOTTEN * persistence / ISSUE_HOURS) + 1)
         weights = np.exp(-ages * ISSUE_HOURS / persistence)
         self._weights = weights / np.sqrt((weights**2).sum())
-        self._drawn: dict[int, tuple[Array, Array]] = {}
+        self._drawn: dict[int, tuple[Array, float]] = {}
         self._length = 0
 
     def of(self, issue: int, hours: int, before: int) -> tuple[Array, Array, float]:

@@ -9,7 +9,7 @@ from functools import partial
 from typing import NamedTuple
 
 from greenroof_ros.model.metrics import METRICS, Metric
-from greenroof_ros.recording.results_table import differing, shortest
+from greenroof_ros.recording.results_table import differing
 from greenroof_ros.report.assessment import Assumptions
 from greenroof_ros.report.results import Best, Report, Result, best_runs
 from greenroof_ros.report.seeds import Spread, spreads

@@ -7,7 +7,7 @@ import hashlib
 import itertools
 import json
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -324,7 +324,7 @@ class _Grid:
                 yield SensorPumpErrors(**values)
 
     def _combinations(
-        self, mapping: YamlMapping, ranges: dict[str, tuple[float, float]]
+        self, mapping: YamlMapping, ranges: Mapping[str, tuple[float, float]]
     ) -> Iterator[dict[str, Any]]:
         """Yield every combination of the values of some options, each with its range.
 

@@ -1,10 +1,10 @@
-"""How good the forecasts are that the package makes: ``python test/forecast_skill WEATHER SKILL``.
+"""How good the package's forecasts are: ``python test/forecast_skill WEATHER SKILL``.
 
-WEATHER is a directory of hourly bulk files of Toronto City Centre (``../shared/weather``, unpacked),
-SKILL a file of the services' figures (``test/data/skill.csv``). Each skill's forecasts of May to
-October 2015 to 2025 are held against the records: r, POD and FAR of sums over 1, 6, 12 and 24 h,
-one, two, three and five days ahead, beside the least and the greatest of the services. With ``--fit``
-the climate and the errors of config/forecasts/skill.yaml are fitted first, and printed.
+WEATHER is a directory of hourly bulk files of Toronto City Centre (2015 to 2025), SKILL a file of
+the services' figures (``test/data/skill.csv``). Each skill's forecasts of May to October are held
+against the records: r, POD, FAR and bias of sums over 1, 6, 12 and 24 h, one, two, three and five
+days ahead, beside the least and the greatest of the services. With ``--fit`` the climate and the
+errors of config/forecasts/skill.yaml are fitted first, and printed.
 """
 
 from __future__ import annotations
@@ -88,7 +88,7 @@ def table(weather, warm: Warm, spread, name: str, seeds: int) -> None:
                 text = f"**{value:.2f}**" if out else f"{value:.2f}"
                 cells.append(f"{text} ({low:.2f} - {high:.2f})")
             print(f"| {day} | {length} h | " + " | ".join(cells) + " |")
-    print(f"\nr, POD, FAR outside of the services' spread: {outside} of {3 * len(DAYS) * len(SUMS)}")
+    print(f"\nr, POD, FAR beyond the services': {outside} of {3 * len(DAYS) * len(SUMS)}")
 
 
 def main() -> None:
