@@ -168,7 +168,8 @@ class _Filters:
         # A circle so large that its two sides do not meet.
         hours = 4 * self.reach
         power = self._skill.climate.spectrum(hours)
-        coherence = self._skill.coherence(leads.astype(np.float64), np.fft.rfftfreq(hours))
+        frequencies = np.arange(2 * self.reach + 1) / hours
+        coherence = self._skill.coherence(leads.astype(np.float64), frequencies)
         common = self._weights(np.sqrt((coherence - coherence**2) * power))
         own = self._weights(np.sqrt((1 - coherence) * power))
         # The mean over the circle; all frequencies but the first and the last stand for two.

@@ -33,9 +33,10 @@ def forecast_errors(report: Report) -> Figure:
     seeds = sorted({len(one.totals) for one in found})
     count = f"{seeds[0]} to {seeds[-1]}" if len(seeds) > 1 else f"{seeds[0]}"
     caption = (
-        f"Total deviation of {count} seeds of errors each, over the skill of the forecasts. Colours: "
-        "controllers; shapes: their settings. Filled marks on full lines: the mean; hollow ones on "
-        "dashed lines: the mean of the worst tenth of the runs. The panels' axes do not begin at 0."
+        f"Total deviation of {count} seeds of errors each, over the skill of the forecasts. "
+        "Colours: controllers; shapes: their settings. Filled marks on full lines: the mean; "
+        "hollow ones on dashed lines: the mean of the worst tenth of the runs. The panels' axes do "
+        "not begin at 0."
     )
     if any(one.bound_m3 for one in found):
         caption += " Black: the least that any controller with commands up to 1 could reach."
