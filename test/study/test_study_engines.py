@@ -175,7 +175,7 @@ def archive(directory: Path) -> None:
     (directory / "archive.csv").write_text("\n".join(lines) + "\n")
 
 
-FORECASTS = "forecast: [perfect, {model: errors, size: 0.5, seed: [1, 2]}, archive.csv]\n"
+FORECASTS = "forecast: [perfect, {model: errors, skill: worse, seed: [1, 2]}, archive.csv]\n"
 PLANNED = f"""
 site: {CONFIG / "site.yaml"}
 weather: {{file: {WEATHER}, start: 2021-07-07T00:50, hours: 0.25}}
@@ -189,9 +189,9 @@ def test_forecasts(tmp_path: Path) -> None:
     archive(tmp_path)
     result = study(tmp_path, grid(tmp_path, PLANNED + FORECASTS), "--output", "out")
     assert result.returncode == 0, result.stderr
-    assert "errors size 0.5 seed 1" in " ".join(result.stdout.split())
+    assert "errors skill worse seed 1" in " ".join(result.stdout.split())
     rows = rows_of(tmp_path / "out" / "results.csv")
-    columns = ("forecast", "forecast_size", "forecast_seed", "forecast_members")
+    columns = ("forecast", "forecast_skill", "forecast_seed", "forecast_members")
     assert [tuple(row[column] for column in columns) for row in rows] == [
         ("perfect", "", "", ""),
         ("errors", "0.5", "1", ""),
@@ -208,7 +208,7 @@ def test_forecasts(tmp_path: Path) -> None:
     kept = tmp_path / "out" / "configuration" / "archive.csv"
     assert kept.read_bytes() == (tmp_path / "archive.csv").read_bytes()
     report = [run.forecast for run in find_runs([tmp_path / "out"], None).runs]
-    assert report == ["", "errors size 0.5 seed 1", "errors size 0.5 seed 2", "archive.csv"]
+    assert report == ["", "errors skill worse seed 1", "errors skill worse seed 2", "archive.csv"]
 
     own = PLANNED.replace("hours: 0.25", "hours: 0.25, forecast: persistence") + FORECASTS
     assert [str(case.forecast) for case in read_grid(tmp_path / grid(tmp_path, own))] == [
@@ -233,7 +233,7 @@ def test_forecasts_by_both_engines(tmp_path: Path) -> None:
     # As the page does, of a bag with its summary and of a study alike.
     bags = [tmp_path / "ros" / "runs" / row["run"] for row in rows_of(graph)]
     labels = [run.forecast for run in find_runs(bags, None).runs]
-    assert labels == ["archive.csv", "ensemble size 0.5 seed 0 members 3"]
+    assert labels == ["archive.csv", "ensemble skill real seed 0 members 3"]
 
 
 WITH_ERRORS = """
