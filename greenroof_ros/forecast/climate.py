@@ -16,6 +16,7 @@ Stahel, Annals of Applied Statistics 6(4):1452 (2012); Bardossy and Plate, Water
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Annotated
 
 import numpy as np
@@ -123,18 +124,23 @@ class NormalRecords:
         low = max(begin - _BLOCK, 0)
         high = min(begin + (_PART + 1) * _BLOCK, len(self._rain))
         if part not in self._parts:
-            self._parts[part] = _drawn(self._climate, self._rain[low:high], self._first + low)
+            rain = self._rain[low:high].tobytes()
+            self._parts[part] = _drawn(self._climate, rain, self._first + low)
         return low, self._parts[part]
 
 
-def _drawn(climate: Climate, rain: Array, first: int) -> Array:
+@lru_cache(maxsize=64)
+def _drawn(climate: Climate, records: bytes, first: int) -> Array:
     """Return z (1) of each hour; see :class:`NormalRecords`.
+
+    It is kept, since a study asks for it for each of its seeds.
 
     Args:
         climate: of the rain.
-        rain: of each hour (mm), NaN where missing, shape (hours,).
+        records: rain of each hour (mm), NaN where missing, the bytes of an array.
         first: hours since 1970 of the first.
     """
+    rain = np.frombuffer(records)
     missing = np.isnan(rain)
     drawn = missing | (rain == 0)
     ceiling = np.where(missing, np.inf, climate.threshold)

@@ -20,6 +20,7 @@ from __future__ import annotations
 
 import math
 from datetime import datetime
+from functools import lru_cache
 
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
@@ -74,7 +75,7 @@ class ErrorModel:
         self._normal = NormalRecords(
             skill.climate, weather.precipitation, hours_since_1970(weather.first)
         )
-        self._filters = _Filters(skill)
+        self._filters = _filters(skill)
         self._noise = _Noise(seed, members, skill.errors.persistence)
         self._issue = (-1, -1)
         self._forecast = (np.empty((0, 0)), np.empty(0))
@@ -188,6 +189,12 @@ class _Filters:
         """Return the weights of filters with these responses, shape (leads, 2 reach + 1)."""
         circle = np.fft.irfft(response, 4 * self.reach, axis=1)
         return np.concatenate((circle[:, -self.reach :], circle[:, : self.reach + 1]), axis=1)
+
+
+@lru_cache(maxsize=8)
+def _filters(skill: Skill) -> _Filters:
+    """Return the filters of a skill; they are kept, since a study needs them for each seed."""
+    return _Filters(skill)
 
 
 class _Noise:

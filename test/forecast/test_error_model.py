@@ -115,7 +115,7 @@ def test_where_the_records_begin_does_not_matter(rain: dict[int, Array]) -> None
 
 
 def test_coherence() -> None:
-    """All is known at once, less later, and of short showers first; names are multiples of leads."""
+    """All is known at once, less later, of short showers first; a name is a multiple of leads."""
     leads, frequencies = np.array([0.0, 1, 6, 24, 72, 240]), np.array([0.0, 0.02, 0.1, 0.5])
     coherence = REAL.coherence(leads, frequencies)
     assert (coherence[0] == 1).all()
@@ -309,11 +309,11 @@ def test_evapotranspiration(rain: dict[int, Array]) -> None:
     """Right on the whole, known at once, and wrong by up to the skill's share with the lead."""
     factors = np.array([
         ErrorModel(season_weather(2016, rain[2016][:700]), seed, REAL).known(301, 241)[1] / 2
-        for seed in range(400)
+        for seed in range(150)
     ])
     assert (factors[:, 0] == 1).all()
     spread = factors.std(axis=0)
-    assert factors.mean(axis=0)[[24, 120, 240]] == pytest.approx(1, abs=4 * spread.max() / 20)
+    assert factors.mean(axis=0)[[24, 120, 240]] == pytest.approx(1, abs=4 * spread.max() / 12)
     assert 0 < spread[6] < spread[48] < spread[240] < REAL.errors.evapotranspiration * 1.1
 
 
