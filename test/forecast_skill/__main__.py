@@ -41,7 +41,7 @@ def fit(rain: dict[int, np.ndarray], spread: dict[tuple[int, int], np.ndarray]) 
         24 * day + 2.5: np.stack([spread[day, hours] for hours in SUMS], axis=1) for day in DAYS
     }
     errors = fit_errors(
-        Sample(climate, list(rain.values()), 3), of_leads, read_skill(REAL).errors
+        Sample(climate, list(rain.values()), 8), of_leads, read_skill(REAL).errors
     )
     print("errors:", {name: round(value, 4) for name, value in asdict(errors).items()}, flush=True)
 

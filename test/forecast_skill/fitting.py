@@ -95,7 +95,7 @@ def fit_errors(sample: Sample, spread: dict[float, np.ndarray], start: Errors) -
     """Fit errors to services' r, POD, FAR and bias.
 
     Least squares: 1 for the distance from their mean, and 30 more for what lies beyond them; the
-    bias, which scatters most, counts a tenth of that.
+    bias, which scatters most, counts a thirtieth of that.
 
     Args:
         sample: of the records.
@@ -118,7 +118,7 @@ def fit_errors(sample: Sample, spread: dict[float, np.ndarray], start: Errors) -
             low, high = services.min(axis=0), services.max(axis=0)
             beyond = np.maximum(0, np.maximum(low - found, found - high))
             squares = (found - services.mean(axis=0)) ** 2 + 30 * beyond**2
-            total += (squares * (1, 1, 1, 0.1)).sum()
+            total += (squares * (1, 1, 1, 1 / 30)).sum()
         return total
 
     begin = np.array([getattr(start, name) for name in names])
