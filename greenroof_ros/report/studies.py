@@ -117,7 +117,10 @@ def read_study(path: Path, source: str, prefix: str, sources: Sources) -> None:
                 meant={
                     "site_name": sites[row["site"]],
                     "weather": digest(configuration / row["weather"]) or source,
-                    "forecast": digest(configuration / row.get("forecast", "")),
+                    "forecast": (
+                        digest(configuration / row.get("forecast", "")),
+                        digest(configuration / (options["skill"] or "")),
+                    ),
                     "initial": what_initial(row["initial"], *volumes),
                 },
             )

@@ -421,7 +421,7 @@ def arrays_of(run: Path, topic: str, length: int) -> list[bytes]:
 @pytest.mark.parametrize(
     "options",
     [
-        "--controller planning_mpc --forecast errors --forecast-seed 4 --forecast-skill better",
+        "--controller planning_mpc --forecast errors --forecast-seed 4 --forecast-skill mine.yaml",
         "--controller planning_mpc --forecast ensemble --forecast-members 3",
         "--controller mpc --forecast archive.csv",
         "--controller onoff --forecast persistence",
@@ -433,6 +433,8 @@ def test_graph_and_simulate_are_given_the_same(
     """Over an issue, at 06:00 UTC; in the bag is, bit for bit, what was forecast."""
     pytest.importorskip("rclpy", reason="the graph needs ROS 2")
     archive(tmp_path)
+    skill = shared_directory() / "config" / "forecasts" / "skill.yaml"
+    (tmp_path / "mine.yaml").write_text(skill.read_text().replace("wetness:", "wetness: 1.0 #"))
     words = [*options.split(), "--start", "2021-07-07T00:55", "--hours", "0.15"]
     graph = bring_up(domain, tmp_path, *words)
     subprocess.run(
@@ -448,6 +450,11 @@ def test_graph_and_simulate_are_given_the_same(
         kept = tmp_path / "run" / "configuration" / "forecast.csv"
         assert kept.read_bytes() == (tmp_path / "archive.csv").read_bytes()
         words[words.index("archive.csv")] = str(tmp_path / "archive.csv")
+    if "mine.yaml" in options:
+        assert graph["forecast"] == {"model": "errors", "skill": "mine.yaml", "seed": 4}
+        kept = tmp_path / "run" / "configuration" / "skill.yaml"
+        assert kept.read_bytes() == (tmp_path / "mine.yaml").read_bytes()
+        words[words.index("mine.yaml")] = str(tmp_path / "mine.yaml")
     run = paper_run(*words)
     for topic, forecast in (
         ("/forecast/precipitation", run.forecast.precipitation),
