@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 from forecast_skill.figures import figures
@@ -92,33 +93,33 @@ class Sample:
 
 
 def fit_errors(sample: Sample, spread: dict[float, np.ndarray], start: Errors) -> Errors:
-    """Fit errors to services' r, POD, FAR and bias.
+    """Fit errors to services' r, POD and FAR.
 
-    Least squares: 1 for the distance from their mean, and 30 more for what lies beyond them; the
-    bias, which scatters most, counts a thirtieth of that.
+    Least squares: 1 for the distance from their mean, and 30 more for what lies beyond them. The
+    bias is what comes of it: it is each service's own. More wetness and a smaller amount have
+    nearly the same figures, so the amount is not fitted.
 
     Args:
         sample: of the records.
         spread: of each lead (h), the services' figures, shape (services, sums, 4).
-        start: where the search begins; its persistence and evapotranspiration are kept.
+        start: where the search begins; what is not fitted is kept.
     """
-    names = ("reach", "fading", "timing", "timing_growth", "wetness", "amount")
-    steps = (300.0, 0.4, 0.3, 0.1, 0.15, 0.2)
+    names = ("reach", "fading", "timing", "timing_growth", "wetness")
+    steps = (300.0, 0.4, 0.3, 0.1, 0.15)
 
     def errors_of(values: np.ndarray) -> Errors:
-        return Errors(*map(float, values), start.persistence, start.evapotranspiration)
+        return replace(start, **dict(zip(names, map(float, values), strict=True)))
 
     def loss(values: np.ndarray) -> float:
-        reach, fading, timing, growth, _, amount = values
-        if not (reach > 20 and fading > 0.1 and timing >= 0 and growth > -1 and amount > 0.1):
+        reach, fading, timing, growth, _ = values
+        if not (reach > 20 and fading > 0.1 and timing >= 0 and growth > -1):
             return 100.0
         total = 0.0
         for lead, services in spread.items():
-            found = sample.figures(errors_of(values), lead)
-            low, high = services.min(axis=0), services.max(axis=0)
-            beyond = np.maximum(0, np.maximum(low - found, found - high))
-            squares = (found - services.mean(axis=0)) ** 2 + 30 * beyond**2
-            total += (squares * (1, 1, 1, 1 / 30)).sum()
+            of = services[..., :3]
+            found = sample.figures(errors_of(values), lead)[:, :3]
+            beyond = np.maximum(0, np.maximum(of.min(axis=0) - found, found - of.max(axis=0)))
+            total += ((found - of.mean(axis=0)) ** 2 + 30 * beyond**2).sum()
         return total
 
     begin = np.array([getattr(start, name) for name in names])

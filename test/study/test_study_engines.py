@@ -218,7 +218,9 @@ def test_forecasts(tmp_path: Path) -> None:
         kept = tmp_path / "out" / "configuration" / name
         assert kept.read_bytes() == (tmp_path / name).read_bytes()
     report = [run.forecast for run in find_runs([tmp_path / "out"], None).runs]
-    assert report == ["", "errors skill worse seed 1", "errors skill mine.yaml seed 1", "archive.csv"]
+    assert report == [
+        "", "errors skill worse seed 1", "errors skill mine.yaml seed 1", "archive.csv"
+    ]
 
     own = PLANNED.replace("hours: 0.25", "hours: 0.25, forecast: persistence") + FORECASTS
     assert [str(case.forecast) for case in read_grid(tmp_path / grid(tmp_path, own))] == [
