@@ -27,8 +27,8 @@ from greenroof_ros.common.records import Entry
 
 Array = NDArray[np.float64]
 
-# Sweeps over all dry hours, after which nothing of the beginning is left: the slowest mode of an
-# autoregression with T = 8 h keeps 0.984 of itself in a sweep.
+# Sweeps over all dry hours, after which next to nothing of the beginning is left: the slowest mode
+# of an autoregression with T = 8 h keeps 0.985 of itself in a sweep.
 _SWEEPS = 300
 
 # Random numbers are drawn in blocks of so many hours since 1970.
@@ -53,7 +53,7 @@ class Climate:
     wet_share: Annotated[float, Entry("share of the hours with rain (1)", 1e-4, 0.9)]
     scale: Annotated[float, Entry("k, scale of an hour's rain (mm)", 1e-3, 100.0)]
     growth: Annotated[float, Entry("b, how much faster than z rain grows (1)", 0.1, 5.0)]
-    memory: Annotated[float, Entry("T, hours after which z is correlated by 1/e", 0.5, 100.0)]
+    memory: Annotated[float, Entry("T, hours after which z is correlated by 1/e", 0.5, 24.0)]
 
     @property
     def threshold(self) -> float:

@@ -6,14 +6,11 @@ What the records' rain is made of, z of :mod:`greenroof_ros.forecast.climate`, i
 
 at each frequency, with the coherence s of :mod:`greenroof_ros.forecast.skill`. The first two terms
 are what the forecasters know; zeta is what they have wrong all alike, xi_j what member j of an
-ensemble has of its own. All have the spectrum of z, so that f_j has it, too: rain falls as often
-and as much in forecasts as in the records. Any two members have the coherence s with each other, as
-each has with what comes; so what comes is like one more member, and the ensemble's spread is what
-it claims. Only after that is rain made of f_j + wetness, and multiplied by the amount: what a
-service has wrong always.
-
-The forecast of an hour therefore depends on the records for some days about it, and with a great
-lead hardly at all. Nothing of it comes from looking the forecast's own hour up.
+ensemble has of its own. All have the spectrum of z, and so has f_j: it rains in forecasts as often
+as in the records. Any two members have the coherence s with each other, as each has with what
+comes; so what comes is like one more member, and the ensemble's spread is what it claims. Only
+after that is rain made of f_j + wetness, and multiplied by the amount: what a service has wrong
+always.
 """
 
 from __future__ import annotations
