@@ -285,10 +285,10 @@ def _seeded(report: Report) -> list[Table]:
         return [
             _word(controller_name(one.controller)),
             Cell(one.setting, f"{one.controller} {rank:06}"),
+            _number(len(one.totals), "d"),
             _word(one.skill),
             *(_word(one.place.facts[name]) for name in where),
             _word(one.place.initial),
-            _number(len(one.totals), "d"),
             *(_number(total, ".2f") for total in totals),
             *(_share(total / one.bound_m3 if one.bound_m3 else None)
               for total in totals if known),
@@ -297,8 +297,8 @@ def _seeded(report: Report) -> list[Table]:
     amounts = ("mean", "worst tenth", "worst")
     return [Table(
         "Total deviation under forecast errors, over their seeds",
-        ["controller", "setting", "skill of the forecasts", *where, "from",
-         "seeds", *(f"{amount} (m³)" for amount in amounts),
+        ["controller", "setting", "seeds", "skill of the forecasts", *where, "from",
+         *(f"{amount} (m³)" for amount in amounts),
          *(f"{amount} over the least (1)" for amount in amounts if known)],
         [row(rank, one) for rank, one in enumerate(found)],
     )]

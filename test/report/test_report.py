@@ -565,7 +565,7 @@ def test_seeds_page(seeds: Path, tmp_path: Path) -> None:
     row = next(row for row in table.split("<tr>") if "onoff 000002" in row)
     cells = [cell.partition("<")[0] for cell in row.split('">')[1:]]
     assert cells == [
-        "on/off", "fraction 0.5", "better", "2021-07-07 02:00-05:00", "12 h", "low-low", "25",
+        "on/off", "fraction 0.5", "25", "better", "2021-07-07 02:00-05:00", "12 h", "low-low",
         "1013.00", "1024.50", "1025.00", "2.0260", "2.0490", "2.0500",
     ]
     assert "Results of each run" not in text
