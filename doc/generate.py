@@ -37,6 +37,8 @@ from greenroof_ros.common.records import span as accepted
 from greenroof_ros.controllers.registry import BUILT_IN, find_controller
 from greenroof_ros.drives import drive_file, sensor_file
 from greenroof_ros.drives.faults import DRIVE_FAULTS, SITE_FAULTS, Fault
+from greenroof_ros.forecast.climate import Climate
+from greenroof_ros.forecast.skill import Errors
 from greenroof_ros.model.metrics import METRICS
 from greenroof_ros.model.site import read_site, site_parameters
 from greenroof_ros.pumping.settings import pump_parameters
@@ -233,6 +235,11 @@ def drive_files() -> str:
 def sensors_file() -> str:
     """Return every key of a file of level sensors."""
     return _keys({"the file": sensor_file.Sensors, "`cistern`, `roof`": sensor_file.Sensor})
+
+
+def skill_file() -> str:
+    """Return every key of a file of skill."""
+    return _keys({"`climate`": Climate, "`errors`": Errors})
 
 
 def _keys(parts: Mapping[str, Any]) -> str:
@@ -455,6 +462,7 @@ TABLES: dict[str, Callable[[], str | None]] = {
     "drive file": drive_files,
     "drives": drives,
     "sensors file": sensors_file,
+    "skill file": skill_file,
     "drive faults": drive_faults,
     "site faults": site_faults,
 }

@@ -54,7 +54,7 @@ def main() -> int:
         "  python -m greenroof_ros.simulate --controller planning_mpc --trajectory run.csv\n"
         "  python -m greenroof_ros.simulate --start 2021-07-08T05:00 --hours 6\n"
         "  python -m greenroof_ros.simulate --controller planning_mpc --horizon 24 \\\n"
-        "      --forecast errors --forecast-size 0.5 --forecast-seed 3\n"
+        "      --forecast errors --forecast-skill real --forecast-seed 3\n"
         "  python -m greenroof_ros.simulate --weather 'hourly_*.csv' --start 2021-07-01\n\n"
         "exit codes: 0 done, 2 bad usage or configuration, 130 interrupted",
         formatter_class=argparse.RawDescriptionHelpFormatter,

@@ -18,7 +18,15 @@ from greenroof_ros.controllers.registry import (
     find_controller,
 )
 from greenroof_ros.experiment.run import Run, build_run, count_ticks
-from greenroof_ros.forecast.choice import MODELS, OPTIONS, ForecastChoice, choose
+from greenroof_ros.forecast.choice import (
+    MODELS,
+    OPTIONS,
+    WHOLE,
+    ForecastChoice,
+    check_skill,
+    choose,
+)
+from greenroof_ros.forecast.skill import SKILLS
 from greenroof_ros.model.initial_state import (
     INITIAL_STATES,
     OWN_KEYS,
@@ -146,21 +154,22 @@ def _add_forecast_arguments(parser: argparse.ArgumentParser) -> None:
     group.add_argument(
         "--forecast", default=default.model, metavar=f"{{{','.join(MODELS)},FILE.csv}}",
         help="what the controller knows of the weather ahead. perfect: all of it; persistence: it "
-        "stays as it is; errors: with errors that grow with the lead; ensemble: several such; a "
+        "stays as it is; errors: as good and as bad as real ones; ensemble: several such; a "
         "file: archived forecasts. All but perfect are issued every 6 hours, a file's when it says "
         "(default: %(default)s)",
     )
     group.add_argument(
-        "--forecast-size", type=within(*OPTIONS["size"]), metavar="S",
-        help="errors, ensemble: size of the errors; 0.25 is small, 0.5 medium, 1 large "
-        f"(default: {default.size:g})",
+        "--forecast-skill", type=_skill, metavar=f"{{{','.join(SKILLS)},FILE.yaml}}",
+        help="errors, ensemble: how good they are. real: as those of weather services; better: as "
+        "real ones of half the lead; worse: of twice the lead; a file: as it says "
+        f"(default: {default.skill})",
     )
     group.add_argument(
-        "--forecast-seed", type=within(*_whole_range("seed"), int), metavar="N",
+        "--forecast-seed", type=within(*WHOLE["seed"], int), metavar="N",
         help=f"errors, ensemble: seed of the errors (default: {default.seed})",
     )
     group.add_argument(
-        "--forecast-members", type=within(*_whole_range("members"), int), metavar="M",
+        "--forecast-members", type=within(*WHOLE["members"], int), metavar="M",
         help=f"ensemble: number of its members (default: {default.members})",
     )
 
@@ -197,9 +206,12 @@ def _add_sensor_pump_arguments(parser: argparse.ArgumentParser) -> None:
     )
 
 
-def _whole_range(option: str) -> tuple[int, int]:
-    low, high = OPTIONS[option]
-    return int(low), int(high)
+def _skill(text: str) -> str:
+    check_skill(text)
+    return text
+
+
+_skill.__name__ = f"skill: {', '.join(SKILLS)}, or a FILE.yaml"
 
 
 def _speed(text: str) -> float:

@@ -100,6 +100,10 @@ def _write_configuration(
         forecast_file = configuration / "forecast.csv"
         shutil.copyfile(choice.file, forecast_file)
         choice = replace(choice, file=forecast_file)
+    if choice.skill_file is not None:
+        skill_file = configuration / "skill.yaml"
+        shutil.copyfile(choice.skill_file, skill_file)
+        choice = replace(choice, skill=str(skill_file))
     common = {"site_file": str(site_file)}
     span = {"start": run.start.isoformat(), "run_length": run.steps}
     parameters = {

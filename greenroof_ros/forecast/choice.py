@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
+from greenroof_ros.forecast.skill import REAL, SKILLS
 from greenroof_ros.model.look_ahead import MOST_MEMBERS
 
 PERFECT = "perfect"
@@ -14,12 +15,15 @@ FILE = "file"
 MODELS: dict[str, tuple[str, ...]] = {
     PERFECT: (),
     "persistence": (),
-    "errors": ("size", "seed"),
-    "ensemble": ("size", "seed", "members"),
+    "errors": ("skill", "seed"),
+    "ensemble": ("skill", "seed", "members"),
 }
 
-# Range of each option; those with whole ends are whole numbers.
-OPTIONS = {"size": (0.0, 10.0), "seed": (0, 2**31 - 1), "members": (1, MOST_MEMBERS)}
+# What the errors of a forecast are made from.
+OPTIONS = ("skill", "seed", "members")
+
+# Ranges of those that are whole numbers.
+WHOLE = {"seed": (0, 2**31 - 1), "members": (1, MOST_MEMBERS)}
 
 
 @dataclass(frozen=True)
@@ -28,14 +32,15 @@ class ForecastChoice:
 
     Attributes:
         model: one of :data:`MODELS`, or ``file``.
-        size: of the errors (1): 0 none, 0.25 small, 0.5 medium, 1 large.
+        skill: one of :data:`greenroof_ros.forecast.skill.SKILLS`, or the path of a file such as
+            ``config/forecasts/skill.yaml``.
         seed: of the errors.
         members: of the ensemble.
         file: with the forecasts; None where there is none.
     """
 
     model: str = PERFECT
-    size: float = 0.5
+    skill: str = REAL
     seed: int = 0
     members: int = 10
     file: Path | None = None
@@ -44,9 +49,24 @@ class ForecastChoice:
         """The model's name or the file's path, as the option ``--forecast`` has it."""
         return self.model if self.file is None else str(self.file)
 
-    def options(self) -> dict[str, float]:
+    @property
+    def skill_file(self) -> Path | None:
+        """The file of the skill; None where it has a name."""
+        return None if self.skill in SKILLS else Path(self.skill)
+
+    def options(self) -> dict[str, str | int]:
         """Return those of :data:`OPTIONS` that the model has, with their values."""
         return {name: getattr(self, name) for name in MODELS.get(self.model, ())}
+
+
+def check_skill(text: str) -> None:
+    """Check a skill's name, or the path of its file.
+
+    Raises:
+        ValueError: it is neither; the message says what it must be.
+    """
+    if text not in SKILLS and not text.lower().endswith(".yaml"):
+        raise ValueError(f"must be one of {', '.join(SKILLS)}, or a FILE.yaml")
 
 
 def choose(text: str) -> ForecastChoice:

@@ -20,7 +20,14 @@ from greenroof_ros.common.times import (
     to_people,
 )
 from greenroof_ros.controllers.protocol import HORIZON
-from greenroof_ros.forecast.choice import MODELS, OPTIONS, ForecastChoice, choose
+from greenroof_ros.forecast.choice import (
+    MODELS,
+    OPTIONS,
+    WHOLE,
+    ForecastChoice,
+    check_skill,
+    choose,
+)
 from greenroof_ros.forecast.live_forecast import (
     ForecastFile,
     LiveForecast,
@@ -28,6 +35,7 @@ from greenroof_ros.forecast.live_forecast import (
     Outlook,
 )
 from greenroof_ros.forecast.resampling import make_forecast
+from greenroof_ros.forecast.skill import SKILLS
 from greenroof_ros.graph.errors import LockstepError
 from greenroof_ros.graph.link import CLOCK, LinkedNode
 from greenroof_ros.graph.live import live_parameters
@@ -74,15 +82,15 @@ def parameters(site: Site) -> list[NodeParameter]:
             "read again whenever it is replaced",
         ),
         NodeParameter(
-            "forecast_size", forecast.size, "errors, ensemble: 0.25 small, 0.5 medium, 1 large",
-            *OPTIONS["size"],
+            "forecast_skill", forecast.skill,
+            f"errors, ensemble: how good they are: {', '.join(SKILLS)}, or a FILE.yaml",
         ),
         NodeParameter(
-            "forecast_seed", forecast.seed, "errors, ensemble: of the errors", *OPTIONS["seed"]
+            "forecast_seed", forecast.seed, "errors, ensemble: of the errors", *WHOLE["seed"]
         ),
         NodeParameter(
             "forecast_members", forecast.members, "ensemble: number of its members",
-            *OPTIONS["members"],
+            *WHOLE["members"],
         ),
         NodeParameter(
             "issue_limit", 7200.0, "live: how long ago the newest forecast of the file may have "
@@ -104,6 +112,12 @@ def _forecast(values: dict[str, Any]) -> ForecastChoice:
     except ValueError as error:
         raise ConfigurationError(
             str(error), key="parameter forecast of weather", value=text
+        ) from error
+    try:
+        check_skill(values["forecast_skill"])
+    except ValueError as error:
+        raise ConfigurationError(
+            str(error), key="parameter forecast_skill of weather", value=values["forecast_skill"]
         ) from error
     return replace(choice, **{name: values[f"forecast_{name}"] for name in OPTIONS})
 

@@ -88,8 +88,8 @@ class Seeded:
     """What the table of a study says of a run whose forecasts had random errors.
 
     Attributes:
-        model: the forecasts, without the size and the seed of their errors.
-        size: of the errors (1).
+        model: the forecasts, without the skill and the seed of their errors.
+        skill: of the forecasts, a name or a file.
         seed: of the errors.
         start: of the run, as headings name it.
         hours: its length (h).
@@ -98,7 +98,7 @@ class Seeded:
     """
 
     model: str
-    size: float
+    skill: str
     seed: str
     start: str
     hours: float

@@ -12,7 +12,7 @@ from markupsafe import Markup
 
 from greenroof_ros.common.versions import versions
 from greenroof_ros.model.site import site_parameters
-from greenroof_ros.recording.results_table import differing, shortest
+from greenroof_ros.recording.results_table import differing
 from greenroof_ros.report.assessment import Assumptions
 from greenroof_ros.report.drawing import CONFIG, Figure, Rows
 from greenroof_ros.report.entries import Sources
@@ -121,7 +121,7 @@ def _seeded_windows(report: Report) -> list[str]:
         assert entry.seeded is not None
         of = entry.seeded
         facts = place(entry).facts
-        facts["forecast"] += f" size {shortest(of.size)}"
+        facts["forecast"] += f" skill {of.skill}"
         seeds.setdefault(heading(facts, apart), set()).add(of.seed)
     return [f"{window}, {len(found)} seeds" for window, found in seeds.items()]
 

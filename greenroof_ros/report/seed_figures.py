@@ -1,4 +1,4 @@
-"""The figure of runs under forecast errors of many seeds: deviation over the size of the errors."""
+"""The figure of runs under forecast errors of many seeds: deviation over the forecasts' skill."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import altair as alt
 from greenroof_ros.recording.results_table import differing
 from greenroof_ros.report.drawing import COLOURS, SHAPES, Chart, Figure, Panel, Rows, cycle, short
 from greenroof_ros.report.results import Report, heading
-from greenroof_ros.report.seeds import Place, Spread, spreads
+from greenroof_ros.report.seeds import Place, Spread, best_first, spreads
 from greenroof_ros.report.settings import controller_name
 
 _AMOUNTS = ("mean", "mean of the worst tenth")
@@ -17,7 +17,7 @@ _AXIS = "total |x2 - x2*| (m³)"
 
 
 def forecast_errors(report: Report) -> Figure:
-    """Return mean and worst tenth of the total deviation over the size of the errors."""
+    """Return mean and worst tenth of the total deviation over the forecasts' skill."""
     found = spreads(report)
     places = list(dict.fromkeys(one.place for one in found))
     panels, data = [], {}
@@ -33,9 +33,10 @@ def forecast_errors(report: Report) -> Figure:
     seeds = sorted({len(one.totals) for one in found})
     count = f"{seeds[0]} to {seeds[-1]}" if len(seeds) > 1 else f"{seeds[0]}"
     caption = (
-        f"Total deviation of {count} seeds of errors each, over the size of the errors. Colours: "
-        "controllers; shapes: their settings. Filled marks on full lines: the mean; hollow ones on "
-        "dashed lines: the mean of the worst tenth of the runs. The panels' axes do not begin at 0."
+        f"Total deviation of {count} seeds of errors each, over the skill of the forecasts. "
+        "Colours: controllers; shapes: their settings. Filled marks on full lines: the mean; "
+        "hollow ones on dashed lines: the mean of the worst tenth of the runs. The panels' axes do "
+        "not begin at 0."
     )
     if any(one.bound_m3 for one in found):
         caption += " Black: the least that any controller with commands up to 1 could reach."
@@ -52,7 +53,7 @@ def _series(one: Spread) -> str:
 def _rows(found: list[Spread]) -> Rows:
     return [
         {
-            "series": _series(one), "size": one.size, "amount": amount, "v": short(value),
+            "series": _series(one), "skill": one.skill, "amount": amount, "v": short(value),
             "seeds": len(one.totals),
         }
         for one in found
@@ -102,10 +103,8 @@ def _chart(report: Report, found: list[Spread], dataset: str) -> Chart:
     margin = 0.08 * (high - low) or 0.08 * high or 1.0
     scale = alt.Scale(domain=[max(0.0, low - margin), high + margin], nice=False)
     x = alt.X(
-        "size:Q", title="size of the errors (1)", scale=alt.Scale(padding=20, zero=False),
-        axis=alt.Axis(
-            values=sorted({one.size for one in found}), labelExpr="'' + datum.value",
-        ),
+        "skill:O", title="skill of the forecasts", sort=best_first(one.skill for one in found),
+        axis=alt.Axis(labelAngle=0),
     )
     y = alt.Y("v:Q", title=_AXIS, scale=scale)
     look = _look(report, found)
@@ -122,7 +121,7 @@ def _chart(report: Report, found: list[Spread], dataset: str) -> Chart:
         for bound in bounds
     ]
     tooltip = [
-        alt.Tooltip("series:N", title="controller"), alt.Tooltip("size:Q", title="size"),
+        alt.Tooltip("series:N", title="controller"), alt.Tooltip("skill:N", title="skill"),
         alt.Tooltip("amount:N", title="of the seeds"), alt.Tooltip("seeds:Q"),
         alt.Tooltip("v:Q", title=_AXIS, format=".6~g"),
     ]

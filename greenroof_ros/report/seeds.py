@@ -6,19 +6,20 @@ would take minutes, and show nothing that these numbers do not.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
 
+from greenroof_ros.forecast.skill import SKILLS
 from greenroof_ros.recording.results_table import shortest
 from greenroof_ros.report.entries import RunEntry
 from greenroof_ros.report.results import NO_ERRORS, Facts, Report
 
 
 class Place(NamedTuple):
-    """What runs under errors of several sizes can be compared within."""
+    """What runs of several skills can be compared within."""
 
     site_name: str
     weather: str
@@ -50,7 +51,7 @@ class Spread:
         place: where and whence.
         controller: its name.
         setting: what distinguishes it from the controller's others.
-        size: of the errors (1).
+        skill: of the forecasts.
         totals: total deviation of each run (m3), the worst first.
         bound_m3: the least that any controller could reach; None if unknown.
     """
@@ -58,7 +59,7 @@ class Spread:
     place: Place
     controller: str
     setting: str
-    size: float
+    skill: str
     totals: tuple[float, ...]
     bound_m3: float | None
 
@@ -79,7 +80,7 @@ class Spread:
 
 
 def place(entry: RunEntry) -> Place:
-    """Return where a run under random errors belongs, whatever their size and seed."""
+    """Return where a run under random errors belongs, whatever their skill and seed."""
     assert entry.seeded is not None
     return Place(
         site_name=entry.site_name, weather=entry.weather, start=entry.seeded.start,
@@ -90,13 +91,13 @@ def place(entry: RunEntry) -> Place:
 
 def split_by_seeds(entries: Sequence[RunEntry]) -> tuple[list[RunEntry], list[RunEntry]]:
     """Return the runs that are judged one by one, and those of windows with several seeds."""
-    seeds: dict[tuple[Place, float], set[str]] = {}
+    seeds: dict[tuple[Place, str], set[str]] = {}
 
-    def window(entry: RunEntry) -> tuple[Place, float] | None:
+    def window(entry: RunEntry) -> tuple[Place, str] | None:
         if entry.seeded is None:
             return None
         # A window is for all initial states.
-        return place(entry)._replace(initial=""), entry.seeded.size
+        return place(entry)._replace(initial=""), entry.seeded.skill
 
     for entry in entries:
         key = window(entry)
@@ -110,26 +111,34 @@ def split_by_seeds(entries: Sequence[RunEntry]) -> tuple[list[RunEntry], list[Ru
 
 
 def spreads(report: Report) -> list[Spread]:
-    """Return the results of the seeded runs, controller by controller, small errors first."""
+    """Return the results of the seeded runs, controller by controller, the best forecasts first."""
     groups: dict[tuple[object, ...], list[RunEntry]] = {}
     for entry in report.seeded:
         assert entry.seeded is not None
         key = (
-            place(entry), entry.controller, tuple(entry.parameters.items()), entry.seeded.size,
+            place(entry), entry.controller, tuple(entry.parameters.items()), entry.seeded.skill,
         )
         groups.setdefault(key, []).append(entry)
     places = list(dict.fromkeys(map(place, report.seeded)))
+    skills = best_first(entry.seeded.skill for entry in report.seeded if entry.seeded is not None)
 
-    def order(entries: list[RunEntry]) -> tuple[int, int, int, float]:
+    def order(entries: list[RunEntry]) -> tuple[int, int, int, int]:
         first = entries[0]
         assert first.seeded is not None
         settings = report.settings[first.controller]
         return (
             places.index(place(first)), report.controllers.index(first.controller),
-            settings.labels.index(settings.label(first)), first.seeded.size,
+            settings.labels.index(settings.label(first)), skills.index(first.seeded.skill),
         )
 
     return [_spread(report, entries) for entries in sorted(groups.values(), key=order)]
+
+
+def best_first(skills: Iterable[str]) -> list[str]:
+    """Return different skills, those with a name from the best to the worst, then the files."""
+    found = dict.fromkeys(skills)
+    named = [name for name in SKILLS if name in found]
+    return [*named, *(one for one in found if one not in SKILLS)]
 
 
 def _spread(report: Report, entries: Sequence[RunEntry]) -> Spread:
@@ -140,6 +149,6 @@ def _spread(report: Report, entries: Sequence[RunEntry]) -> Spread:
     setting = report.settings[first.controller].full_label(first) if first.parameters else ""
     bound = next((one.bound_m3 for one in known if one.bound_m3 is not None), None)
     return Spread(
-        place=place(first), controller=first.controller, setting=setting, size=known[0].size,
+        place=place(first), controller=first.controller, setting=setting, skill=known[0].skill,
         totals=tuple(totals), bound_m3=bound,
     )

@@ -90,7 +90,7 @@ def read_study(path: Path, source: str, prefix: str, sources: Sources) -> None:
         bound = _cell(file, line, row, "bound_m3") if row.get("bound_m3") else None
         seeded = Seeded(
             model=forecast_label(row.get("forecast"), {"members": options["members"]}),
-            size=_cell(file, line, row, "forecast_size"),
+            skill=options["skill"] or "",
             seed=options["seed"],
             start=_start(row.get("start", "")),
             hours=_cell(file, line, row, "hours"),
@@ -117,7 +117,10 @@ def read_study(path: Path, source: str, prefix: str, sources: Sources) -> None:
                 meant={
                     "site_name": sites[row["site"]],
                     "weather": digest(configuration / row["weather"]) or source,
-                    "forecast": digest(configuration / row.get("forecast", "")),
+                    "forecast": (
+                        digest(configuration / row.get("forecast", "")),
+                        digest(configuration / (options["skill"] or "")),
+                    ),
                     "initial": what_initial(row["initial"], *volumes),
                 },
             )

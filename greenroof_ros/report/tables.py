@@ -9,7 +9,7 @@ from functools import partial
 from typing import NamedTuple
 
 from greenroof_ros.model.metrics import METRICS, Metric
-from greenroof_ros.recording.results_table import differing, shortest
+from greenroof_ros.recording.results_table import differing
 from greenroof_ros.report.assessment import Assumptions
 from greenroof_ros.report.results import Best, Report, Result, best_runs
 from greenroof_ros.report.seeds import Spread, spreads
@@ -285,10 +285,10 @@ def _seeded(report: Report) -> list[Table]:
         return [
             _word(controller_name(one.controller)),
             Cell(one.setting, f"{one.controller} {rank:06}"),
-            Cell(shortest(one.size), one.size),
+            _number(len(one.totals), "d"),
+            _word(one.skill),
             *(_word(one.place.facts[name]) for name in where),
             _word(one.place.initial),
-            _number(len(one.totals), "d"),
             *(_number(total, ".2f") for total in totals),
             *(_share(total / one.bound_m3 if one.bound_m3 else None)
               for total in totals if known),
@@ -297,8 +297,8 @@ def _seeded(report: Report) -> list[Table]:
     amounts = ("mean", "worst tenth", "worst")
     return [Table(
         "Total deviation under forecast errors, over their seeds",
-        ["controller", "setting", "size of the errors", *where, "from",
-         "seeds", *(f"{amount} (m³)" for amount in amounts),
+        ["controller", "setting", "seeds", "skill of the forecasts", *where, "from",
+         *(f"{amount} (m³)" for amount in amounts),
          *(f"{amount} over the least (1)" for amount in amounts if known)],
         [row(rank, one) for rank, one in enumerate(found)],
     )]

@@ -102,10 +102,13 @@ def _build(case: Case, directory: Path) -> Run:
 
 
 def _choice(case: Case, directory: Path) -> ForecastChoice:
-    """Return the case's choice of forecasts, a file of them where it lies."""
-    if case.forecast_file is None:
-        return case.forecast
-    return replace(case.forecast, file=directory / case.forecast_file.name)
+    """Return the case's choice of forecasts, files of them and of their skill where they lie."""
+    choice = case.forecast
+    if case.forecast_file is not None:
+        choice = replace(choice, file=directory / case.forecast_file.name)
+    if case.skill_file is not None:
+        choice = replace(choice, skill=str(directory / case.skill_file.name))
+    return choice
 
 
 def _run_in_process(run: Run) -> Outcome:
@@ -137,8 +140,8 @@ def _run_graph(case: Case, directory: Path) -> Outcome:
         "--parameters", str(parameters), "--cistern", repr(case.cistern), "--roof", repr(case.roof),
         "--forecast", str(_choice(case, directory)),
     ]
-    for name, value in case.forecast.options().items():
-        command += [f"--forecast-{name}", repr(value)]
+    for name, value in _choice(case, directory).options().items():
+        command += [f"--forecast-{name}", str(value)]
     if case.sensor_pump_errors is not None:
         # In one word, as -1e-05 alone would be taken for an option.
         command += [

@@ -7,7 +7,7 @@ import hashlib
 import itertools
 import json
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -17,7 +17,15 @@ from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.files import YamlMapping, read_yaml, shared_directory, unique_name
 from greenroof_ros.controllers.registry import ControllerChoice, find_controller
 from greenroof_ros.experiment.run import build_run, count_ticks
-from greenroof_ros.forecast.choice import OPTIONS, PERFECT, ForecastChoice, choose
+from greenroof_ros.forecast.choice import (
+    OPTIONS,
+    PERFECT,
+    WHOLE,
+    ForecastChoice,
+    check_skill,
+    choose,
+)
+from greenroof_ros.forecast.skill import SKILLS
 from greenroof_ros.model.initial_state import (
     INITIAL_STATES,
     OWN_KEYS,
@@ -47,6 +55,11 @@ class InputFile:
     """unique in the study"""
     content: bytes
 
+    @property
+    def digest(self) -> str:
+        """Identity of the content."""
+        return hashlib.sha256(self.content).hexdigest()
+
 
 @dataclass(frozen=True)
 class Case:
@@ -61,6 +74,7 @@ class Case:
         evapotranspiration: method.
         forecast: which forecasts; a file of them by its name.
         forecast_file: that file; None where there is none.
+        skill_file: of the forecasts' skill; None where that has a name.
         controller: which.
         parameters: all of the controller's.
         initial: name of the initial state.
@@ -77,6 +91,7 @@ class Case:
     evapotranspiration: str
     forecast: ForecastChoice
     forecast_file: InputFile | None
+    skill_file: InputFile | None
     controller: ControllerChoice
     parameters: dict[str, float]
     initial: str
@@ -87,7 +102,7 @@ class Case:
     @property
     def files(self) -> tuple[InputFile, ...]:
         """What it reads."""
-        files = (self.site, *self.weather, self.forecast_file)
+        files = (self.site, *self.weather, self.forecast_file, self.skill_file)
         return tuple(file for file in files if file is not None)
 
     @property
@@ -95,14 +110,10 @@ class Case:
         """Twelve hexadecimal digits, the same wherever and whenever the numbers are the same."""
         content = {
             **self.columns(),
-            "site": hashlib.sha256(self.site.content).hexdigest(),
-            "weather": " ".join(
-                hashlib.sha256(file.content).hexdigest() for file in self.weather
-            ),
-            "forecast_file": (
-                hashlib.sha256(self.forecast_file.content).hexdigest()
-                if self.forecast_file is not None else ""
-            ),
+            "site": self.site.digest,
+            "weather": " ".join(file.digest for file in self.weather),
+            "forecast_file": self.forecast_file.digest if self.forecast_file is not None else "",
+            **({"skill_file": self.skill_file.digest} if self.skill_file is not None else {}),
             "parameters": sorted(self.parameters.items()),
             "controller": [self.controller.reference, self.controller.source],
         }
@@ -113,7 +124,7 @@ class Case:
         """Identity of what every controller is given alike: site, weather, initial state."""
         return replace(
             self, controller=find_controller("onoff"), parameters={}, forecast=ForecastChoice(),
-            forecast_file=None, sensor_pump_errors=None,
+            forecast_file=None, skill_file=None, sensor_pump_errors=None,
         ).identity
 
     def columns(self) -> dict[str, Any]:
@@ -223,6 +234,12 @@ class _Grid:
                         volumes, choice,
                     )
             forecast_file = None if choice.file is None else self._input(choice.file)
+            skill_file = None if choice.skill_file is None else self._input(choice.skill_file)
+            carried = choice
+            if forecast_file is not None:
+                carried = replace(carried, file=Path(forecast_file.name))
+            if skill_file is not None:
+                carried = replace(carried, skill=skill_file.name)
             inputs = tuple(map(self._input, weather.files))
             for sensor_pump_errors, (controller, parameters) in itertools.product(
                 list(self._sensor_pump_errors()), controllers
@@ -234,11 +251,9 @@ class _Grid:
                     start=run.start.isoformat(),
                     hours=run.steps * site.tau / 3600,
                     evapotranspiration=weather.method,
-                    forecast=(
-                        choice if forecast_file is None
-                        else replace(choice, file=Path(forecast_file.name))
-                    ),
+                    forecast=carried,
                     forecast_file=forecast_file,
+                    skill_file=skill_file,
                     controller=controller,
                     parameters=parameters,
                     initial=initial,
@@ -260,16 +275,34 @@ class _Grid:
             except ValueError as error:
                 raise self._refuse(
                     mapping, "forecast",
-                    f"{text!r} {error}, or {{model: errors, size: 0.5, seed: [1, 2]}}",
+                    f"{text!r} {error}, or {{model: errors, skill: real, seed: [1, 2]}}",
                 ) from error
             if choice.file is not None:
                 place = self._place(mapping, "forecast", str(choice.file))
                 choice = replace(choice, file=place / choice.file)
             if options:
                 self._keys(options, ("model", *choice.options()))
-            names = [name for name in choice.options() if name in options]
-            for values in self._combinations(options, {name: OPTIONS[name] for name in names}):
-                yield replace(choice, **values)
+            skills = self._skills(options) if "skill" in options else [choice.skill]
+            whole = {
+                name: WHOLE[name] for name in choice.options() if name in options and name in WHOLE
+            }
+            for skill, values in itertools.product(
+                skills, list(self._combinations(options, whole))
+            ):
+                yield replace(choice, skill=skill, **values)
+
+    def _skills(self, options: YamlMapping) -> list[str]:
+        """Return the skills under ``skill:``, a file of one by its path."""
+        skills = []
+        for text in self._list(options, "skill", str):
+            try:
+                check_skill(text)
+            except ValueError as error:
+                raise self._refuse(options, "skill", f"{text!r} {error}") from error
+            skills.append(
+                text if text in SKILLS else str(self._place(options, "skill", text) / text)
+            )
+        return skills
 
     def _sensor_pump_errors(self) -> Iterator[SensorPumpErrors | None]:
         """Yield each combination of what is under ``sensor_pump_errors:``; None without it."""
@@ -291,7 +324,7 @@ class _Grid:
                 yield SensorPumpErrors(**values)
 
     def _combinations(
-        self, mapping: YamlMapping, ranges: dict[str, tuple[float, float]]
+        self, mapping: YamlMapping, ranges: Mapping[str, tuple[float, float]]
     ) -> Iterator[dict[str, Any]]:
         """Yield every combination of the values of some options, each with its range.
 

@@ -80,9 +80,13 @@ def forecast_name(case: Case) -> str:
     return _named(str(case.forecast), case.forecast.options())
 
 
-def _named(name: str, values: Mapping[str, float]) -> str:
+def _named(name: str, values: Mapping[str, float | str]) -> str:
     """Put values after a name."""
-    return " ".join([name, *(f"{key} {shortest(value)}" for key, value in values.items())])
+    texts = (
+        f"{key} {value if isinstance(value, str) else shortest(value)}"
+        for key, value in values.items()
+    )
+    return " ".join([name, *texts])
 
 
 def show(cases: Sequence[Case], rows: Sequence[Mapping[str, Any]], directory: Path) -> None:

@@ -85,19 +85,22 @@ OPTIONS: dict[str, tuple[str, tuple[str, ...]]] = {
     "forecast-seed-for-perfect": (
         "--forecast-seed 1", ("--forecast-seed", "errors and ensemble", "is perfect")
     ),
-    "forecast-size-for-persistence": (
-        "--forecast persistence --forecast-size 1", ("--forecast-size", "is persistence")
+    "forecast-skill-for-persistence": (
+        "--forecast persistence --forecast-skill real", ("--forecast-skill", "is persistence")
     ),
     "forecast-members-for-errors": (
         "--forecast errors --forecast-members 3", ("--forecast-members", "of ensemble", "is errors")
     ),
-    "forecast-size-for-file": (
-        "--forecast a.csv --forecast-size 1", ("--forecast-size", "errors and ensemble", "a.csv")
+    "forecast-skill-for-file": (
+        "--forecast a.csv --forecast-skill real",
+        ("--forecast-skill", "errors and ensemble", "a.csv"),
     ),
-    "forecast-size-negative": (
-        "--forecast errors --forecast-size=-1", ("--forecast-size", "from 0 to 10")
+    "forecast-skill-unknown": (
+        "--forecast errors --forecast-skill large", ("--forecast-skill", "real, worse", "large")
     ),
-    "forecast-size-nan": ("--forecast errors --forecast-size nan", ("--forecast-size", "nan")),
+    "forecast-skill-absent": (
+        "--forecast errors --forecast-skill absent.yaml", ("absent.yaml", "cannot be read")
+    ),
     "forecast-seed-broken": (
         "--forecast errors --forecast-seed 1.5", ("--forecast-seed", "whole number from 0")
     ),

@@ -23,21 +23,21 @@ from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.files import shared_directory
 from greenroof_ros.forecast.archive import read_forecasts
 from greenroof_ros.forecast.choice import ForecastChoice, choose
+from greenroof_ros.forecast.error_model import ErrorModel
 from greenroof_ros.forecast.models import (
-    ErrorModel,
     FileModel,
     PerfectModel,
     PersistenceModel,
     make_model,
 )
 from greenroof_ros.forecast.resampling import PerfectForecast, SteppedForecast, make_forecast
+from greenroof_ros.forecast.skill import read_skill
 from greenroof_ros.model.look_ahead import growing_steps
 from greenroof_ros.weather.records import Records
 from greenroof_ros.weather.series import Weather, WeatherSeries
 
 Array = NDArray[np.float64]
 MIDNIGHT = datetime.fromisoformat("2021-07-07T00:00+00:00")
-EPOCH = datetime.fromisoformat("1970-01-01T00:00+00:00")
 
 
 def weather_of(
@@ -51,11 +51,6 @@ def weather_of(
         evapotranspiration = np.full(len(fallen), 2.0)
     records = Records((Path("drawn.csv"),), first, {"precipitation": fallen}, "drawn")
     return Weather(records, fallen, np.array(evapotranspiration, dtype=float), "drawn", None)
-
-
-def hours_since_1970(time: datetime) -> int:
-    """Return whole hours."""
-    return int((time - EPOCH).total_seconds()) // 3600
 
 
 # --- means over steps --------------------------------------------------------------------------
@@ -117,7 +112,7 @@ def test_means_are_those_of_every_second(
 @pytest.mark.parametrize("options", [(), ("--controller", "planning_mpc")])
 def test_forecasts_of_nothing_are_nothing(options: tuple[str, ...]) -> None:
     """No step is below 0 by rounding, which the nodes would refuse."""
-    run = paper_run("--forecast", "errors", "--forecast-size", "1", "--hours", "60", *options)
+    run = paper_run("--forecast", "errors", "--forecast-skill", "worse", "--hours", "60", *options)
     for tick in range(0, run.steps + 1, 397):
         assert min(run.forecast.precipitation(tick)) >= 0.0
         assert min(run.forecast.evapotranspiration(tick)) >= 0.0
@@ -152,7 +147,9 @@ def test_whom_the_perfect_forecast_stays_the_same_for() -> None:
 )
 def test_issued_every_six_hours(first: str, issues: list[int]) -> None:
     """The newest changes at 00, 06, 12 and 18 UTC, in the first whole hour that is after it."""
-    model = ErrorModel(weather_of([1.0] * 60, first=datetime.fromisoformat(first)), 1, 1.0)
+    model = ErrorModel(
+        weather_of([1.0] * 60, first=datetime.fromisoformat(first)), 1, read_skill("real")
+    )
     changed = []
     for hour in range(1, 25):
         before, now = model.known(hour - 1, 30)[1][1:], model.known(hour, 29)[1]
@@ -219,14 +216,14 @@ def test_missing_rain_is_not_guessed() -> None:
     with pytest.raises(ConfigurationError, match=r"precipitation is missing at 2021-07-07T06:00\+"):
         make_forecast(weather, series, PAPER_SITE, start, 0.0, ForecastChoice("persistence"))
     with pytest.raises(ConfigurationError, match=r"drawn\.csv: precipitation is missing"):
-        ErrorModel(weather, 1, 1.0).known(3, 9)
+        ErrorModel(weather, 1, read_skill("real")).known(3, 9)
 
 
 def test_rain_that_is_missing_after_the_run() -> None:
     """It counts for those forecasts only that are made of it."""
     weather, start, series = lacking(20, first=12)
     for model in ("persistence", "perfect", "errors"):
-        choice = ForecastChoice(model, size=0.1)
+        choice = ForecastChoice(model)
         make_forecast(weather, series, PAPER_SITE, start, 6.0, choice)
         if model == "persistence":
             make_forecast(weather, series, PAPER_SITE, start, 12.0, choice)
@@ -238,88 +235,9 @@ def test_rain_that_is_missing_after_the_run() -> None:
 # --- errors ------------------------------------------------------------------------------------
 
 
-def factor(size: float, lead: float, normal: float) -> float:
-    """Return exp(s z - s^2 / 2)."""
-    spread = size * (lead / 12) ** 0.5
-    return float(np.exp(spread * normal - spread**2 / 2))
-
-
-def test_errors_by_the_formula() -> None:
-    """One hour of 6 mm at a lead of 9 h, worked out second by second from the definition."""
-    rain = np.zeros(80)
-    rain[6 + 9] = 6.0
-    for seed in range(8):
-        got, evapotranspiration = ErrorModel(weather_of(rain), seed, 0.5).known(8, 40)
-        issue = hours_since_1970(MIDNIGHT.replace(hour=6))
-        z, late, dry = np.random.default_rng([seed, 0, issue]).standard_normal(3)
-
-        def fallen(lead: float, late: float = late) -> float:
-            """Return what has fallen (mm) until a lead, in the records until it less the shift."""
-            read = max(lead - 4 * 0.5 * (lead / 12) ** 0.5 * late, 0.0)
-            return 6.0 * min(max(read - 9, 0.0), 1.0)
-
-        for lead in range(2, 42):
-            expected = (fallen(lead + 1) - fallen(lead)) * factor(0.5, lead, z)
-            assert got[0, lead - 2] == pytest.approx(expected, rel=1e-9, abs=1e-12)
-            assert evapotranspiration[lead - 2] == pytest.approx(2 * factor(0.125, lead, dry))
-
-
-def test_errors_are_of_mean_one_and_grow() -> None:
-    """Over 4,000 seeds: means within four standard errors, spreads as the docstring has them."""
-    one_hour = np.zeros(60)
-    one_hour[18] = 1.0
-    steady, burst = [], []
-    dry = []
-    for seed in range(4000):
-        rain, evapotranspiration = ErrorModel(weather_of([1.0] * 90), seed, 0.25).known(6, 49)
-        steady.append(rain[0])
-        dry.append(evapotranspiration / 2)
-        burst.append(ErrorModel(weather_of(one_hour), seed, 0.25).known(6, 30)[0][0])
-    for sample, leads in ((np.array(steady), (12, 24, 48)), (np.array(dry), (1, 3, 12, 24, 48))):
-        for lead in leads:
-            error = sample[:, lead].std() / 4000**0.5
-            assert abs(sample[:, lead].mean() - 1) < 4 * error
-    for lead in (1, 3, 12, 48):
-        spread = np.log(np.array(dry)[:, lead]).std()
-        assert spread == pytest.approx(0.25 * 0.25 * (lead / 12) ** 0.5, rel=0.05)
-    assert (np.diff(np.array(steady)[:, [6, 12, 24, 48]].std(axis=0)) > 0.02).all()
-    # The middle of a burst 12 to 13 h ahead comes 4 h x 0.25 too early or late.
-    middles = np.array(burst) @ (np.arange(30) + 0.5) / np.array(burst).sum(axis=1)
-    assert middles.mean() == pytest.approx(12.5, abs=0.1)
-    assert middles.std() == pytest.approx(1.0, rel=0.08)
-
-
-@given(
-    seed=st.integers(0, 2**31 - 1), size=st.floats(0.01, 1), begin=st.integers(4, 24),
-    amounts=st.lists(st.floats(0, 30), min_size=1, max_size=5),
-)
-def test_moved_water_is_all_there(
-    seed: int, size: float, begin: int, amounts: list[float]
-) -> None:
-    """What is taken out of the amounts' factor adds up to what the records have."""
-    rain = np.zeros(200)
-    rain[begin : begin + len(amounts)] = amounts
-    model = ErrorModel(weather_of(rain), seed, size)
-    # So far ahead nothing that was moved there would be cut off, nor by the largest rain.
-    got = model.known(0, 150)[0][0]
-    z = float(np.random.default_rng([seed, 0, hours_since_1970(MIDNIGHT)]).standard_normal())
-    factors = np.array([factor(size, lead, z) for lead in range(150)])
-    assert got.min() >= 0
-    if got.max() < 500:
-        assert (got / factors).sum() == pytest.approx(sum(amounts), rel=1e-9, abs=1e-9)
-
-
-def test_forecast_rain_stays_believable() -> None:
-    """500 mm/h and 50 mm/day at most, which are within the topics' ranges."""
-    weather = weather_of([400.0] * 80, [49.0] * 80)
-    forecasts = [ErrorModel(weather, seed, 3.0).known(0, 48) for seed in range(200)]
-    assert max(float(rain.max()) for rain, _ in forecasts) == 500.0
-    assert max(float(evapotranspiration.max()) for _, evapotranspiration in forecasts) == 50.0
-
-
 def test_same_seed_same_forecast_in_any_run() -> None:
     """Whatever the start, the length, the controller's parameters, the order of the calls."""
-    common = ("--forecast", "errors", "--forecast-seed", "7", "--forecast-size", "1")
+    common = ("--forecast", "errors", "--forecast-seed", "7", "--forecast-skill", "worse")
     planner = ("--controller", "planning_mpc", *common)
     long = paper_run(*planner, "--start", "2021-07-07T02:00", "--hours", "40").forecast
     onoff = ("--controller", "anticipating_onoff", *common)
@@ -334,50 +252,20 @@ def test_same_seed_same_forecast_in_any_run() -> None:
     assert other_seed.precipitation(0).tobytes() != long.precipitation(0).tobytes()
 
 
-def test_size_zero_is_perfect() -> None:
-    """Bit for bit, and the M ticks are the weather itself again."""
-    options = ("--forecast", "errors", "--forecast-size", "0")
-    assert isinstance(paper_run(*options).forecast, PerfectForecast)
-    weather = weather_of(np.random.default_rng(2).uniform(0, 9, 60))
-    perfect = PerfectModel(weather)
-    members = ErrorModel(weather, 3, 0.0, 4)
-    for hour in range(40):
-        expected, got = perfect.known(hour, 25), members.known(hour, 25)
-        assert all(member.tobytes() == expected[0].tobytes() for member in got[0])
-        assert got[1].tobytes() == expected[1].tobytes()
-
-
 # --- ensembles ---------------------------------------------------------------------------------
 
 
 def test_member_zero_is_the_single_forecast() -> None:
     """Of the same seed, bit for bit; the others differ from it and from each other in the rain."""
     weather = weather_of(np.random.default_rng(3).uniform(0, 9, 60))
-    single, members = ErrorModel(weather, 11, 0.5), ErrorModel(weather, 11, 0.5, 6)
+    skill = read_skill("real")
+    single, members = ErrorModel(weather, 11, skill), ErrorModel(weather, 11, skill, 6)
     for hour in (0, 5, 6, 20):
         (one, dry), (all_of_them, all_dry) = single.known(hour, 30), members.known(hour, 30)
         assert one.shape == (1, 30) and all_of_them.shape == (6, 30)
         assert one[0].tobytes() == all_of_them[0].tobytes()
         assert dry.tobytes() == all_dry.tobytes()
         assert len({member.tobytes() for member in all_of_them}) == 6
-
-
-def test_members_are_about_the_forecast_and_not_about_what_comes() -> None:
-    """One burst of rain in twelve hours: the members' mean time of it is member 0's, not its own.
-
-    With a hundred members of size 0.5 the timing spreads by 2 h; its mean is good to 0.2 h.
-    """
-    rain = [0.0] * 96
-    rain[36] = 10.0
-    weather = weather_of(rain)
-    hours = np.arange(48) + 0.5
-    away = 0
-    for seed in range(8):
-        members, _ = ErrorModel(weather, seed, 0.5, 100).known(24, 48)
-        times = (members * hours).sum(axis=1) / members.sum(axis=1)
-        assert times[1:].mean() == pytest.approx(times[0], abs=0.8)
-        away += abs(times[1:].mean() - 12.5) > 0.8
-    assert away >= 3
 
 
 def test_who_gets_which_members() -> None:
@@ -505,15 +393,11 @@ def test_end_of_the_records(tmp_path: Path) -> None:
     for model in ("perfect", "errors"):
         run = paper_run("--hours", "12", "--forecast", model)
         assert run.forecast.repeats_from is None
-    # Moved earlier, what comes after them would be rain of these hours.
-    weather = weather_of([1.0] * 30)
-    found = {ErrorModel(weather, seed, 1.0).repeats_from(0, 28) for seed in range(40)}
-    assert found == {None, weather.end}
 
 
 def test_choices() -> None:
     """Names, files, and the options that they have."""
-    assert choose("ensemble").options() == {"size": 0.5, "seed": 0, "members": 10}
+    assert choose("ensemble").options() == {"skill": "real", "seed": 0, "members": 10}
     assert choose("a/b.csv") == ForecastChoice("file", file=Path("a/b.csv"))
     assert (str(choose("a/b.csv")), choose("a/b.csv").options()) == ("a/b.csv", {})
     for wrong in ("file", "Perfect", "", "archive.yaml"):
@@ -537,7 +421,7 @@ def arrays_of(run: Path, topic: str, length: int) -> list[bytes]:
 @pytest.mark.parametrize(
     "options",
     [
-        "--controller planning_mpc --forecast errors --forecast-seed 4 --forecast-size 0.7",
+        "--controller planning_mpc --forecast errors --forecast-seed 4 --forecast-skill mine.yaml",
         "--controller planning_mpc --forecast ensemble --forecast-members 3",
         "--controller mpc --forecast archive.csv",
         "--controller onoff --forecast persistence",
@@ -549,6 +433,8 @@ def test_graph_and_simulate_are_given_the_same(
     """Over an issue, at 06:00 UTC; in the bag is, bit for bit, what was forecast."""
     pytest.importorskip("rclpy", reason="the graph needs ROS 2")
     archive(tmp_path)
+    skill = shared_directory() / "config" / "forecasts" / "skill.yaml"
+    (tmp_path / "mine.yaml").write_text(skill.read_text().replace("wetness:", "wetness: 1.0 #"))
     words = [*options.split(), "--start", "2021-07-07T00:55", "--hours", "0.15"]
     graph = bring_up(domain, tmp_path, *words)
     subprocess.run(
@@ -564,6 +450,11 @@ def test_graph_and_simulate_are_given_the_same(
         kept = tmp_path / "run" / "configuration" / "forecast.csv"
         assert kept.read_bytes() == (tmp_path / "archive.csv").read_bytes()
         words[words.index("archive.csv")] = str(tmp_path / "archive.csv")
+    if "mine.yaml" in options:
+        assert graph["forecast"] == {"model": "errors", "skill": "mine.yaml", "seed": 4}
+        kept = tmp_path / "run" / "configuration" / "skill.yaml"
+        assert kept.read_bytes() == (tmp_path / "mine.yaml").read_bytes()
+        words[words.index("mine.yaml")] = str(tmp_path / "mine.yaml")
     run = paper_run(*words)
     for topic, forecast in (
         ("/forecast/precipitation", run.forecast.precipitation),
@@ -579,7 +470,7 @@ def test_graph_and_simulate_are_given_the_same(
     [
         ("forecast:=perfekt", ("parameter forecast of weather = 'perfekt'", "must be one of perf")),
         ("forecast:=absent.csv", ("absent.csv: cannot be read",)),
-        ("forecast_size:=11.0", ("forecast_size", "from 0 to 10")),
+        ("forecast_skill:=good", ("forecast_skill of weather = 'good'", "real, worse")),
         ("forecast_members:=0", ("forecast_members", "a whole number from 1 to 100")),
         ("forecast_seed:=0.5", ("forecast_seed", "a whole number from 0")),
     ],

@@ -32,7 +32,7 @@ def bringup(tmp_path: Path, *arguments: str) -> subprocess.CompletedProcess[str]
         ("--hours", "1"), ("--start", "2021-07-07T02:00"), ("--initial", "low-low"),
         ("--cistern", "1"), ("--roof", "1"), ("--speed", "2"), ("--speed", "max"),
         ("--output", "here"), ("--json",), ("--evapotranspiration", "fao56"),
-        ("--forecast-size", "1"), ("--forecast-seed", "1"), ("--forecast-members", "2"),
+        ("--forecast-skill", "real"), ("--forecast-seed", "1"), ("--forecast-members", "2"),
         ("--roof-noise", "0.1"), ("--roof-offset", "0.1"), ("--noise-seed", "5"),
         ("--minimum-on", "60"), ("--minimum-off", "60"),
     ],

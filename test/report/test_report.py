@@ -468,14 +468,15 @@ def test_the_least_possible(tmp_path: Path, simulated: list[Simulated]) -> None:
 
 # --- many seeds --------------------------------------------------------------------------------
 
-ERRORS = ["forecast", "forecast_size", "forecast_seed", "forecast_members"]
+ERRORS = ["forecast", "forecast_skill", "forecast_seed", "forecast_members"]
 SEEDED = [*HEADER[:6], *ERRORS, *HEADER[6:]]
 
 
 def seeded_rows(row: dict[str, Any]) -> list[dict[str, Any]]:
-    """Return 2 windows x 2 initial states x 3 settings x 2 sizes x 25 seeds of made-up totals.
+    """Return 2 windows x 2 initial states x 3 settings x 2 skills x 25 seeds of made-up totals.
 
-    The totals of seed n = 1..25 are the base + n m3, times the size's 1 or 2.
+    The totals of seed n = 1..25 are the base + n m3, times 1 with better forecasts and
+    2 with real ones.
     """
     rows = []
     for start, hours in (("2021-07-07T02:00:00-05:00", "12.0"), ("2021-07-20T02:00-05:00", "24")):
@@ -484,14 +485,14 @@ def seeded_rows(row: dict[str, Any]) -> list[dict[str, Any]]:
                 ("mpc", "weight", "0.01", 900), ("onoff", "fraction", "0.5", 1000),
                 ("onoff", "fraction", "2", 2000),
             ):
-                for size in (0.5, 1.0):
+                for skill, times in (("real", 2), ("better", 1)):
                     rows += [
                         {**row, "start": start, "hours": hours, "initial": initial,
                          "controller": name, "parameter:weight": "", "parameter:fraction": "",
                          f"parameter:{key}": value,
-                         "forecast": "ensemble", "forecast_size": size, "forecast_seed": seed,
+                         "forecast": "ensemble", "forecast_skill": skill, "forecast_seed": seed,
                          "forecast_members": 10, "fallbacks": seed, "bound_m3": bound,
-                         "total_deviation_m3": (base + seed) * 2 * size}
+                         "total_deviation_m3": (base + seed) * times}
                         for seed in range(1, 26)
                     ]
     return rows
@@ -512,17 +513,17 @@ def test_seeds_belong_together(seeds: Path) -> None:
     assert report.results == [] and len(report.seeded) == 600
     found = spreads(report)
     assert len(found) == 2 * 2 * 3 * 2
-    one = next(one for one in found if one.setting == "fraction 2" and one.size == 1)
+    one = next(one for one in found if one.setting == "fraction 2" and one.skill == "real")
     assert one.place.start == "2021-07-07 02:00-05:00"
     assert len(one.totals) == 25
     assert (one.mean, one.worst_tenth, one.worst) == (2 * 2013, 2 * 2024.5, 2 * 2025)
     assert one.bound_m3 == 500
-    assert [(one.controller, one.setting, one.size) for one in found[:6]] == [
-        (name, setting, size)
+    assert [(one.controller, one.setting, one.skill) for one in found[:6]] == [
+        (name, setting, skill)
         for name, setting in (
             ("mpc", "weight 0.01"), ("onoff", "fraction 0.5"), ("onoff", "fraction 2")
         )
-        for size in (0.5, 1)
+        for skill in ("better", "real")
     ]
 
 
@@ -543,7 +544,7 @@ def test_seeds_figure(seeds: Path, tmp_path: Path) -> None:
     rows = figure.data["forecast-errors-2"]
     assert {
         row["amount"]: row["v"] for row in rows
-        if row["series"] == "on/off fraction 0.5" and row["size"] == 0.5
+        if row["series"] == "on/off fraction 0.5" and row["skill"] == "better"
     } == {"mean": 1013, "mean of the worst tenth": 1024.5}
     colour = figure.panels[0].specification()["layer"][-1]["encoding"]["color"]["scale"]
     # Colour is the controller's, whatever its setting.
@@ -564,7 +565,7 @@ def test_seeds_page(seeds: Path, tmp_path: Path) -> None:
     row = next(row for row in table.split("<tr>") if "onoff 000002" in row)
     cells = [cell.partition("<")[0] for cell in row.split('">')[1:]]
     assert cells == [
-        "on/off", "fraction 0.5", "0.5", "2021-07-07 02:00-05:00", "12 h", "low-low", "25",
+        "on/off", "fraction 0.5", "25", "better", "2021-07-07 02:00-05:00", "12 h", "low-low",
         "1013.00", "1024.50", "1025.00", "2.0260", "2.0490", "2.0500",
     ]
     assert "Results of each run" not in text
@@ -575,25 +576,28 @@ def test_seeds_page(seeds: Path, tmp_path: Path) -> None:
     assert "report on 600 runs" in page
     assert (
         "toronto_2021-07.csv, 2021-07-20 02:00-05:00, 24 h, evapotranspiration published, forecast "
-        "ensemble members 10 size 1, 25 seeds"
+        "ensemble members 10 skill real, 25 seeds"
     ) in page
 
 
 def test_seeds_beside_other_runs(tmp_path: Path, simulated: list[Simulated]) -> None:
     """A perfect forecast and a single seed stay as they were, and their tables leave none out."""
     one = simulated[0]
-    errors = {"forecast": "errors", "forecast_size": "0.5", "forecast_members": ""}
+    errors = {"forecast": "errors", "forecast_skill": "real", "forecast_members": ""}
     path = write_study(
         tmp_path / "study",
         [
             (one.row, one.trajectory),
-            ({**one.row, **errors, "forecast_size": "1.0", "forecast_seed": "7"}, one.trajectory),
+            (
+                {**one.row, **errors, "forecast_skill": "worse", "forecast_seed": "7"},
+                one.trajectory,
+            ),
             *(({**one.row, **errors, "forecast_seed": seed}, None) for seed in ("1", "2")),
         ],
         SEEDED,
     )
     report = report_of(path)
-    assert [window.forecast for window in report.windows] == ["", "errors size 1.0 seed 7"]
+    assert [window.forecast for window in report.windows] == ["", "errors skill worse seed 7"]
     assert [entry.name for entry in report.seeded] == ["003", "004"]
     assert [len(one.totals) for one in spreads(report)] == [2]
     names = [make().name for make in make_figures(report, None)]

@@ -380,7 +380,7 @@ def test_many_seeds(browser: Any, seeds_file: Path) -> None:
                 f"marks('{panel}', '{kind}').reduce((sum, one) => sum + one.items.length, 0)"
             )
 
-        # 3 settings, 2 sizes, mean and worst tenth; a line has an item for each of its points.
+        # 3 settings, 2 skills, mean and worst tenth; a line has an item for each of its points.
         assert marks(first, "symbol") == marks(first, "line") == 12
         assert marks(first, "rule") == 1
         click_legend(page, first, "on/off fraction 2")

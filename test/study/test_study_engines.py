@@ -175,7 +175,15 @@ def archive(directory: Path) -> None:
     (directory / "archive.csv").write_text("\n".join(lines) + "\n")
 
 
-FORECASTS = "forecast: [perfect, {model: errors, size: 0.5, seed: [1, 2]}, archive.csv]\n"
+def own_skill(directory: Path) -> None:
+    """Write a skill of one's own: the package's, but that it rains too seldom."""
+    text = (CONFIG / "forecasts" / "skill.yaml").read_text()
+    (directory / "mine.yaml").write_text(text.replace("wetness:", "wetness: -1.0 #"))
+
+
+FORECASTS = (
+    "forecast: [perfect, {model: errors, skill: [worse, mine.yaml], seed: 1}, archive.csv]\n"
+)
 PLANNED = f"""
 site: {CONFIG / "site.yaml"}
 weather: {{file: {WEATHER}, start: 2021-07-07T00:50, hours: 0.25}}
@@ -187,15 +195,16 @@ controllers: {{planning_mpc: }}
 def test_forecasts(tmp_path: Path) -> None:
     """Lists multiply; a window's own come before those of all; each run says which it had."""
     archive(tmp_path)
+    own_skill(tmp_path)
     result = study(tmp_path, grid(tmp_path, PLANNED + FORECASTS), "--output", "out")
     assert result.returncode == 0, result.stderr
-    assert "errors size 0.5 seed 1" in " ".join(result.stdout.split())
+    assert "errors skill worse seed 1" in " ".join(result.stdout.split())
     rows = rows_of(tmp_path / "out" / "results.csv")
-    columns = ("forecast", "forecast_size", "forecast_seed", "forecast_members")
+    columns = ("forecast", "forecast_skill", "forecast_seed", "forecast_members")
     assert [tuple(row[column] for column in columns) for row in rows] == [
         ("perfect", "", "", ""),
-        ("errors", "0.5", "1", ""),
-        ("errors", "0.5", "2", ""),
+        ("errors", "worse", "1", ""),
+        ("errors", "mine.yaml", "1", ""),
         ("archive.csv", "", "", ""),
     ]
     header = list(rows[0])
@@ -205,10 +214,13 @@ def test_forecasts(tmp_path: Path) -> None:
     # Rain is coming by the file alone, so that less is pumped.
     pumped = [float(row["pumped_m3"]) for row in rows]
     assert pumped[3] < min(pumped[:3])
-    kept = tmp_path / "out" / "configuration" / "archive.csv"
-    assert kept.read_bytes() == (tmp_path / "archive.csv").read_bytes()
+    for name in ("archive.csv", "mine.yaml"):
+        kept = tmp_path / "out" / "configuration" / name
+        assert kept.read_bytes() == (tmp_path / name).read_bytes()
     report = [run.forecast for run in find_runs([tmp_path / "out"], None).runs]
-    assert report == ["", "errors size 0.5 seed 1", "errors size 0.5 seed 2", "archive.csv"]
+    assert report == [
+        "", "errors skill worse seed 1", "errors skill mine.yaml seed 1", "archive.csv"
+    ]
 
     own = PLANNED.replace("hours: 0.25", "hours: 0.25, forecast: persistence") + FORECASTS
     assert [str(case.forecast) for case in read_grid(tmp_path / grid(tmp_path, own))] == [
@@ -219,6 +231,9 @@ def test_forecasts(tmp_path: Path) -> None:
     archived.write_text(archived.read_text().replace("4.0", "5.0"))
     after = [case.identity for case in read_grid(tmp_path / "grid.yaml")]
     assert after[:3] == before[:3] and after[3] != before[3]
+    (tmp_path / "mine.yaml").write_text((tmp_path / "mine.yaml").read_text().replace("45", "46"))
+    own = [case.identity for case in read_grid(tmp_path / "grid.yaml")]
+    assert own[:2] == after[:2] and own[2] != after[2]
 
 
 def test_forecasts_by_both_engines(tmp_path: Path) -> None:
@@ -233,7 +248,7 @@ def test_forecasts_by_both_engines(tmp_path: Path) -> None:
     # As the page does, of a bag with its summary and of a study alike.
     bags = [tmp_path / "ros" / "runs" / row["run"] for row in rows_of(graph)]
     labels = [run.forecast for run in find_runs(bags, None).runs]
-    assert labels == ["archive.csv", "ensemble size 0.5 seed 0 members 3"]
+    assert labels == ["archive.csv", "ensemble skill real seed 0 members 3"]
 
 
 WITH_ERRORS = """

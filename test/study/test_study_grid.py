@@ -57,16 +57,19 @@ WRONG = {
         GRID + "forecast: perfekt\n",
         "line 14: forecast = 'perfekt': 'perfekt' must be one of perfect, persistence, errors, ens",
     ),
-    "forecast-model": (GRID + "forecast: {size: 0.5}\n", "line 14: forecast: None must be one of"),
+    "forecast-model": (
+        GRID + "forecast: {skill: real}\n", "line 14: forecast: None must be one of"
+    ),
     "forecast-key": (
         GRID + "forecast: {model: errors, sise: 0.5}\n", "line 14: sise: is not known here; there"
     ),
     "forecast-option": (
         GRID + "forecast: {model: errors, members: 3}\n",
-        "line 14: members: is not known here; there are model, size, seed",
+        "line 14: members: is not known here; there are model, skill, seed",
     ),
-    "forecast-size": (
-        GRID + "forecast: {model: errors, size: [0.5, -1]}\n", "size: -1.0 must be from 0.0 to 10"
+    "forecast-skill": (
+        GRID + "forecast: {model: errors, skill: [real, large]}\n",
+        "skill: 'large' must be one of much_",
     ),
     "forecast-seed": (
         GRID + "forecast: {model: errors, seed: 1.5}\n", "seed = 1.5: must be a whole number, or"

@@ -33,7 +33,7 @@ weather:
     start: 2021-07-07T02:00
     hours: 0.02
     forecast: [persistence, north/archive.csv, south/archive.csv,
-               {model: errors, size: [0.5, 0.50000001], seed: [1, 2]}]
+               {model: errors, skill: [real, worse], seed: [1, 2]}]
 initial: [low-low, {name: dry, cistern: 40.0, roof: 0.5}]
 sensor_pump_errors: [{roof_noise: 0.0005}, {roof_noise: 0.00050000001}]
 controllers:
@@ -155,7 +155,7 @@ def test_figures_of_the_report(report: Report) -> None:
             elif kind == "balance":
                 distinct((row["run"], row["term"]) for row in rows)
             elif kind == "forecast":
-                distinct((row["series"], row["size"], row["amount"]) for row in rows)
+                distinct((row["series"], row["skill"], row["amount"]) for row in rows)
 
 
 def test_two_studies_that_use_one_name_for_two_things(tmp_path: Path) -> None:

@@ -1,0 +1,330 @@
+"""Forecasts that are as good and as bad as real ones: by theory, and by figures of services."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from forecast_skill.figures import (
+    SUMS,
+    begin,
+    days_ahead,
+    figures,
+    rows,
+    season_weather,
+    seasons,
+    services,
+)
+from forecast_skill.fitting import fit_climate
+from numpy.typing import NDArray
+from scipy.integrate import quad
+from scipy.stats import norm
+
+from greenroof_ros.common.errors import ConfigurationError
+from greenroof_ros.common.files import shared_directory
+from greenroof_ros.forecast.climate import NormalRecords
+from greenroof_ros.forecast.error_model import ErrorModel
+from greenroof_ros.forecast.issue_times import hours_since_1970
+from greenroof_ros.forecast.skill import SKILLS, read_skill
+
+Array = NDArray[np.float64]
+REAL = read_skill("real")
+# Nothing wrong always, so that what comes is like one more member; the amount makes up for peaks
+# that are shorter than the climate's correlation has them (doc/explanation/forecasts.md).
+FAIR = replace(REAL, errors=replace(REAL.errors, wetness=0.0, amount=1.3))
+
+
+@pytest.fixture(scope="module")
+def rain() -> dict[int, Array]:
+    """Toronto's seasons, mm in each hour."""
+    return seasons()
+
+
+# --- the climate -------------------------------------------------------------------------------
+
+
+def test_rain_and_back() -> None:
+    """Every amount has its z, and z its amount; what is dry stays dry."""
+    amounts = np.array([1e-3, 0.2, 1.0, 25.4, 87.0, 499.0])
+    climate = REAL.climate
+    assert climate.rain(climate.normal(amounts)) == pytest.approx(amounts, rel=1e-12)
+    assert climate.rain(np.array([climate.threshold, -1.0, -40.0])).tolist() == [0.0] * 3
+    assert norm.sf(climate.threshold) == pytest.approx(climate.wet_share)
+
+
+def test_the_climate_is_torontos(rain: dict[int, Array]) -> None:
+    """The file's constants are those that the fit finds, and their rain is that of the records.
+
+    Its mean, and what the greatest tenth and hundredth of the wet hours exceed; by the records
+    themselves, and by integration.
+    """
+    found, climate = fit_climate(list(rain.values())), REAL.climate
+    for name in ("wet_share", "scale", "growth", "memory"):
+        assert getattr(climate, name) == pytest.approx(getattr(found, name), rel=0.005)
+    hours = np.concatenate(list(rain.values()))
+    wet = hours[hours > 0]
+
+    def amount(normal: float) -> float:
+        return float(climate.rain(np.array(normal))) * norm.pdf(normal)
+
+    assert quad(amount, climate.threshold, 8)[0] == pytest.approx(hours.mean(), rel=0.03)
+    for share in (0.1, 0.01):
+        normal = norm.isf(climate.wet_share * share)
+        expected = np.quantile(wet, 1 - share)
+        assert climate.rain(np.array(normal)) == pytest.approx(expected, rel=0.06)
+
+
+def test_what_dry_hours_hide(rain: dict[int, Array]) -> None:
+    """Normal, at most the threshold, correlated as the climate says; wet hours are themselves."""
+    climate = REAL.climate
+    normal = np.array([
+        NormalRecords(climate, season, hours_since_1970(begin(year))).at(np.arange(len(season)))
+        for year, season in rain.items()
+    ])
+    fallen = np.array(list(rain.values()))
+    assert normal[fallen == 0].max() <= climate.threshold
+    assert climate.rain(normal) == pytest.approx(fallen, rel=1e-12)
+    assert normal.mean() == pytest.approx(0, abs=0.05)
+    assert normal.std() == pytest.approx(1, abs=0.03)
+    for apart in (1, 3, 6, 12, 24, 48):
+        product = (normal[:, apart:] * normal[:, :-apart]).mean()
+        assert product == pytest.approx(math.exp(-apart / climate.memory), abs=0.05)
+
+
+def test_where_the_records_begin_does_not_matter(rain: dict[int, Array]) -> None:
+    """A month alone has the same z as in its season, but for three weeks at its ends; so have gaps.
+
+    What is missing is drawn, too, wet or dry.
+    """
+    season, first = rain[2018].copy(), hours_since_1970(begin(2018))
+    season[3000:3003] = np.nan
+    whole = NormalRecords(REAL.climate, season, first)
+    part = NormalRecords(REAL.climate, season[1234:4000], first + 1234)
+    middle = np.arange(600, 2100)
+    assert part.at(middle).tobytes() == whole.at(middle + 1234).tobytes()
+    other_way = NormalRecords(REAL.climate, season, first)
+    assert np.array([other_way.at(np.array([hour]))[0] for hour in (4400, 3001, 5, 2999)]).tobytes(
+    ) == whole.at(np.array([4400, 3001, 5, 2999])).tobytes()
+    assert np.isfinite(whole.at(np.arange(len(season)))).all()
+
+
+# --- the skill ---------------------------------------------------------------------------------
+
+
+def test_coherence() -> None:
+    """All is known at once, less later, of short showers first; a name is a multiple of leads."""
+    leads, frequencies = np.array([0.0, 1, 6, 24, 72, 240]), np.array([0.0, 0.02, 0.1, 0.5])
+    coherence = REAL.coherence(leads, frequencies)
+    assert (coherence[0] == 1).all()
+    assert (np.diff(coherence, axis=0) < 0).all()
+    assert (np.diff(coherence[1:], axis=1) < 0).all()
+    for name, times in SKILLS.items():
+        expected = REAL.coherence(times * leads, frequencies)
+        assert read_skill(name).coherence(leads, frequencies) == pytest.approx(expected)
+
+
+def skill_file(directory: Path, old: str, new: str) -> Path:
+    """Write the package's own file with something else in it."""
+    text = (shared_directory() / "config" / "forecasts" / "skill.yaml").read_text()
+    assert text.count(old) == 1
+    path = directory / "skill.yaml"
+    path.write_text(text.replace(old, new))
+    return path
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "words"),
+    [
+        ("memory: 8", "memory: -8", "climate.memory = -8.4: must be from 0.5 to 24"),
+        ("  memory:", "  memorie:", "climate.memorie = 8.4: is unknown here; known are wet_share"),
+        ("  wetness: ", "# wetness: ", "errors.wetness: is missing: by how much too often"),
+        ("timing: ", "timing: two # ", "errors.timing = 'two': must be a number"),
+        ("errors:", "error:", "error = "),
+        ("errors:", "errors: [", "skill.yaml, line"),
+    ],
+)
+def test_wrong_skill_files(tmp_path: Path, old: str, new: str, words: str) -> None:
+    """What is wrong where, and what would be right."""
+    with pytest.raises(ConfigurationError, match=r"skill\.yaml, line \d+") as raised:
+        read_skill(str(skill_file(tmp_path, old, new)))
+    assert words in str(raised.value)
+
+
+def test_a_skill_of_ones_own(tmp_path: Path) -> None:
+    """A file's numbers count, and no multiple of them."""
+    skill = read_skill(str(skill_file(tmp_path, "persistence: 4", "persistence: 1")))
+    assert skill.errors.persistence < REAL.errors.persistence
+    assert replace(skill, errors=REAL.errors) == REAL
+
+
+# --- forecasts ---------------------------------------------------------------------------------
+
+
+def test_the_hour_of_issue_is_known(rain: dict[int, Array]) -> None:
+    """By all members of every skill; if the next are wet, less, the worse skill and lead are."""
+    weather = season_weather(2018, rain[2018])
+    wrong = []
+    for name in SKILLS:
+        model = ErrorModel(weather, 1, read_skill(name), 5)
+        errors = np.zeros(13)
+        for issue in range(1, 4000, 12):
+            forecast = model.known(issue, 13)[0]
+            truth = rain[2018][issue : issue + 13]
+            assert forecast[:, 0] == pytest.approx(truth[0], rel=1e-9)
+            errors += ((forecast > 0) != (truth > 0)).mean(axis=0)
+        wrong.append(errors)
+    assert (np.array(wrong)[:, 1] > 0).all()
+    assert (np.diff(np.array(wrong)[:, 1:].mean(axis=1)) > 0).all()
+    assert all(of_skill[1:4].sum() < of_skill[10:].sum() for of_skill in wrong)
+
+
+@pytest.fixture(scope="module")
+def fair(rain: dict[int, Array]) -> dict[int, Array]:
+    """Five seasons and nine members' forecasts of one and five days ahead, without wetness.
+
+    By day, the hours that have both, in whole days; shape (1 + members, days, 24).
+    """
+    found: dict[int, list[Array]] = {1: [], 5: []}
+    for year in (2015, 2017, 2019, 2021, 2023):
+        ahead = days_ahead(year, rain[year], FAIR, 7, (1, 5), members=9)
+        for day, members in ahead.items():
+            both = np.vstack([rain[year], members]).reshape(10, -1, 24)
+            found[day].append(both[:, ~np.isnan(both).any(axis=(0, 2))])
+    return {day: np.concatenate(both, axis=1) for day, both in found.items()}
+
+
+def test_as_much_rain_as_there_is(fair: dict[int, Array]) -> None:
+    """Without wetness, at each lead: as often as the climate has it, and as much as fell.
+
+    A few storms make the amount: over so many seasons it scatters by some 10 %.
+    """
+    for both in fair.values():
+        assert (both[1:] > 0).mean() == pytest.approx(REAL.climate.wet_share, rel=0.1)
+        assert both[1:].mean() == pytest.approx(both[0].mean(), rel=0.2)
+
+
+def test_what_comes_is_like_one_more_member(fair: dict[int, Array]) -> None:
+    """Its rank among nine members is equally likely to be any, wherever one of the ten has rain.
+
+    Equal amounts, none that is, are told apart by lot. Of the days' sums, which are nearly
+    independent, each rank has its tenth, within four standard errors.
+    """
+    chance = np.random.default_rng(1)
+    for both in fair.values():
+        sums = both.sum(axis=2)
+        sums = sums[:, (sums > 0).any(axis=0)]
+        days = sums.shape[1]
+        ranks = np.argmax(np.lexsort((chance.random(sums.shape), sums), axis=0) == 0, axis=0)
+        shares = np.bincount(ranks, minlength=10) / days
+        assert shares == pytest.approx(np.full(10, 0.1), abs=4 * math.sqrt(0.09 / days))
+
+
+@pytest.fixture(scope="module")
+def ahead(rain: dict[int, Array]) -> dict[int, Array]:
+    """What skill ``real`` forecast of every season's hours, by days ahead, NaN where nothing."""
+    days = (1, 2, 3, 4, 5)
+    found = [days_ahead(year, season, REAL, 1, days) for year, season in rain.items()]
+    return {day: np.concatenate([season[day][0] for season in found]) for day in days}
+
+
+def test_as_good_as_services(rain: dict[int, Array], ahead: dict[int, Array]) -> None:
+    """r, POD and FAR of sums over 1, 6, 12 and 24 h, one to five days ahead: skill ``real``.
+
+    Within the spread of the services, or so far from it as doc/explanation/forecasts.md says.
+    """
+    spread, observed = services(), np.concatenate(list(rain.values()))
+    for day in (1, 2, 3, 5):
+        found = figures(ahead[day], observed)[:, :3]
+        for row, hours in zip(found, SUMS, strict=True):
+            low, high = (how(spread[day, hours][:, :3], axis=0) for how in (np.min, np.max))
+            assert (row > low - 0.1).all() and (row < high + 0.12).all(), (day, hours, row)
+        middle = np.mean([spread[day, hours][:, :3].mean(axis=0) for hours in SUMS], axis=0)
+        assert found.mean(axis=0) == pytest.approx(middle, abs=0.09)
+
+
+def test_better_is_better(rain: dict[int, Array]) -> None:
+    """r of twelve hours, three days ahead, falls from skill to skill."""
+    found = []
+    for name in ("better", "real", "worse"):
+        skill = read_skill(name)
+        forecasts = [days_ahead(year, rain[year], skill, 3, (3,))[3][0] for year in (2017, 2023)]
+        observed = np.concatenate([rain[2017], rain[2023]])
+        found.append(figures(np.concatenate(forecasts), observed)[2, 0])
+    assert found[0] > found[1] > found[2]
+
+
+def test_issues_agree_as_real_ones_do(ahead: dict[int, Array]) -> None:
+    """r between what was forecast so many days before: within 0.1 of the services' spread.
+
+    Sums over 12 h, of test/data/previous_runs_agreement.csv.
+    """
+    real: dict[tuple[int, int], list[float]] = {}
+    for row in rows("previous_runs_agreement.csv"):
+        if row["sum_hours"] == "12":
+            real.setdefault((int(row["day"]), int(row["other_day"])), []).append(float(row["r"]))
+    sums = {day: forecast.reshape(-1, 12).sum(axis=1) for day, forecast in ahead.items()}
+    for (day, other), found in real.items():
+        both = ~np.isnan(sums[day]) & ~np.isnan(sums[other])
+        agreement = np.corrcoef(sums[day][both], sums[other][both])[0, 1]
+        assert min(found) - 0.1 < agreement < max(found) + 0.1, (day, other)
+
+
+def test_a_false_alarm_stays_one(rain: dict[int, Array]) -> None:
+    """What one issue has wrong the next has, too: errors of an hour correlate by 0.7 and more."""
+    weather = season_weather(2019, rain[2019])
+    model = ErrorModel(weather, 2, REAL)
+    one, other = [], []
+    for issue in range(1, 4000, 6):
+        truth = rain[2019][issue + 24 : issue + 30]
+        one.extend(model.known(issue, 30)[0][0][24:] - truth)
+        other.extend(model.known(issue + 6, 24)[0][0][18:] - truth)
+    assert np.corrcoef(one, other)[0, 1] > 0.6
+
+
+def known(model: ErrorModel, asked: Sequence[tuple[int, int]]) -> dict[tuple[int, int], bytes]:
+    """Return what is known for each pair of an hour and a number of hours, as bytes."""
+    return {
+        (hour, hours): b"".join(part.tobytes() for part in model.known(hour, hours))
+        for hour, hours in asked
+    }
+
+
+def test_the_same_in_any_order(rain: dict[int, Array]) -> None:
+    """Whoever asks for whatever first, with a long horizon or a short one."""
+    weather = season_weather(2020, rain[2020])
+    asked = [(hour, 60) for hour in range(500, 800, 7)]
+    forwards = known(ErrorModel(weather, 9, REAL, 4), asked)
+    backwards = known(ErrorModel(weather, 9, REAL, 4), asked[::-1])
+    assert forwards == backwards
+    long, short = ErrorModel(weather, 9, REAL, 4), ErrorModel(weather, 9, REAL, 4)
+    for hour in (500, 3000, 777):
+        for one, other in zip(long.known(hour, 241), short.known(hour, 13), strict=True):
+            assert one[..., :13].tobytes() == other.tobytes()
+    alone = ErrorModel(weather, 9, REAL)
+    assert alone.known(777, 60)[0][0].tobytes() == long.known(777, 60)[0][0].tobytes()
+
+
+def test_evapotranspiration(rain: dict[int, Array]) -> None:
+    """Right on the whole, known at once, and wrong by up to the skill's share with the lead."""
+    factors = np.array([
+        ErrorModel(season_weather(2016, rain[2016][:700]), seed, REAL).known(301, 241)[1] / 2
+        for seed in range(150)
+    ])
+    assert (factors[:, 0] == 1).all()
+    spread = factors.std(axis=0)
+    assert factors.mean(axis=0)[[24, 120, 240]] == pytest.approx(1, abs=4 * spread.max() / 12)
+    assert 0 < spread[6] < spread[48] < spread[240] < REAL.errors.evapotranspiration * 1.1
+
+
+def test_believable(rain: dict[int, Array]) -> None:
+    """500 mm/h and 50 mm/day at most, which are within the topics' ranges."""
+    weather = replace(
+        season_weather(2016, np.full(300, 400.0)), evapotranspiration=np.full(300, 49.0)
+    )
+    found = [ErrorModel(weather, seed, REAL).known(61, 200) for seed in range(20)]
+    assert max(float(fallen.max()) for fallen, _ in found) == 500.0
+    assert max(float(evapotranspiration.max()) for _, evapotranspiration in found) == 50.0

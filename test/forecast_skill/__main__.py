@@ -1,0 +1,94 @@
+"""How good the package's forecasts are: ``python test/forecast_skill``.
+
+Each skill's forecasts of Toronto's rain, May to October 2015 to 2025, are held against the records:
+r, POD, FAR and bias of sums over 1, 6, 12 and 24 h, one, two, three and five days ahead, beside the
+least and the greatest of the services'. With ``--fit`` the climate and the errors of
+config/forecasts/skill.yaml are fitted first, and printed.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from dataclasses import asdict
+from pathlib import Path
+
+import numpy as np
+
+HERE = Path(__file__).resolve().parent
+sys.path[:0] = [str(HERE.parent), str(HERE.parent.parent)]
+
+from forecast_skill.figures import (  # noqa: E402
+    DAYS,
+    NAMES,
+    SUMS,
+    days_ahead,
+    figures,
+    seasons,
+    services,
+)
+from forecast_skill.fitting import Sample, fit_climate, fit_errors  # noqa: E402
+
+from greenroof_ros.forecast.skill import REAL, SKILLS, read_skill  # noqa: E402
+
+
+def fit(rain: dict[int, np.ndarray], spread: dict[tuple[int, int], np.ndarray]) -> None:
+    """Fit climate and errors, and print them."""
+    climate = fit_climate(list(rain.values()))
+    print("climate:", {name: round(value, 4) for name, value in asdict(climate).items()})
+    # The newest issue that is a day old is 24 to 29 h old.
+    of_leads = {
+        24 * day + 2.5: np.stack([spread[day, hours] for hours in SUMS], axis=1) for day in DAYS
+    }
+    errors = fit_errors(
+        Sample(climate, list(rain.values()), 8), of_leads, read_skill(REAL).errors
+    )
+    print("errors:", {name: round(value, 4) for name, value in asdict(errors).items()}, flush=True)
+
+
+def table(
+    rain: dict[int, np.ndarray], spread: dict[tuple[int, int], np.ndarray], name: str, seeds: int
+) -> None:
+    """Print a skill's figures, the mean over seeds, beside the services'."""
+    skill, observed = read_skill(name), np.concatenate(list(rain.values()))
+    found = []
+    for seed in range(1, seeds + 1):
+        ahead = [days_ahead(year, season, skill, seed, DAYS) for year, season in rain.items()]
+        found.append([
+            figures(np.concatenate([season[day][0] for season in ahead]), observed)
+            for day in DAYS
+        ])
+    print(f"\n{name}, mean of {seeds} seeds\n")
+    print("| days ahead | sums over | " + " | ".join(NAMES) + " |")
+    print("|---" * (2 + len(NAMES)) + "|")
+    beyond = 0
+    for day, of_day in zip(DAYS, np.mean(found, axis=0), strict=True):
+        for hours, row in zip(SUMS, of_day, strict=True):
+            cells = []
+            low, high = spread[day, hours].min(axis=0), spread[day, hours].max(axis=0)
+            for value, least, most in zip(row, low, high, strict=True):
+                out = not least - 0.005 <= value <= most + 0.005
+                beyond += out and len(cells) < 3
+                text = f"**{value:.2f}**" if out else f"{value:.2f}"
+                cells.append(f"{text} ({least:.2f} - {most:.2f})")
+            print(f"| {day} | {hours} h | " + " | ".join(cells) + " |")
+    count = 3 * len(DAYS) * len(SUMS)
+    print(f"\nr, POD, FAR beyond the services': {beyond} of {count}", flush=True)
+
+
+def main() -> None:
+    """Fit if asked to, and print the tables."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--fit", action="store_true")
+    parser.add_argument("--skills", nargs="*", default=[REAL], choices=list(SKILLS))
+    parser.add_argument("--seeds", type=int, default=3)
+    arguments = parser.parse_args()
+    rain, spread = seasons(), services()
+    if arguments.fit:
+        fit(rain, spread)
+    for name in arguments.skills:
+        table(rain, spread, name, arguments.seeds)
+
+
+if __name__ == "__main__":
+    main()

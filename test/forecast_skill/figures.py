@@ -1,0 +1,109 @@
+"""Figures of forecasts against records, of services and of the package's own."""
+
+from __future__ import annotations
+
+import csv
+from datetime import datetime, timedelta, timezone
+from pathlib import Path
+
+import numpy as np
+
+from greenroof_ros.forecast.error_model import ErrorModel
+from greenroof_ros.forecast.skill import Skill
+from greenroof_ros.weather.records import Records
+from greenroof_ros.weather.series import Weather
+
+DATA = Path(__file__).resolve().parent.parent / "data"
+YEARS = range(2015, 2026)
+# Of May to October.
+SEASON_HOURS = 184 * 24
+ZONE = timezone(timedelta(hours=-5))
+
+DAYS = (1, 2, 3, 5)
+# Hours that are summed, and the least sum that is an event (mm).
+SUMS = {1: 1.0, 6: 2.0, 12: 3.0, 24: 5.0}
+NAMES = ("r", "POD", "FAR", "bias")
+
+
+def rows(name: str) -> list[dict[str, str]]:
+    """Return the rows of a file of data."""
+    with (DATA / name).open() as stream:
+        return list(csv.DictReader(line for line in stream if not line.startswith("#")))
+
+
+def seasons() -> dict[int, np.ndarray]:
+    """Return the rain (mm) of each hour of May to October, local standard time, by year."""
+    found = {year: np.zeros(SEASON_HOURS) for year in YEARS}
+    for row in rows("toronto_rain.csv"):
+        time = datetime.fromisoformat(f"{row['time']}:00-05:00")
+        hour = (time - begin(time.year)) // timedelta(hours=1)
+        found[time.year][hour] = float(row["precipitation [mm]"])
+    return found
+
+
+def begin(year: int) -> datetime:
+    """Return when a season begins."""
+    return datetime(year, 5, 1, tzinfo=ZONE)
+
+
+def season_weather(year: int, rain: np.ndarray) -> Weather:
+    """Return a season as weather with 2 mm/day of evapotranspiration."""
+    records = Records((Path("season.csv"),), begin(year), {"precipitation": rain}, "drawn")
+    return Weather(records, rain, np.full(len(rain), 2.0), "drawn", None)
+
+
+def services() -> dict[tuple[int, int], np.ndarray]:
+    """Return r, POD, FAR and bias of the services by day ahead and hours of the sum.
+
+    Shape (services, 4). GFS's fifth day is left out: it lacks half of its water, an error of the
+    archive.
+    """
+    found: dict[tuple[int, int], list[list[float]]] = {}
+    for row in rows("skill.csv"):
+        day, hours = int(row["days_ahead"]), int(row["sum_hours"])
+        if (day, row["model"]) != (5, "gfs_seamless"):
+            values = [float(row[name.lower()]) for name in NAMES]
+            found.setdefault((day, hours), []).append(values)
+    return {key: np.array(values) for key, values in found.items()}
+
+
+def figures(forecast: np.ndarray, observed: np.ndarray) -> np.ndarray:
+    """Return r, POD, FAR and bias of a forecast (mm) of whole days, shape (sums, 4).
+
+    Hours without a forecast are NaN, and their sums are left out.
+    """
+    found = []
+    for hours, event in SUMS.items():
+        sums, seen = (each.reshape(-1, hours).sum(axis=1) for each in (forecast, observed))
+        given = ~np.isnan(sums)
+        sums, seen = sums[given], seen[given]
+        hits = ((sums >= event) & (seen >= event)).sum()
+        found.append((
+            np.corrcoef(sums, seen)[0, 1], hits / (seen >= event).sum(),
+            1 - hits / (sums >= event).sum(), sums.sum() / seen.sum(),
+        ))
+    return np.array(found)
+
+
+def days_ahead(
+    year: int, rain: np.ndarray, skill: Skill, seed: int, days: tuple[int, ...], members: int = 1
+) -> dict[int, np.ndarray]:
+    """Return what the newest issue of so many days before had forecast of each hour (mm).
+
+    Open-Meteo's previous runs have it so: of day N, the newest issue that is at least N x 24 h old.
+    NaN where there is none.
+
+    Returns:
+        By day, shape (members, hours).
+    """
+    weather = season_weather(year, rain)
+    model = ErrorModel(weather, seed, skill, members)
+    found = {day: np.full((members, len(rain)), np.nan) for day in days}
+    furthest = 24 * max(days) + 6
+    # The first issue is at 01:00 local standard time, 06:00 UTC.
+    for issue in range(1, len(rain) - furthest, 6):
+        forecast = model.known(issue, furthest)[0]
+        for day in days:
+            lead = 24 * day
+            found[day][:, issue + lead : issue + lead + 6] = forecast[:, lead : lead + 6]
+    return found
