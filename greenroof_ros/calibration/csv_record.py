@@ -89,7 +89,7 @@ def read_csv_record(file: Path, site: Site) -> Record:
     columns = _columns(table, site)
     offset = timezone(timedelta(hours=site.utc_offset)) if site.utc_offset is not None else None
     times: list[datetime] = []
-    rows: list[int] = []
+    rows: list[int | None] = []
     cells: dict[str, list[float]] = {quantity: [] for quantity in columns}
     for row in table.rows():
         times.append(_time(row, offset))

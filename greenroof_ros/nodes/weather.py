@@ -48,6 +48,8 @@ from greenroof_ros.weather.reading import default_weather, read_weather
 from greenroof_ros.weather.series import WeatherSeries
 
 _GAUGES = ("/gauge/precipitation", "/gauge/temperature")
+# Of the parameter forecast_delay: none was given.
+_USUAL = -1.0
 
 
 def parameters(site: Site) -> list[NodeParameter]:
@@ -70,8 +72,8 @@ def parameters(site: Site) -> list[NodeParameter]:
             "all_members", False, "of an ensemble: for scenario_mpc; otherwise the first"
         ),
         NodeParameter(
-            "forecast", str(forecast), f"{', '.join(MODELS)}, or a FILE.csv; live: a FILE.csv, "
-            "read again whenever it is replaced",
+            "forecast", str(forecast), f"{', '.join(MODELS)}, or a file or directory of archived "
+            "ones; live: a FILE.csv, read again whenever it is replaced",
         ),
         NodeParameter(
             "forecast_size", forecast.size, "errors, ensemble: 0.25 small, 0.5 medium, 1 large",
@@ -83,6 +85,10 @@ def parameters(site: Site) -> list[NodeParameter]:
         NodeParameter(
             "forecast_members", forecast.members, "ensemble: number of its members",
             *OPTIONS["members"],
+        ),
+        NodeParameter(
+            "forecast_delay", _USUAL, "a file: h after its nominal time from which an issue is "
+            f"known; {_USUAL:g}: what is usual of its kind", _USUAL, OPTIONS["delay"][1],
         ),
         NodeParameter(
             "issue_limit", 7200.0, "live: how long ago the newest forecast of the file may have "
@@ -105,7 +111,10 @@ def _forecast(values: dict[str, Any]) -> ForecastChoice:
         raise ConfigurationError(
             str(error), key="parameter forecast of weather", value=text
         ) from error
-    return replace(choice, **{name: values[f"forecast_{name}"] for name in OPTIONS})
+    given = {name: values[f"forecast_{name}"] for name in OPTIONS}
+    if given["delay"] == _USUAL:
+        del given["delay"]
+    return replace(choice, **given)
 
 
 class _Records:

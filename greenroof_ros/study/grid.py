@@ -17,7 +17,9 @@ from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.files import YamlMapping, read_yaml, shared_directory, unique_name
 from greenroof_ros.controllers.registry import ControllerChoice, find_controller
 from greenroof_ros.experiment.run import build_run, count_ticks
+from greenroof_ros.forecast.archive import read_archive
 from greenroof_ros.forecast.choice import OPTIONS, PERFECT, ForecastChoice, choose
+from greenroof_ros.forecast.own_csv import write_forecasts
 from greenroof_ros.model.initial_state import (
     INITIAL_STATES,
     OWN_KEYS,
@@ -222,7 +224,7 @@ class _Grid:
                         site_file, site, weather, start, steps, controller, parameters, initial,
                         volumes, choice,
                     )
-            forecast_file = None if choice.file is None else self._input(choice.file)
+            carried, forecast_file = self._carried(choice, site)
             inputs = tuple(map(self._input, weather.files))
             for sensor_pump_errors, (controller, parameters) in itertools.product(
                 list(self._sensor_pump_errors()), controllers
@@ -234,10 +236,7 @@ class _Grid:
                     start=run.start.isoformat(),
                     hours=run.steps * site.tau / 3600,
                     evapotranspiration=weather.method,
-                    forecast=(
-                        choice if forecast_file is None
-                        else replace(choice, file=Path(forecast_file.name))
-                    ),
+                    forecast=carried,
                     forecast_file=forecast_file,
                     controller=controller,
                     parameters=parameters,
@@ -266,8 +265,8 @@ class _Grid:
                 place = self._place(mapping, "forecast", str(choice.file))
                 choice = replace(choice, file=place / choice.file)
             if options:
-                self._keys(options, ("model", *choice.options()))
-            names = [name for name in choice.options() if name in options]
+                self._keys(options, ("model", *choice.takes))
+            names = [name for name in choice.takes if name in options]
             for values in self._combinations(options, {name: OPTIONS[name] for name in names}):
                 yield replace(choice, **values)
 
@@ -341,6 +340,28 @@ class _Grid:
                 named = path.with_name(f"{path.parent.name}-{path.name}")
             self._files[path] = InputFile(unique_name(named, taken), path.read_bytes())
         return self._files[path]
+
+    def _carried(
+        self, choice: ForecastChoice, site: Site
+    ) -> tuple[ForecastChoice, InputFile | None]:
+        """Return a choice of forecasts, with its file as the study carries it along, if any.
+
+        A directory is one file there, in the project's own form.
+        """
+        if choice.file is None:
+            return choice, None
+        path = choice.file.resolve()
+        if path.is_dir():
+            archive = read_archive(path, site, choice.delay)
+            choice = replace(choice, delay=archive.delay)
+            if path not in self._files:
+                taken = {*_OWN_FILES, *(file.name for file in self._files.values())}
+                self._files[path] = InputFile(
+                    unique_name(Path(f"{path.name}.csv"), taken),
+                    write_forecasts(archive.issues).encode(),
+                )
+        file = self._input(path)
+        return replace(choice, file=Path(file.name)), file
 
     def _weather_name(self, files: tuple[InputFile, ...]) -> str:
         """Return one name for weather files, which no others of the study have."""

@@ -42,10 +42,12 @@ from greenroof_ros.weather.table import Row, Table, Unit, numbered_lines, read_h
 
 BYTE_ORDER_MARK = True
 
+PRECIPITATION_UNITS = (Unit("mm"), Unit("inch", 1 / 25.4))
+
 _OFFSET = "utc_offset_seconds"
 # Their variable for each quantity of ours, and the units that it may have.
 _VARIABLES = {
-    PRECIPITATION: ("precipitation", (Unit("mm"), Unit("inch", 1 / 25.4))),
+    PRECIPITATION: ("precipitation", PRECIPITATION_UNITS),
     "temperature": ("temperature_2m", (Unit("°C"), Unit("°F", 1.8, 32.0))),
     "dew point": ("dew_point_2m", (Unit("°C"), Unit("°F", 1.8, 32.0))),
     "wind speed": (
@@ -69,6 +71,20 @@ def recognises(text: str, /) -> bool:
     return _OFFSET in text.split("\n", 1)[0]
 
 
+def lines_of(file: Path, text: str) -> tuple[Row, list[tuple[int, str]]]:
+    """Return what a CSV of the service says of the place, and its further lines, numbered.
+
+    Raises:
+        ConfigurationError: it has fewer than three lines, or those of the place are not CSV.
+    """
+    lines = numbered_lines(text)
+    if len(lines) < 3:
+        raise ConfigurationError(
+            "must have two lines about the place, then a header and records", file=file
+        )
+    return next(Table(file, lines[:2]).rows()), lines[2:]
+
+
 def parse(file: Path, text: str, site: Site, /) -> Records:
     """Parse a file of one place with hourly values; an empty cell or ``NaN`` is a missing value.
 
@@ -85,15 +101,10 @@ def parse(file: Path, text: str, site: Site, /) -> Records:
             missing or its unit unknown, a line broken or out of order, or a value not a number or
             not believable.
     """
-    lines = numbered_lines(text)
-    if len(lines) < 3:
-        raise ConfigurationError(
-            "must have two lines about the place, then a header and records", file=file
-        )
-    place = next(Table(file, lines[:2]).rows())
-    zone = _zone(place)
-    _check_place(place, site)
-    table = Table(file, lines[2:])
+    place, lines = lines_of(file, text)
+    zone = zone_of(place)
+    check_place(place, site)
+    table = Table(file, lines)
     table.require(("time",), "Open-Meteo's hourly files")
     columns = dict(_columns(table))
     first, values = read_hours(
@@ -122,18 +133,28 @@ def parse(file: Path, text: str, site: Site, /) -> Records:
     )
 
 
-def _zone(place: Row) -> timezone:
-    """Return the offset of all times from UTC."""
+def zone_of(place: Row) -> timezone:
+    """Return the offset of all times of a file from UTC.
+
+    Args:
+        place: what the file says of it.
+
+    Raises:
+        ConfigurationError: the file is of several places, or the offset is not one.
+    """
     if "location_id" in place.cells:
         raise place.refuse("must be of one place; download each by itself", "location_id")
-    text = place.cells[_OFFSET]
+    text = place.cells.get(_OFFSET, "")
     # From UTC-12 to UTC+14.
     if not re.fullmatch(r"-?\d{1,5}", text) or not -43200 <= int(text) <= 50400:
-        raise place.refuse("must be a whole number of seconds from -43200 to 50400", _OFFSET)
+        raise ConfigurationError(
+            "must be a whole number of seconds from -43200 to 50400",
+            file=place.file, line=place.line, key=_OFFSET, value=text,
+        )
     return timezone(timedelta(seconds=int(text)))
 
 
-def _check_place(place: Row, site: Site) -> None:
+def check_place(place: Row, site: Site) -> None:
     """Refuse a place that is not near the site's, where the site says its own."""
     for name, (most, end) in _PLACE.items():
         try:

@@ -21,7 +21,7 @@ from paper import PAPER_SITE, paper_run, site_with
 
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.files import shared_directory
-from greenroof_ros.forecast.archive import read_forecasts
+from greenroof_ros.forecast.archive import read_archive
 from greenroof_ros.forecast.choice import ForecastChoice, choose
 from greenroof_ros.forecast.models import (
     ErrorModel,
@@ -30,6 +30,7 @@ from greenroof_ros.forecast.models import (
     PersistenceModel,
     make_model,
 )
+from greenroof_ros.forecast.own_csv import read_forecasts
 from greenroof_ros.forecast.resampling import PerfectForecast, SteppedForecast, make_forecast
 from greenroof_ros.model.look_ahead import growing_steps
 from greenroof_ros.weather.records import Records
@@ -430,7 +431,8 @@ def test_read_back(tmp_path: Path) -> None:
     assert first.rain.tolist() == [[0.5, 2.5], [1.5, 3.5]]
     assert second.rain.tolist() == [[6.0], [7.0]]
     weather = weather_of([0.1] * 40)
-    model, all_of_them = FileModel(file, weather, False), FileModel(file, weather, True)
+    own = read_archive(file, PAPER_SITE)
+    model, all_of_them = FileModel(own, weather, False), FileModel(own, weather, True)
     assert (model.members, all_of_them.members) == (1, 2)
     for hour, rain, evapotranspiration in (
         (2, [0.5, 2.5, 2.5], [1.0, 2.0, 2.0]),
@@ -452,7 +454,7 @@ def test_file_without_evapotranspiration(tmp_path: Path) -> None:
     lines = ["issued,time,precipitation [mm/h]"]
     lines += [f"2021-07-07T00:00Z,2021-07-07T0{hour}:00Z,0.5" for hour in range(9)]
     weather = weather_of([0.1] * 6, np.arange(6.0))
-    model = FileModel(write(tmp_path, *lines), weather, True)
+    model = FileModel(read_archive(write(tmp_path, *lines), PAPER_SITE), weather, True)
     rain, evapotranspiration = model.known(4, 4)
     assert rain.tolist() == [[0.5] * 4]
     assert evapotranspiration.tolist() == [4.0, 5.0, 5.0, 5.0]
@@ -519,7 +521,8 @@ def test_choices() -> None:
     for wrong in ("file", "Perfect", "", "archive.yaml"):
         with pytest.raises(ValueError, match="must be one of perfect, persistence, errors, ens"):
             choose(wrong)
-    assert isinstance(make_model(ForecastChoice(), weather_of([0.0]), True), PerfectModel)
+    perfect = make_model(ForecastChoice(), weather_of([0.0]), PAPER_SITE, True)
+    assert isinstance(perfect, PerfectModel)
 
 
 # --- the graph ---------------------------------------------------------------------------------
