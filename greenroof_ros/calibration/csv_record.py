@@ -236,7 +236,7 @@ def _last_decimal(values: Values) -> float:
 
 def _refuse_unbelievable(
     file: Path, quantity: str, column: _Column, values: Values, step_s: float,
-    slots: Slots, lines: list[int],
+    slots: Slots, lines: list[int | None],
     cells: dict[str, list[float]],
 ) -> None:
     """Refuse a value that nothing on a roof can have."""
@@ -262,7 +262,7 @@ def _refuse_unbelievable(
 
 
 def _refuse_gaps(
-    record: Record, column: str, values: Values, slots: Slots, lines: list[int]
+    record: Record, column: str, values: Values, slots: Slots, lines: list[int | None]
 ) -> None:
     """Refuse evapotranspiration that is not there in every step: a roof dries through gaps, too."""
     missing = np.flatnonzero(np.isnan(values))

@@ -113,8 +113,8 @@ def read_archive(source: Path, site: Site, delay: float | None = None) -> Archiv
             )
         if len(one.rain) != len(other.rain):
             raise ConfigurationError(
-                f"the issue of {to_minutes(other.issued)} must have {len(one.rain)} members as "
-                f"that before it in {one.file.name}, not {len(other.rain)}",
+                f"the issue of {to_minutes(other.issued)} must have as many members as that before "
+                f"it in {one.file.name}, {len(one.rain)}, not {len(other.rain)}",
                 file=other.file, line=other.line,
             )
     return Archive(

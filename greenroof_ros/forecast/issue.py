@@ -10,6 +10,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+ISSUE_HOURS = 6
+"""Services start a run of a global model so often, at 00, 06, 12 and 18 UTC (h)."""
+
 
 @dataclass(frozen=True)
 class Issue:

@@ -23,7 +23,7 @@ from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.times import to_minutes
 from greenroof_ros.forecast.archive import Archive, read_archive
 from greenroof_ros.forecast.choice import PERFECT, ForecastChoice
-from greenroof_ros.forecast.issue import Issue
+from greenroof_ros.forecast.issue import ISSUE_HOURS, Issue
 from greenroof_ros.model.site import Site
 from greenroof_ros.weather.records import (
     EVAPOTRANSPIRATION,
@@ -37,8 +37,6 @@ from greenroof_ros.weather.series import Weather
 Array = NDArray[np.float64]
 
 _EPOCH = datetime.fromisoformat("1970-01-01T00:00+00:00")
-
-_ISSUE_HOURS = 6
 
 # Errors of size 1 have this standard deviation of the timing (h) at this lead (h), where that of
 # the amount's logarithm is 1.
@@ -304,7 +302,7 @@ def _newest_issue(first: datetime, hour: int) -> tuple[int, int]:
         negative for one made before them.
     """
     since_1970 = (first - _EPOCH) // HOUR
-    issue = (since_1970 + hour) // _ISSUE_HOURS * _ISSUE_HOURS
+    issue = (since_1970 + hour) // ISSUE_HOURS * ISSUE_HOURS
     return issue, issue - since_1970
 
 

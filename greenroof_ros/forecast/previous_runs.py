@@ -18,11 +18,9 @@ from numpy.typing import NDArray
 
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.times import hours_since_1970
-from greenroof_ros.forecast.issue import Issue
+from greenroof_ros.forecast.issue import ISSUE_HOURS, Issue
 from greenroof_ros.weather.records import HOUR
 
-# Global models start a run every so many hours.
-_ISSUE_HOURS = 6
 _DAY_HOURS = 24
 
 
@@ -58,7 +56,7 @@ class PreviousRuns:
         """
         leads = np.arange(_DAY_HOURS * max(self.days))
         issues = []
-        for start in self._starts(0, _ISSUE_HOURS):
+        for start in self._starts(0, ISSUE_HOURS):
             rain = np.full(len(leads), np.nan)
             for day in sorted(self.days, reverse=True):
                 values = self._at(day, start + leads)
