@@ -176,9 +176,10 @@ def _tally(
     forecasts: IssuedForecasts, weather: Weather, lead: int, sums: list[Sum]
 ) -> dict[Class, Tally]:
     """Add up all pairs, behind a progress bar."""
+    console = Console(stderr=True)
     with Progress(
         TextColumn("{task.description}"), BarColumn(), TextColumn("{task.completed} issues"),
-        TimeRemainingColumn(), console=Console(stderr=True), transient=True,
+        TimeRemainingColumn(), console=console, transient=True, disable=not console.is_terminal,
     ) as progress:
         task = progress.add_task("verifying", total=len(forecasts))
         return tally(

@@ -34,17 +34,17 @@ class Contingency(NamedTuple):
 
     @property
     def pod(self) -> float:
-        """Probability of detection: hits over observed events (Wilks 2011, Eq. 8.13, hit rate)."""
+        """Probability of detection: hits over observed events (Wilks 2011, Sect. 8.2.2)."""
         return _ratio(self.hits, self.hits + self.misses)
 
     @property
     def far(self) -> float:
-        """False alarm ratio: false alarms over forecast events (Wilks 2011, Eq. 8.11)."""
+        """False alarm ratio: false alarms over forecast events (Wilks 2011, Sect. 8.2.2)."""
         return _ratio(self.false_alarms, self.hits + self.false_alarms)
 
     @property
     def ets(self) -> float:
-        """Equitable threat score (Wilks 2011, Eq. 8.18, Gilbert skill score).
+        """Equitable threat score (Wilks 2011, Sect. 8.2.3, Gilbert skill score).
 
         Hits over all that was forecast or observed, both without the hits that chance would have:
 
