@@ -1,9 +1,9 @@
 """Scores of forecasts of rain.
 
-They are written out here, a line or a few each. Of the libraries that have them, ``scores`` (Bureau
-of Meteorology) brings xarray, pandas and bottleneck, ``scoringrules`` needs Python 3.11, and
-``properscoring`` had its only release in 2015; none has the reliability diagram with all the rest.
-The tests hold them to worked examples and to another way of computing them.
+They are written out here, a line or a few each. Of the libraries that have them, ``scores`` fits
+but for the reliability diagram, and brings xarray, pandas and bottleneck; ``scoringrules`` needs
+Python 3.11, and ``properscoring`` had its only release in 2015. The tests hold them to worked
+examples, closed forms and other ways of computing them.
 """
 
 from __future__ import annotations
