@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-import json
 from dataclasses import replace
-from datetime import datetime, timedelta
+from datetime import datetime
 from pathlib import Path
 
 import numpy as np
 import pytest
 import yaml
+from archives import write_runs
 from paper import PAPER_SITE, paper_run
 from places import DATA
 
@@ -35,24 +35,6 @@ def weather_from(first: datetime, hours: int = 48) -> Weather:
     return Weather(records, dry, dry + 2, "drawn", None)
 
 
-def runs(directory: Path, first: str = "2021-07-06T18:00", count: int = 8) -> Path:
-    """Write runs six hours apart, of which run n forecasts n.LL mm/h, LL being the lead."""
-    directory.mkdir()
-    start = datetime.fromisoformat(first)
-    for number in range(count):
-        run = start + number * timedelta(hours=6)
-        times = [(run + timedelta(hours=hour)).strftime("%Y-%m-%dT%H:%M") for hour in range(49)]
-        (directory / f"run_{run:%Y%m%d%H}.json").write_text(json.dumps({
-            "latitude": 43.63, "longitude": -79.4, "elevation": 77.0, "utc_offset_seconds": 0,
-            "hourly_units": {"time": "iso8601", "precipitation": "mm"},
-            "hourly": {
-                "time": times,
-                "precipitation": [None, *(number + hour / 100 for hour in range(48))],
-            },
-        }))
-    return directory
-
-
 @pytest.mark.parametrize(("delay", "late"), [(None, 6), (0.0, 0), (1.0, 1), (4.25, 5), (9.0, 9)])
 def test_an_issue_is_known_when_it_is_available(
     tmp_path: Path, delay: float | None, late: int
@@ -62,7 +44,7 @@ def test_an_issue_is_known_when_it_is_available(
     Its leads still count from the nominal time: of what is known late the first hours are past.
     """
     first = datetime.fromisoformat("2021-07-07T06:00+00:00")
-    archive = read_archive(runs(tmp_path / "runs"), PAPER_SITE, delay)
+    archive = read_archive(write_runs(tmp_path / "runs"), PAPER_SITE, delay)
     model = FileModel(archive, weather_from(first), False)
     for hour in range(24):
         since = hour + 12 - late  # the first run is of 18:00 of the day before
@@ -73,7 +55,7 @@ def test_an_issue_is_known_when_it_is_available(
 
 def test_delay_in_half_hour_zones(tmp_path: Path) -> None:
     """Records must begin whole hours from the issues, whichever offset they have."""
-    archive = read_archive(runs(tmp_path / "runs"), PAPER_SITE, 0.0)
+    archive = read_archive(write_runs(tmp_path / "runs"), PAPER_SITE, 0.0)
     first = datetime.fromisoformat("2021-07-07T11:30+05:30")
     model = FileModel(archive, weather_from(first), False)
     assert model.known(0, 2)[0][0].tolist() == [2.0, 2.01]  # 06:00 UTC
@@ -96,7 +78,7 @@ def test_before_the_first_is_known(tmp_path: Path) -> None:
 
 def test_own_form_bit_for_bit(tmp_path: Path) -> None:
     """Issues that are written are read as they were."""
-    issues = read_archive(runs(tmp_path / "runs"), PAPER_SITE).issues
+    issues = read_archive(write_runs(tmp_path / "runs"), PAPER_SITE).issues
     file = tmp_path / "own.csv"
     file.write_text(write_forecasts(issues))
     again = read_forecasts(file)
@@ -116,7 +98,7 @@ def test_choices(tmp_path: Path) -> None:
 
 def test_a_run_by_an_archive(tmp_path: Path) -> None:
     """A directory of runs is carried into the run's own, where the graph reads it again."""
-    source = runs(tmp_path / "runs")
+    source = write_runs(tmp_path / "runs")
     options = ("--controller", "planning_mpc", "--hours", "2", "--forecast", str(source))
     run = paper_run(*options, "--forecast-delay", "0.5")
     directory = make_run_directory(tmp_path / "run", "planning_mpc")
@@ -136,7 +118,7 @@ def test_a_run_by_an_archive(tmp_path: Path) -> None:
 
 def test_a_study_by_an_archive(tmp_path: Path) -> None:
     """A directory is one file there; its delay, that of its kind, stays the same."""
-    runs(tmp_path / "runs")
+    write_runs(tmp_path / "runs")
     grid = tmp_path / "grid.yaml"
     grid.write_text(
         "site: site.yaml\nweather:\n"

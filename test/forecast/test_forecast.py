@@ -13,6 +13,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from archives import write_runs
 from graphs import bag_file, bring_up, environment
 from hypothesis import given
 from hypothesis import strategies as st
@@ -543,6 +544,7 @@ def arrays_of(run: Path, topic: str, length: int) -> list[bytes]:
         "--controller planning_mpc --forecast errors --forecast-seed 4 --forecast-size 0.7",
         "--controller planning_mpc --forecast ensemble --forecast-members 3",
         "--controller mpc --forecast archive.csv",
+        "--controller planning_mpc --forecast runs --forecast-delay 0",
         "--controller onoff --forecast persistence",
     ],
 )
@@ -552,6 +554,7 @@ def test_graph_and_simulate_are_given_the_same(
     """Over an issue, at 06:00 UTC; in the bag is, bit for bit, what was forecast."""
     pytest.importorskip("rclpy", reason="the graph needs ROS 2")
     archive(tmp_path)
+    write_runs(tmp_path / "runs")
     words = [*options.split(), "--start", "2021-07-07T00:55", "--hours", "0.15"]
     graph = bring_up(domain, tmp_path, *words)
     subprocess.run(
@@ -564,9 +567,9 @@ def test_graph_and_simulate_are_given_the_same(
     assert graph["forecast"]["model"] != "perfect"
     if "archive.csv" in options:
         assert graph["forecast"] == {"model": "file", "file": "archive.csv"}
-        kept = tmp_path / "run" / "configuration" / "forecast.csv"
+        kept = tmp_path / "run" / "configuration" / "forecast" / "archive.csv"
         assert kept.read_bytes() == (tmp_path / "archive.csv").read_bytes()
-        words[words.index("archive.csv")] = str(tmp_path / "archive.csv")
+    words = [str(tmp_path / word) if word in ("archive.csv", "runs") else word for word in words]
     run = paper_run(*words)
     for topic, forecast in (
         ("/forecast/precipitation", run.forecast.precipitation),
