@@ -108,6 +108,11 @@ def main() -> int:
     site = read_site(arguments.site or shared_directory() / "config" / "site.yaml")
     weather = read_weather(find_files(arguments.weather, "--weather"), site)
     forecasts = issued_forecasts(choice, weather, site, arguments.horizon)
+    if arguments.lead % forecasts.finest_lead:
+        raise ConfigurationError(
+            f"must be a multiple of {forecasts.finest_lead} h, which is all that {forecasts.name} "
+            "says of leads", key="--lead", value=arguments.lead,
+        )
     tallies = _tally(forecasts, weather, arguments.lead, sums)
     if not any(tally.scores().n for tally in tallies.values()):
         raise ConfigurationError(

@@ -50,6 +50,7 @@ class Archive:
         issues: in the order of time, all with as many members.
         delay: h after its nominal time from which an issue is known.
         verified: by which it is verified, mostly the same; their rain may be NaN.
+        finest_lead: by how many hours of lead it can be verified.
     """
 
     source: Path
@@ -57,6 +58,7 @@ class Archive:
     issues: tuple[Issue, ...]
     delay: float
     verified: tuple[Issue, ...]
+    finest_lead: int
 
     @property
     def members(self) -> int:
@@ -119,7 +121,7 @@ def read_archive(source: Path, site: Site, delay: float | None = None) -> Archiv
             )
     return Archive(
         source, contents.kind, tuple(issues), contents.delay if delay is None else delay,
-        tuple(issues if contents.verified is None else contents.verified),
+        tuple(issues if contents.verified is None else contents.verified), contents.finest_lead,
     )
 
 

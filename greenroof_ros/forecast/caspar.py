@@ -127,16 +127,13 @@ def _read(file: Path, latitude: float, longitude: float) -> _Member:
         ) from error
     issued, number = _named(file)
     try:
-        dataset = Dataset(file)
-    except OSError as error:
-        raise ConfigurationError(
-            f"is not NetCDF that can be read: {error.strerror or error}", file=file
-        ) from error
-    with dataset:
-        name, product = _variable(file, dataset)
-        hours = _hours(file, dataset, issued)
-        point = _nearest(file, dataset, dataset[name], latitude, longitude)
-        sums = np.ma.filled(dataset[name][(slice(None), *point)].astype(np.float64), np.nan)
+        with Dataset(file) as dataset:
+            name, product = _variable(file, dataset)
+            hours = _hours(file, dataset, issued)
+            point = _nearest(file, dataset, dataset[name], latitude, longitude)
+            sums = np.ma.filled(dataset[name][(slice(None), *point)].astype(np.float64), np.nan)
+    except (OSError, RuntimeError) as error:  # of the library; a damaged file opens, too
+        raise ConfigurationError(f"is not NetCDF that can be read: {error}", file=file) from error
     return _Member(file, issued, number, _rain(file, name, hours, 1000 * sums), product)
 
 

@@ -51,3 +51,5 @@ class Contents(NamedTuple):
     """h after their nominal time from which issues of this kind usually are available"""
     verified: list[Issue] | None = None
     """by which it is verified, where those are others: their rain may be NaN"""
+    finest_lead: int = 1
+    """by how many hours of lead it can be verified"""

@@ -26,6 +26,7 @@ service without ``run=`` begins at midnight, before the run; so a file with memb
 from __future__ import annotations
 
 import json
+import math
 import re
 from collections.abc import Callable, Sequence
 from datetime import datetime, timedelta, timezone
@@ -40,7 +41,7 @@ from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.files import read_text
 from greenroof_ros.common.times import parse_local_time, parse_time, to_minutes
 from greenroof_ros.forecast.issue import Contents, Issue
-from greenroof_ros.forecast.previous_runs import PreviousRuns
+from greenroof_ros.forecast.previous_runs import DAY_HOURS, PreviousRuns, join
 from greenroof_ros.model.look_ahead import MOST_MEMBERS
 from greenroof_ros.model.site import Site
 from greenroof_ros.weather.open_meteo import (
@@ -107,9 +108,9 @@ def read(files: Sequence[Path], site: Site, /) -> Contents:
             raise ConfigurationError(
                 f"must be of previous runs, as {previous[0].file.name} is", file=hours.file
             )
+    whole = join(previous)
     return Contents(
-        "Open-Meteo, previous runs", [issue for one in previous for issue in one.issues()],
-        DELAY_H, [issue for one in previous for issue in one.daily()],
+        "Open-Meteo, previous runs", whole.issues(), DELAY_H, whole.daily(), DAY_HOURS
     )
 
 
@@ -175,6 +176,8 @@ def _read_json(file: Path, text: str, site: Site) -> _Hours:
         raise ConfigurationError(
             f"is not valid JSON: {error.msg}", file=file, line=error.lineno
         ) from error
+    except RecursionError as error:
+        raise ConfigurationError("is JSON nested too deep to be an answer", file=file) from error
     if not isinstance(content, dict):
         raise ConfigurationError("must be of one place; download each by itself", file=file)
     if content.get("error"):
@@ -236,7 +239,7 @@ def _first_of(file: Path, hourly: dict[str, Any], zone: timezone) -> tuple[datet
 def _series(
     file: Path, name: str, series: object, count: int, unit: Unit
 ) -> NDArray[np.float64]:
-    """Return the values of a JSON answer in mm/h; null is missing."""
+    """Return the values of a JSON answer in mm/h; null is missing, and the NaN of programs."""
     key = f"hourly.{name}"
     if not isinstance(series, list) or len(series) != count:
         raise ConfigurationError(
@@ -245,10 +248,10 @@ def _series(
     _, low, high = QUANTITIES[PRECIPITATION]
     values = np.full(count, np.nan)
     for index, value in enumerate(series):
-        if value is None:
-            continue
         number = isinstance(value, (int, float)) and not isinstance(value, bool)
-        if not (number and low <= value / unit.per_ours <= high):
+        if value is None or (number and math.isnan(value)):
+            continue
+        if not (number and low <= value <= high * unit.per_ours):
             raise ConfigurationError(
                 f"must be a number from {low:g} to {high * unit.per_ours:g} {unit.name}, or null",
                 file=file, key=f"{key}[{index}]", value=value,

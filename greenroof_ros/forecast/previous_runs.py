@@ -8,7 +8,7 @@ age fits.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
@@ -21,16 +21,16 @@ from greenroof_ros.common.times import hours_since_1970
 from greenroof_ros.forecast.issue import ISSUE_HOURS, Issue
 from greenroof_ros.weather.records import HOUR
 
-_DAY_HOURS = 24
+DAY_HOURS = 24
 
 
 @dataclass(frozen=True)
 class PreviousRuns:
-    """A file of previous runs.
+    """A file of previous runs, or several that follow one another.
 
     Attributes:
-        file: that it is.
-        line: of its first hour; None where the file has no lines.
+        file: the first of them.
+        line: of its first hour; None where there are no lines, or several files.
         first: start of the first hour.
         days: the series by N, mm/h, shape (hours,); NaN where missing.
     """
@@ -54,13 +54,13 @@ class PreviousRuns:
         Raises:
             ConfigurationError: nothing is known at all.
         """
-        leads = np.arange(_DAY_HOURS * max(self.days))
+        leads = np.arange(DAY_HOURS * max(self.days))
         issues = []
         for start in self._starts(0, ISSUE_HOURS):
             rain = np.full(len(leads), np.nan)
             for day in sorted(self.days, reverse=True):
                 values = self._at(day, start + leads)
-                known = (leads + 1 <= _DAY_HOURS * day) & ~np.isnan(values)
+                known = (leads + 1 <= DAY_HOURS * day) & ~np.isnan(values)
                 rain[known] = values[known]
             missing = np.flatnonzero(np.isnan(rain))
             if missing.size:
@@ -80,10 +80,10 @@ class PreviousRuns:
         """
         last = max(self.days)
         issues = []
-        for start in self._starts(-_DAY_HOURS * last, _DAY_HOURS):
-            rain = np.full(_DAY_HOURS * last, np.nan)
+        for start in self._starts(-DAY_HOURS * last, DAY_HOURS):
+            rain = np.full(DAY_HOURS * last, np.nan)
             for day in self.days:
-                leads = np.arange(_DAY_HOURS * (day - 1), _DAY_HOURS * day)
+                leads = np.arange(DAY_HOURS * (day - 1), DAY_HOURS * day)
                 rain[leads] = self._at(day, start + leads)
             issues.append(self._issue(start, rain))
         return issues
@@ -102,3 +102,34 @@ class PreviousRuns:
     def _issue(self, start: int, rain: NDArray[np.float64]) -> Issue:
         line = None if self.line is None else self.line + max(start, 0)
         return Issue(self.first + start * HOUR, self.file, line, rain[None, :])
+
+
+def join(parts: Sequence[PreviousRuns]) -> PreviousRuns:
+    """Join the previous runs of several files; an hour that none has is missing.
+
+    Raises:
+        ConfigurationError: two files differ in a value, in the days that they have, or are not
+            whole hours apart.
+    """
+    parts = sorted(parts, key=lambda part: part.first)
+    first = parts[0]
+    if len(parts) == 1:
+        return first
+    begins = [(part.first - first.first) // HOUR for part in parts]
+    hours = max(begin + part.hours for begin, part in zip(begins, parts, strict=True))
+    days = {day: np.full(hours, np.nan) for day in first.days}
+    for begin, part in zip(begins, parts, strict=True):
+        if part.days.keys() != days.keys() or (part.first - first.first) % HOUR:
+            raise ConfigurationError(
+                f"must have the days of {first.file.name}, and be whole hours from it",
+                file=part.file, line=part.line,
+            )
+        for day, series in part.days.items():
+            joined = days[day][begin : begin + part.hours]
+            if np.any(joined != series, where=~(np.isnan(joined) | np.isnan(series))):
+                raise ConfigurationError(
+                    f"must not have other values of day {day} than the files before it",
+                    file=part.file, line=part.line,
+                )
+            np.copyto(joined, series, where=~np.isnan(series))
+    return PreviousRuns(first.file, None, first.first, days)

@@ -35,11 +35,13 @@ class IssuedForecasts(Protocol):
         name: what they are, in words.
         members: of each.
         hours: of the longest.
+        finest_lead: by how many hours of lead they can be told apart.
     """
 
     name: str
     members: int
     hours: int
+    finest_lead: int
 
     def __len__(self) -> int:
         """How many there are."""
@@ -57,6 +59,7 @@ class ArchivedForecasts:
     name: str
     members: int
     hours: int
+    finest_lead: int
     issues: tuple[Issue, ...]
     weather: Weather
 
@@ -80,6 +83,7 @@ class ModelledForecasts:
     name: str
     members: int
     hours: int
+    finest_lead: int
     choice: ForecastChoice
     weather: Weather
     site: Site
@@ -123,7 +127,7 @@ def issued_forecasts(
         members = choice.members if choice.model == "ensemble" else 1
         options = [f"{name} {value}" for name, value in choice.options().items()]
         return ModelledForecasts(
-            ", ".join([choice.model, *options]), members, horizon, choice, weather, site
+            ", ".join([choice.model, *options]), members, horizon, 1, choice, weather, site
         )
     archive = read_archive(choice.file, site, choice.delay)
     refuse_between_hours(archive.verified, weather)
@@ -133,5 +137,6 @@ def issued_forecasts(
     )
     return ArchivedForecasts(
         f"{archive.source} ({archive.kind})", archive.members,
-        min(horizon, max((issue.hours for issue in within), default=horizon)), within, weather,
+        min(horizon, max((issue.hours for issue in within), default=horizon)),
+        archive.finest_lead, within, weather,
     )

@@ -192,6 +192,11 @@ def test_files_that_are_none(tmp_path: Path) -> None:
     file.write_text("not this")
     with pytest.raises(ConfigurationError, match=r"2021070800.nc: is not NetCDF that can be read"):
         read_archive(file, TORONTO)
+    whole = write(tmp_path / "2021070812.nc").read_bytes()
+    for length in (4, len(whole) // 3, len(whole) - 100):
+        file.write_bytes(whole[:length])
+        with pytest.raises(ConfigurationError, match=r"2021070800.nc: is not NetCDF that can be r"):
+            read_archive(file, TORONTO)
     for name in ("forecast.nc", "2021130800.nc", "2021070824.nc", "2021070800_1.nc"):
         other = write(tmp_path / "2021070806.nc").rename(tmp_path / name)
         with pytest.raises(ConfigurationError, match="must be named as CaSPAr does, YYYYMMDDHH"):

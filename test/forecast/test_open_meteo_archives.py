@@ -152,12 +152,33 @@ def test_the_same_in_the_forms_of_the_service(
     assert alike(read_archive(file, BUDVA), read_archive(KNMI, BUDVA))
 
 
+def test_several_files_are_one(tmp_path: Path) -> None:
+    """A forecast does not end where a file does; what files have in common must be alike."""
+    header, *lines = KNMI.read_text().splitlines()
+    for name, low, high in (("b.csv", 0, 300), ("a.csv", 280, 552)):
+        (tmp_path / name).write_text("\n".join([header, *lines[low:high], ""]))
+    joined, whole = read_archive(tmp_path, BUDVA), read_archive(KNMI, BUDVA)
+    assert alike(joined, whole)
+    for one, other in zip(joined.verified, whole.verified, strict=True):
+        assert one.issued == other.issued and one.rain.tobytes() == other.rain.tobytes()
+    (tmp_path / "a.csv").write_text("\n".join([
+        header, lines[280].replace(",0.0", ",7.0"), *lines[281:552], "",
+    ]))
+    with pytest.raises(ConfigurationError, match=r"a.csv, line 2: must not have other values of d"):
+        read_archive(tmp_path, BUDVA)
+    (tmp_path / "a.csv").write_text(json.dumps(answer(
+        ["2024-03-01T00:00"], precipitation_previous_day1=[0.0]
+    )))
+    with pytest.raises(ConfigurationError, match=r"a.csv: must have the days of b.csv, and be who"):
+        read_archive(tmp_path, BUDVA)
+
+
 def test_only_some_days(tmp_path: Path) -> None:
     """Two and four days alone: nothing is newer than two days, and none older than four."""
     times = [f"2024-03-{day:02}T{hour:02}:00" for day in range(1, 7) for hour in range(24)]
     file = tmp_path / "some.json"
     file.write_text(json.dumps(answer(
-        times, precipitation=[9.0] * 144, precipitation_probability=[50] * 144,
+        times, precipitation=[float("nan")] * 144, precipitation_probability=[50] * 144,
         precipitation_previous_day2=[2.0] * 144, precipitation_previous_day4=[4.0] * 144,
     )))
     issue = read_archive(file, BUDVA).issues[0]
@@ -223,6 +244,7 @@ HEAD = KNMI.read_text().splitlines()[0]
 ROWS = ["2024-03-01 00:00:00,0.0,0.1,0.2,0.3,0.4", "2024-03-01 01:00:00,0.0,0.1,0.2,0.3,0.4"]
 WRONG = {
     "cut.json": ('{"latitude": 42.25,\n"long', ", line 2: is not valid JSON: "),
+    "deep.json": ("[" * 200_000, ": is JSON nested too deep to be an answer"),
     "several.json": ("[{}, {}]", ": must be of one place; download each by itself"),
     "refusal.json": (
         '{"error": true, "reason": "Daily API request limit exceeded."}',

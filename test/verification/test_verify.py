@@ -227,6 +227,10 @@ WRONG = {
         "--output = 'no/page.html': must be in a directory that exists and can be written to",
     ),
     "exists": (["errors", "-o", "there.csv"], "--output = 'there.csv': exists; name another file"),
+    "lead": (
+        [str(GEM), "--lead", "6", "--sums", "6", "--events", "2"],
+        f"--lead = 6: must be a multiple of 24 h, which is all that {GEM} (Open-Meteo, previous",
+    ),
     "apart": (
         [str(GEM)], f"{GEM}: FORECASTS = '{GEM}': have no whole sum in common with the records, "
     ),
