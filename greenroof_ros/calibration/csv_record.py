@@ -89,7 +89,7 @@ def read_csv_record(file: Path, site: Site) -> Record:
     columns = _columns(table, site)
     offset = timezone(timedelta(hours=site.utc_offset)) if site.utc_offset is not None else None
     times: list[datetime] = []
-    rows: list[int | None] = []
+    rows: list[int] = []
     cells: dict[str, list[float]] = {quantity: [] for quantity in columns}
     for row in table.rows():
         times.append(_time(row, offset))
@@ -236,7 +236,7 @@ def _last_decimal(values: Values) -> float:
 
 def _refuse_unbelievable(
     file: Path, quantity: str, column: _Column, values: Values, step_s: float,
-    slots: Slots, lines: list[int | None],
+    slots: Slots, lines: list[int],
     cells: dict[str, list[float]],
 ) -> None:
     """Refuse a value that nothing on a roof can have."""
@@ -262,7 +262,7 @@ def _refuse_unbelievable(
 
 
 def _refuse_gaps(
-    record: Record, column: str, values: Values, slots: Slots, lines: list[int | None]
+    record: Record, column: str, values: Values, slots: Slots, lines: list[int]
 ) -> None:
     """Refuse evapotranspiration that is not there in every step: a roof dries through gaps, too."""
     missing = np.flatnonzero(np.isnan(values))

@@ -46,6 +46,7 @@ from greenroof_ros.model.look_ahead import MOST_MEMBERS
 from greenroof_ros.model.site import Site
 from greenroof_ros.weather.open_meteo import (
     PRECIPITATION_UNITS,
+    Place,
     check_place,
     lines_of,
     zone_of,
@@ -184,7 +185,7 @@ def _read_json(file: Path, text: str, site: Site) -> _Hours:
         raise ConfigurationError(
             f"is no forecast but the service's refusal: {content.get('reason', '')}", file=file
         )
-    place = Row(file, None, {
+    place = Place(file, None, {
         name: "NaN" if value is None else str(value) for name, value in content.items()
     })
     zone = zone_of(place)

@@ -39,7 +39,7 @@ class _Draft:
     """An issue while it is read: of each member, hour by hour, the values of each quantity."""
 
     issued: datetime
-    line: int | None
+    line: int
     members: dict[int, list[dict[str, float]]] = field(default_factory=dict)
 
 

@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-import importlib.resources
 from collections.abc import Mapping
-
-import jinja2
 
 from greenroof_ros.common.versions import versions
 from greenroof_ros.report.page import library, payload
+from greenroof_ros.report.templates import environment
 from greenroof_ros.verification.figures import make_figures
 from greenroof_ros.verification.pairs import Class
 from greenroof_ros.verification.scores import Tally
@@ -24,16 +22,12 @@ def render(forecasts: str, records: str, count: int, tallies: Mapping[Class, Tal
         count: how many forecasts.
         tallies: what adds up in each class.
     """
-    environment = jinja2.Environment(
-        autoescape=True, trim_blocks=True, lstrip_blocks=True, undefined=jinja2.StrictUndefined
-    )
-    text = importlib.resources.files(__package__).joinpath("page.html").read_text("utf-8")
     figures = make_figures(tallies)
     rows = []
     for one, tally in tallies.items():
         scores = tally.scores()
         rows.append((one, [shown(name, scores) for name in SHOWN]))
-    return environment.from_string(text).render(
+    return environment(__package__).get_template("page.html").render(
         forecasts=forecasts, records=records, count=count, headings=list(map(heading, SHOWN)),
         members=len(next(iter(tallies.values())).ranks) - 1, rows=rows, figures=figures,
         versions=versions(), library=library(), payload=payload(figures),

@@ -23,6 +23,7 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Iterator
+from dataclasses import dataclass
 from datetime import timedelta, timezone
 from functools import partial
 from pathlib import Path
@@ -66,12 +67,33 @@ _PLACE = {
 }
 
 
+@dataclass(frozen=True)
+class Place:
+    """What a file of the service says of its place.
+
+    Attributes:
+        file: that it is from.
+        line: of the file; None where it has none that say anything, as JSON.
+        values: as they are written, by their name.
+    """
+
+    file: Path
+    line: int | None
+    values: dict[str, str]
+
+    def refuse(self, expected: str, name: str) -> ConfigurationError:
+        """Return an error that names file, line, and one of the values."""
+        return ConfigurationError(
+            expected, file=self.file, line=self.line, key=name, value=self.values.get(name, "")
+        )
+
+
 def recognises(text: str, /) -> bool:
     """Whether the first line names the service's offset from UTC."""
     return _OFFSET in text.split("\n", 1)[0]
 
 
-def lines_of(file: Path, text: str) -> tuple[Row, list[tuple[int, str]]]:
+def lines_of(file: Path, text: str) -> tuple[Place, list[tuple[int, str]]]:
     """Return what a CSV of the service says of the place, and its further lines, numbered.
 
     Raises:
@@ -82,7 +104,8 @@ def lines_of(file: Path, text: str) -> tuple[Row, list[tuple[int, str]]]:
         raise ConfigurationError(
             "must have two lines about the place, then a header and records", file=file
         )
-    return next(Table(file, lines[:2]).rows()), lines[2:]
+    row = next(Table(file, lines[:2]).rows())
+    return Place(file, row.line, row.cells), lines[2:]
 
 
 def parse(file: Path, text: str, site: Site, /) -> Records:
@@ -133,37 +156,32 @@ def parse(file: Path, text: str, site: Site, /) -> Records:
     )
 
 
-def zone_of(place: Row) -> timezone:
+def zone_of(place: Place) -> timezone:
     """Return the offset of all times of a file from UTC.
-
-    Args:
-        place: what the file says of it.
 
     Raises:
         ConfigurationError: the file is of several places, or the offset is not one.
     """
-    if "location_id" in place.cells:
+    if "location_id" in place.values:
         raise place.refuse("must be of one place; download each by itself", "location_id")
-    text = place.cells.get(_OFFSET, "")
+    text = place.values.get(_OFFSET, "")
     # From UTC-12 to UTC+14.
     if not re.fullmatch(r"-?\d{1,5}", text) or not -43200 <= int(text) <= 50400:
-        raise ConfigurationError(
-            "must be a whole number of seconds from -43200 to 50400",
-            file=place.file, line=place.line, key=_OFFSET, value=text,
-        )
+        raise place.refuse("must be a whole number of seconds from -43200 to 50400", _OFFSET)
     return timezone(timedelta(seconds=int(text)))
 
 
-def check_place(place: Row, site: Site) -> None:
-    """Refuse a place that is not near the site's, where the site says its own."""
+def check_place(place: Place, site: Site) -> None:
+    """Refuse a place that is not near the site's, where the site says its own.
+
+    Raises:
+        ConfigurationError: it is not near, or not a place.
+    """
     for name, (most, end) in _PLACE.items():
         try:
-            value = float(place.cells[name])
+            value = float(place.values[name])
         except (KeyError, ValueError):
-            raise ConfigurationError(
-                f"must be a number from {-end:g} to {end:g}",
-                file=place.file, line=place.line, key=name, value=place.cells.get(name, ""),
-            ) from None
+            raise place.refuse(f"must be a number from {-end:g} to {end:g}", name) from None
         if math.isnan(value) and name == "elevation":  # as the service writes an unknown one
             continue
         own: float | None = getattr(site, name)

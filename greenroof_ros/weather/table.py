@@ -45,12 +45,12 @@ class Row:
 
     Attributes:
         file: that it is from.
-        line: its number there, from 1; None where a file has no lines that say anything, as JSON.
+        line: its number there, from 1.
         cells: by the name of their column, without space around them.
     """
 
     file: Path
-    line: int | None
+    line: int
     cells: dict[str, str]
 
     def refuse(self, expected: str, column: str | None = None) -> ConfigurationError:
