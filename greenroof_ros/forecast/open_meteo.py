@@ -64,6 +64,8 @@ _SAVED_TIMES = ("time", "datetime", "date")
 _PREVIOUS = re.compile(r"precipitation_previous_day([1-9])")
 _MEMBER = re.compile(r"precipitation(?:_member(\d{2,3}))?")
 _RUN_IN_NAME = re.compile(r"(\d{4})-?(\d\d)-?(\d\d)T?(\d\d)(?:-?00)?$")
+# The service's longest forecasts, of ensembles, reach 36 days (h).
+_LONGEST_RUN = 36 * 24
 _UTC = timezone.utc
 
 
@@ -325,6 +327,11 @@ def _run(hours: _Hours) -> Issue:
             f"{to_minutes(hours.first + HOUR)}", file=hours.file,
         )
     rain = rain[:, start:]
+    if rain.shape[1] > _LONGEST_RUN:
+        raise ConfigurationError(
+            f"has {rain.shape[1]} hours, and a run at most {_LONGEST_RUN}: of a longer past there "
+            "are previous runs, precipitation_previous_day1 and so on", file=hours.file,
+        )
     known = np.flatnonzero(~np.isnan(rain).all(axis=0))
     if not known.size:
         raise ConfigurationError(

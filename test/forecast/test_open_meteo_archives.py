@@ -310,6 +310,12 @@ WRONG = {
         edited(), ": must have the hour after its run, 2024-06-01T18:00+00:00; its first time is ",
     ),
     "none_2024063112.json": (edited(), ": its name must end in a run such as 2024060112, year, mo"),
+    "history.csv": (
+        "\n".join(["time,precipitation", *(
+            f"{parse_time('2024-01-01T00:00Z') + hour * HOUR},0.0" for hour in range(37 * 24)
+        )]),
+        ": has 887 hours, and a run at most 864: of a longer past there are previous runs",
+    ),
     "dry.json": (
         edited(hourly={"time": TIMES}), ": must have precipitation, precipitation_member01 or pre",
     ),
