@@ -15,7 +15,8 @@ CONTROLLERS = ("mpc", "onoff", "planning_mpc", "anticipating_onoff", "scenario_m
 # Commands: they start the graph, or need no ROS at all.
 COMMANDS = (
     "bringup", "simulate", "bound", "recover", "topics", "check_controller", "check_pump",
-    "drive_simulator", "site_simulator", "calibrate", "study.__main__", "report.__main__",
+    "drive_simulator", "site_simulator", "calibrate", "verify", "study.__main__",
+    "report.__main__",
 )
 # `watch` alone is a command of Linux's own, which it would hide.
 WATCH = "greenroof_watch"
@@ -50,7 +51,7 @@ setup(
     python_requires=">=3.10",
     packages=find_packages(include=[NAME, f"{NAME}.*"]),
     package_data={f"{NAME}.report": ["*.html"], f"{NAME}.watch": ["page/*"],
-                  f"{NAME}.calibration": ["page.html"]},
+                  f"{NAME}.calibration": ["page.html"], f"{NAME}.verification": ["page.html"]},
     data_files=[
         ("share/ament_index/resource_index/packages", [f"resource/{NAME}"]),
         (SHARE.as_posix(), ["package.xml"]),
@@ -101,6 +102,8 @@ setup(
             "aiohttp>=3.9.1,<4",
             "vl-convert-python>=1.8,<2",  # as in [study]: the charts' scripts, without the internet
         ],
+        # Forecasts of CaSPAr; Unidata's own reader, while h5netcdf brings h5py and xarray pandas.
+        "netcdf": ["netCDF4>=1.7,<2"],
         "dask": ["distributed>=2024.1"],  # study --scheduler: more than one machine
         "test": [
             # With 9.2, pytest-xdist 3.8 keeps no group together: fixtures are made once a worker.

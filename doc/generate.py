@@ -53,6 +53,7 @@ COMMANDS = {
     "recover": "greenroof_ros.recover",
     "topics": "greenroof_ros.topics",
     "calibrate": "greenroof_ros.calibrate",
+    "verify": "greenroof_ros.verify",
     "check_controller": "greenroof_ros.check_controller",
     "check_pump": "greenroof_ros.check_pump",
     "drive_simulator": "greenroof_ros.drive_simulator",

@@ -26,7 +26,8 @@ NODES = (
 )
 COMMANDS = (
     "bringup", "simulate", "bound", "recover", "topics", "check_controller", "check_pump",
-    "drive_simulator", "site_simulator", "calibrate", "study", "report", "greenroof_watch",
+    "drive_simulator", "site_simulator", "calibrate", "verify", "study", "report",
+    "greenroof_watch",
 )
 SCRIPTS = sorted(NODES + COMMANDS)
 

@@ -70,6 +70,11 @@ def epoch_ns(time: datetime) -> int:
     return (time - _EPOCH) // timedelta(microseconds=1) * 1000
 
 
+def hours_since_1970(time: datetime) -> int:
+    """Whole hours since 1970-01-01 UTC, of a time that begins on none those before it."""
+    return (time - _EPOCH) // timedelta(hours=1)
+
+
 def from_epoch_ns(nanoseconds: int) -> datetime:
     """Return the time in UTC that is so many nanoseconds after 1970-01-01, to the microsecond."""
     return _EPOCH + timedelta(microseconds=nanoseconds // 1000)

@@ -20,8 +20,8 @@ from greenroof_ros.controllers.registry import (
 from greenroof_ros.experiment.run import Run, build_run, count_ticks
 from greenroof_ros.forecast.choice import (
     MODELS,
+    NUMBERS,
     OPTIONS,
-    WHOLE,
     ForecastChoice,
     check_skill,
     choose,
@@ -150,14 +150,20 @@ def add_site_arguments(group: argparse._ArgumentGroup) -> None:
 def _add_forecast_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the options of the forecasts that the controller gets."""
     group = parser.add_argument_group("forecasts")
-    default = ForecastChoice()
     group.add_argument(
-        "--forecast", default=default.model, metavar=f"{{{','.join(MODELS)},FILE.csv}}",
+        "--forecast", default=ForecastChoice().model, metavar=f"{{{','.join(MODELS)},FILE}}",
         help="what the controller knows of the weather ahead. perfect: all of it; persistence: it "
         "stays as it is; errors: as good and as bad as real ones; ensemble: several such; a "
-        "file: archived forecasts. All but perfect are issued every 6 hours, a file's when it says "
-        "(default: %(default)s)",
+        "file, or a directory of files: archived forecasts, in this project's CSV, CSV or JSON of "
+        "Open-Meteo, or NetCDF of CaSPAr. All but perfect are issued every 6 hours, a file's when "
+        "it says (default: %(default)s)",
     )
+    add_forecast_options(group)
+
+
+def add_forecast_options(group: argparse._ArgumentGroup) -> None:
+    """Add the options that some kinds of forecast have."""
+    default = ForecastChoice()
     group.add_argument(
         "--forecast-skill", type=_skill, metavar=f"{{{','.join(SKILLS)},FILE.yaml}}",
         help="errors, ensemble: how good they are. real: as those of weather services; better: as "
@@ -165,12 +171,17 @@ def _add_forecast_arguments(parser: argparse.ArgumentParser) -> None:
         f"(default: {default.skill})",
     )
     group.add_argument(
-        "--forecast-seed", type=within(*WHOLE["seed"], int), metavar="N",
+        "--forecast-seed", type=within(*NUMBERS["seed"], int), metavar="N",
         help=f"errors, ensemble: seed of the errors (default: {default.seed})",
     )
     group.add_argument(
-        "--forecast-members", type=within(*WHOLE["members"], int), metavar="M",
+        "--forecast-members", type=within(*NUMBERS["members"], int), metavar="M",
         help=f"ensemble: number of its members (default: {default.members})",
+    )
+    group.add_argument(
+        "--forecast-delay", type=within(*NUMBERS["delay"]), metavar="H",
+        help="a file: hours after its nominal time from which an issue is known (default: what is "
+        "usual of its kind; 0 in this project's form, which says when it was known)",
     )
 
 
@@ -282,7 +293,8 @@ def run_from_arguments(arguments: argparse.Namespace) -> Run:
     """
     controller, parameters = controller_from_arguments(arguments)
     return _run(
-        arguments, controller, parameters, _forecast_choice(arguments),
+        arguments, controller, parameters,
+        forecast_from_arguments(arguments, arguments.forecast, "--forecast"),
         SensorPumpErrors(**{name: getattr(arguments, name) for name in RANGES}),
     )
 
@@ -336,21 +348,30 @@ def _run(
     )
 
 
-def _forecast_choice(arguments: argparse.Namespace) -> ForecastChoice:
-    """Return the forecasts that a command line asks for."""
+def forecast_from_arguments(
+    arguments: argparse.Namespace, text: str, key: str
+) -> ForecastChoice:
+    """Return the forecasts that a command line asks for.
+
+    Args:
+        arguments: with those of :func:`add_forecast_options`.
+        text: which forecasts, a model or a path.
+        key: the option or argument that has it, for messages.
+
+    Raises:
+        ConfigurationError: there are no such forecasts, or they do not have an option.
+    """
     try:
-        choice = choose(arguments.forecast)
+        choice = choose(text)
     except ValueError as error:
-        raise ConfigurationError(
-            str(error), key="--forecast", value=arguments.forecast
-        ) from error
+        raise ConfigurationError(str(error), key=key, value=text) from error
     given = {option: getattr(arguments, f"forecast_{option}") for option in OPTIONS}
     given = {option: value for option, value in given.items() if value is not None}
     for option in given:
-        if option not in choice.options():
-            owners = " and ".join(name for name in MODELS if option in MODELS[name])
+        if option not in choice.takes:
+            owners = [name for name in MODELS if option in MODELS[name]] or ["a file"]
             raise ConfigurationError(
-                f"is an option of {owners}; the forecast is {choice}",
+                f"is an option of {' and '.join(owners)}; the forecast is {choice}",
                 key=f"--forecast-{option}",
             )
     return replace(choice, **given)

@@ -97,9 +97,13 @@ def _write_configuration(
         weather_files.append(str(copy))
     choice = run.forecast_choice
     if choice.file is not None:
-        forecast_file = configuration / "forecast.csv"
-        shutil.copyfile(choice.file, forecast_file)
-        choice = replace(choice, file=forecast_file)
+        copy = configuration / "forecast" / choice.file.resolve().name
+        if choice.file.is_dir():
+            shutil.copytree(choice.file, copy)
+        else:
+            copy.parent.mkdir()
+            shutil.copyfile(choice.file, copy)
+        choice = replace(choice, file=copy)
     if choice.skill_file is not None:
         skill_file = configuration / "skill.yaml"
         shutil.copyfile(choice.skill_file, skill_file)

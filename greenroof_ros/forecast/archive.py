@@ -1,163 +1,156 @@
-"""Files of archived forecasts: issue after issue, hour after hour."""
+"""Archived forecasts: a file or a directory of files, each of one of several formats."""
 
 from __future__ import annotations
 
 import itertools
-from dataclasses import dataclass, field
-from datetime import datetime
+from collections.abc import Sequence
+from dataclasses import dataclass
+from datetime import timedelta
 from pathlib import Path
-
-import numpy as np
-from numpy.typing import NDArray
+from typing import Protocol
 
 from greenroof_ros.common.errors import ConfigurationError
-from greenroof_ros.common.files import read_text
 from greenroof_ros.common.times import to_minutes
-from greenroof_ros.model.look_ahead import MOST_MEMBERS
-from greenroof_ros.weather.records import (
-    EVAPOTRANSPIRATION,
-    HOUR,
-    PRECIPITATION,
-    QUANTITIES,
-    TEMPERATURE,
-)
-from greenroof_ros.weather.table import Row, Table, numbered_lines
+from greenroof_ros.forecast import caspar, open_meteo, own_csv
+from greenroof_ros.forecast.issue import Contents, Issue
+from greenroof_ros.model.site import Site
+from greenroof_ros.weather.records import HOUR
+from greenroof_ros.weather.series import Weather
 
-_COLUMNS = {
-    quantity: f"{quantity} [{QUANTITIES[quantity][0]}]"
-    for quantity in (PRECIPITATION, EVAPOTRANSPIRATION, TEMPERATURE)
-}
-# The columns that a file may do without.
-_OPTIONAL = {"member", _COLUMNS[EVAPOTRANSPIRATION], _COLUMNS[TEMPERATURE]}
+_HEAD_BYTES = 4096
+
+
+class Format(Protocol):
+    """A format of archives: a module with these names."""
+
+    def recognises(self, file: Path, head: bytes, /) -> bool:
+        """Whether a file looks like one of this format, by its name and first bytes."""
+        ...
+
+    def read(self, files: Sequence[Path], site: Site, /) -> Contents:
+        """Return what is in some files.
+
+        Raises:
+            ConfigurationError: a file is not as the format must be.
+        """
+        ...
+
+
+FORMATS: tuple[Format, ...] = (caspar, open_meteo, own_csv)
+"""All formats; the first that recognises a file reads it, the last recognises any."""
 
 
 @dataclass(frozen=True)
-class Issue:
-    """A forecast of a file.
+class Archive:
+    """Forecasts as they were issued.
 
     Attributes:
-        issued: when; its first hour starts then.
-        line: of the file, its first.
-        rain: mm/h, shape (members, hours).
-        evapotranspiration: mm/day, shape (hours,); None where the file has none.
-        temperature: of the air (degC), likewise.
+        source: the file or directory.
+        kind: what it is, in words.
+        issues: in the order of time, all with as many members.
+        delay: h after its nominal time from which an issue is known.
+        verified: by which it is verified, mostly the same; their rain may be NaN.
+        finest_lead: by how many hours of lead it can be verified.
     """
 
-    issued: datetime
-    line: int
-    rain: NDArray[np.float64]
-    evapotranspiration: NDArray[np.float64] | None
-    temperature: NDArray[np.float64] | None = None
+    source: Path
+    kind: str
+    issues: tuple[Issue, ...]
+    delay: float
+    verified: tuple[Issue, ...]
+    finest_lead: int
 
     @property
-    def hours(self) -> int:
-        """How many it has."""
-        return len(self.rain[0])
+    def members(self) -> int:
+        """How many forecasts an issue is of."""
+        return len(self.issues[0].rain)
+
+    def known_from(self, weather: Weather) -> list[int]:
+        """Return the hour of the records from whose start on each issue is known.
+
+        Raises:
+            ConfigurationError: an issue is not whole hours from where the records begin.
+        """
+        refuse_between_hours(self.issues, weather)
+        delay = timedelta(hours=self.delay)
+        return [-((weather.first - issue.issued - delay) // HOUR) for issue in self.issues]
 
 
-@dataclass
-class _Draft:
-    """An issue while it is read: of each member, hour by hour, the values of each quantity."""
+def read_archive(source: Path, site: Site, delay: float | None = None) -> Archive:
+    """Read an archive of forecasts.
 
-    issued: datetime
-    line: int
-    members: dict[int, list[dict[str, float]]] = field(default_factory=dict)
+    An issue is known from when it is available, which is hours after its nominal time: until then
+    its run computes and is distributed. The nominal time is that at which its observations were
+    made and its first hour begins.
 
-
-def read_forecasts(path: Path) -> list[Issue]:
-    """Read a file of forecasts, one issue after the other.
-
-    Lines that start with ``#`` are comments. The first other line is the header: ``issued``,
-    ``time``, then ``member`` if there is more than one forecast per issue, ``precipitation
-    [mm/h]``, and ``evapotranspiration [mm/day]`` and ``temperature [degC]`` if the file has them
-    (member 0's count). Each further line is the hour that starts at its ``time``, as forecast at
-    ``issued`` (ISO 8601 with the offset from UTC): of each issue and member hour after hour, the
-    first that which starts with the issue. All issues have the members 0, 1, 2 and so on, and all
-    members of an issue the same hours.
-
-    Raises:
-        ConfigurationError: the file breaks any of this; the message names the line and value.
-    """
-    table = Table(path, numbered_lines(read_text(path)))
-    _check_header(table)
-    quantities = [quantity for quantity, column in _COLUMNS.items() if column in table.header]
-    drafts: list[_Draft] = []
-    for row in table.rows():
-        _add(row, quantities, drafts)
-    return [_finish(path, draft, len(drafts[0].members)) for draft in drafts]
-
-
-def _check_header(table: Table) -> None:
-    """Refuse other columns, or another order of them."""
-    columns = ["issued", "time", "member", *_COLUMNS.values()]
-    expected = [one for one in columns if one not in _OPTIONAL or one in table.header]
-    for cell, due in itertools.zip_longest(table.header, expected):
-        if cell == due:
-            continue
-        may = (
-            f"they are {', '.join(map(repr, columns))}, of which "
-            f"{', '.join(one for one in columns if one in _OPTIONAL)} may be left out"
-        )
-        if due is None:
-            raise table.refuse(f"is one column too many; {may}", cell)
-        raise table.refuse(f"the column must be '{due}'; {may}", cell or "")
-
-
-def _add(row: Row, quantities: list[str], drafts: list[_Draft]) -> None:
-    """Add a line to its issue, the last of the drafts or a new one."""
-    issued, time = row.time("issued"), row.time("time")
-    if not drafts or issued > drafts[-1].issued:
-        drafts.append(_Draft(issued, row.line))
-    draft = drafts[-1]
-    if issued < draft.issued:
-        raise row.refuse(
-            f"must not be before {to_minutes(draft.issued)}, as above: the issues must be in the "
-            "order of time",
-            "issued",
-        )
-    hours = draft.members.setdefault(_member(row), [])
-    row.check_due("time", time, issued + len(hours) * HOUR, "from its issue on, each forecast")
-    hours.append({quantity: row.value(_COLUMNS[quantity], quantity) for quantity in quantities})
-
-
-def _member(row: Row) -> int:
-    """Return a line's member, 0 where the file has but one."""
-    text = row.cells.get("member", "0")
-    most = MOST_MEMBERS - 1
-    if not (text.isascii() and text.isdecimal() and int(text) <= most):
-        raise row.refuse(f"must be a whole number from 0 to {most}", "member")
-    return int(text)
-
-
-def _finish(path: Path, draft: _Draft, members: int) -> Issue:
-    """Return a whole issue.
+    Args:
+        source: a file, or a directory of files of one format.
+        site: to which the archive must be near, as far as it says its own place.
+        delay: h after its nominal time from which an issue is known; that of its kind unless given.
 
     Raises:
-        ConfigurationError: it lacks members that the first issue has, or has others, or hours.
+        ConfigurationError: a file is not as its format must be, two have the same issue, or issues
+            have different members.
     """
-    found = sorted(draft.members)
-    if found != list(range(members)):
-        raise ConfigurationError(
-            f"the issue of {to_minutes(draft.issued)} has members {', '.join(map(str, found))}, "
-            f"but must have 0 to {members - 1}: without gap, and as many as the first issue",
-            file=path, line=draft.line,
+    files = [source]
+    if source.is_dir():
+        files = sorted(
+            file for file in source.iterdir() if file.is_file() and not file.name.startswith(".")
         )
-    lengths = [len(draft.members[member]) for member in found]
-    if min(lengths) != max(lengths):
-        raise ConfigurationError(
-            f"the issue of {to_minutes(draft.issued)} must have as many hours of each member; "
-            f"member {lengths.index(min(lengths))} has {min(lengths)}, "
-            f"member {lengths.index(max(lengths))} has {max(lengths)}",
-            file=path, line=draft.line,
-        )
-    rain = [[hour[PRECIPITATION] for hour in draft.members[member]] for member in found]
-    return Issue(
-        draft.issued, draft.line, np.array(rain),
-        *(_of_member_0(draft, quantity) for quantity in (EVAPOTRANSPIRATION, TEMPERATURE)),
+        if not files:
+            raise ConfigurationError("must have files of forecasts in it", file=source)
+    form = _form(files[0])
+    for file in files[1:]:
+        if _form(file) is not form:
+            raise ConfigurationError(
+                f"must be of the format of {files[0].name}: an archive has one", file=file
+            )
+    contents = form.read(files, site)
+    issues = sorted(contents.issues, key=lambda issue: issue.issued)
+    for one, other in itertools.pairwise(issues):
+        if one.issued == other.issued:
+            raise ConfigurationError(
+                f"has the issue of {to_minutes(one.issued)}, which {one.file.name} has already",
+                file=other.file, line=other.line,
+            )
+        if len(one.rain) != len(other.rain):
+            raise ConfigurationError(
+                f"the issue of {to_minutes(other.issued)} must have as many members as that before "
+                f"it in {one.file.name}, {len(one.rain)}, not {len(other.rain)}",
+                file=other.file, line=other.line,
+            )
+    return Archive(
+        source, contents.kind, tuple(issues), contents.delay if delay is None else delay,
+        tuple(issues if contents.verified is None else contents.verified), contents.finest_lead,
     )
 
 
-def _of_member_0(draft: _Draft, quantity: str) -> NDArray[np.float64] | None:
-    """Return a quantity of each hour, shape (hours,); None where the file does not have it."""
-    hours = draft.members[0]
-    return np.array([hour[quantity] for hour in hours]) if quantity in hours[0] else None
+def refuse_between_hours(issues: Sequence[Issue], weather: Weather) -> None:
+    """Refuse issues that are not whole hours from where the records begin.
+
+    Raises:
+        ConfigurationError: one is not.
+    """
+    for issue in issues:
+        if (issue.issued - weather.first) % HOUR:
+            raise ConfigurationError(
+                f"must be a whole number of hours from {to_minutes(weather.first)}, where "
+                f"{weather.source} begins",
+                file=issue.file, line=issue.line, key="issued", value=to_minutes(issue.issued),
+            )
+
+
+def _form(file: Path) -> Format:
+    """Return the format of a file.
+
+    Raises:
+        ConfigurationError: it cannot be read.
+    """
+    if file.exists() and not file.is_file():
+        raise ConfigurationError("must be a regular file, or a directory of some", file=file)
+    try:
+        with file.open("rb") as stream:
+            head = stream.read(_HEAD_BYTES)
+    except OSError as error:
+        raise ConfigurationError(f"cannot be read: {error.strerror}", file=file) from error
+    return next(form for form in FORMATS if form.recognises(file, head))

@@ -11,7 +11,10 @@ from greenroof_ros.model.look_ahead import MOST_MEMBERS
 PERFECT = "perfect"
 FILE = "file"
 
-# Each model and those of OPTIONS that it has; a file is named by its path.
+# How an archive of forecasts ends in its name, where it is not a directory.
+SUFFIXES = (".csv", ".json", ".nc")
+
+# Each model and those of OPTIONS that it has; an archive is named by its path.
 MODELS: dict[str, tuple[str, ...]] = {
     PERFECT: (),
     "persistence": (),
@@ -19,11 +22,12 @@ MODELS: dict[str, tuple[str, ...]] = {
     "ensemble": ("skill", "seed", "members"),
 }
 
-# What the errors of a forecast are made from.
-OPTIONS = ("skill", "seed", "members")
+_OPTIONS_OF = {**MODELS, FILE: ("delay",)}
 
-# Ranges of those that are whole numbers.
-WHOLE = {"seed": (0, 2**31 - 1), "members": (1, MOST_MEMBERS)}
+# Range of each option that is a number; those with whole ends are whole numbers.
+NUMBERS = {"seed": (0, 2**31 - 1), "members": (1, MOST_MEMBERS), "delay": (0.0, 48.0)}
+
+OPTIONS = ("skill", *NUMBERS)
 
 
 @dataclass(frozen=True)
@@ -36,7 +40,9 @@ class ForecastChoice:
             ``config/forecasts/skill.yaml``.
         seed: of the errors.
         members: of the ensemble.
-        file: with the forecasts; None where there is none.
+        file: with the forecasts, or directory of such; None where there is none.
+        delay: h after its nominal time from which an issue of the file is known; None for what is
+            usual of the file's kind.
     """
 
     model: str = PERFECT
@@ -44,6 +50,7 @@ class ForecastChoice:
     seed: int = 0
     members: int = 10
     file: Path | None = None
+    delay: float | None = None
 
     def __str__(self) -> str:
         """The model's name or the file's path, as the option ``--forecast`` has it."""
@@ -54,9 +61,15 @@ class ForecastChoice:
         """The file of the skill; None where it has a name."""
         return None if self.skill in SKILLS else Path(self.skill)
 
-    def options(self) -> dict[str, str | int]:
-        """Return those of :data:`OPTIONS` that the model has, with their values."""
-        return {name: getattr(self, name) for name in MODELS.get(self.model, ())}
+    @property
+    def takes(self) -> tuple[str, ...]:
+        """Which of :data:`OPTIONS` the model has, or an archive."""
+        return _OPTIONS_OF[self.model]
+
+    def options(self) -> dict[str, str | float]:
+        """Return those of :data:`OPTIONS` that the model has, with the values that they have."""
+        values = {name: getattr(self, name) for name in self.takes}
+        return {name: value for name, value in values.items() if value is not None}
 
 
 def check_skill(text: str) -> None:
@@ -70,13 +83,16 @@ def check_skill(text: str) -> None:
 
 
 def choose(text: str) -> ForecastChoice:
-    """Return the choice of a model by its name, or of a file by its path.
+    """Return the choice of a model by its name, or of an archive by its path.
 
     Raises:
         ValueError: it is neither; the message says what it must be.
     """
-    if text.lower().endswith(".csv"):
+    if text in MODELS:
+        return ForecastChoice(text)
+    if text.lower().endswith((*SUFFIXES, "/")) or (text and Path(text).is_dir()):
         return ForecastChoice(FILE, file=Path(text))
-    if text not in MODELS:
-        raise ValueError(f"must be one of {', '.join(MODELS)}, or a FILE.csv")
-    return ForecastChoice(text)
+    raise ValueError(
+        f"must be one of {', '.join(MODELS)}, or forecasts: a file ({', '.join(SUFFIXES)}) or a "
+        "directory of files"
+    )

@@ -23,13 +23,9 @@ import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
+from greenroof_ros.common.times import hours_since_1970
 from greenroof_ros.forecast.climate import NormalRecords
-from greenroof_ros.forecast.issue_times import (
-    ISSUE_HOURS,
-    hours_since_1970,
-    newest_issue,
-    records_at,
-)
+from greenroof_ros.forecast.issue_times import ISSUE_HOURS, newest_issue, records_at
 from greenroof_ros.forecast.skill import Skill
 from greenroof_ros.weather.records import EVAPOTRANSPIRATION, PRECIPITATION, QUANTITIES
 from greenroof_ros.weather.series import Weather

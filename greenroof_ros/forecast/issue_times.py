@@ -15,17 +15,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from greenroof_ros.common.errors import ConfigurationError
-from greenroof_ros.weather.records import HOUR, name_hours
+from greenroof_ros.common.times import hours_since_1970
+from greenroof_ros.weather.records import name_hours
 from greenroof_ros.weather.series import Weather
 
 ISSUE_HOURS = 6
-
-_EPOCH = datetime.fromisoformat("1970-01-01T00:00+00:00")
-
-
-def hours_since_1970(time: datetime) -> int:
-    """Return whole hours, rounded down."""
-    return (time - _EPOCH) // HOUR
+"""Services start a run of a global model so often (h)."""
 
 
 def newest_issue(first: datetime, hour: int) -> tuple[int, int]:

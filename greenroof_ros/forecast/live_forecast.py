@@ -14,7 +14,8 @@ from numpy.typing import NDArray
 
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.times import to_people
-from greenroof_ros.forecast.archive import Issue, read_forecasts
+from greenroof_ros.forecast.issue import Issue
+from greenroof_ros.forecast.own_csv import read_forecasts
 from greenroof_ros.forecast.resampling import (
     Rain,
     look_ahead_ends,
@@ -65,7 +66,7 @@ class ForecastFile:
         """Read nothing yet.
 
         Args:
-            path: of the file; see :func:`greenroof_ros.forecast.archive.read_forecasts`. It must
+            path: of the file; see :func:`greenroof_ros.forecast.own_csv.read_forecasts`. It must
                 have a column of evapotranspiration.
         """
         self.issues: list[Issue] = []

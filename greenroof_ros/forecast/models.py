@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import bisect
 from datetime import datetime
-from pathlib import Path
 from typing import Protocol
 
 import numpy as np
@@ -17,11 +16,13 @@ from numpy.typing import NDArray
 
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.times import to_minutes
-from greenroof_ros.forecast.archive import Issue, read_forecasts
+from greenroof_ros.forecast.archive import Archive, read_archive
 from greenroof_ros.forecast.choice import PERFECT, ForecastChoice
 from greenroof_ros.forecast.error_model import ErrorModel
+from greenroof_ros.forecast.issue import Issue
 from greenroof_ros.forecast.issue_times import newest_issue, records_at
 from greenroof_ros.forecast.skill import read_skill
+from greenroof_ros.model.site import Site
 from greenroof_ros.weather.records import EVAPOTRANSPIRATION, HOUR, PRECIPITATION
 from greenroof_ros.weather.series import Weather
 
@@ -51,19 +52,22 @@ class ForecastModel(Protocol):
         ...
 
 
-def make_model(choice: ForecastChoice, weather: Weather, all_members: bool) -> ForecastModel:
+def make_model(
+    choice: ForecastChoice, weather: Weather, site: Site, all_members: bool
+) -> ForecastModel:
     """Make the chosen model.
 
     Args:
         choice: which.
         weather: the records that come true.
+        site: its place on earth, to which a file of forecasts must be near.
         all_members: of an ensemble; otherwise its member 0 only.
 
     Raises:
         ConfigurationError: the file of forecasts, or of their skill, is wrong.
     """
     if choice.file is not None:
-        return FileModel(choice.file, weather, all_members)
+        return FileModel(read_archive(choice.file, site, choice.delay), weather, all_members)
     if choice.model == "persistence":
         return PersistenceModel(weather)
     members = choice.members if all_members and choice.model == "ensemble" else 1
@@ -122,35 +126,27 @@ class PersistenceModel:
 
 
 class FileModel:
-    """Forecasts from a file; see :func:`read_forecasts`.
+    """Forecasts of an archive; see :func:`greenroof_ros.forecast.archive.read_archive`.
 
-    The newest is the last that was issued at or before the hour. Past its end its last hour is
-    repeated. Without a column of evapotranspiration that of the records counts as known.
+    The newest is the last that was available by the start of the hour. Past its end its last hour
+    is repeated. Without a column of evapotranspiration that of the records counts as known.
     """
 
-    def __init__(self, file: Path, weather: Weather, all_members: bool) -> None:
-        """Read the file.
+    def __init__(self, archive: Archive, weather: Weather, all_members: bool) -> None:
+        """Take the forecasts.
 
         Args:
-            file: with the forecasts.
+            archive: of the forecasts.
             weather: the records that come true.
             all_members: of each issue; otherwise its member 0 only.
 
         Raises:
-            ConfigurationError: it is wrong, or its hours are not those of the records.
+            ConfigurationError: its hours are not those of the records.
         """
-        self._file = file
+        self._archive = archive
         self._weather = weather
-        self._issues = read_forecasts(file)
-        for issue in self._issues:
-            if (issue.issued - weather.first) % HOUR:
-                raise ConfigurationError(
-                    f"must be a whole number of hours from {to_minutes(weather.first)}, where "
-                    f"{weather.source} begins",
-                    file=file, line=issue.line, key="issued", value=to_minutes(issue.issued),
-                )
-        self._hours = [(issue.issued - weather.first) // HOUR for issue in self._issues]
-        self.members = len(self._issues[0].rain) if all_members else 1
+        self._known_from = archive.known_from(weather)
+        self.members = archive.members if all_members else 1
 
     def known(self, hour: int, hours: int) -> tuple[Array, Array]:
         """Return the forecast; see :class:`ForecastModel`."""
@@ -172,11 +168,13 @@ class FileModel:
 
     def _newest(self, hour: int) -> tuple[Issue, int]:
         """Return the newest issue in an hour, and how long ago it was made (h)."""
-        number = bisect.bisect_right(self._hours, hour) - 1
+        number = bisect.bisect_right(self._known_from, hour) - 1
         if number < 0:
+            known = self._weather.first + self._known_from[0] * HOUR
             raise ConfigurationError(
-                f"holds forecasts from {to_minutes(self._issues[0].issued)} on, but the run needs "
+                f"holds forecasts that are known from {to_minutes(known)} on, but the run needs "
                 f"one at {to_minutes(self._weather.first + hour * HOUR)}",
-                file=self._file,
+                file=self._archive.source,
             )
-        return self._issues[number], hour - self._hours[number]
+        issue = self._archive.issues[number]
+        return issue, hour - (issue.issued - self._weather.first) // HOUR

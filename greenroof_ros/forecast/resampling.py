@@ -214,7 +214,7 @@ def make_forecast(
     Raises:
         ConfigurationError: a file of forecasts is wrong, or there is none for a part of the run.
     """
-    model = make_model(choice, weather, all_members)
+    model = make_model(choice, weather, site, all_members)
     if not horizon and not all_members and isinstance(model, PerfectModel):
         return PerfectForecast(series, site.M)
     edges = look_ahead_ends(site, horizon)

@@ -22,8 +22,8 @@ from greenroof_ros.common.times import (
 from greenroof_ros.controllers.protocol import HORIZON
 from greenroof_ros.forecast.choice import (
     MODELS,
+    NUMBERS,
     OPTIONS,
-    WHOLE,
     ForecastChoice,
     check_skill,
     choose,
@@ -56,6 +56,8 @@ from greenroof_ros.weather.reading import default_weather, read_weather
 from greenroof_ros.weather.series import WeatherSeries
 
 _GAUGES = ("/gauge/precipitation", "/gauge/temperature")
+# Of the parameter forecast_delay: none was given.
+_USUAL = -1.0
 
 
 def parameters(site: Site) -> list[NodeParameter]:
@@ -78,19 +80,23 @@ def parameters(site: Site) -> list[NodeParameter]:
             "all_members", False, "of an ensemble: for scenario_mpc; otherwise the first"
         ),
         NodeParameter(
-            "forecast", str(forecast), f"{', '.join(MODELS)}, or a FILE.csv; live: a FILE.csv, "
-            "read again whenever it is replaced",
+            "forecast", str(forecast), f"{', '.join(MODELS)}, or a file or directory of archived "
+            "ones; live: a FILE.csv, read again whenever it is replaced",
         ),
         NodeParameter(
             "forecast_skill", forecast.skill,
             f"errors, ensemble: how good they are: {', '.join(SKILLS)}, or a FILE.yaml",
         ),
         NodeParameter(
-            "forecast_seed", forecast.seed, "errors, ensemble: of the errors", *WHOLE["seed"]
+            "forecast_seed", forecast.seed, "errors, ensemble: of the errors", *NUMBERS["seed"]
         ),
         NodeParameter(
             "forecast_members", forecast.members, "ensemble: number of its members",
-            *WHOLE["members"],
+            *NUMBERS["members"],
+        ),
+        NodeParameter(
+            "forecast_delay", _USUAL, "a file: h after its nominal time from which an issue is "
+            f"known; {_USUAL:g}: what is usual of its kind", _USUAL, NUMBERS["delay"][1],
         ),
         NodeParameter(
             "issue_limit", 7200.0, "live: how long ago the newest forecast of the file may have "
@@ -119,7 +125,10 @@ def _forecast(values: dict[str, Any]) -> ForecastChoice:
         raise ConfigurationError(
             str(error), key="parameter forecast_skill of weather", value=values["forecast_skill"]
         ) from error
-    return replace(choice, **{name: values[f"forecast_{name}"] for name in OPTIONS})
+    given = {name: values[f"forecast_{name}"] for name in OPTIONS}
+    if given["delay"] == _USUAL:
+        del given["delay"]
+    return replace(choice, **given)
 
 
 class _Records:

@@ -97,7 +97,9 @@ def read_run(
         meant={
             "site_name": site,
             "weather": "".join(map(file_digest, sorted((run / _WEATHER).glob("*")))),
-            "forecast": file_digest(run / "configuration" / "forecast.csv"),
+            "forecast": "".join(
+                map(file_digest, sorted((run / "configuration" / "forecast").rglob("*")))
+            ),
             "initial": about.what_initial,
         },
     ))

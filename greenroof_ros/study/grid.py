@@ -17,14 +17,16 @@ from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.files import YamlMapping, read_yaml, shared_directory, unique_name
 from greenroof_ros.controllers.registry import ControllerChoice, find_controller
 from greenroof_ros.experiment.run import build_run, count_ticks
+from greenroof_ros.forecast.archive import read_archive
 from greenroof_ros.forecast.choice import (
+    NUMBERS,
     OPTIONS,
     PERFECT,
-    WHOLE,
     ForecastChoice,
     check_skill,
     choose,
 )
+from greenroof_ros.forecast.own_csv import write_forecasts
 from greenroof_ros.forecast.skill import SKILLS
 from greenroof_ros.model.initial_state import (
     INITIAL_STATES,
@@ -233,13 +235,7 @@ class _Grid:
                         site_file, site, weather, start, steps, controller, parameters, initial,
                         volumes, choice,
                     )
-            forecast_file = None if choice.file is None else self._input(choice.file)
-            skill_file = None if choice.skill_file is None else self._input(choice.skill_file)
-            carried = choice
-            if forecast_file is not None:
-                carried = replace(carried, file=Path(forecast_file.name))
-            if skill_file is not None:
-                carried = replace(carried, skill=skill_file.name)
+            carried, forecast_file, skill_file = self._carried(choice, site)
             inputs = tuple(map(self._input, weather.files))
             for sensor_pump_errors, (controller, parameters) in itertools.product(
                 list(self._sensor_pump_errors()), controllers
@@ -281,13 +277,13 @@ class _Grid:
                 place = self._place(mapping, "forecast", str(choice.file))
                 choice = replace(choice, file=place / choice.file)
             if options:
-                self._keys(options, ("model", *choice.options()))
+                self._keys(options, ("model", *choice.takes))
             skills = self._skills(options) if "skill" in options else [choice.skill]
-            whole = {
-                name: WHOLE[name] for name in choice.options() if name in options and name in WHOLE
+            numbers = {
+                name: NUMBERS[name] for name in choice.takes if name in options and name in NUMBERS
             }
             for skill, values in itertools.product(
-                skills, list(self._combinations(options, whole))
+                skills, list(self._combinations(options, numbers))
             ):
                 yield replace(choice, skill=skill, **values)
 
@@ -374,6 +370,31 @@ class _Grid:
                 named = path.with_name(f"{path.parent.name}-{path.name}")
             self._files[path] = InputFile(unique_name(named, taken), path.read_bytes())
         return self._files[path]
+
+    def _carried(
+        self, choice: ForecastChoice, site: Site
+    ) -> tuple[ForecastChoice, InputFile | None, InputFile | None]:
+        """Return a choice of forecasts as the study carries it along, its file, and its skill's.
+
+        A directory is one file there, in the project's own form.
+        """
+        skill_file = None if choice.skill_file is None else self._input(choice.skill_file)
+        if skill_file is not None:
+            choice = replace(choice, skill=skill_file.name)
+        if choice.file is None:
+            return choice, None, skill_file
+        path = choice.file.resolve()
+        if path.is_dir():
+            archive = read_archive(path, site, choice.delay)
+            choice = replace(choice, delay=archive.delay)
+            if path not in self._files:
+                taken = {*_OWN_FILES, *(file.name for file in self._files.values())}
+                self._files[path] = InputFile(
+                    unique_name(Path(f"{path.name}.csv"), taken),
+                    write_forecasts(archive.issues).encode(),
+                )
+        file = self._input(path)
+        return replace(choice, file=Path(file.name)), file, skill_file
 
     def _weather_name(self, files: tuple[InputFile, ...]) -> str:
         """Return one name for weather files, which no others of the study have."""

@@ -23,6 +23,7 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Iterator
+from dataclasses import dataclass
 from datetime import timedelta, timezone
 from functools import partial
 from pathlib import Path
@@ -42,10 +43,12 @@ from greenroof_ros.weather.table import Row, Table, Unit, numbered_lines, read_h
 
 BYTE_ORDER_MARK = True
 
+PRECIPITATION_UNITS = (Unit("mm"), Unit("inch", 1 / 25.4))
+
 _OFFSET = "utc_offset_seconds"
 # Their variable for each quantity of ours, and the units that it may have.
 _VARIABLES = {
-    PRECIPITATION: ("precipitation", (Unit("mm"), Unit("inch", 1 / 25.4))),
+    PRECIPITATION: ("precipitation", PRECIPITATION_UNITS),
     "temperature": ("temperature_2m", (Unit("°C"), Unit("°F", 1.8, 32.0))),
     "dew point": ("dew_point_2m", (Unit("°C"), Unit("°F", 1.8, 32.0))),
     "wind speed": (
@@ -64,9 +67,45 @@ _PLACE = {
 }
 
 
+@dataclass(frozen=True)
+class Place:
+    """What a file of the service says of its place.
+
+    Attributes:
+        file: that it is from.
+        line: of the file; None where it has none that say anything, as JSON.
+        values: as they are written, by their name.
+    """
+
+    file: Path
+    line: int | None
+    values: dict[str, str]
+
+    def refuse(self, expected: str, name: str) -> ConfigurationError:
+        """Return an error that names file, line, and one of the values."""
+        return ConfigurationError(
+            expected, file=self.file, line=self.line, key=name, value=self.values.get(name, "")
+        )
+
+
 def recognises(text: str, /) -> bool:
     """Whether the first line names the service's offset from UTC."""
     return _OFFSET in text.split("\n", 1)[0]
+
+
+def lines_of(file: Path, text: str) -> tuple[Place, list[tuple[int, str]]]:
+    """Return what a CSV of the service says of the place, and its further lines, numbered.
+
+    Raises:
+        ConfigurationError: it has fewer than three lines, or those of the place are not CSV.
+    """
+    lines = numbered_lines(text)
+    if len(lines) < 3:
+        raise ConfigurationError(
+            "must have two lines about the place, then a header and records", file=file
+        )
+    row = next(Table(file, lines[:2]).rows())
+    return Place(file, row.line, row.cells), lines[2:]
 
 
 def parse(file: Path, text: str, site: Site, /) -> Records:
@@ -85,15 +124,10 @@ def parse(file: Path, text: str, site: Site, /) -> Records:
             missing or its unit unknown, a line broken or out of order, or a value not a number or
             not believable.
     """
-    lines = numbered_lines(text)
-    if len(lines) < 3:
-        raise ConfigurationError(
-            "must have two lines about the place, then a header and records", file=file
-        )
-    place = next(Table(file, lines[:2]).rows())
-    zone = _zone(place)
-    _check_place(place, site)
-    table = Table(file, lines[2:])
+    place, lines = lines_of(file, text)
+    zone = zone_of(place)
+    check_place(place, site)
+    table = Table(file, lines)
     table.require(("time",), "Open-Meteo's hourly files")
     columns = dict(_columns(table))
     first, values = read_hours(
@@ -122,27 +156,32 @@ def parse(file: Path, text: str, site: Site, /) -> Records:
     )
 
 
-def _zone(place: Row) -> timezone:
-    """Return the offset of all times from UTC."""
-    if "location_id" in place.cells:
+def zone_of(place: Place) -> timezone:
+    """Return the offset of all times of a file from UTC.
+
+    Raises:
+        ConfigurationError: the file is of several places, or the offset is not one.
+    """
+    if "location_id" in place.values:
         raise place.refuse("must be of one place; download each by itself", "location_id")
-    text = place.cells[_OFFSET]
+    text = place.values.get(_OFFSET, "")
     # From UTC-12 to UTC+14.
     if not re.fullmatch(r"-?\d{1,5}", text) or not -43200 <= int(text) <= 50400:
         raise place.refuse("must be a whole number of seconds from -43200 to 50400", _OFFSET)
     return timezone(timedelta(seconds=int(text)))
 
 
-def _check_place(place: Row, site: Site) -> None:
-    """Refuse a place that is not near the site's, where the site says its own."""
+def check_place(place: Place, site: Site) -> None:
+    """Refuse a place that is not near the site's, where the site says its own.
+
+    Raises:
+        ConfigurationError: it is not near, or not a place.
+    """
     for name, (most, end) in _PLACE.items():
         try:
-            value = float(place.cells[name])
+            value = float(place.values[name])
         except (KeyError, ValueError):
-            raise ConfigurationError(
-                f"must be a number from {-end:g} to {end:g}",
-                file=place.file, line=place.line, key=name, value=place.cells.get(name, ""),
-            ) from None
+            raise place.refuse(f"must be a number from {-end:g} to {end:g}", name) from None
         if math.isnan(value) and name == "elevation":  # as the service writes an unknown one
             continue
         own: float | None = getattr(site, name)

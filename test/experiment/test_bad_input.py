@@ -80,7 +80,7 @@ OPTIONS: dict[str, tuple[str, tuple[str, ...]]] = {
     "forecast-unknown": (
         "--forecast perfekt", ("--forecast = 'perfekt'", "perfect, persistence, errors, ensemble")
     ),
-    "forecast-file-by-name": ("--forecast file", ("--forecast = 'file'", "FILE.csv")),
+    "forecast-file-by-name": ("--forecast file", ("--forecast = 'file'", "a file (.csv, ")),
     "forecast-no-such-file": ("--forecast nowhere.csv", ("nowhere.csv", "No such file")),
     "forecast-seed-for-perfect": (
         "--forecast-seed 1", ("--forecast-seed", "errors and ensemble", "is perfect")

@@ -26,9 +26,9 @@ from scipy.stats import norm
 
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.files import shared_directory
+from greenroof_ros.common.times import hours_since_1970
 from greenroof_ros.forecast.climate import NormalRecords
 from greenroof_ros.forecast.error_model import ErrorModel
-from greenroof_ros.forecast.issue_times import hours_since_1970
 from greenroof_ros.forecast.skill import SKILLS, read_skill
 
 Array = NDArray[np.float64]

@@ -13,6 +13,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from archives import write_runs
 from graphs import bag_file, bring_up, environment
 from hypothesis import given
 from hypothesis import strategies as st
@@ -21,7 +22,7 @@ from paper import PAPER_SITE, paper_run, site_with
 
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.files import shared_directory
-from greenroof_ros.forecast.archive import read_forecasts
+from greenroof_ros.forecast.archive import read_archive
 from greenroof_ros.forecast.choice import ForecastChoice, choose
 from greenroof_ros.forecast.error_model import ErrorModel
 from greenroof_ros.forecast.models import (
@@ -30,6 +31,7 @@ from greenroof_ros.forecast.models import (
     PersistenceModel,
     make_model,
 )
+from greenroof_ros.forecast.own_csv import read_forecasts
 from greenroof_ros.forecast.resampling import PerfectForecast, SteppedForecast, make_forecast
 from greenroof_ros.forecast.skill import read_skill
 from greenroof_ros.model.look_ahead import growing_steps
@@ -318,7 +320,8 @@ def test_read_back(tmp_path: Path) -> None:
     assert first.rain.tolist() == [[0.5, 2.5], [1.5, 3.5]]
     assert second.rain.tolist() == [[6.0], [7.0]]
     weather = weather_of([0.1] * 40)
-    model, all_of_them = FileModel(file, weather, False), FileModel(file, weather, True)
+    own = read_archive(file, PAPER_SITE)
+    model, all_of_them = FileModel(own, weather, False), FileModel(own, weather, True)
     assert (model.members, all_of_them.members) == (1, 2)
     for hour, rain, evapotranspiration in (
         (2, [0.5, 2.5, 2.5], [1.0, 2.0, 2.0]),
@@ -340,7 +343,7 @@ def test_file_without_evapotranspiration(tmp_path: Path) -> None:
     lines = ["issued,time,precipitation [mm/h]"]
     lines += [f"2021-07-07T00:00Z,2021-07-07T0{hour}:00Z,0.5" for hour in range(9)]
     weather = weather_of([0.1] * 6, np.arange(6.0))
-    model = FileModel(write(tmp_path, *lines), weather, True)
+    model = FileModel(read_archive(write(tmp_path, *lines), PAPER_SITE), weather, True)
     rain, evapotranspiration = model.known(4, 4)
     assert rain.tolist() == [[0.5] * 4]
     assert evapotranspiration.tolist() == [4.0, 5.0, 5.0, 5.0]
@@ -403,7 +406,8 @@ def test_choices() -> None:
     for wrong in ("file", "Perfect", "", "archive.yaml"):
         with pytest.raises(ValueError, match="must be one of perfect, persistence, errors, ens"):
             choose(wrong)
-    assert isinstance(make_model(ForecastChoice(), weather_of([0.0]), True), PerfectModel)
+    perfect = make_model(ForecastChoice(), weather_of([0.0]), PAPER_SITE, True)
+    assert isinstance(perfect, PerfectModel)
 
 
 # --- the graph ---------------------------------------------------------------------------------
@@ -424,6 +428,7 @@ def arrays_of(run: Path, topic: str, length: int) -> list[bytes]:
         "--controller planning_mpc --forecast errors --forecast-seed 4 --forecast-skill mine.yaml",
         "--controller planning_mpc --forecast ensemble --forecast-members 3",
         "--controller mpc --forecast archive.csv",
+        "--controller planning_mpc --forecast runs --forecast-delay 0",
         "--controller onoff --forecast persistence",
     ],
 )
@@ -433,6 +438,7 @@ def test_graph_and_simulate_are_given_the_same(
     """Over an issue, at 06:00 UTC; in the bag is, bit for bit, what was forecast."""
     pytest.importorskip("rclpy", reason="the graph needs ROS 2")
     archive(tmp_path)
+    write_runs(tmp_path / "runs")
     skill = shared_directory() / "config" / "forecasts" / "skill.yaml"
     (tmp_path / "mine.yaml").write_text(skill.read_text().replace("wetness:", "wetness: 1.0 #"))
     words = [*options.split(), "--start", "2021-07-07T00:55", "--hours", "0.15"]
@@ -447,14 +453,14 @@ def test_graph_and_simulate_are_given_the_same(
     assert graph["forecast"]["model"] != "perfect"
     if "archive.csv" in options:
         assert graph["forecast"] == {"model": "file", "file": "archive.csv"}
-        kept = tmp_path / "run" / "configuration" / "forecast.csv"
+        kept = tmp_path / "run" / "configuration" / "forecast" / "archive.csv"
         assert kept.read_bytes() == (tmp_path / "archive.csv").read_bytes()
-        words[words.index("archive.csv")] = str(tmp_path / "archive.csv")
     if "mine.yaml" in options:
         assert graph["forecast"] == {"model": "errors", "skill": "mine.yaml", "seed": 4}
         kept = tmp_path / "run" / "configuration" / "skill.yaml"
         assert kept.read_bytes() == (tmp_path / "mine.yaml").read_bytes()
-        words[words.index("mine.yaml")] = str(tmp_path / "mine.yaml")
+    own = ("archive.csv", "runs", "mine.yaml")
+    words = [str(tmp_path / word) if word in own else word for word in words]
     run = paper_run(*words)
     for topic, forecast in (
         ("/forecast/precipitation", run.forecast.precipitation),

@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 from paper import PAPER_SITE
 
-from greenroof_ros.forecast.archive import read_forecasts
 from greenroof_ros.forecast.live_forecast import ForecastFile, LiveForecast, NoForecastError
+from greenroof_ros.forecast.own_csv import read_forecasts
 
 HEADER = "issued,time,precipitation [mm/h],evapotranspiration [mm/day],temperature [degC]"
 SIX = datetime(2026, 7, 1, 6, tzinfo=UTC)

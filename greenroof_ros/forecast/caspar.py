@@ -1,0 +1,276 @@
+"""Archives of CaSPAr, the Canadian Surface Prediction Archive: HRDPS, REPS and GEPS as NetCDF.
+
+A file is an issue, ``YYYYMMDDHH.nc``, and of an ensemble a member of it, ``YYYYMMDDHH_EEE.nc``, in
+which 000 is the control run (CaSPAr wiki, "CaSPAr file naming convention and variables"). It is
+NetCDF by the conventions CF-1.6, and has a variable ``HRDPS_P_PR_SFC`` (time, rlat, rlon) in m:
+precipitation since the beginning of the forecast, its ``time`` the hours since then. The place is
+given by the variables of standard name ``latitude`` and ``longitude``, of each point of the grid.
+
+Taken is the point that is nearest to the site. The rain of an hour is the difference of two sums;
+where they are further apart, three hours or six, each hour between has its share of it.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from datetime import datetime, timezone
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from greenroof_ros.common.errors import ConfigurationError
+from greenroof_ros.common.times import to_minutes
+from greenroof_ros.forecast.issue import Contents, Issue
+from greenroof_ros.model.look_ahead import MOST_MEMBERS
+from greenroof_ros.model.site import Site
+from greenroof_ros.weather.records import PRECIPITATION, QUANTITIES
+
+if TYPE_CHECKING:
+    from netCDF4 import Dataset, Variable
+
+# Hours after the nominal time by which a run is whole. HRDPS 4.9 h; of ensembles GEFS, for lack of
+# figures of these, 6.1 h (wethr.net, Weather Model Update Schedule): rounded up to whole hours.
+_DELAYS_H = {"HRDPS": 5.0, "REPS": 7.0, "GEPS": 7.0, "GEPS_NA": 7.0}
+
+_MAGIC = (b"\x89HDF\r\n\x1a\n", b"CDF\x01", b"CDF\x02", b"CDF\x05")
+_NAME = re.compile(r"(\d{4})(\d\d)(\d\d)(\d\d)(?:_(\d{3}))?")
+_VARIABLE = re.compile(r"(\w+)_P_PR0?_SFC")
+# How far the nearest point may be from the site: the coarsest of these grids has half a degree.
+_FURTHEST_DEG = 0.5
+# Sums are at most so far apart (h), in GEPS beyond eight days.
+_LONGEST_STEP = 6
+# By how much a sum may fall by rounding (mm); in HRDPS 2e-9 mm were seen.
+_ROUNDING_MM = 0.05
+
+
+class _Member(NamedTuple):
+    """A file."""
+
+    file: Path
+    issued: datetime
+    number: int
+    rain: NDArray[np.float64]
+    """mm/h, shape (hours,)"""
+    product: str
+
+
+def recognises(file: Path, head: bytes, /) -> bool:
+    """Whether a file is NetCDF by its first bytes, or said to be by its name."""
+    return head.startswith(_MAGIC) or file.suffix == ".nc"
+
+
+def read(files: Sequence[Path], site: Site, /) -> Contents:
+    """Read files, each an issue or a member of one.
+
+    Args:
+        files: at least one, all of one product.
+        site: its place on earth.
+
+    Raises:
+        ConfigurationError: a file is broken or not as CaSPAr's are, no point is near the site, an
+            issue lacks members; or the library that reads NetCDF is not there.
+    """
+    if site.latitude is None or site.longitude is None:
+        raise ConfigurationError(
+            "needs latitude and longitude in the site file, to take the nearest point of the grid",
+            file=files[0],
+        )
+    members = [_read(file, site.latitude, site.longitude) for file in files]
+    product = members[0].product
+    for member in members:
+        if member.product != product:
+            raise ConfigurationError(
+                f"must be of {product}, as {files[0].name} is, not of {member.product}",
+                file=member.file,
+            )
+    by_issue: dict[datetime, list[_Member]] = {}
+    for member in sorted(members, key=lambda one: (one.issued, one.number)):
+        by_issue.setdefault(member.issued, []).append(member)
+    return Contents(
+        f"CaSPAr, {product}", [_issue(issue) for issue in by_issue.values()], _DELAYS_H[product]
+    )
+
+
+def _issue(members: Sequence[_Member]) -> Issue:
+    """Return an issue of all its members."""
+    first = members[0]
+    if [member.number for member in members] != list(range(len(members))):
+        numbers = ", ".join(f"{member.number:03}" for member in members)
+        raise ConfigurationError(
+            f"the issue of {to_minutes(first.issued)} has members {numbers}; they must be 000, 001 "
+            "and so on, each once", file=first.file,
+        )
+    if len(members) > MOST_MEMBERS:
+        raise ConfigurationError(
+            f"the issue of {to_minutes(first.issued)} must have at most {MOST_MEMBERS} members",
+            file=first.file,
+        )
+    for member in members:
+        if len(member.rain) != len(first.rain):
+            raise ConfigurationError(
+                f"has {len(member.rain)} hours, but must have {len(first.rain)} as "
+                f"{first.file.name}", file=member.file,
+            )
+    return Issue(first.issued, first.file, None, np.stack([member.rain for member in members]))
+
+
+def _read(file: Path, latitude: float, longitude: float) -> _Member:
+    """Read a file at the point that is nearest to a place (degrees)."""
+    try:
+        from netCDF4 import Dataset
+    except ModuleNotFoundError as error:
+        raise ConfigurationError(
+            "needs netCDF4: pip install 'greenroof_ros[netcdf]'", file=file
+        ) from error
+    issued, number = _named(file)
+    try:
+        with Dataset(file) as dataset:
+            name, product = _variable(file, dataset)
+            hours = _hours(file, dataset, issued)
+            point = _nearest(file, dataset, dataset[name], latitude, longitude)
+            sums = np.ma.filled(dataset[name][(slice(None), *point)].astype(np.float64), np.nan)
+    except (OSError, RuntimeError) as error:  # of the library; a damaged file opens, too
+        raise ConfigurationError(f"is not NetCDF that can be read: {error}", file=file) from error
+    return _Member(file, issued, number, _rain(file, name, hours, 1000 * sums), product)
+
+
+def _named(file: Path) -> tuple[datetime, int]:
+    """Return issue and member that a file's name says."""
+    match = _NAME.fullmatch(file.stem)
+    try:
+        if match is None:
+            raise ValueError
+        year, month, day, hour = map(int, match.groups()[:4])
+        issued = datetime(year, month, day, hour, tzinfo=timezone.utc)
+    except ValueError:
+        raise ConfigurationError(
+            "must be named as CaSPAr does, YYYYMMDDHH.nc or YYYYMMDDHH_EEE.nc", file=file
+        ) from None
+    return issued, int(match[5] or 0)
+
+
+def _variable(file: Path, dataset: Dataset) -> tuple[str, str]:
+    """Return the name of the variable of precipitation, and its product."""
+    found = [name for name in dataset.variables if _VARIABLE.fullmatch(name)]
+    if len(found) != 1:
+        raise ConfigurationError(
+            "must have one variable of precipitation, such as HRDPS_P_PR_SFC; it has "
+            f"{', '.join(found or dataset.variables)}", file=file,
+        )
+    match = _VARIABLE.fullmatch(found[0])
+    assert match is not None
+    if match[1] not in _DELAYS_H:
+        raise ConfigurationError(
+            f"must be of {', '.join(_DELAYS_H)}", file=file, value=found[0]
+        )
+    units = getattr(dataset[found[0]], "units", None)
+    if units != "m":
+        raise ConfigurationError(
+            "must be 'm', of the sum since the issue", file=file, key=f"{found[0]}:units",
+            value=units,
+        )
+    return found[0], match[1]
+
+
+def _hours(file: Path, dataset: Dataset, issued: datetime) -> NDArray[np.int64]:
+    """Return the leads of a file's times (h)."""
+    if "time" not in dataset.variables:
+        raise ConfigurationError("must have a variable 'time'", file=file)
+    units = getattr(dataset["time"], "units", None)
+    due = f"hours since {issued:%Y-%m-%d %H:%M:%S}"
+    if units != due:
+        raise ConfigurationError(
+            f"must be '{due}', by the file's name", file=file, key="time:units", value=units
+        )
+    times = np.ma.filled(dataset["time"][:].astype(np.float64), np.nan)
+    leads = np.concatenate(([0.0], times if times.size and times[0] else times[1:]))
+    steps = np.diff(leads)
+    wrong = np.flatnonzero(~((steps >= 1) & (steps <= _LONGEST_STEP) & (steps % 1 == 0)))
+    if wrong.size or not steps.size:
+        after = f" after {leads[wrong[0]]:g}" if wrong.size else ""
+        raise ConfigurationError(
+            f"must have further hours, 1 to {_LONGEST_STEP} from each to the next{after}",
+            file=file, key="time",
+        )
+    return leads.astype(np.int64)
+
+
+def _nearest(
+    file: Path, dataset: Dataset, variable: Variable[Any], latitude: float, longitude: float
+) -> tuple[int, int]:
+    """Return the indices of the point of the grid that is nearest to a place.
+
+    Nearest is the least angle between both on the sphere, by the haversine.
+    """
+    latitudes, longitudes = (
+        _coordinate(file, dataset, name) for name in ("latitude", "longitude")
+    )
+    if latitudes.ndim == 1:
+        latitudes, longitudes = np.meshgrid(latitudes, longitudes, indexing="ij")
+    if variable.dimensions[:1] != ("time",) or variable.shape[1:] != latitudes.shape:
+        raise ConfigurationError(
+            f"must have the dimensions time and those of the places, not "
+            f"({', '.join(variable.dimensions)})", file=file, value=variable.name,
+        )
+    here, there = np.radians(latitude), np.radians(latitudes)
+    apart = np.radians(longitudes - longitude)
+    haversine = (
+        np.sin((there - here) / 2) ** 2 + np.cos(here) * np.cos(there) * np.sin(apart / 2) ** 2
+    )
+    nearest = int(np.argmin(haversine))
+    degrees = float(np.degrees(2 * np.arcsin(np.sqrt(haversine.flat[nearest]))))
+    if not degrees <= _FURTHEST_DEG:
+        raise ConfigurationError(
+            f"has no point within {_FURTHEST_DEG:g} degrees of the site's place, {latitude:g}, "
+            f"{longitude:g}; the nearest is {degrees:.3g} away", file=file,
+        )
+    row, column = np.unravel_index(nearest, latitudes.shape)
+    return int(row), int(column)
+
+
+def _coordinate(file: Path, dataset: Dataset, name: str) -> NDArray[np.float64]:
+    """Return the degrees of the variable of a standard name."""
+    for variable in dataset.variables.values():
+        if getattr(variable, "standard_name", "") == name:
+            degrees: NDArray[np.float64] = np.ma.filled(variable[:].astype(np.float64), np.nan)
+            return degrees
+    raise ConfigurationError(f"must have a variable of standard_name '{name}'", file=file)
+
+
+def _rain(
+    file: Path, name: str, leads: NDArray[np.int64], sums: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """Return the rain of each hour (mm/h) from its sums since the issue (mm).
+
+    Args:
+        file: for messages.
+        name: of the variable, likewise.
+        leads: 0, and those of the sums (h), shape (n + 1,).
+        sums: at each time of the file; that of lead 0 may be missing, which is 0, and so may the
+            last.
+    """
+    sums = np.concatenate(([0.0], sums[len(sums) - len(leads) + 1 :]))
+    known = np.flatnonzero(~np.isnan(sums))[-1] + 1
+    if known == 1 or np.isnan(sums[:known]).any():
+        at = leads[np.argmax(np.isnan(sums))]
+        raise ConfigurationError(f"is missing {at} h after the issue", file=file, key=name)
+    amounts, steps = np.diff(sums[:known]), np.diff(leads[:known])
+    falls = np.flatnonzero(amounts < -_ROUNDING_MM)
+    if falls.size:
+        raise ConfigurationError(
+            f"must be the sum since the issue; it falls by {-amounts[falls[0]]:.3g} mm to "
+            f"{leads[falls[0] + 1]} h after it", file=file, key=name,
+        )
+    rain = np.maximum(amounts, 0.0) / steps
+    _, low, high = QUANTITIES[PRECIPITATION]
+    beyond = np.flatnonzero(rain > high)
+    if beyond.size:
+        raise ConfigurationError(
+            f"must be {low:g} to {high:g} mm/h, not {rain[beyond[0]]:.4g} before "
+            f"{leads[beyond[0] + 1]} h after the issue", file=file, key=name,
+        )
+    hourly: NDArray[np.float64] = np.repeat(rain, steps)
+    return hourly

@@ -1,0 +1,34 @@
+"""The page of a verification: one file that needs nothing but a browser."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+from greenroof_ros.common.versions import versions
+from greenroof_ros.report.page import library, payload
+from greenroof_ros.report.templates import environment
+from greenroof_ros.verification.figures import make_figures
+from greenroof_ros.verification.pairs import Class
+from greenroof_ros.verification.scores import Tally
+from greenroof_ros.verification.table import SHOWN, heading, shown
+
+
+def render(forecasts: str, records: str, count: int, tallies: Mapping[Class, Tally]) -> str:
+    """Return the page.
+
+    Args:
+        forecasts: which, in words.
+        records: that they are held against, likewise.
+        count: how many forecasts.
+        tallies: what adds up in each class.
+    """
+    figures = make_figures(tallies)
+    rows = []
+    for one, tally in tallies.items():
+        scores = tally.scores()
+        rows.append((one, [shown(name, scores) for name in SHOWN]))
+    return environment(__package__).get_template("page.html").render(
+        forecasts=forecasts, records=records, count=count, headings=list(map(heading, SHOWN)),
+        members=len(next(iter(tallies.values())).ranks) - 1, rows=rows, figures=figures,
+        versions=versions(), library=library(), payload=payload(figures),
+    )

@@ -1,0 +1,201 @@
+"""Scores of forecasts of rain.
+
+They are written out here, a line or a few each. Of the libraries that have them, ``scores`` fits
+but for the reliability diagram, and brings xarray, pandas and bottleneck; ``scoringrules`` needs
+Python 3.11, and ``properscoring`` had its only release in 2015. The tests hold them to worked
+examples, closed forms and other ways of computing them.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+# Forecast probabilities are told apart in tenths, in a reliability diagram.
+TENTHS = 10
+
+
+class Contingency(NamedTuple):
+    """How often an event was forecast and observed; each is a number of pairs."""
+
+    hits: int
+    """forecast and observed"""
+    false_alarms: int
+    """forecast, not observed"""
+    misses: int
+    """not forecast, observed"""
+    correct_negatives: int
+    """neither"""
+
+    @property
+    def pod(self) -> float:
+        """Probability of detection: hits over observed events (Wilks 2011, Sect. 8.2.2)."""
+        return _ratio(self.hits, self.hits + self.misses)
+
+    @property
+    def far(self) -> float:
+        """False alarm ratio: false alarms over forecast events (Wilks 2011, Sect. 8.2.2)."""
+        return _ratio(self.false_alarms, self.hits + self.false_alarms)
+
+    @property
+    def ets(self) -> float:
+        """Equitable threat score (Wilks 2011, Sect. 8.2.3, Gilbert skill score).
+
+        Hits over all that was forecast or observed, both without the hits that chance would have:
+
+            (hits - a) / (hits + misses + false alarms - a),
+            a = (hits + misses) (hits + false alarms) / n
+
+        It is 1 for a perfect forecast, and 0 for one without skill.
+        """
+        observed, forecast = self.hits + self.misses, self.hits + self.false_alarms
+        chance = _ratio(observed * forecast, sum(self))
+        return _ratio(self.hits - chance, observed + self.false_alarms - chance)
+
+
+class Scores(NamedTuple):
+    """Of pairs of forecast and observed sums; NaN where there is nothing that it could be.
+
+    Bias, r and those of the events are of member 0, which controllers that take a single forecast
+    are given; Brier score and CRPS of all members.
+    """
+
+    n: int
+    """how many pairs"""
+    bias: float
+    """total of the forecasts over that of the observations"""
+    r: float
+    """Pearson's correlation"""
+    pod: float
+    far: float
+    ets: float
+    brier: float
+    """mean squared difference of the event's probability and its outcome, 1 or 0"""
+    crps: float
+    """mean of the continuous ranked probability score (mm); of one member the mean error"""
+
+
+class Tally:
+    """What adds up of pairs, so that any number of them takes no memory.
+
+    Attributes:
+        ranks: how often the observation had each rank among the members, shape (members + 1,);
+            where it equals some of them, its rank is shared out among those that it could have.
+        reliability: of forecasts of each tenth of a probability, 0 to 10 of them: their number, the
+            sum of their probabilities and the number of events, shape (11, 3).
+    """
+
+    def __init__(self, event: float, members: int) -> None:
+        """Begin.
+
+        Args:
+            event: from which sum on there is an event (mm).
+            members: of each forecast.
+        """
+        self._event = event
+        self._moments = np.zeros(5)
+        self._table = np.zeros(4, dtype=np.int64)
+        self._squares = self._crps = 0.0
+        self.ranks = np.zeros(members + 1)
+        self.reliability = np.zeros((TENTHS + 1, 3))
+
+    def add(self, forecast: Array, observed: Array) -> None:
+        """Add pairs of sums.
+
+        Args:
+            forecast: mm, shape (members, pairs); a pair with NaN is left out.
+            observed: mm, shape (pairs,); likewise.
+        """
+        known = ~(np.isnan(observed) | np.isnan(forecast).any(axis=0))
+        forecast, observed = forecast[:, known], observed[known]
+        single = forecast[0]
+        self._moments += [
+            np.sum(term)
+            for term in (single, observed, single**2, observed**2, single * observed)
+        ]
+        event, warned = observed >= self._event, single >= self._event
+        self._table += [
+            np.count_nonzero(cases)
+            for cases in (event & warned, ~event & warned, event & ~warned, ~event & ~warned)
+        ]
+        probability = np.mean(forecast >= self._event, axis=0)
+        self._squares += float(np.sum((probability - event) ** 2))
+        self._crps += float(np.sum(crps(forecast, observed)))
+        self.ranks += rank_counts(forecast, observed)
+        tenth = np.rint(TENTHS * probability).astype(np.intp)
+        for column, weights in enumerate((np.ones_like(probability), probability, event)):
+            self.reliability[:, column] += np.bincount(tenth, weights, TENTHS + 1)
+
+    @property
+    def contingency(self) -> Contingency:
+        """How often the event was forecast and observed."""
+        return Contingency(*map(int, self._table))
+
+    def scores(self) -> Scores:
+        """Return the scores of all pairs that were added."""
+        table = self.contingency
+        n = sum(table)
+        if not n:
+            return Scores(0, *[math.nan] * 7)
+        forecast, observed, forecast_2, observed_2, product = self._moments / n
+        variances = (forecast_2 - forecast**2) * (observed_2 - observed**2)
+        # What is left of a series that does not vary is rounding.
+        varies = variances > 1e-12 * (forecast_2 * observed_2)
+        r = (product - forecast * observed) / math.sqrt(variances) if varies else math.nan
+        return Scores(
+            n, _ratio(forecast, observed), float(r), table.pod, table.far, table.ets,
+            self._squares / n, self._crps / n,
+        )
+
+
+def crps(forecast: Array, observed: Array) -> Array:
+    """Return the continuous ranked probability score of each pair (mm).
+
+    It is the integral over x of the squared difference of the members' distribution and the
+    observation's step (Hersbach 2000, Eq. 1). For M members x_i and the observation y that is
+
+        sum_i |x_i - y| / M - sum_ij |x_i - x_j| / (2 M^2)
+
+    (Gneiting and Raftery 2007, Eq. 21). The second sum is taken from the members in their order,
+    x_(1) to x_(M): it is 2 sum_i (2 i - M - 1) x_(i).
+
+    Args:
+        forecast: mm, shape (members, pairs).
+        observed: mm, shape (pairs,).
+    """
+    members = len(forecast)
+    weights = 2 * np.arange(1, members + 1) - members - 1
+    spread = weights @ np.sort(forecast, axis=0)
+    score: Array = np.mean(np.abs(forecast - observed), axis=0) - spread / members**2
+    return score
+
+
+def rank_counts(forecast: Array, observed: Array) -> Array:
+    """Return how often the observation had each rank among the members, shape (members + 1,).
+
+    Members and observation that could be one another make all ranks alike (Hamill 2001,
+    doi:10.1175/1520-0493(2001)129<0550:IORHFV>2.0.CO;2). Where it equals k members, as it does
+    whenever it is dry, it counts as 1 / (k + 1) in each of the ranks that it could have: what comes
+    of drawing one of them by lot, as there, without the lot.
+
+    Args:
+        forecast: mm, shape (members, pairs).
+        observed: mm, shape (pairs,).
+    """
+    first = np.count_nonzero(forecast < observed, axis=0)
+    alike = np.count_nonzero(forecast == observed, axis=0)
+    steps = np.zeros(len(forecast) + 2)
+    np.add.at(steps, first, 1 / (alike + 1))
+    np.subtract.at(steps, first + alike + 1, 1 / (alike + 1))
+    counts: Array = np.cumsum(steps)[:-1]
+    return counts
+
+
+def _ratio(part: float, whole: float) -> float:
+    """Return a ratio; NaN where the whole is nothing."""
+    return float(part / whole) if whole else math.nan

@@ -1,0 +1,197 @@
+"""Hold forecasts against records: ``python -m greenroof_ros.verify FORECASTS --weather FILE``."""
+
+from __future__ import annotations
+
+import argparse
+import os
+from collections.abc import Callable, Mapping
+from pathlib import Path
+
+from rich.console import Console
+from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
+
+from greenroof_ros.common.command_line import EXIT_DONE, command, within
+from greenroof_ros.common.errors import ConfigurationError
+from greenroof_ros.common.files import shared_directory
+from greenroof_ros.common.times import to_people
+from greenroof_ros.experiment.options import add_forecast_options, forecast_from_arguments
+from greenroof_ros.forecast.choice import MODELS
+from greenroof_ros.model.site import read_site
+from greenroof_ros.verification.issued import IssuedForecasts, issued_forecasts
+from greenroof_ros.verification.pairs import Class, Sum, tally
+from greenroof_ros.verification.scores import Tally
+from greenroof_ros.verification.table import csv_text, terminal_table
+from greenroof_ros.weather.joining import find_files
+from greenroof_ros.weather.reading import read_weather
+from greenroof_ros.weather.series import Weather
+
+_DESCRIPTION = """\
+Hold forecasts of rain against records: by lead, and by sums over hours, with what counts as an
+event among them. FORECASTS are an archive, a file or a directory of files as --forecast of simulate
+takes them, or a model of this package, whose forecasts of the records are made and scored.
+"""
+_EPILOG = f"""\
+A model is one of {', '.join(MODELS)}.
+
+bias   water that was forecast over what fell
+r      correlation
+POD    probability of detection: events that were forecast over events
+FAR    false alarm ratio: forecast events that did not come over forecast events
+ETS    equitable threat score: 1 is perfect, 0 is no skill
+Brier  mean squared error of the event's probability
+CRPS   error of the whole distribution (mm); of a single forecast the mean error
+
+Of an ensemble the first five are those of member 0, the last two of all members.
+
+examples:
+  python -m greenroof_ros.verify gem_previous_runs.csv --weather gauge.csv
+  python -m greenroof_ros.verify caspar/ --weather 'hourly_*.csv' --lead 6 --sums 1 6 --events 1 2
+  python -m greenroof_ros.verify errors --weather 'hourly_*.csv' -o errors.html -o errors.csv
+
+exit codes: 0 done, 2 bad usage, configuration or file
+"""
+# What is scored unless something else is asked for: hours, and mm of an event in them.
+_SUMS = ((1, 1.0), (6, 2.0), (12, 3.0), (24, 5.0))
+_MOST_HOURS = 384
+
+
+def _parser() -> argparse.ArgumentParser:
+    """Return what reads the command line."""
+    parser = argparse.ArgumentParser(
+        prog="python -m greenroof_ros.verify", description=_DESCRIPTION, epilog=_EPILOG,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    parser.add_argument("forecasts", metavar="FORECASTS", help="archive or model")
+    parser.add_argument(
+        "--weather", nargs="+", required=True, metavar="FILE",
+        help="records, as simulate takes them: files, or a pattern in quotes; missing hours are "
+        "left out",
+    )
+    parser.add_argument(
+        "--site", type=Path, metavar="FILE",
+        help="site file, which says the place (default: the paper's, config/site.yaml)",
+    )
+    whole = within(1, _MOST_HOURS, int)
+    parser.add_argument(
+        "--sums", type=whole, nargs="+", metavar="H", default=[hours for hours, _ in _SUMS],
+        help="hours over which is summed (default: 1 6 12 24)",
+    )
+    parser.add_argument(
+        "--events", type=within(1e-3, 1e3), nargs="+", metavar="MM",
+        default=[event for _, event in _SUMS],
+        help="for each sum, from how many mm on there is an event (default: 1 2 3 5)",
+    )
+    parser.add_argument(
+        "--lead", type=whole, default=24, metavar="H",
+        help="hours of lead that are scored together, a multiple of each sum (default: "
+        "%(default)s, days)",
+    )
+    parser.add_argument(
+        "--horizon", type=whole, default=120, metavar="H",
+        help="how far ahead is looked (default: %(default)s)",
+    )
+    parser.add_argument(
+        "-o", "--output", type=Path, action="append", default=[], metavar="FILE",
+        help="write a page with figures, FILE.html, or the table, FILE.csv; may be given twice",
+    )
+    add_forecast_options(parser.add_argument_group("options of forecasts"))
+    return parser
+
+
+@command
+def main() -> int:
+    """Verify the forecasts that the command line names."""
+    arguments = _parser().parse_args()
+    sums = _sums(arguments)
+    render = _page(arguments.output)
+    choice = forecast_from_arguments(arguments, arguments.forecasts, "FORECASTS")
+    site = read_site(arguments.site or shared_directory() / "config" / "site.yaml")
+    weather = read_weather(find_files(arguments.weather, "--weather"), site)
+    forecasts = issued_forecasts(choice, weather, site, arguments.horizon)
+    if arguments.lead % forecasts.finest_lead:
+        raise ConfigurationError(
+            f"must be a multiple of {forecasts.finest_lead} h, which is all that {forecasts.name} "
+            "says of leads", key="--lead", value=arguments.lead,
+        )
+    tallies = _tally(forecasts, weather, arguments.lead, sums)
+    if not any(tally.scores().n for tally in tallies.values()):
+        raise ConfigurationError(
+            "have no whole sum in common with the records, which are of "
+            f"{to_people(weather.first)} to {to_people(weather.end)}",
+            file=choice.file, key="FORECASTS", value=arguments.forecasts,
+        )
+    records = f"{weather.source}, {to_people(weather.first)} to {to_people(weather.end)}"
+    for file in arguments.output:
+        text = (
+            csv_text(tallies) if file.suffix == ".csv"
+            else render(forecasts.name, records, len(forecasts), tallies)
+        )
+        file.write_text(text, encoding="utf-8")
+    console = Console()
+    title = f"{forecasts.name}: {len(forecasts)} issues, against {weather.source}"
+    console.print(terminal_table(title, tallies))
+    if arguments.output:
+        written = ", ".join(map(str, arguments.output))
+        console.print(f"written: {written}", soft_wrap=True, highlight=False)
+    return EXIT_DONE
+
+
+def _sums(arguments: argparse.Namespace) -> list[Sum]:
+    """Return the sums and events that a command line asks for."""
+    if len(arguments.sums) != len(arguments.events):
+        raise ConfigurationError(
+            f"must be as many as --sums, {len(arguments.sums)}, not {len(arguments.events)}",
+            key="--events",
+        )
+    for hours in arguments.sums:
+        if arguments.lead % hours or arguments.sums.count(hours) > 1:
+            raise ConfigurationError(
+                f"must each divide --lead, {arguments.lead} h, and be given once",
+                key="--sums", value=hours,
+            )
+    return [Sum(*one) for one in zip(arguments.sums, arguments.events, strict=True)]
+
+
+def _page(output: list[Path]) -> Callable[[str, str, int, Mapping[Class, Tally]], str]:
+    """Return what makes the page; refuse, before it is needed, where files cannot be written."""
+    for file in output:
+        if file.suffix not in (".html", ".csv"):
+            raise ConfigurationError(
+                "must end in .html or .csv", key="--output", value=str(file)
+            )
+        if not (file.parent.is_dir() and os.access(file.parent, os.W_OK)):
+            raise ConfigurationError(
+                "must be in a directory that exists and can be written to", key="--output",
+                value=str(file),
+            )
+        if file.exists():
+            raise ConfigurationError("exists; name another file", key="--output", value=str(file))
+    if not any(file.suffix == ".html" for file in output):
+        return lambda *_: ""
+    try:
+        from greenroof_ros.verification.page import render
+    except ModuleNotFoundError as error:
+        raise ConfigurationError(
+            f"needs {error.name}: pip install 'greenroof_ros[study]'"
+        ) from error
+    return render
+
+
+def _tally(
+    forecasts: IssuedForecasts, weather: Weather, lead: int, sums: list[Sum]
+) -> dict[Class, Tally]:
+    """Add up all pairs, behind a progress bar."""
+    console = Console(stderr=True)
+    with Progress(
+        TextColumn("{task.description}"), BarColumn(), TextColumn("{task.completed} issues"),
+        TimeRemainingColumn(), console=console, transient=True, disable=not console.is_terminal,
+    ) as progress:
+        task = progress.add_task("verifying", total=len(forecasts))
+        return tally(
+            forecasts, weather.precipitation, forecasts.members, forecasts.hours, lead, sums,
+            lambda more: progress.advance(task, more),
+        )
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,143 @@
+"""Archives of forecasts: from when an issue is known, and how a run carries them along."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from datetime import datetime
+from pathlib import Path
+
+import numpy as np
+import pytest
+import yaml
+from archives import write_runs
+from paper import PAPER_SITE, paper_run
+from places import DATA
+
+from greenroof_ros.common.errors import ConfigurationError
+from greenroof_ros.experiment.run_directory import make_run_directory, write_configuration
+from greenroof_ros.forecast.archive import read_archive
+from greenroof_ros.forecast.choice import choose
+from greenroof_ros.forecast.models import FileModel, make_model
+from greenroof_ros.forecast.own_csv import read_forecasts, write_forecasts
+from greenroof_ros.study.grid import read_grid
+from greenroof_ros.weather.records import Records
+from greenroof_ros.weather.series import Weather
+
+GEM = DATA / "gem_global_previous_runs_2024-03.csv"
+SPRING = datetime.fromisoformat("2024-03-01T00:00+00:00")
+ANYWHERE = replace(PAPER_SITE, latitude=None, longitude=None, elevation=None)
+
+
+def weather_from(first: datetime, hours: int = 48) -> Weather:
+    """Return dry records."""
+    dry = np.zeros(hours)
+    records = Records((Path("drawn.csv"),), first, {"precipitation": dry}, "drawn")
+    return Weather(records, dry, dry + 2, "drawn", None)
+
+
+@pytest.mark.parametrize(("delay", "late"), [(None, 6), (0.0, 0), (1.0, 1), (4.25, 5), (9.0, 9)])
+def test_an_issue_is_known_when_it_is_available(
+    tmp_path: Path, delay: float | None, late: int
+) -> None:
+    """Hours after its nominal time, and used from the hour on that then begins.
+
+    Its leads still count from the nominal time: of what is known late the first hours are past.
+    """
+    first = datetime.fromisoformat("2021-07-07T06:00+00:00")
+    archive = read_archive(write_runs(tmp_path / "runs"), PAPER_SITE, delay)
+    model = FileModel(archive, weather_from(first), False)
+    for hour in range(24):
+        since = hour + 12 - late  # the first run is of 18:00 of the day before
+        number, lead = since // 6, since % 6 + late
+        expected = [number + (lead + ahead) / 100 for ahead in range(3)]
+        assert model.known(hour, 3)[0][0].tolist() == pytest.approx(expected, abs=1e-12)
+
+
+def test_delay_in_half_hour_zones(tmp_path: Path) -> None:
+    """Records must begin whole hours from the issues, whichever offset they have."""
+    archive = read_archive(write_runs(tmp_path / "runs"), PAPER_SITE, 0.0)
+    first = datetime.fromisoformat("2021-07-07T11:30+05:30")
+    model = FileModel(archive, weather_from(first), False)
+    assert model.known(0, 2)[0][0].tolist() == [2.0, 2.01]  # 06:00 UTC
+    with pytest.raises(ConfigurationError, match="must be a whole number of hours from 2021"):
+        FileModel(archive, weather_from(first.replace(minute=0)), False)
+
+
+def test_before_the_first_is_known(tmp_path: Path) -> None:
+    """The message says from when on there is one."""
+    archive = read_archive(GEM, ANYWHERE)
+    model = FileModel(archive, weather_from(SPRING), False)
+    with pytest.raises(ConfigurationError) as caught:
+        model.known(5, 1)
+    assert str(caught.value) == (
+        f"{GEM}: holds forecasts that are known from 2024-03-01T06:00+00:00 on, but the run needs "
+        "one at 2024-03-01T05:00+00:00"
+    )
+    assert model.known(6, 1)[0].shape == (1, 1)
+
+
+def test_own_form_bit_for_bit(tmp_path: Path) -> None:
+    """Issues that are written are read as they were."""
+    issues = read_archive(write_runs(tmp_path / "runs"), PAPER_SITE).issues
+    file = tmp_path / "own.csv"
+    file.write_text(write_forecasts(issues))
+    again = read_forecasts(file)
+    assert [issue.issued for issue in again] == [issue.issued for issue in issues]
+    for one, other in zip(again, issues, strict=True):
+        assert one.rain.tobytes() == other.rain.tobytes()
+
+
+def test_choices(tmp_path: Path) -> None:
+    """Files by their ending, directories by being there or by the last character."""
+    for text in ("a.csv", "a.JSON", "b/a.nc", "later/", str(tmp_path)):
+        choice = choose(text)
+        assert (choice.model, choice.file, choice.options()) == ("file", Path(text), {})
+        assert choice.takes == ("delay",)
+    assert replace(choice, delay=3.0).options() == {"delay": 3.0}
+
+
+def test_a_run_by_an_archive(tmp_path: Path) -> None:
+    """A directory of runs is carried into the run's own, where the graph reads it again."""
+    source = write_runs(tmp_path / "runs")
+    options = ("--controller", "planning_mpc", "--hours", "2", "--forecast", str(source))
+    run = paper_run(*options, "--forecast-delay", "0.5")
+    directory = make_run_directory(tmp_path / "run", "planning_mpc")
+    parameters = yaml.safe_load(write_configuration(directory, run, {}).read_text())
+    of_weather = parameters["/**/weather"]["ros__parameters"]
+    assert of_weather["forecast"] == str(tmp_path / "run" / "configuration" / "forecast" / "runs")
+    assert of_weather["forecast_delay"] == 0.5
+    copied = replace(choose(of_weather["forecast"]), delay=of_weather["forecast_delay"])
+    one, other = (
+        make_model(choice, run.weather, PAPER_SITE, False).known(5, 12)[0]
+        for choice in (run.forecast_choice, copied)
+    )
+    assert one.tobytes() == other.tobytes()
+    late = paper_run(*options)
+    assert late.forecast.precipitation(0)[-1] != run.forecast.precipitation(0)[-1]
+
+
+def test_a_study_by_an_archive(tmp_path: Path) -> None:
+    """A directory is one file there; its delay, that of its kind, stays the same."""
+    write_runs(tmp_path / "runs")
+    grid = tmp_path / "grid.yaml"
+    grid.write_text(
+        "site: site.yaml\nweather:\n"
+        "  - {file: weather/toronto_2021-07.csv, start: 2021-07-07T02:00-05:00, hours: 1}\n"
+        "initial: low-low\ncontrollers: {planning_mpc: {}}\n"
+        "forecast: [runs/, {model: runs/, delay: 2.0}]\n"
+    )
+    usual, early = read_grid(grid)
+    assert usual.forecast_file is not None
+    assert usual.forecast_file == early.forecast_file
+    assert (usual.forecast.delay, early.forecast.delay) == (6.0, 2.0)
+    carried = tmp_path / usual.forecast_file.name
+    carried.write_bytes(usual.forecast_file.content)
+    weather = weather_from(datetime.fromisoformat("2021-07-07T06:00+00:00"))
+    one, other = (
+        FileModel(archive, weather, False).known(20, 12)[0]
+        for archive in (
+            read_archive(tmp_path / "runs", PAPER_SITE),
+            read_archive(carried, PAPER_SITE, usual.forecast.delay),
+        )
+    )
+    assert one.tobytes() == other.tobytes()

@@ -1,0 +1,228 @@
+"""CaSPAr's NetCDF, made here by its conventions: the header of its files, but for the size.
+
+The header is that of 2024010100.nc of HRDPS (PAVICS, HRDPS_P_PR_SFC) and of a member of an
+ensemble, 2018030100_000.nc; what is missing at the first hour has the fill value of NetCDF.
+"""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import netCDF4
+import numpy as np
+import pytest
+from paper import PAPER_SITE
+
+from greenroof_ros.common.errors import ConfigurationError
+from greenroof_ros.forecast.archive import read_archive
+
+TORONTO = replace(PAPER_SITE, latitude=43.63, longitude=-79.40)
+REMARKS = (
+    "Precipitation (PR) are accumulations since beginning of the forecast for GEPS, GDPS, REPS, "
+    "RDPS, HRDPS, and CaLDAS."
+)
+# A rotated grid of 2.5 km about the site, whose point [1, 2] is the nearest.
+LATITUDES = np.array([[43.60, 43.61, 43.62, 43.63], [43.61, 43.62, 43.633, 43.65],
+                      [43.65, 43.66, 43.67, 43.68]])
+LONGITUDES = np.array([[-79.47, -79.44, -79.41, -79.38], [-79.46, -79.43, -79.398, -79.36],
+                       [-79.45, -79.42, -79.39, -79.35]])
+NEAREST = (1, 2)
+# The sums of the issue of 2021-07-08 00 UTC at the point (m), from hour 0 on.
+SUMS = [np.nan, 0.0, 0.001, 0.0015, 0.0015 - 2e-12, 0.004]
+
+
+def write(
+    file: Path, sums: Sequence[float] = SUMS, hours: Sequence[int] | None = None,
+    product: str = "HRDPS", edit: Callable[[netCDF4.Dataset], None] = lambda dataset: None,
+) -> Path:
+    """Write a file as CaSPAr does; elsewhere than at the point it rains 50 mm/h."""
+    hours = list(range(len(sums))) if hours is None else list(hours)
+    name = f"{product}_P_PR_SFC"
+    issued = f"{file.stem[:4]}-{file.stem[4:6]}-{file.stem[6:8]} {file.stem[8:10]}:00:00"
+    with netCDF4.Dataset(file, "w", format="NETCDF4") as dataset:
+        dataset.setncatts({"product": product, "Conventions": "CF-1.6", "Remarks": REMARKS})
+        for dimension, size in (("time", None), ("rlat", 3), ("rlon", 4)):
+            dataset.createDimension(dimension, size)
+        time = dataset.createVariable("time", "i4", ("time",))
+        time.setncatts({
+            "long_name": "time", "units": f"hours since {issued}", "calendar": "gregorian",
+            "standard_name": "time", "axis": "T",
+        })
+        time[:] = hours
+        for axis, size in (("rlon", 4), ("rlat", 3)):
+            rotated = dataset.createVariable(axis, "f4", (axis,))
+            long_name = "longitude" if axis == "rlon" else "latitude"
+            rotated.setncatts({"standard_name": f"grid_{long_name}", "units": "degrees"})
+            rotated[:] = 0.0225 * np.arange(size)
+        for short, long_name, values in (
+            ("lon", "longitude", LONGITUDES), ("lat", "latitude", LATITUDES)
+        ):
+            place = dataset.createVariable(short, "f4", ("rlat", "rlon"))
+            east = "degrees_east" if short == "lon" else "degrees_north"
+            place.setncatts({"standard_name": long_name, "units": east})
+            place[:] = values
+        pole = dataset.createVariable("rotated_pole", "f4", ())
+        pole.grid_mapping_name = "rotated_latitude_longitude"
+        rain = dataset.createVariable(name, "f4", ("time", "rlat", "rlon"))
+        rain.setncatts({
+            "long_name": "Forecast: Quantity of precipitation", "units": "m",
+            "coordinates": "lon lat", "grid_mapping": "rotated_pole",
+        })
+        everywhere = np.ones((1, 3, 4)) * 0.05 * np.array(hours)[:, None, None]
+        everywhere[(slice(None), *NEAREST)] = sums
+        rain[:] = np.ma.masked_invalid(everywhere)
+        edit(dataset)
+    return file
+
+
+def test_hours_are_differences_of_the_nearest_points_sums(tmp_path: Path) -> None:
+    """In mm; the sum before the first hour is 0, though its value is missing."""
+    archive = read_archive(write(tmp_path / "2021070800.nc"), TORONTO)
+    assert (archive.kind, archive.delay, archive.members) == ("CaSPAr, HRDPS", 5.0, 1)
+    (issue,) = archive.issues
+    assert issue.issued.isoformat() == "2021-07-08T00:00:00+00:00"
+    assert issue.rain[0].tolist() == pytest.approx([0.0, 1.0, 0.5, 0.0, 2.5], abs=1e-6)
+    without_first = write(tmp_path / "2021070806.nc", SUMS[1:], range(1, 6))
+    (issue,) = read_archive(without_first, TORONTO).issues
+    assert issue.rain[0].tolist() == pytest.approx([0.0, 1.0, 0.5, 0.0, 2.5], abs=1e-6)
+
+
+def test_members_and_steps_of_three_and_six_hours(tmp_path: Path) -> None:
+    """A file a member, control first; each hour between two sums has its share."""
+    for number in range(3):
+        for issue in ("2021070800", "2021070812"):
+            sums = [np.nan, 0.003 * number, 0.003 * number + 0.012]
+            write(tmp_path / f"{issue}_{number:03}.nc", sums, [0, 3, 9], "GEPS")
+    archive = read_archive(tmp_path, TORONTO)
+    assert (archive.kind, archive.delay, archive.members) == ("CaSPAr, GEPS", 7.0, 3)
+    assert [issue.issued.hour for issue in archive.issues] == [0, 12]
+    for issue in archive.issues:
+        for number, rain in enumerate(issue.rain):
+            expected = [number] * 3 + [2.0] * 6
+            assert rain.tolist() == pytest.approx(expected, abs=1e-5)
+
+
+def test_missing_at_the_end(tmp_path: Path) -> None:
+    """What is beyond a variable's last hour is not forecast."""
+    file = write(tmp_path / "2021070800.nc", [np.nan, 0.001, 0.002, np.nan, np.nan])
+    assert read_archive(file, TORONTO).issues[0].hours == 2
+
+
+def test_longitudes_to_the_east_and_axes_of_their_own(tmp_path: Path) -> None:
+    """A grid by latitude and longitude; 280.6 degrees east are 79.4 west."""
+    def regular(dataset: netCDF4.Dataset) -> None:
+        for name in ("lat", "lon"):
+            dataset[name].delncattr("standard_name")
+        dataset["rlat"].standard_name, dataset["rlon"].standard_name = "latitude", "longitude"
+        dataset["rlat"][:] = [43.1, 43.6, 44.1]
+        dataset["rlon"][:] = [279.5, 280.0, 280.5, 281.0]
+
+    (issue,) = read_archive(write(tmp_path / "2021070800.nc", edit=regular), TORONTO).issues
+    assert issue.rain[0].tolist() == pytest.approx([0.0, 1.0, 0.5, 0.0, 2.5], abs=1e-6)
+
+
+def attribute(variable: str, name: str, value: str) -> Callable[[netCDF4.Dataset], None]:
+    """Return what gives a variable another attribute."""
+    return lambda dataset: dataset[variable].setncattr(name, value)
+
+
+WRONG: dict[str, tuple[dict[str, Any], str]] = {
+    "units": (
+        {"edit": attribute("HRDPS_P_PR_SFC", "units", "kg m**-2 s**-1")},
+        "HRDPS_P_PR_SFC:units = 'kg m**-2 s**-1': must be 'm', of the sum since the issue",
+    ),
+    "since": (
+        {"edit": attribute("time", "units", "hours since 2021-07-08 06:00:00")},
+        "time:units = 'hours since 2021-07-08 06:00:00': must be 'hours since 2021-07-08 00:00:00'",
+    ),
+    "variable": (
+        {"edit": lambda dataset: dataset.renameVariable("HRDPS_P_PR_SFC", "HRDPS_P_TT_10000")},
+        "must have one variable of precipitation, such as HRDPS_P_PR_SFC; it has time, rlon, rlat",
+    ),
+    "product": (
+        {"product": "CaLDAS"}, "'CaLDAS_P_PR_SFC': must be of HRDPS, REPS, GEPS, GEPS_NA",
+    ),
+    "place": (
+        {"edit": lambda dataset: dataset["lat"].delncattr("standard_name")},
+        "must have a variable of standard_name 'latitude'",
+    ),
+    "far": (
+        {"edit": lambda dataset: dataset["lat"].__setitem__(slice(None), LATITUDES + 1)},
+        "has no point within 0.5 degrees of the site's place, 43.63, -79.4; the nearest is 0.",
+    ),
+    "falls": (
+        {"sums": [0.0, 0.003, 0.001]},
+        "HRDPS_P_PR_SFC: must be the sum since the issue; it falls by 2 mm to 2 h after it",
+    ),
+    "hole": ({"sums": [0.0, np.nan, 0.001]}, "HRDPS_P_PR_SFC: is missing 1 h after the issue"),
+    "nothing": ({"sums": [0.0, np.nan]}, "HRDPS_P_PR_SFC: is missing 1 h after the issue"),
+    "millimetres": (
+        {"sums": [0.0, 1.0, 3.0]},
+        "HRDPS_P_PR_SFC: must be 0 to 500 mm/h, not 1000 before 1 h after the issue",
+    ),
+    "step": (
+        {"hours": [0, 1, 2, 3, 4, 28]},
+        "time: must have further hours, 1 to 6 from each to the next after 4",
+    ),
+    "first": ({"sums": [0.0]}, "time: must have further hours, 1 to 6 from each to the next"),
+    "order": (
+        {"hours": [0, 1, 2, 2, 4, 5]},
+        "time: must have further hours, 1 to 6 from each to the next after 2",
+    ),
+}
+
+
+@pytest.mark.parametrize("name", WRONG)
+def test_wrong_files(tmp_path: Path, name: str) -> None:
+    """Refused with the file, variable or attribute, and what would be right."""
+    changes, reason = WRONG[name]
+    file = write(tmp_path / "2021070800.nc", **changes)
+    with pytest.raises(ConfigurationError) as caught:
+        read_archive(file, TORONTO)
+    assert str(caught.value).startswith(f"{file}: {reason}")
+
+
+def test_files_that_are_none(tmp_path: Path) -> None:
+    """Other names, other content, and a site without a place."""
+    file = tmp_path / "2021070800.nc"
+    file.write_text("not this")
+    with pytest.raises(ConfigurationError, match=r"2021070800.nc: is not NetCDF that can be read"):
+        read_archive(file, TORONTO)
+    whole = write(tmp_path / "2021070812.nc").read_bytes()
+    for length in (4, len(whole) // 3, len(whole) - 100):
+        file.write_bytes(whole[:length])
+        with pytest.raises(ConfigurationError, match=r"2021070800.nc: is not NetCDF that can be r"):
+            read_archive(file, TORONTO)
+    for name in ("forecast.nc", "2021130800.nc", "2021070824.nc", "2021070800_1.nc"):
+        other = write(tmp_path / "2021070806.nc").rename(tmp_path / name)
+        with pytest.raises(ConfigurationError, match="must be named as CaSPAr does, YYYYMMDDHH"):
+            read_archive(other, TORONTO)
+    anywhere = replace(TORONTO, latitude=None, longitude=None)
+    with pytest.raises(ConfigurationError, match="needs latitude and longitude in the site file"):
+        read_archive(write(file), anywhere)
+
+
+def test_members_that_are_missing(tmp_path: Path) -> None:
+    """All of an issue must be there, of one length and one product."""
+    for number in (0, 2):
+        write(tmp_path / f"2021070800_{number:03}.nc", product="REPS")
+    with pytest.raises(ConfigurationError, match="has members 000, 002; they must be 000, 001 and"):
+        read_archive(tmp_path, TORONTO)
+    write(tmp_path / "2021070800_001.nc", SUMS[:4], product="REPS")
+    with pytest.raises(ConfigurationError, match=r"001.nc: has 3 hours, but must have 5 as"):
+        read_archive(tmp_path, TORONTO)
+    write(tmp_path / "2021070800_001.nc", product="GEPS")
+    with pytest.raises(ConfigurationError, match=r"001.nc: must be of REPS, as 2021070800_"):
+        read_archive(tmp_path, TORONTO)
+
+
+def test_without_the_reader(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Says what to install."""
+    file = write(tmp_path / "2021070800.nc")
+    monkeypatch.setitem(sys.modules, "netCDF4", None)  # as if it were not installed
+    with pytest.raises(ConfigurationError, match=r"pip install 'greenroof_ros\[netcdf\]'"):
+        read_archive(file, TORONTO)

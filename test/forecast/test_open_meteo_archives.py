@@ -1,0 +1,392 @@
+"""Open-Meteo's previous runs, single runs and ensembles, as downloaded and as saved."""
+
+from __future__ import annotations
+
+import csv
+import json
+import math
+from collections.abc import Callable
+from dataclasses import replace
+from datetime import datetime, timedelta
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from paper import PAPER_SITE
+from places import DATA
+
+from greenroof_ros.common.errors import ConfigurationError
+from greenroof_ros.common.times import parse_time
+from greenroof_ros.forecast.archive import Archive, read_archive
+
+BUDVA = replace(PAPER_SITE, latitude=42.28, longitude=18.84, elevation=5.0)
+GEM = DATA / "gem_global_previous_runs_2024-03.csv"
+KNMI = DATA / "knmi_seamless_previous_runs_2024-02.csv"
+HOUR = timedelta(hours=1)
+
+
+def saved(file: Path) -> dict[datetime, list[float]]:
+    """Return the rain of the hour that begins at each time, 1 to 5 days before it."""
+    with file.open() as stream:
+        rows = list(csv.reader(stream))[1:]
+    return {
+        parse_time(f"{row[0]}+00:00") - HOUR: [float(cell or "nan") for cell in row[1:]]
+        for row in rows
+    }
+
+
+def in_service_csv(rows: dict[datetime, list[float]], zone_h: int = 0, inch: bool = False) -> str:
+    """Return the same as the service writes it, with the place and units."""
+    unit, factor = ("inch", 1 / 25.4) if inch else ("mm", 1.0)
+    header = ",".join(f"precipitation_previous_day{day} ({unit})" for day in range(1, 6))
+    lines = [
+        "latitude,longitude,elevation,utc_offset_seconds,timezone,timezone_abbreviation",
+        f"42.25,18.875,5.0,{3600 * zone_h},GMT,GMT", "", f"time,{header}",
+    ]
+    for start, values in rows.items():
+        stamp = (start + HOUR + zone_h * HOUR).strftime("%Y-%m-%dT%H:%M")
+        cells = ["NaN" if math.isnan(value) else repr(value * factor) for value in values]
+        lines.append(",".join([stamp, *cells]))
+    return "\n".join(lines) + "\n"
+
+
+def answer(times: list[str], **columns: list[float | None]) -> dict[str, Any]:
+    """Return a JSON answer of the service for hours."""
+    return {
+        "latitude": 42.25, "longitude": 18.875, "generationtime_ms": 0.1, "utc_offset_seconds": 0,
+        "timezone": "GMT", "timezone_abbreviation": "GMT", "elevation": 5.0,
+        "hourly_units": {"time": "iso8601", **dict.fromkeys(columns, "mm")},
+        "hourly": {"time": times, **columns},
+    }
+
+
+def in_service_json(rows: dict[datetime, list[float]]) -> str:
+    """Return the same as the service's JSON."""
+    return json.dumps(answer(
+        [(start + HOUR).strftime("%Y-%m-%dT%H:%M") for start in rows],
+        **{
+            f"precipitation_previous_day{day}": [
+                None if math.isnan(values[day - 1]) else values[day - 1] for values in rows.values()
+            ]
+            for day in range(1, 6)
+        },
+    ))
+
+
+def alike(one: Archive, other: Archive) -> bool:
+    """Whether two archives have the same issues, to the rounding of units."""
+    return len(one.issues) == len(other.issues) and all(
+        mine.issued == theirs.issued and np.allclose(mine.rain, theirs.rain, rtol=1e-12, atol=0)
+        for mine, theirs in zip(one.issues, other.issues, strict=True)
+    )
+
+
+# --- previous runs -----------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("file", [GEM, KNMI])
+def test_issues_of_previous_runs(file: Path) -> None:
+    """At 00, 06, 12 and 18 UTC each later hour is of the newest value that was old enough.
+
+    A value of N days is at least 24 N hours old at the end of its hour. Where one is missing, an
+    older one was known, too; an issue ends where none was.
+    """
+    rows = saved(file)
+    archive = read_archive(file, BUDVA)
+    assert (archive.kind, archive.delay) == ("Open-Meteo, previous runs", 6.0)
+    by_time = {issue.issued: issue for issue in archive.issues}
+    for start in rows:
+        if start.hour % 6:
+            assert start not in by_time
+            continue
+        expected = []
+        for lead in range(120):
+            values = rows.get(start + lead * HOUR, [math.nan] * 5)
+            known = [
+                value for day, value in enumerate(values, start=1)
+                if 24 * day >= lead + 1 and not math.isnan(value)
+            ]
+            if not known:
+                break
+            expected.append(known[0])
+        if expected:
+            assert by_time.pop(start).rain.tolist() == [expected]
+    assert not by_time
+
+
+@pytest.mark.parametrize("file", [GEM, KNMI])
+def test_previous_runs_day_by_day(file: Path) -> None:
+    """What is verified has each value of the file once, in the day that it stands for."""
+    rows = saved(file)
+    found: dict[tuple[datetime, int], float] = {}
+    for issue in read_archive(file, BUDVA).verified:
+        assert issue.issued.hour == 0
+        for lead, value in enumerate(issue.rain[0].tolist()):
+            if not math.isnan(value):
+                found[issue.issued + lead * HOUR, lead // 24 + 1] = value
+    assert found == {
+        (start, day): value
+        for start, values in rows.items() for day, value in enumerate(values, start=1)
+        if not math.isnan(value)
+    }
+
+
+@pytest.mark.parametrize(
+    ("name", "write"),
+    [
+        ("open-meteo-42.25N18.88E5m.csv", in_service_csv),
+        ("local.csv", lambda rows: in_service_csv(rows, zone_h=1)),
+        ("inches.csv", lambda rows: in_service_csv(rows, inch=True)),
+        ("open-meteo.json", in_service_json),
+        ("aware.csv", lambda rows: KNMI.read_text().replace(":00,", ":00+00:00,")),
+        ("marked.csv", lambda rows: "\ufeff" + KNMI.read_text()),
+    ],
+)
+def test_the_same_in_the_forms_of_the_service(
+    tmp_path: Path, name: str, write: Callable[[dict[datetime, list[float]]], str]
+) -> None:
+    """CSV with the place and units, at another offset, in inches, and JSON."""
+    file = tmp_path / name
+    file.write_text(write(saved(KNMI)), encoding="utf-8")
+    assert alike(read_archive(file, BUDVA), read_archive(KNMI, BUDVA))
+
+
+def test_several_files_are_one(tmp_path: Path) -> None:
+    """A forecast does not end where a file does; what files have in common must be alike."""
+    header, *lines = KNMI.read_text().splitlines()
+    for name, low, high in (("b.csv", 0, 300), ("a.csv", 280, 552)):
+        (tmp_path / name).write_text("\n".join([header, *lines[low:high], ""]))
+    joined, whole = read_archive(tmp_path, BUDVA), read_archive(KNMI, BUDVA)
+    assert alike(joined, whole)
+    for one, other in zip(joined.verified, whole.verified, strict=True):
+        assert one.issued == other.issued and one.rain.tobytes() == other.rain.tobytes()
+    (tmp_path / "a.csv").write_text("\n".join([
+        header, lines[280].replace(",0.0", ",7.0"), *lines[281:552], "",
+    ]))
+    with pytest.raises(ConfigurationError, match=r"a.csv, line 2: must not have other values of d"):
+        read_archive(tmp_path, BUDVA)
+    (tmp_path / "a.csv").write_text(json.dumps(answer(
+        ["2024-03-01T00:00"], precipitation_previous_day1=[0.0]
+    )))
+    with pytest.raises(ConfigurationError, match=r"a.csv: must have the days of b.csv, and be who"):
+        read_archive(tmp_path, BUDVA)
+
+
+def test_only_some_days(tmp_path: Path) -> None:
+    """Two and four days alone: nothing is newer than two days, and none older than four."""
+    times = [f"2024-03-{day:02}T{hour:02}:00" for day in range(1, 7) for hour in range(24)]
+    file = tmp_path / "some.json"
+    file.write_text(json.dumps(answer(
+        times, precipitation=[float("nan")] * 144, precipitation_probability=[50] * 144,
+        precipitation_previous_day2=[2.0] * 144, precipitation_previous_day4=[4.0] * 144,
+    )))
+    issue = read_archive(file, BUDVA).issues[0]
+    assert issue.issued.isoformat() == "2024-03-01T00:00:00+00:00"
+    assert issue.rain.tolist() == [[2.0] * 48 + [4.0] * 48]
+
+
+# --- runs and ensembles ------------------------------------------------------------------------
+
+
+TIMES = [f"2024-06-01T{hour:02}:00" for hour in range(12, 18)]
+
+
+def test_single_run(tmp_path: Path) -> None:
+    """It begins at its run; the rain at that time fell before it, and is left out."""
+    file = tmp_path / "run.json"
+    file.write_text(json.dumps(answer(TIMES, precipitation=[None, 0.5, 1.5, 0.0, 2.5, None])))
+    archive = read_archive(file, BUDVA)
+    assert (archive.kind, archive.delay, archive.members) == ("Open-Meteo, runs", 6.0, 1)
+    (issue,) = archive.issues
+    assert issue.issued.isoformat() == "2024-06-01T12:00:00+00:00"
+    assert issue.rain.tolist() == [[0.5, 1.5, 0.0, 2.5]]  # beyond its horizon there is nothing
+
+
+def test_ensemble_of_runs(tmp_path: Path) -> None:
+    """Control and members, in the order of their numbers, a file a run, named by it."""
+    for hour, factor in (("12", 1.0), ("18", 2.0)):
+        (tmp_path / f"gem_20240601{hour}.json").write_text(json.dumps(answer(
+            [f"2024-06-0{1 + hours // 24}T{hours % 24:02}:00" for hours in range(24)],
+            precipitation_member02=[2 * factor] * 24, precipitation=[0.0] * 24,
+            precipitation_member01=[factor] * 24,
+        )))
+    archive = read_archive(tmp_path, BUDVA)
+    first, second = archive.issues
+    assert (first.issued.hour, second.issued.hour) == (12, 18)
+    assert first.rain.tolist() == [[0.0] * 11, [1.0] * 11, [2.0] * 11]
+    assert second.rain.tolist() == [[0.0] * 5, [2.0] * 5, [4.0] * 5]
+    lines = ["time,precipitation (mm),precipitation_member01 (mm)"]
+    lines += [f"{time},0.0,{number}.5" for number, time in enumerate(TIMES)]
+    head = "latitude,longitude,elevation,utc_offset_seconds,timezone,timezone_abbreviation"
+    file = tmp_path / "gem-2024-06-01T13.csv"
+    file.write_text("\n".join([head, "42.25,18.875,5.0,0,GMT,GMT", "", *lines, ""]))
+    (issue,) = read_archive(file, BUDVA).issues
+    assert issue.rain.tolist() == [[0.0] * 4, [2.5, 3.5, 4.5, 5.5]]
+
+
+# --- what is refused ---------------------------------------------------------------------------
+
+
+def edited(**changes: Any) -> str:
+    """Return a JSON answer with another value under keys, ``hourly__time`` being one in another."""
+    content = answer(TIMES, precipitation=[0.0, 0.5, 1.5, 0.0, 2.5, 0.0])
+    for key, value in changes.items():
+        *path, last = key.split("__")
+        place = content
+        for name in path:
+            place = place[name]
+        place[last] = value
+    return json.dumps(content)
+
+
+HEAD = KNMI.read_text().splitlines()[0]
+ROWS = ["2024-03-01 00:00:00,0.0,0.1,0.2,0.3,0.4", "2024-03-01 01:00:00,0.0,0.1,0.2,0.3,0.4"]
+WRONG = {
+    "cut.json": ('{"latitude": 42.25,\n"long', ", line 2: is not valid JSON: "),
+    "deep.json": ("[" * 200_000, ": is JSON nested too deep to be an answer"),
+    "several.json": ("[{}, {}]", ": must be of one place; download each by itself"),
+    "refusal.json": (
+        '{"error": true, "reason": "Daily API request limit exceeded."}',
+        ": is no forecast but the service's refusal: Daily API request limit exceeded.",
+    ),
+    "far.json": (edited(latitude=43.5), ": latitude = '43.5': must be within 0.5 degrees of the"),
+    "offset.json": (
+        edited(utc_offset_seconds="CET"), ": utc_offset_seconds = 'CET': must be a whole number",
+    ),
+    "daily.json": (edited(hourly=None), ": hourly: must be a mapping, as in answers for hours"),
+    "unix.json": (
+        edited(hourly_units__time="unixtime"),
+        ": hourly_units.time = 'unixtime': must be 'iso8601'; download without timeformat=unixtim",
+    ),
+    "unit.json": (
+        edited(hourly_units__precipitation="kg"),
+        ": 'hourly_units.precipitation': its unit must be mm or inch, not kg",
+    ),
+    "few.json": (
+        edited(hourly__precipitation=[0.0] * 5),
+        ": hourly.precipitation: must be a list of 6 values, one for each time",
+    ),
+    "text.json": (
+        edited(hourly__precipitation=[0.0, 0.0, "wet", 0.0, 0.0, 0.0]),
+        ": hourly.precipitation[2] = 'wet': must be a number from 0 to 500 mm, or null",
+    ),
+    "large.json": (
+        edited(hourly__precipitation=[0.0, 0.0, 0.0, 501, 0.0, 0.0]),
+        ": hourly.precipitation[3] = 501: must be a number from 0 to 500 mm, or null",
+    ),
+    "gap.json": (
+        edited(hourly__time=[*TIMES[:3], TIMES[4], *TIMES[4:]][:6]),
+        ": hourly.time[3] = '2024-06-01T16:00': must be 2024-06-01T15:00+00:00: hour after hour",
+    ),
+    "clock.json": (
+        edited(hourly__time=["noon", *TIMES[1:]]),
+        ": hourly.time[0] = 'noon': must be a time such as 2024-06-01T12:00",
+    ),
+    "hole.json": (
+        edited(hourly__precipitation=[0.0, 0.0, None, 1.0, 1.0, 1.0]),
+        ": precipitation: is missing at 2024-06-01T14:00+00:00, within the run",
+    ),
+    "empty.json": (
+        edited(hourly__precipitation=[None] * 6),
+        ": has no precipitation after its run, 2024-06-01T12:00+00:00",
+    ),
+    "models.json": (
+        edited(
+            hourly__precipitation_gem_global=[0.0] * 6,
+            hourly_units__precipitation_gem_global="mm",
+        ),
+        ": 'precipitation_gem_global': must be precipitation, precipitation_previous_day1 to 9 or",
+    ),
+    "members.json": (
+        edited(hourly__precipitation_member01=[0.0] * 6, hourly_units__precipitation_member01="mm"),
+        ": must say in its name which run of the ensemble it holds, as in gem_2024060112.json",
+    ),
+    "gap_2024060112.json": (
+        edited(hourly__precipitation_member02=[0.0] * 6, hourly_units__precipitation_member02="mm"),
+        ": must have its members without gap; it has 0, 2",
+    ),
+    "other_2024060118.json": (
+        edited(), ": must have the hour after its run, 2024-06-01T18:00+00:00; its first time is ",
+    ),
+    "none_2024063112.json": (edited(), ": its name must end in a run such as 2024060112, year, mo"),
+    "history.csv": (
+        "\n".join(["time,precipitation", *(
+            f"{parse_time('2024-01-01T00:00Z') + hour * HOUR},0.0" for hour in range(37 * 24)
+        )]),
+        ": has 887 hours, and a run at most 864: of a longer past there are previous runs",
+    ),
+    "dry.json": (
+        edited(hourly={"time": TIMES}), ": must have precipitation, precipitation_member01 or pre",
+    ),
+    "times.csv": (
+        "\n".join([HEAD, ROWS[0], ROWS[1].replace("01:00:00", "02:00:00")]),
+        ", line 3: datetime = '2024-03-01 02:00:00': must be 2024-03-01T01:00+00:00: the records",
+    ),
+    "value.csv": (
+        "\n".join([HEAD, ROWS[0], ROWS[1].replace("0.2", "-0.2")]),
+        ", line 3: precipitation_previous_day3 = '-0.2': must be a number from 0 to 500 mm, or em",
+    ),
+    "cells.csv": (
+        "\n".join([HEAD, ROWS[0], f"{ROWS[1]},7"]),
+        ", line 3: must have 6 cells as the header has, not 7",
+    ),
+    "time.csv": (
+        "\n".join([HEAD, ROWS[0].replace("00:00:00", "midnight")]),
+        ", line 2: datetime = '2024-03-01 midnight': must be a time such as 2024-06-01 12:00:00",
+    ),
+    "nothing.csv": (
+        "\n".join([HEAD, "2024-03-01 00:00:00,,,,,"]),
+        ": has no precipitation: every value is missing",
+    ),
+    "twice.csv": (
+        "\n".join([HEAD.replace("day2", "day1"), *ROWS]),
+        ", line 1: 'precipitation_previous_day1': is the name of two columns",
+    ),
+    "unit.csv": (
+        in_service_csv({}).replace("day1 (mm)", "day1 (cm)") + "2024-03-01T00:00,0,0,0,0,0\n",
+        ", line 4: 'precipitation_previous_day1 (cm)': its unit must be mm or inch, not cm",
+    ),
+    "header.csv": (HEAD, ": has a header but no records"),
+}
+
+
+@pytest.mark.parametrize("name", WRONG)
+def test_wrong_files(tmp_path: Path, name: str) -> None:
+    """Refused with the file, its line or key, the value and what would be right."""
+    text, reason = WRONG[name]
+    file = tmp_path / name
+    file.write_text(text, encoding="utf-8")
+    with pytest.raises(ConfigurationError) as caught:
+        read_archive(file, BUDVA)
+    assert str(caught.value).startswith(f"{file}{reason}")
+
+
+def test_wrong_directories(tmp_path: Path) -> None:
+    """An archive has one format, one kind, each issue once, and as many members in each."""
+    with pytest.raises(ConfigurationError, match="must have files of forecasts in it"):
+        read_archive(tmp_path, BUDVA)
+    run = edited()
+    (tmp_path / "a.json").write_text(run)
+    (tmp_path / "b.json").write_text(run)
+    with pytest.raises(ConfigurationError) as caught:
+        read_archive(tmp_path, BUDVA)
+    assert str(caught.value) == (
+        f"{tmp_path / 'b.json'}: has the issue of 2024-06-01T12:00+00:00, which a.json has already"
+    )
+    (tmp_path / "b.json").write_text(json.dumps(answer(
+        [time.replace("06-01", "06-02") for time in TIMES], precipitation=[0.0] * 6
+    )))
+    assert len(read_archive(tmp_path, BUDVA).issues) == 2
+    (tmp_path / "c_2024060312.json").write_text(json.dumps(answer(
+        [time.replace("06-01", "06-03") for time in TIMES], precipitation=[0.0] * 6,
+        precipitation_member01=[0.0] * 6,
+    )))
+    with pytest.raises(ConfigurationError, match="must have as many members as that befor"):
+        read_archive(tmp_path, BUDVA)
+    (tmp_path / "c_2024060312.json").write_text(in_service_json(saved(GEM)))
+    with pytest.raises(ConfigurationError, match=r"a.json: must be of previous runs, as c_2024060"):
+        read_archive(tmp_path, BUDVA)
+    (tmp_path / "c_2024060312.json").write_text("issued,time,precipitation [mm/h]\n")
+    with pytest.raises(ConfigurationError, match=r"must be of the format of a.json: an archive ha"):
+        read_archive(tmp_path, BUDVA)

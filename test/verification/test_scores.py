@@ -1,0 +1,184 @@
+"""Scores: worked examples, closed forms, and other ways of computing them."""
+
+from __future__ import annotations
+
+import itertools
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+from scipy import integrate, stats
+
+from greenroof_ros.verification.scores import Contingency, Tally, crps, rank_counts
+
+Array = NDArray[np.float64]
+
+# Finley's tornado forecasts of 1884, as Wilks (2011, Sect. 8.2) has them, with 28 hits, 72 false
+# alarms and 23 misses; also www.cawcr.gov.au/projects/verification/Finley. And the rain of the WWRP
+# working group's "Forecast Verification - Issues, Methods and FAQ": POD 0.78, FAR 0.32, ETS 0.44.
+EXAMPLES = [
+    (Contingency(28, 72, 23, 2680), 0.549, 0.720, 0.216, 5e-4),
+    (Contingency(82, 38, 23, 222), 0.78, 0.32, 0.44, 5e-3),
+]
+
+
+@pytest.mark.parametrize(("table", "pod", "far", "ets", "digits"), EXAMPLES)
+def test_events(table: Contingency, pod: float, far: float, ets: float, digits: float) -> None:
+    """From their table, and from pairs of which each is one of its cases."""
+    assert table.pod == pytest.approx(pod, abs=digits)
+    assert table.far == pytest.approx(far, abs=digits)
+    assert table.ets == pytest.approx(ets, abs=digits)
+    cases = [(9.0, 9.0), (9.0, 0.0), (0.0, 9.0), (0.0, 0.0)]
+    pairs = np.repeat(np.array(cases), table, axis=0)
+    tally = Tally(3.0, 1)
+    tally.add(pairs[None, :1000, 0], pairs[:1000, 1])
+    tally.add(pairs[None, 1000:, 0], pairs[1000:, 1])
+    assert tally.contingency == table
+    scores = tally.scores()
+    assert (scores.n, scores.pod, scores.far, scores.ets) == (
+        sum(table), table.pod, table.far, table.ets
+    )
+    # Of a forecast that is sure of itself, the share that it has wrong.
+    assert scores.brier == pytest.approx((table.false_alarms + table.misses) / sum(table))
+
+
+def test_an_event_begins_at_its_amount() -> None:
+    """Both of the forecast and of what was observed."""
+    tally = Tally(3.0, 1)
+    tally.add(np.array([[3.0, 3.0, 2.9, 2.9]]), np.array([3.0, 2.9, 3.0, 2.9]))
+    assert tally.contingency == (1, 1, 1, 1)
+
+
+@pytest.mark.parametrize("members", [1, 2, 10])
+def test_moments_and_missing(members: int) -> None:
+    """Correlation as scipy's, bias as the ratio of totals; pairs with NaN do not count."""
+    chance = np.random.default_rng(members)
+    forecast = chance.gamma(0.2, 5.0, (members, 500))
+    observed = 0.5 * forecast[0] + chance.gamma(0.2, 5.0, 500)
+    tally = Tally(5.0, members)
+    for low, high in ((0, 100), (100, 101), (101, 500)):
+        tally.add(forecast[:, low:high], observed[low:high])
+    holes = np.array([1.0, np.nan])
+    tally.add(np.full((members, 2), [np.nan, 1.0]), holes)
+    scores = tally.scores()
+    assert scores.n == 500
+    assert scores.r == pytest.approx(stats.pearsonr(forecast[0], observed).statistic, rel=1e-10)
+    assert scores.bias == pytest.approx(forecast[0].sum() / observed.sum())
+    if members == 1:
+        assert scores.crps == pytest.approx(np.abs(forecast[0] - observed).mean())
+
+
+def test_nothing_to_be_scored() -> None:
+    """No pairs, no rain, no events: what cannot be is NaN, and nothing else."""
+    tally = Tally(5.0, 1)
+    assert tally.scores().n == 0 and all(map(math.isnan, tally.scores()[1:]))
+    tally.add(np.zeros((1, 7)), np.zeros(7))
+    scores = tally.scores()
+    assert (scores.n, scores.brier, scores.crps) == (7, 0.0, 0.0)
+    assert all(map(math.isnan, scores[1:6]))
+    # A constant that binary numbers do not have exactly is one all the same.
+    tally = Tally(5.0, 1)
+    tally.add(np.full((1, 1000), 0.1), np.linspace(0, 9, 1000))
+    assert math.isnan(tally.scores().r)
+
+
+# --- CRPS --------------------------------------------------------------------------------------
+
+
+@given(
+    members=st.lists(st.floats(0, 50), min_size=1, max_size=8), observed=st.floats(0, 50),
+)
+def test_crps_is_the_integral(members: list[float], observed: float) -> None:
+    """Of the squared difference of two distributions, piece by piece between their steps."""
+    steps = sorted([*members, observed])
+    expected = math.fsum(
+        (high - low) * (sum(one <= low for one in members) / len(members) - (observed <= low)) ** 2
+        for low, high in itertools.pairwise(steps)
+    )
+    got = crps(np.array(members)[:, None], np.array([observed]))
+    assert got.tolist() == pytest.approx([expected], rel=1e-9, abs=1e-9)
+
+
+@pytest.mark.parametrize("observed", [-1.5, 0.0, 0.3, 2.0])
+def test_crps_of_a_normal_distribution(observed: float) -> None:
+    """Closed form (Gneiting and Raftery 2007, Eq. 20 and 21) by an ensemble of its quantiles."""
+    quantiles = stats.norm.ppf((np.arange(4000) + 0.5) / 4000)
+    expected = observed * (2 * stats.norm.cdf(observed) - 1) + 2 * stats.norm.pdf(observed)
+    expected -= 1 / math.sqrt(math.pi)
+    got = crps(quantiles[:, None], np.array([observed]))
+    assert got.tolist() == pytest.approx([expected], abs=2e-4)
+
+
+def test_crps_of_an_exponential_distribution() -> None:
+    """Against the integral of its definition, taken by scipy."""
+    quantiles = stats.expon.ppf((np.arange(4000) + 0.5) / 4000)
+    for observed in (0.1, 1.0, 4.0):
+        below, _ = integrate.quad(lambda x: stats.expon.cdf(x) ** 2, 0, observed)
+        above, _ = integrate.quad(lambda x: stats.expon.sf(x) ** 2, observed, 40)
+        got = crps(quantiles[:, None], np.array([observed]))
+        assert got.tolist() == pytest.approx([below + above], abs=5e-4)
+
+
+# --- probabilities and ranks -------------------------------------------------------------------
+
+
+def test_brier_score_is_what_it_is_made_of() -> None:
+    """Reliability - resolution + uncertainty (Wilks 2011, Sect. 8.4.3), of ten members."""
+    chance = np.random.default_rng(4)
+    drawn = chance.gamma(0.3, 6.0, (12, 3000))
+    forecast, observed = drawn[0] + 0.5 * drawn[1:11], drawn[0] + 0.5 * drawn[11]
+    tally = Tally(2.0, 10)
+    tally.add(forecast, observed)
+    count, total, events = (column for column in tally.reliability.T)
+    assert count.sum() == 3000
+    known = count > 0
+    count, total, events = count[known], total[known], events[known]
+    base = events.sum() / 3000
+    reliability = (count * (total / count - events / count) ** 2).sum() / 3000
+    resolution = (count * (events / count - base) ** 2).sum() / 3000
+    expected = reliability - resolution + base * (1 - base)
+    assert resolution > 0.02
+    assert tally.scores().brier == pytest.approx(expected, rel=1e-10)
+
+
+def test_reliability_by_hand() -> None:
+    """Four members: three quarters are nearest to eight tenths."""
+    tally = Tally(1.0, 4)
+    forecast = np.array([[2.0, 2.0, 0.0], [2.0, 2.0, 0.0], [2.0, 2.0, 0.0], [0.0, 0.0, 0.0]])
+    tally.add(forecast, np.array([5.0, 0.0, 1.0]))
+    assert tally.reliability[8].tolist() == [2.0, 1.5, 1.0]
+    assert tally.reliability[0].tolist() == [1.0, 0.0, 1.0]
+    assert tally.reliability.sum() == 6.5
+
+
+def test_ranks_by_hand() -> None:
+    """Below, between and above; and what equals members is shared out."""
+    forecast = np.array([[1.0, 1.0, 1.0, 0.0, 0.0], [2.0, 2.0, 2.0, 0.0, 0.0],
+                         [3.0, 3.0, 3.0, 0.0, 4.0]])
+    observed = np.array([0.5, 2.5, 9.0, 0.0, 0.0])
+    assert rank_counts(forecast[:, :3], observed[:3]).tolist() == [1, 0, 1, 1]
+    assert rank_counts(forecast[:, 3:4], observed[3:4]).tolist() == [0.25] * 4
+    third = 1 / 3
+    assert rank_counts(forecast[:, 4:], observed[4:]).tolist() == pytest.approx(
+        [third, third, third, 0.0], abs=1e-15
+    )
+
+
+@pytest.mark.parametrize("wet", [1.0, 0.2])
+def test_ranks_of_what_could_be_one_another(wet: float) -> None:
+    """All alike, wherever the rain is often nothing, too; of a narrow ensemble high at both ends.
+
+    Each rank has a share of 1 / 8 of 40,000 pairs, and a standard deviation of 66 at most.
+    """
+    chance = np.random.default_rng(8)
+    drawn = chance.gamma(1.0, 3.0, (8, 40_000)) * (chance.random((8, 40_000)) < wet)
+    tally = Tally(1.0, 7)
+    tally.add(drawn[1:], drawn[0])
+    assert tally.ranks.sum() == pytest.approx(40_000)
+    assert np.abs(tally.ranks - 5000).max() < 5 * 66
+    narrow = Tally(1.0, 7)
+    narrow.add(0.3 * drawn[1:] + 0.7 * drawn[1:].mean(axis=0), drawn[0])
+    assert narrow.ranks[[0, -1]].min() > 1.1 * narrow.ranks[2:-2].max()

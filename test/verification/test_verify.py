@@ -1,0 +1,276 @@
+"""The command: pairs by lead and sum, archives and models, table, CSV and page; wrong use."""
+
+from __future__ import annotations
+
+import csv
+import json
+import os
+import subprocess
+import sys
+from datetime import datetime, timedelta
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import yaml
+from browsers import started_browser
+from commands import run_command
+from places import DATA
+from scipy import stats
+
+from greenroof_ros.common.files import shared_directory
+
+GEM = DATA / "gem_global_previous_runs_2024-03.csv"
+KNMI = DATA / "knmi_seamless_previous_runs_2024-02.csv"
+JULY = DATA / "en_climate_hourly_07-2021.csv"
+SUMS = ((1, 1.0), (6, 2.0), (12, 3.0), (24, 5.0))
+HOUR = timedelta(hours=1)
+
+
+def verify(directory: Path, *arguments: str) -> subprocess.CompletedProcess[str]:
+    """Run the command to its end."""
+    return run_command(
+        "verify", *arguments, cwd=directory, env={**os.environ, "COLUMNS": "80"}
+    )
+
+
+def scores(directory: Path, *arguments: str) -> list[dict[str, str]]:
+    """Return the table that the command writes."""
+    done = verify(directory, *arguments, "-o", "scores.csv")
+    assert done.returncode == 0, done.stderr
+    with (directory / "scores.csv").open() as stream:
+        return list(csv.DictReader(stream))
+
+
+def columns(file: Path) -> dict[datetime, list[str]]:
+    """Return the cells of a file of previous runs by the start of their hour, in UTC."""
+    with file.open() as stream:
+        return {
+            datetime.fromisoformat(f"{row[0]}+00:00") - HOUR: row[1:]
+            for row in list(csv.reader(stream))[1:]
+        }
+
+
+def records(directory: Path, file: Path, day: int, without: tuple[int, ...] = ()) -> Path:
+    """Write a day's forecasts as if they had been observed, without some hours."""
+    path = directory / "records.csv"
+    lines = [
+        "latitude,longitude,elevation,utc_offset_seconds,timezone,timezone_abbreviation",
+        "43.62,-79.42,77.0,0,GMT,GMT", "",
+        "time,temperature_2m (°C),precipitation (mm),dew_point_2m (°C),wind_speed_10m (km/h),"
+        "surface_pressure (hPa)",
+    ]
+    for number, (start, cells) in enumerate(columns(file).items()):
+        rain = "NaN" if number in without else cells[day - 1]
+        lines.append(f"{start + HOUR:%Y-%m-%dT%H:%M},10.0,{rain},5.0,9.0,1010.0")
+    path.write_text("\n".join([*lines, ""]), encoding="utf-8")
+    return path
+
+
+def blocks(series: dict[datetime, float], hours: int) -> dict[datetime, float]:
+    """Return the sums over blocks of the clock that are whole, by when they begin."""
+    found: dict[datetime, list[float]] = {}
+    for start, value in series.items():
+        found.setdefault(start.replace(hour=start.hour // hours * hours), []).append(value)
+    return {start: round(sum(each), 6) for start, each in found.items() if len(each) == hours}
+
+
+@pytest.mark.parametrize("file", [GEM, KNMI])
+def test_previous_runs_by_their_definition(tmp_path: Path, file: Path) -> None:
+    """Sums over whole blocks of the clock, as ../shared/forecasts has them, by plain counting.
+
+    The forecast of one day before stands for the records; some of its hours are missing.
+    """
+    missing = (30, 31, 200)
+    weather = records(tmp_path, file, 1, missing)
+    rows = scores(tmp_path, str(file), "--weather", str(weather))
+    got = {(int(row["lead_to_h"]) // 24, int(row["sum_hours"])): row for row in rows}
+    assert len(got) == 20
+    hours = columns(file)
+    # The first hour has no temperature, the last no rain: neither is of the records.
+    known = [start for number, start in enumerate(hours) if number not in missing][1:]
+    observed = {start: float(hours[start][0]) for start in known if hours[start][0]}
+    for day in range(1, 6):
+        forecast = {start: float(cells[day - 1]) for start, cells in hours.items()
+                    if cells[day - 1]}
+        for length, event in SUMS:
+            ours, theirs = blocks(forecast, length), blocks(observed, length)
+            pairs = [(ours[start], theirs[start]) for start in theirs if start in ours]
+            row = got[day, length]
+            assert (int(row["n"]), float(row["event_mm"])) == (len(pairs), event)
+            hits = sum(one >= event and other >= event for one, other in pairs)
+            warned = sum(one >= event for one, _ in pairs)
+            events = sum(other >= event for _, other in pairs)
+            said, fell = map(np.array, zip(*pairs, strict=True))
+            for name, value in (
+                ("bias", said.sum() / fell.sum()), ("pod", hits / events),
+                ("far", 1 - hits / warned), ("r", stats.pearsonr(said, fell).statistic),
+                ("brier", (warned + events - 2 * hits) / len(pairs)),
+                ("crps_mm", np.abs(said - fell).mean()),
+            ):
+                assert float(row[name]) == pytest.approx(value, rel=1e-5, abs=1e-9), (day, name)
+
+
+def test_runs_by_lead(tmp_path: Path) -> None:
+    """An ensemble of two runs: each hour's lead counts from its run, and all of its members."""
+    (tmp_path / "runs").mkdir()
+    for run, members in (("2024030100", (0.0, 2.0)), ("2024030106", (4.0, 1.0))):
+        start = datetime.strptime(f"{run}+0000", "%Y%m%d%H%z")
+        times = [f"{start + hour * HOUR:%Y-%m-%dT%H:%M}" for hour in range(13)]
+        (tmp_path / "runs" / f"gem_{run}.json").write_text(json.dumps({
+            "latitude": 43.63, "longitude": -79.4, "elevation": 77.0, "utc_offset_seconds": 0,
+            "hourly_units": {
+                "time": "iso8601", "precipitation": "mm", "precipitation_member01": "mm",
+            },
+            "hourly": {
+                "time": times, "precipitation": [None, *[members[0]] * 12],
+                "precipitation_member01": [None, *[members[1]] * 12],
+            },
+        }))
+    rain = [0.0] * 6 + [1.0] * 6 + [3.0] * 6 + [0.0] * 6
+    weather = tmp_path / "own.csv"
+    first = datetime.fromisoformat("2024-03-01T00:00+00:00")
+    weather.write_text("\n".join([
+        "time,precipitation [mm/h],given evapotranspiration [mm/day]",
+        *(f"{(first + hour * HOUR).isoformat()},{one},1.0" for hour, one in enumerate(rain)), "",
+    ]))
+    rows = scores(
+        tmp_path, "runs", "--weather", "own.csv", "--lead", "6", "--sums", "6", "--events", "6"
+    )
+    near, far = rows
+    assert (near["lead_from_h"], near["lead_to_h"], far["lead_to_h"]) == ("0", "6", "12")
+    # Sums of six hours. Near: 0 and 12 against 0, 24 and 6 against 6; far: the same against 6, 18.
+    assert [float(row["bias"]) for row in rows] == [4.0, 1.0]
+    assert [(row["n"], row["pod"], row["far"]) for row in rows] == [
+        ("2", "1", "0"), ("2", "0.5", "0")
+    ]
+    # Probabilities 0.5 of nothing and 1 of an event; 0.5 and 1 of events.
+    assert [float(row["brier"]) for row in rows] == [0.125, 0.125]
+    # Means of |x - y| less a quarter of |x - x'|: 6 - 3 and 9 - 4.5; 6 - 3 and 9 - 4.5.
+    assert [float(row["crps_mm"]) for row in rows] == [3.75, 3.75]
+
+
+def test_models_of_the_package(tmp_path: Path) -> None:
+    """Perfect forecasts are perfect, those without errors, too; persistence is as it counts."""
+    common = ("--weather", str(JULY), "--horizon", "48")
+    skill = yaml.safe_load((shared_directory() / "config" / "forecasts" / "skill.yaml").read_text())
+    skill["errors"] |= {"reach": 1e6, "fading": 10.0, "timing": 0.0}
+    (tmp_path / "all_known.yaml").write_text(yaml.safe_dump(skill))
+    for model in (("perfect",), ("errors", "--forecast-skill", "all_known.yaml")):
+        rows = scores(tmp_path, *model, *common)
+        (tmp_path / "scores.csv").unlink()
+        assert len(rows) == 8
+        for row in rows:
+            assert [float(row[name]) for name in ("r", "pod", "ets")] == pytest.approx([1.0] * 3)
+            wrong = [float(row[name]) for name in ("far", "brier", "crps_mm")]
+            assert wrong == pytest.approx([0.0] * 3, abs=1e-6)
+    (hourly, *_) = scores(tmp_path, "persistence", *common)
+    with JULY.open(encoding="utf-8-sig") as stream:
+        rain = [float(row["Precip. Amount (mm)"]) for row in csv.DictReader(stream)]
+    # Local standard time is five hours behind UTC, where it is issued at 0, 6, 12 and 18.
+    pairs = [
+        (rain[hour], rain[hour + lead])
+        for hour in range(1, len(rain), 6) for lead in range(24) if hour + lead < len(rain)
+    ]
+    said, fell = map(np.array, zip(*pairs, strict=True))
+    assert int(hourly["n"]) == len(pairs)
+    assert float(hourly["r"]) == pytest.approx(stats.pearsonr(said, fell).statistic, rel=1e-5)
+    assert float(hourly["bias"]) == pytest.approx(said.sum() / fell.sum(), rel=1e-5)
+
+
+@pytest.fixture(scope="module")
+def page(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The page of an ensemble."""
+    directory = tmp_path_factory.mktemp("verified")
+    done = verify(
+        directory, "ensemble", "--forecast-members", "5", "--weather", str(JULY),
+        "-o", "page.html",
+    )
+    assert done.returncode == 0, done.stderr
+    assert "written: page.html" in done.stdout
+    heading = next(line for line in done.stdout.splitlines() if "POD" in line)
+    assert heading.split() == [
+        "lead", "sum", "of", "event", "n", "bias", "r", "POD", "FAR", "ETS", "Brier", "CRPS", "mm",
+    ]
+    assert max(map(len, done.stdout.splitlines())) <= 80
+    return directory / "page.html"
+
+
+def test_the_page_draws_everything_and_asks_for_nothing(page: Path) -> None:
+    """Six panels by lead, then four of reliability and four of ranks."""
+    with started_browser() as browser:
+        opened: Any = browser.new_page(viewport={"width": 1200, "height": 900})
+        asked, wrong = [], []
+        opened.on("request", lambda request: asked.append(request.url))
+        opened.on("pageerror", lambda error: wrong.append(str(error)))
+        opened.goto(page.as_uri())
+        opened.wait_for_selector("html[data-drawn='14']", timeout=60_000)
+        assert wrong == []
+        assert [url for url in asked if not url.startswith(("file:", "data:", "blob:"))] == []
+        assert opened.locator("tbody tr").count() == 20
+        assert "124 issues of 5 members" in opened.inner_text("header")
+
+
+WRONG = {
+    "model": (["forecasts"], "FORECASTS = 'forecasts': must be one of perfect, persistence, er"),
+    "file": (["nowhere.csv"], "nowhere.csv: cannot be read: No such file or directory"),
+    "events": (["errors", "--events", "1", "2"], "--events: must be as many as --sums, 4, not 2"),
+    "sums": (
+        ["errors", "--lead", "6"], "--sums = 12: must each divide --lead, 6 h, and be given once",
+    ),
+    "twice": (
+        ["errors", "--sums", "6", "6", "--events", "1", "2"],
+        "--sums = 6: must each divide --lead, 24 h, and be given once",
+    ),
+    "option": (
+        ["perfect", "--forecast-seed", "3"],
+        "--forecast-seed: is an option of errors and ensemble; the forecast is perfect",
+    ),
+    "delay": (["errors", "--forecast-delay", "3"], "--forecast-delay: is an option of a file; the"),
+    "output": (["errors", "-o", "page.pdf"], "--output = 'page.pdf': must end in .html or .csv"),
+    "directory": (
+        ["errors", "-o", "no/page.html"],
+        "--output = 'no/page.html': must be in a directory that exists and can be written to",
+    ),
+    "exists": (["errors", "-o", "there.csv"], "--output = 'there.csv': exists; name another file"),
+    "lead": (
+        [str(GEM), "--lead", "6", "--sums", "6", "--events", "2"],
+        f"--lead = 6: must be a multiple of 24 h, which is all that {GEM} (Open-Meteo, previous",
+    ),
+    "apart": (
+        [str(GEM)], f"{GEM}: FORECASTS = '{GEM}': have no whole sum in common with the records, "
+    ),
+    "between": (
+        ["half.json"],
+        "half.json: issued = '2021-07-07T01:00+05:30': must be a whole number of hours from ",
+    ),
+}
+
+
+@pytest.mark.parametrize("name", WRONG)
+def test_wrong_use(tmp_path: Path, name: str) -> None:
+    """One line that says what would be right, exit code 2, and nothing written."""
+    (tmp_path / "there.csv").write_text("mine")
+    (tmp_path / "half.json").write_text(json.dumps({
+        "latitude": 43.63, "longitude": -79.4, "elevation": 77.0, "utc_offset_seconds": 19800,
+        "hourly_units": {"time": "iso8601", "precipitation": "mm"},
+        "hourly": {
+            "time": ["2021-07-07T01:00", "2021-07-07T02:00"], "precipitation": [None, 1.0],
+        },
+    }))
+    arguments, reason = WRONG[name]
+    done = verify(tmp_path, *arguments, "--weather", str(JULY))
+    assert (done.returncode, done.stdout) == (2, "")
+    assert done.stderr.startswith(f"error: {reason}")
+    assert (tmp_path / "there.csv").read_text() == "mine"
+
+
+def test_without_records() -> None:
+    """They must be named."""
+    done = subprocess.run(
+        [sys.executable, "-m", "greenroof_ros.verify", "errors"],
+        capture_output=True, text=True, check=False,
+    )
+    assert done.returncode == 2
+    assert "the following arguments are required: --weather" in done.stderr
