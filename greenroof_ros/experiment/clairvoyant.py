@@ -154,7 +154,7 @@ def _limits(run: Run, max_command: float) -> _Limits:
     """Return what every run keeps to; :func:`clairvoyant_bound` says why."""
     site, tau = run.site, run.site.tau
     rain, evapotranspiration, frost = (
-        np.frombuffer(series)[: run.steps]
+        np.frombuffer(series[: run.steps])
         for series in (run.series.precipitation, run.series.evapotranspiration, run.series.frost)
     )
     still = tau * (rain * site.a2 - evapotranspiration)

@@ -47,15 +47,14 @@ class Tick(NamedTuple):
 
 def closed_loop(run: Run, controller: Controller, metrics: Metrics) -> Iterator[Tick]:
     """Run the ticks 0..N, adding to ``metrics``; a tick is yielded before its step is taken."""
-    site, series = run.site, run.series
+    site, series, until = run.site, run.series, 0
     plant = Plant(site, run.x1, run.x2)
     sensor, pump = RoofSensor(run.sensor_pump_errors), Pump(run.sensor_pump_errors, site.tau)
     for k in range(run.steps + 1):
         cistern_level, roof_level = plant.levels()
         roof_level = sensor.reading(k, roof_level)
-        precipitation = series.precipitation[k]
-        evapotranspiration = series.evapotranspiration[k]
-        frost = series.frost[k]
+        if k == until:
+            precipitation, evapotranspiration, frost, until = series.at(k)
         command = decide(
             controller, not frost, cistern_level, roof_level,
             run.forecast.precipitation(k), run.forecast.evapotranspiration(k),

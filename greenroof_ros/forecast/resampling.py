@@ -47,15 +47,29 @@ class PerfectForecast:
         """Take the run's weather and the look-ahead M (ticks)."""
         self._series = series
         self._look_ahead = look_ahead
+        self._ticks = range(0)  # which have what follows
+        self._rain = self._evapotranspiration = array("d")
         self.repeats_from = series.repeats_from
 
     def precipitation(self, tick: int) -> array[float]:
         """Rain (m/s), shape (M,)."""
-        return self._series.precipitation[tick : tick + self._look_ahead]
+        if tick not in self._ticks:
+            self._look(tick)
+        return self._rain[:]
 
     def evapotranspiration(self, tick: int) -> array[float]:
         """Evapotranspiration off the whole bed (m3/s), shape (M,)."""
-        return self._series.evapotranspiration[tick : tick + self._look_ahead]
+        if tick not in self._ticks:
+            self._look(tick)
+        return self._evapotranspiration[:]
+
+    def _look(self, tick: int) -> None:
+        """Take what comes from a tick on; from most ticks on it is what comes from the next."""
+        window = slice(tick, tick + self._look_ahead)
+        self._rain = self._series.precipitation[window]
+        self._evapotranspiration = self._series.evapotranspiration[window]
+        last = self._series.at(tick).until - self._look_ahead
+        self._ticks = range(tick, max(tick, last) + 1)
 
 
 class SteppedForecast:

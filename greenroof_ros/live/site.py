@@ -21,7 +21,7 @@ EXTERNAL = "external"
 
 # What only a simulation has, with the value that stands for 'not given'.
 _SIMULATED = (
-    "start", "hours", "initial", "cistern", "roof", "evapotranspiration", "forecast_size",
+    "start", "hours", "initial", "cistern", "roof", "evapotranspiration", "gaps", "forecast_size",
     "forecast_seed", "forecast_members", "roof_noise", "roof_offset", "noise_seed", "minimum_on",
     "minimum_off", "output", "speed", "json",
 )

@@ -26,6 +26,7 @@ from greenroof_ros.report.about import (
     parameters,
     run_notes,
     sensor_pump_errors_label,
+    suspicion,
     what_initial,
 )
 from greenroof_ros.report.entries import FailedRun, Note, RunEntry, Seeded, Sources, known_bound
@@ -172,5 +173,7 @@ def _study_notes(file: Path, line: int, row: Mapping[str, str]) -> tuple[Note, .
         )
     if row.get("weather_notes"):
         notes.append(Note(row["weather_notes"]))
+    if row.get("suspicious"):
+        notes.append(suspicion(row["suspicious"]))
     fallbacks, limited = (_cell(file, line, row, key) for key in ("fallbacks", "limited_steps"))
     return (*notes, *run_notes(fallbacks, row.get("forecast_repeats_from"), limited))

@@ -92,7 +92,7 @@ def _build(case: Case, directory: Path) -> Run:
     site_file = directory / case.site.name
     site = read_site(site_file)
     weather = read_weather(
-        [directory / file.name for file in case.weather], site, case.evapotranspiration
+        [directory / file.name for file in case.weather], site, case.evapotranspiration, case.gaps
     )
     return build_run(
         site_file, site, weather, case.start, count_ticks(site, case.hours, "hours"),
@@ -132,7 +132,8 @@ def _run_graph(case: Case, directory: Path) -> Outcome:
         sys.executable, "-m", "greenroof_ros.bringup", "--json", "--output", str(output),
         "--site", str(directory / case.site.name),
         "--weather", *(str(directory / file.name) for file in case.weather),
-        "--evapotranspiration", case.evapotranspiration, "--start", case.start,
+        "--evapotranspiration", case.evapotranspiration, "--gaps", case.gaps,
+        "--start", case.start,
         "--hours", repr(case.hours), "--controller", case.controller.reference,
         "--parameters", str(parameters), "--cistern", repr(case.cistern), "--roof", repr(case.roof),
         "--forecast", str(_choice(case, directory)),
@@ -177,14 +178,15 @@ def _true_roof(run: Run, commands: Sequence[float]) -> NDArray[np.float64]:
 
     The plant is run once more with the commands of the bag, in which frost has commanded 0.
     """
-    series = run.series
+    series, until = run.series, 0
     plant, pump = Plant(run.site, run.x1, run.x2), Pump(run.sensor_pump_errors, run.site.tau)
     roof = np.empty(run.steps + 1)
     for k, command in enumerate(commands):
         roof[k] = plant.x2
-        rain = series.precipitation[k]
-        pumped = pump.flow(plant, command, series.frost[k] > 0)
-        plant.step(rain, plant.flows(rain, series.evapotranspiration[k], pumped))
+        if k == until:
+            rain, evapotranspiration, frost, until = series.at(k)
+        pumped = pump.flow(plant, command, frost > 0)
+        plant.step(rain, plant.flows(rain, evapotranspiration, pumped))
     return roof
 
 
@@ -209,6 +211,7 @@ def _results(result: dict[str, Any]) -> dict[str, Any]:
             f"{quantity}: {', '.join(hours)}" for quantity, hours in result["filled"].items()
         ),
         "weather_notes": "; ".join(result["weather_notes"]),
+        "suspicious": "; ".join(result["suspicious"]),
         "forecast_repeats_from": result["forecast_repeats_last_record_from"],
     }
 
