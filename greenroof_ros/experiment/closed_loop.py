@@ -92,14 +92,21 @@ _RECORDED = {
 }
 
 
-def record(run: Run, ticks: Iterable[Tick]) -> Trajectory:
-    """Run the ticks to their end and return what happened."""
-    values = attrgetter(*_RECORDED.values())
+def record(run: Run, ticks: Iterable[Tick], every: int = 1) -> Trajectory:
+    """Run the ticks to their end and return what happened.
+
+    Args:
+        run: the run.
+        ticks: of it.
+        every: of so many ticks the first is kept, beside the last of all.
+    """
+    values = attrgetter("k", *_RECORDED.values())
     rows = array("d")
     for tick in ticks:
-        rows.extend(values(tick))
-    columns = np.frombuffer(rows).reshape(-1, len(_RECORDED)).T
-    time = run.site.tau * np.arange(columns.shape[1], dtype=np.float64)
+        if tick.k % every == 0 or tick.k == run.steps:
+            rows.extend(values(tick))
+    number, *columns = np.frombuffer(rows).reshape(-1, 1 + len(_RECORDED)).T
     return Trajectory(
-        start=run.start, time=time, **dict(zip(_RECORDED, columns, strict=True))
+        start=run.start, time=run.site.tau * number,
+        **dict(zip(_RECORDED, columns, strict=True)),
     )

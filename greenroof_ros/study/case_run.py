@@ -29,7 +29,7 @@ from greenroof_ros.forecast.choice import ForecastChoice
 from greenroof_ros.model.metrics import METRICS, Metrics
 from greenroof_ros.model.plant import Plant
 from greenroof_ros.model.sensor_pump_errors import Pump
-from greenroof_ros.model.site import read_site
+from greenroof_ros.model.site import Site, read_site
 from greenroof_ros.recording.bag_reader import load_bag
 from greenroof_ros.study.grid import Case
 from greenroof_ros.weather.reading import read_weather
@@ -55,8 +55,14 @@ class Outcome:
     files: dict[str, bytes]
 
 
-def run_case(case: Case, engine: str) -> Outcome:
+def run_case(case: Case, engine: str, trajectory_every: float | None) -> Outcome:
     """Run a case.
+
+    Args:
+        case: which.
+        engine: one of :data:`ENGINES`.
+        trajectory_every: time between the samples of the trajectory that is kept (s), in whole
+            ticks, at least one; None where only the results are.
 
     Raises:
         ConfigurationError: the run is wrong, or the engine is not there.
@@ -64,8 +70,8 @@ def run_case(case: Case, engine: str) -> Outcome:
     """
     with _laid_out(case) as directory:
         if engine == "ros":
-            return _run_graph(case, directory)
-        return _run_in_process(_build(case, directory))
+            return _run_graph(case, directory, trajectory_every)
+        return _run_in_process(_build(case, directory), trajectory_every)
 
 
 def bound_case(case: Case) -> float:
@@ -108,20 +114,30 @@ def _choice(case: Case, directory: Path) -> ForecastChoice:
     return replace(case.forecast, file=directory / case.forecast_file.name)
 
 
-def _run_in_process(run: Run) -> Outcome:
+def _every(site: Site, trajectory_every: float) -> int:
+    """Return of how many ticks one is kept."""
+    return max(1, round(trajectory_every / site.tau))
+
+
+def _run_in_process(run: Run, trajectory_every: float | None) -> Outcome:
     controller = run.make_controller()
     metrics = Metrics()
     began = time.monotonic()
-    trajectory = record(run, closed_loop(run, controller, metrics))
+    ticks = closed_loop(run, controller, metrics)
+    trajectory = None
+    if trajectory_every is None:
+        for _ in ticks:
+            pass
+    else:
+        trajectory = record(run, ticks, _every(run.site, trajectory_every))
     wall = time.monotonic() - began
     result = summary.build(run, metrics.results(), wall_s=wall, solver=controller.statistics())
-    return Outcome(
-        _results(result), _timings(result), {"trajectory.parquet": trajectory.to_parquet()}
-    )
+    files = {} if trajectory is None else {"trajectory.parquet": trajectory.to_parquet()}
+    return Outcome(_results(result), _timings(result), files)
 
 
-def _run_graph(case: Case, directory: Path) -> Outcome:
-    """Run bringup in a domain of its own; keep its bag and summary."""
+def _run_graph(case: Case, directory: Path, trajectory_every: float | None) -> Outcome:
+    """Run bringup in a domain of its own; keep its bag and summary where there is a trajectory."""
     parameters = directory / "parameters.yaml"
     parameters.write_text(
         yaml.safe_dump({f"/**/{case.controller.name}": {"ros__parameters": case.parameters}}),
@@ -130,6 +146,7 @@ def _run_graph(case: Case, directory: Path) -> Outcome:
     output = directory / "run"
     command = [
         sys.executable, "-m", "greenroof_ros.bringup", "--json", "--output", str(output),
+        *(["--no-record"] if trajectory_every is None else []),
         "--site", str(directory / case.site.name),
         "--weather", *(str(directory / file.name) for file in case.weather),
         "--evapotranspiration", case.evapotranspiration, "--gaps", case.gaps,
@@ -158,6 +175,8 @@ def _run_graph(case: Case, directory: Path) -> Outcome:
     else:
         raise RuntimeError(f"no ROS domain from {_DOMAINS[0]} to {_DOMAINS[-1]} is free")
     result = json.loads((output / "summary.json").read_text(encoding="utf-8"))
+    if trajectory_every is None:
+        return Outcome(_results(result), _timings(result), {})
     site = read_site(output / "configuration" / "site.yaml")
     zone = read_start(case.start).tzinfo
     assert zone is not None
@@ -165,6 +184,7 @@ def _run_graph(case: Case, directory: Path) -> Outcome:
     if case.sensor_pump_errors is not None and not case.sensor_pump_errors.exact_sensor:
         roof = _true_roof(_build(case, directory), trajectory.command.tolist())
         trajectory = replace(trajectory, roof=roof)
+    trajectory = trajectory.thinned(_every(site, trajectory_every))
     kept = ("summary.json", "bag/metadata.yaml", "bag/bag_0.mcap")
     files = {name: (output / name).read_bytes() for name in kept}
     return Outcome(

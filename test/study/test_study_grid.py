@@ -144,7 +144,7 @@ def test_window_of_several_files(tmp_path: Path) -> None:
         (tmp_path / name).write_text("".join([lines[header], *part]))
     (tmp_path / "grid.yaml").write_text(GRID)
     whole = read_grid(tmp_path / "grid.yaml")
-    outcome = run_case(whole[-1], "inprocess")
+    outcome = run_case(whole[-1], "inprocess", None)
     for files in ("[part-2.csv, part-1.csv]", "part-?.csv"):
         (tmp_path / "grid.yaml").write_text(edited(str(WEATHER), files))
         cases = read_grid(tmp_path / "grid.yaml")
@@ -154,7 +154,7 @@ def test_window_of_several_files(tmp_path: Path) -> None:
         }
         assert [file.name for file in cases[-1].files] == ["site.yaml", "part-1.csv", "part-2.csv"]
         assert not {case.identity for case in cases} & {case.identity for case in whole}
-        assert run_case(cases[-1], "inprocess").results == outcome.results
+        assert run_case(cases[-1], "inprocess", None).results == outcome.results
 
 
 @pytest.mark.parametrize("file", sorted(path.name for path in CONFIG.glob("study*.yaml")))
