@@ -44,25 +44,23 @@ def fill_long_gaps(records: Records) -> Records:
     """Fill what is still missing: rain with none, all else with the mean of the days about it.
 
     That is the mean at the same time of day over the three days before and the three days after,
-    of those hours that were observed. Where none of them was, the hour stays missing. Years are
-    worth more with a few hours guessed than cut into pieces; but rain that was not measured is
-    lost, so that this must be asked for.
+    of those hours that are known, be it by a short gap. Where none of them is, the hour stays
+    missing. Years are worth more with a few hours guessed than cut into pieces; but rain that was
+    not measured is lost, so that this must be asked for.
     """
     values, filled = {}, {}
     for quantity, series in records.values.items():
         missing = np.isnan(series)
-        short = records.filled.get(quantity, np.zeros_like(missing))
         values[quantity] = series.copy()
-        values[quantity][missing] = 0.0 if quantity == PRECIPITATION else _about(
-            np.where(short, np.nan, series), missing
-        )
+        values[quantity][missing] = 0.0 if quantity == PRECIPITATION else _about(series, missing)
+        short = records.filled.get(quantity, np.zeros_like(missing))
         filled[quantity] = short | missing & ~np.isnan(values[quantity])
     return replace(records, values=values, filled=filled)
 
 
-def _about(observed: NDArray[np.float64], missing: NDArray[np.bool_]) -> NDArray[np.float64]:
+def _about(series: NDArray[np.float64], missing: NDArray[np.bool_]) -> NDArray[np.float64]:
     """Return for each missing hour the mean of the days about it; NaN where none is known."""
-    padded = np.pad(observed, -_SAME_TIME_OF_DAY[0], constant_values=np.nan)
+    padded = np.pad(series, -_SAME_TIME_OF_DAY[0], constant_values=np.nan)
     hours = np.flatnonzero(missing) - _SAME_TIME_OF_DAY[0]
     near = padded[hours[:, None] + _SAME_TIME_OF_DAY]
     known = np.count_nonzero(~np.isnan(near), axis=1)

@@ -7,6 +7,7 @@ from pathlib import Path
 import pytest
 from commands import run_command
 from graphs import environment
+from places import DATA
 from studies import CONFIG, GRID, WEATHER, edited, grid
 
 from greenroof_ros.common.errors import ConfigurationError
@@ -101,6 +102,10 @@ WRONG = {
         GRID + "sensor_pump_errors: [{}, {roof_noise: 0}]\n",
         "forecast perfect, {'roof_noise': 0.0, ",
     ),
+    "gaps": (
+        edited("    hours: 0.25\n", "    hours: 0.25\n    gaps: guess\n"),
+        "line 7: gaps = 'guess': must be refuse or fill",
+    ),
     "twice": (edited("0.1]", "0.001]"), "is the same run twice: mpc {'weight': 0.001"),
 }
 
@@ -185,3 +190,18 @@ def test_names_of_files(tmp_path: Path) -> None:
         f"{copy}, line 2: site = 'my_site.yaml': my_site.yaml is neither beside the grid, in "
         f"{tmp_path}, nor among the package's own files, in {CONFIG}"
     )
+
+
+def test_gaps_of_a_window(tmp_path: Path) -> None:
+    """21 July 2022 lacks an hour of rain: refused, unless the window says to fill it."""
+    july = edited(str(WEATHER), str(DATA / "en_climate_hourly_07-2022.csv"))
+    july = july.replace("2021-07-07T02:00", "2022-07-21T11:00").replace("published, ", "")
+    (tmp_path / "grid.yaml").write_text(july)
+    with pytest.raises(ConfigurationError, match="is missing at 2022-07-21T11:00-05:00"):
+        read_grid(tmp_path / "grid.yaml")
+    (tmp_path / "grid.yaml").write_text(july.replace("hours: 0.25", "hours: 0.25\n    gaps: fill"))
+    case = read_grid(tmp_path / "grid.yaml")[-1]
+    assert case.columns()["gaps"] == "fill"
+    results = run_case(case, "inprocess", None).results
+    assert "precipitation: 2022-07-21T11:00-05:00" in results["filled"]
+    assert results["rain_m3"] == 0
