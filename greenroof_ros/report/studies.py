@@ -145,7 +145,7 @@ def _load_parquet(path: Path, tau: float) -> Recorded:
     if len(trajectory.time) < 2 or not (np.diff(trajectory.time) > 0).all():
         raise ConfigurationError("must have two samples or more, in the order of time", file=path)
     spacing = float(np.diff(trajectory.time).max())
-    if spacing <= tau * (1 + 1e-9):
+    if spacing < 1.5 * tau:
         return Recorded(trajectory)
     return Recorded(trajectory, (
         f"samples every {spacing:g} s were kept, of ticks of {tau:g} s: its sums, counts and times "
