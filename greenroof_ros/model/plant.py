@@ -152,9 +152,8 @@ class Plant:
         self._a1, self._a2, self._tau = site.a1, site.a2, site.tau
         self._z_cap, self._lowest_outlet = site.z_cap, site.lowest_outlet
         self._catchment = site.effective_catchment
-        self._measured, self._has_mains = site.field_capacity is not None, (
-            site.mains_level is not None
-        )
+        self._measured = site.field_capacity is not None
+        self._has_mains = site.mains_level is not None
         self.x1 = x1
         self.x2 = x2
         self.layer = 0.0
