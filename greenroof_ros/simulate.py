@@ -10,7 +10,7 @@ from operator import attrgetter
 from pathlib import Path
 from typing import Any
 
-from greenroof_ros.common.command_line import EXIT_DONE, command
+from greenroof_ros.common.command_line import EXIT_DONE, command, within
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.experiment import summary, summary_table
 from greenroof_ros.experiment.closed_loop import closed_loop
@@ -60,13 +60,22 @@ def main() -> int:
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     add_run_arguments(parser)
-    add_output_arguments(parser).add_argument(
+    group = add_output_arguments(parser)
+    group.add_argument(
         "--trajectory", type=Path, metavar="FILE.csv",
         help="write every tick 0..N to a new CSV file; the digits are exact",
+    )
+    group.add_argument(
+        "--trajectory-every", type=within(0, 1e9), default=0.0, metavar="S",
+        help="write a tick every S seconds, and the last, instead of all: the hundred bytes a tick "
+        "of a year are gigabytes",
     )
     arguments = parse_run_arguments(parser)
     run = run_from_arguments(arguments)
     tau = run.site.tau
+    if arguments.trajectory_every and arguments.trajectory is None:
+        raise ConfigurationError("needs --trajectory", key="--trajectory-every")
+    every = max(1, round(arguments.trajectory_every / tau))
     with ExitStack() as stack:
         directory = make_run_directory(arguments.output, run.controller.name)
         write_configuration(directory, run, {})
@@ -88,7 +97,7 @@ def main() -> int:
         progress = stack.enter_context(RunProgress(run.steps, tau))
         began = shown = time.monotonic()
         for tick in closed_loop(run, controller, metrics):
-            if rows is not None:
+            if rows is not None and (tick.k % every == 0 or tick.k == run.steps):
                 rows.writerow((tick.k * tau, *values(tick)))
             now = time.monotonic()
             if arguments.speed:

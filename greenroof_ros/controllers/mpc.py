@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.parameter import Parameter
 from greenroof_ros.controllers.protocol import solver_statistics
+from greenroof_ros.controllers.tick_times import TickTimes
 from greenroof_ros.model.site import Site
 from greenroof_ros.model.smooth_plant import linearise
 
@@ -98,7 +99,7 @@ class Mpc:
         self.cost = math.nan
         self.status = 0
         self.fallbacks = 0
-        self.solve_seconds: list[float] = []
+        self.solve_seconds = TickTimes()
         self._command = 0.0
         self._max_command = max_command
         self._rain_sum = 0.0

@@ -18,6 +18,7 @@ from greenroof_ros.controllers.objective import MEAN_OF_ALL, NO_PRICES, Ensemble
 from greenroof_ros.controllers.protocol import solver_statistics
 from greenroof_ros.controllers.regret_limit import RegretLimit
 from greenroof_ros.controllers.roof_observer import RoofObserver
+from greenroof_ros.controllers.tick_times import TickTimes
 from greenroof_ros.model.look_ahead import MOST_MEMBERS, growing_steps
 from greenroof_ros.model.plant import maximum_pump_flow, maximum_pump_flows
 from greenroof_ros.model.site import Site
@@ -162,7 +163,7 @@ class Planner:
         self.plan = _UNDECIDED
         self.solves = 0
         self.fallbacks = 0
-        self.solve_seconds: list[float] = []
+        self.solve_seconds = TickTimes()
         self._age = 0.0  # of the plan (s)
         self._expected = math.nan  # x2 at the next tick, if all goes to plan
         self._off_plan = 0.0  # how far x2 has come off the plan since it was made (m3)

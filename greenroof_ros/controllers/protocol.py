@@ -5,9 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any, ClassVar, Protocol
 
-import numpy as np
-
 from greenroof_ros.common.parameter import Parameter
+from greenroof_ros.controllers.tick_times import TickTimes
 
 HORIZON = Parameter(
     "horizon", 12.0, "h", 0.1, 48.0, "how far it looks ahead; the weather node needs the same"
@@ -99,19 +98,18 @@ def outputs_of(kind: ControllerClass) -> Mapping[str, str]:
     return outputs
 
 
-def solver_statistics(solves: int, fallbacks: int, seconds: Sequence[float]) -> dict[str, float]:
+def solver_statistics(solves: int, fallbacks: int, times: TickTimes) -> dict[str, float]:
     """Return a solver's figures for :meth:`Controller.statistics`.
 
     Args:
         solves: how many programs were solved, or tried.
         fallbacks: how many of them had no solution.
-        seconds: wall time of each tick (s).
+        times: wall time of each tick.
     """
-    times = np.array(seconds or [0.0])
     return {
         "solves": solves,
         "fallbacks": fallbacks,
-        "mean_s": float(times.mean()),
-        "p99_s": float(np.percentile(times, 99)),
-        "max_s": float(times.max()),
+        "mean_s": times.mean,
+        "p99_s": times.percentile(99),
+        "max_s": times.largest,
     }

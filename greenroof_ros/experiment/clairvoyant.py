@@ -154,7 +154,7 @@ def _limits(run: Run, max_command: float) -> _Limits:
     """Return what every run keeps to; :func:`clairvoyant_bound` says why."""
     site, tau = run.site, run.site.tau
     rain, evapotranspiration, frost = (
-        np.frombuffer(series)[: run.steps]
+        np.frombuffer(series[: run.steps])
         for series in (run.series.precipitation, run.series.evapotranspiration, run.series.frost)
     )
     still = tau * (rain * site.a2 - evapotranspiration)
@@ -346,7 +346,6 @@ class _Plan:
         """Take the volumes aimed at in each tick (m3), shape (N+1,), and the largest command."""
         self.tick = 0
         self._site = run.site
-        self._series = run.series
         self._targets = array("d", np.append(targets, targets[-1]))
         self._max_command = max_command
 
@@ -357,14 +356,13 @@ class _Plan:
         precipitation: Sequence[float],
         evapotranspiration: Sequence[float],
     ) -> float:
-        """Decide from the levels (m) and the run's own weather; the forecast is not needed."""
-        site, series = self._site, self._series
+        """Decide from the levels (m) and the present weather, the first of the forecast."""
+        site = self._site
         x2 = site.roof_volume(roof_level)
         kept = kept_share(site, x2)
         missing = self._targets[self.tick + 1] - x2
         gain = (
-            kept * series.precipitation[self.tick] * site.a2
-            - water_stress(site, x2) * series.evapotranspiration[self.tick]
+            kept * precipitation[0] * site.a2 - water_stress(site, x2) * evapotranspiration[0]
         )
         flow: float = missing / site.tau - gain
         full = kept * maximum_pump_flow(site, site.cistern_volume(cistern_level))

@@ -37,6 +37,7 @@ from greenroof_ros.model.initial_state import (
 )
 from greenroof_ros.model.sensor_pump_errors import RANGES, SensorPumpErrors
 from greenroof_ros.model.site import read_site
+from greenroof_ros.weather.filling import GAPS, REFUSE
 from greenroof_ros.weather.joining import find_files
 from greenroof_ros.weather.reading import default_weather, read_weather
 
@@ -122,6 +123,12 @@ def add_site_arguments(group: argparse._ArgumentGroup) -> None:
         "Climate Change Canada, or hourly CSV of Open-Meteo's archive, whose rain and radiation "
         "are moved from the end of their hour to its start "
         "(default: config/weather/toronto_2021-07.csv)",
+    )
+    group.add_argument(
+        "--gaps", choices=GAPS, default=REFUSE,
+        help="what to do where an hour of the run is missing in the weather files and is not of a "
+        "short gap. refuse: say which; fill: count missing rain as none, and take for all else the "
+        "mean at that time of day over three days before and after (default: %(default)s)",
     )
     group.add_argument(
         "--site", type=Path, metavar="FILE",
@@ -339,7 +346,7 @@ def _run(
     weather = read_weather(
         find_files(arguments.weather or [str(default_weather())], "--weather"),
         site,
-        arguments.evapotranspiration,
+        arguments.evapotranspiration, arguments.gaps,
     )
     return build_run(
         site_file, site, weather, arguments.start or DEFAULT_START,

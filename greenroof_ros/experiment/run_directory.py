@@ -118,6 +118,7 @@ def _write_configuration(
         "weather": {
             **common, **span, "weather_files": weather_files,
             "evapotranspiration": run.weather.method,
+            "gaps": run.weather.gaps,
             "horizon": run.parameters.get("horizon", 0.0),
             "all_members": run.controller.ensemble,
             "forecast": str(choice),

@@ -110,6 +110,7 @@ def _setting(run: Run) -> dict[str, Any]:
         "site": str(run.site_file),
         "weather": run.weather.source,
         "weather_notes": list(run.weather.records.notes),
+        "gaps": run.weather.gaps,
         "evapotranspiration_method": run.weather.method,
         "forecast": {
             "model": choice.model,
@@ -120,6 +121,7 @@ def _setting(run: Run) -> dict[str, Any]:
         "sensor_pump_errors": run.sensor_pump_errors.values(),
         "filled": run.series.filled,
         "filled_hours": run.series.filled_hours,
+        "suspicious": run.series.suspicious,
     }
 
 

@@ -104,6 +104,8 @@ def table(summary: Mapping[str, Any]) -> Table:
         rows.append(("weather", "moved", note))
     for quantity, hours in summary["filled"].items():
         rows.append(("FILLED", quantity, ", ".join(hours)))
+    for rain in summary["suspicious"]:
+        rows.append(("SUSPICIOUS", "rain", f"{rain}; taken as it is"))
     forecast = dict(summary["forecast"])
     model = forecast.pop("model")
     if model != PERFECT:

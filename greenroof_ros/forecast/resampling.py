@@ -21,6 +21,8 @@ Rain: TypeAlias = "array[float] | Array"
 """A single forecast of rain, shape (steps,), or all members of an ensemble, (members, steps)."""
 
 _HOUR_S = 3600.0
+# More than what sums of times lose.
+_ROUNDING_S = 1e-6
 
 
 class Forecast(Protocol):
@@ -47,15 +49,29 @@ class PerfectForecast:
         """Take the run's weather and the look-ahead M (ticks)."""
         self._series = series
         self._look_ahead = look_ahead
+        self._ticks = range(0)  # which have what follows
+        self._rain = self._evapotranspiration = array("d")
         self.repeats_from = series.repeats_from
 
     def precipitation(self, tick: int) -> array[float]:
         """Rain (m/s), shape (M,)."""
-        return self._series.precipitation[tick : tick + self._look_ahead]
+        if tick not in self._ticks:
+            self._look(tick)
+        return self._rain[:]
 
     def evapotranspiration(self, tick: int) -> array[float]:
         """Evapotranspiration off the whole bed (m3/s), shape (M,)."""
-        return self._series.evapotranspiration[tick : tick + self._look_ahead]
+        if tick not in self._ticks:
+            self._look(tick)
+        return self._evapotranspiration[:]
+
+    def _look(self, tick: int) -> None:
+        """Take what comes from a tick on; from most ticks on it is what comes from the next."""
+        window = slice(tick, tick + self._look_ahead)
+        self._rain = self._series.precipitation[window]
+        self._evapotranspiration = self._series.evapotranspiration[window]
+        last = self._series.at(tick).until - self._look_ahead
+        self._ticks = range(tick, max(tick, last) + 1)
 
 
 class SteppedForecast:
@@ -98,6 +114,8 @@ class SteppedForecast:
         self._lengths = np.diff(edges)
         self._hour = -1
         self._rates = self._sums = np.empty((0, 0))
+        self._ends = _EndsInHours(self._rates, self._sums, np.empty(0))
+        self._same = (0.0, 0.0)  # s since the hour's start: then the ends stay in their hours
         self._tick = -1
         self._means: tuple[Rain, array[float]] = (array("d"), array("d"))
         self.repeats_from = self._ask_for_all()
@@ -119,8 +137,12 @@ class SteppedForecast:
             if hour != self._hour:
                 self._hour = hour
                 self._take_hour(hour)
-            ends = time - hour * _HOUR_S + self._edges
-            means = means_of_hours(self._rates, self._sums, ends, self._lengths)
+            since = time - hour * _HOUR_S
+            ends = since + self._edges
+            if not self._same[0] <= since < self._same[1]:
+                self._ends = _EndsInHours(self._rates, self._sums, ends)
+                self._same = (since, since + self._ends.shortest_stay(ends))
+            means = self._ends.means(ends, self._lengths)
             self._means = (
                 means[:-1] if self._all_members else array("d", means[0].tobytes()),
                 array("d", means[-1].tobytes()),
@@ -154,6 +176,7 @@ class SteppedForecast:
         rates[-1] *= self._site.a2 / 1000 / 86400
         self._rates = rates
         self._sums = sums_of_hours(rates)
+        self._same = (0.0, 0.0)
 
 
 def sums_of_hours(rates: Array) -> Array:
@@ -166,19 +189,40 @@ def sums_of_hours(rates: Array) -> Array:
 def means_of_hours(rates: Array, sums: Array, ends: Array, lengths: Array) -> Array:
     """Return the mean rate of each step, shape (..., steps), row by row in memory.
 
-    numpy's choice of columns turns that around, and the order of numpy's sums follows that in
-    memory: the last bit of a sum over members would differ from that on what a message brings.
-
     Args:
         rates: of each hour (1/s), shape (..., hours).
         sums: see :func:`sums_of_hours`.
         ends: of the steps (s since the start of the first hour), shape (steps + 1,).
         lengths: of the steps (s), shape (steps,).
     """
-    # The end of the last step may be that of the last hour.
-    index = np.minimum(ends // _HOUR_S, rates.shape[1] - 1).astype(np.intp)
-    means = np.diff(sums[:, index] + rates[:, index] * (ends - index * _HOUR_S)) / lengths
-    return np.ascontiguousarray(means)
+    return _EndsInHours(rates, sums, ends).means(ends, lengths)
+
+
+class _EndsInHours:
+    """The hours in which steps end, of each its rate and what has come before it.
+
+    They are good for later ends in the same hours, too: a tick moves few into the next.
+    """
+
+    def __init__(self, rates: Array, sums: Array, ends: Array) -> None:
+        """Take what :func:`means_of_hours` does, which explains it."""
+        # The end of the last step may be that of the last hour.
+        index = np.minimum(ends // _HOUR_S, rates.shape[1] - 1).astype(np.intp)
+        self._begins = index * _HOUR_S
+        # numpy's choice of columns turns the order in memory around, and that of its sums follows
+        # it: the last bit of a sum over members would differ from that on what a message brings.
+        self._rates = np.ascontiguousarray(rates[:, index])
+        self._sums = np.ascontiguousarray(sums[:, index])
+
+    def means(self, ends: Array, lengths: Array) -> Array:
+        """Return the mean rate of each step, shape (..., steps), row by row in memory."""
+        come = self._sums + self._rates * (ends - self._begins)
+        means: Array = (come[:, 1:] - come[:, :-1]) / lengths
+        return means
+
+    def shortest_stay(self, ends: Array) -> float:
+        """Return how long (s) all ends stay in their hours, but for a rounding."""
+        return float((self._begins + _HOUR_S - ends).min()) - _ROUNDING_S
 
 
 def look_ahead_ends(site: Site, horizon: float) -> Array:

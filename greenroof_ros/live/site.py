@@ -21,9 +21,9 @@ EXTERNAL = "external"
 
 # What only a simulation has, with the value that stands for 'not given'.
 _SIMULATED = (
-    "start", "hours", "initial", "cistern", "roof", "evapotranspiration", "forecast_skill",
-    "forecast_seed", "forecast_members", "roof_noise", "roof_offset", "noise_seed", "minimum_on",
-    "minimum_off", "output", "speed", "json",
+    "start", "hours", "initial", "cistern", "roof", "evapotranspiration", "gaps", "forecast_skill",
+    "forecast_seed", "forecast_members", "forecast_delay", "roof_noise", "roof_offset",
+    "noise_seed", "minimum_on", "minimum_off", "output", "speed", "json",
 )
 _LIVE = ("sensors", "restarts", "bag_limit")
 

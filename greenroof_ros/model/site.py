@@ -12,7 +12,7 @@ from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.files import YamlMapping, number, read_yaml
 
 _MAY_BE_ZERO = {"k_L", "z_pump", "z_H"}
-_MOST_TICKS = {"M": 1000, "N": 31_622_400}
+_MOST_TICKS = {"M": 1000, "N": 2**40}
 # No parameter of any site is beyond these, and nothing computed from them overflows.
 _LEAST, _LARGEST = 1e-12, 1e9
 # A product that a person rounds when writing it down, such as x2_star, is still consistent.

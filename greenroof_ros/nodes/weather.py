@@ -51,6 +51,7 @@ from greenroof_ros.graph.parameters import (
 from greenroof_ros.graph.reports import ERROR, OK, WARN
 from greenroof_ros.graph.validation import Input
 from greenroof_ros.model.site import Site
+from greenroof_ros.weather.filling import GAPS, REFUSE
 from greenroof_ros.weather.joining import find_files
 from greenroof_ros.weather.reading import default_weather, read_weather
 from greenroof_ros.weather.series import WeatherSeries
@@ -70,6 +71,11 @@ def parameters(site: Site) -> list[NodeParameter]:
         NodeParameter(
             "evapotranspiration", "",
             "fao56, or the name of the file's own column; empty: the file's own if it has one",
+        ),
+        NodeParameter(
+            "gaps", REFUSE, "refuse a run of which an hour is missing, or fill it: rain with none, "
+            "all else with the mean at that time of day over three days before and after",
+            among=GAPS,
         ),
         NodeParameter(
             "horizon", 0.0,
@@ -144,7 +150,7 @@ class _Records:
         weather = read_weather(
             # rclpy makes None of an empty list.
             find_files(values["weather_files"] or [], "parameter weather_files of weather"),
-            site, values["evapotranspiration"] or None,
+            site, values["evapotranspiration"] or None, values["gaps"],
         )
         start = read_start(values["start"], weather.first.tzinfo)
         self.series = WeatherSeries(weather, site, start, self.run_length)
@@ -214,12 +220,13 @@ class WeatherNode(LinkedNode):
             return
         records = self._records
         tick = records.tick(self._time.value)
+        hour = records.series.at(tick)
         # What the controller waits for comes first: it needs longest.
-        self._publish_frost(records.series.frost[tick])
+        self._publish_frost(hour.frost)
         self._publish_rain_forecast(records.forecast.precipitation(tick))
         self._publish_evapotranspiration_forecast(records.forecast.evapotranspiration(tick))
-        self._publish_rain(records.series.precipitation[tick])
-        self._publish_evapotranspiration(records.series.evapotranspiration[tick])
+        self._publish_rain(hour.precipitation)
+        self._publish_evapotranspiration(hour.evapotranspiration)
         self.set_time(self._time.value)
 
     def _publish_live(self) -> None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import io
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from datetime import datetime
 from pathlib import Path
 from types import ModuleType
@@ -57,6 +57,12 @@ class Trajectory:
     outflow: NDArray[np.float64]
     drainage: NDArray[np.float64]
     frost: NDArray[np.float64]
+
+    def thinned(self, every: int) -> Trajectory:
+        """Return the first of so many samples each, and the last of all."""
+        last = len(self.time) - 1
+        kept = np.unique(np.append(np.arange(0, last, every), last))
+        return replace(self, **{name: getattr(self, name)[kept] for name in _COLUMNS})
 
     def to_parquet(self) -> bytes:
         """Return the file that :func:`read_parquet` reads.

@@ -18,6 +18,7 @@ from greenroof_ros.model.initial_state import INITIAL_STATES
 from greenroof_ros.model.sensor_pump_errors import RANGES
 from greenroof_ros.recording.results_table import shortest
 from greenroof_ros.report.entries import Change, Ending, Note, Parameters, parameter_text
+from greenroof_ros.weather.filling import REFUSE
 from greenroof_ros.weather.records import name_files
 
 _PARAMETERS = "configuration/parameters.yaml"
@@ -41,6 +42,7 @@ class About:
         what_initial: what that name means; None where it is unknown.
         weather: name of the weather.
         method: of the evapotranspiration.
+        gaps: what was done about gaps in the weather files.
         forecast: what the controller was given of the weather to come; empty if that was what came.
         sensor_pump_errors: of level sensor and pumps; empty if there were none.
         exact_sensor: whether the roof's level is the true one.
@@ -58,6 +60,7 @@ class About:
     what_initial: object = None
     weather: str = "as recorded"
     method: str = "unknown"
+    gaps: str = REFUSE
     forecast: str = ""
     sensor_pump_errors: str = ""
     exact_sensor: bool = True
@@ -139,6 +142,7 @@ def _node_parameters(file: Path) -> dict[str, Any]:
         },
         "weather": name_files([Path(file) for file in weather.get("weather_files") or []]),
         "evapotranspiration_method": weather.get("evapotranspiration"),
+        "gaps": weather.get("gaps"),
         "forecast": {
             "model": weather.get("forecast"),
             **{option: weather.get(f"forecast_{option}") for option in OPTIONS},
@@ -167,6 +171,7 @@ def _understand(content: dict[str, Any]) -> About:
         Note(f"{quantity} was missing and filled in: {', '.join(hours)}")
         for quantity, hours in (content.get("filled") or {}).items()
     ]
+    notes += [suspicion(text) for text in content.get("suspicious") or []]
     notes += run_notes(
         float((content.get("solver") or {}).get("fallbacks") or 0),
         content.get("forecast_repeats_last_record_from"),
@@ -217,6 +222,7 @@ def _understand(content: dict[str, Any]) -> About:
         ),
         weather=Path(content.get("weather") or About.weather).name,
         method=str(content.get("evapotranspiration_method") or About.method),
+        gaps=str(content.get("gaps") or About.gaps),
         forecast=forecast_label(forecast.get("file") or forecast.get("model"), forecast),
         sensor_pump_errors=sensor_pump_errors,
         exact_sensor=exact_sensor,
@@ -240,6 +246,11 @@ def _ending(content: Mapping[str, Any]) -> Ending:
         # The last lines of a log may be among it.
         sentence += f": {' '.join(content['reason'].split())}"
     return Ending(sentence, short)
+
+
+def suspicion(rain: str) -> Note:
+    """Say that an hour of rain, as named, is hard to believe."""
+    return Note(f"suspicious, and taken as it is: {rain}")
 
 
 def run_notes(fallbacks: float, repeats_from: str | None, limited: float) -> list[Note]:

@@ -87,7 +87,7 @@ def read_run(
         # What a sensor reads is neither the roof's initial volume nor its deviation.
         bound=(
             partial(_own_bound, run / _WEATHER, own_site, site,
-                    about.method)
+                    about.method, about.gaps)
             if about.exact_sensor else known_bound(None)
         ),
         sensor_pump_errors=about.sensor_pump_errors,
@@ -110,7 +110,7 @@ def _is_closed(bag: Path) -> bool:
 
 
 def _own_bound(
-    weather: Path, site_file: Path, site: Site, method: str, trajectory: Trajectory
+    weather: Path, site_file: Path, site: Site, method: str, gaps: str, trajectory: Trajectory
 ) -> float | None:
     """Return the least total deviation (m3) that a controller could reach in a run's own weather.
 
@@ -124,7 +124,7 @@ def _own_bound(
         return None
     try:
         run = build_run(
-            site_file, site, read_weather(weather_files, site, method),
+            site_file, site, read_weather(weather_files, site, method, gaps),
             trajectory.start.isoformat(), steps, find_controller("onoff"), {}, "custom",
             (float(trajectory.cistern[0]), float(trajectory.roof[0])), ForecastChoice(),
         )

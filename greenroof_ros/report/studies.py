@@ -26,6 +26,7 @@ from greenroof_ros.report.about import (
     parameters,
     run_notes,
     sensor_pump_errors_label,
+    suspicion,
     what_initial,
 )
 from greenroof_ros.report.entries import FailedRun, Note, RunEntry, Seeded, Sources, known_bound
@@ -108,7 +109,10 @@ def read_study(path: Path, source: str, prefix: str, sources: Sources) -> None:
                 parameters=given,
                 initial=initial,
                 notes=_study_notes(file, line, row),
-                load=partial(_load_parquet, path / "runs" / name / "trajectory.parquet"),
+                load=partial(
+                    _load_parquet, path / "runs" / name / "trajectory.parquet",
+                    sites[row["site"]].tau,
+                ),
                 forecast=forecast,
                 bound=known_bound(bound),
                 sensor_pump_errors=sensor_pump_errors,
@@ -133,8 +137,8 @@ def read_study(path: Path, source: str, prefix: str, sources: Sources) -> None:
             sources.configuration[prefix + further.name] = read_text(further)
 
 
-def _load_parquet(path: Path) -> Recorded:
-    """Read the trajectory of a study's run."""
+def _load_parquet(path: Path, tau: float) -> Recorded:
+    """Read the trajectory of a study's run, whose ticks last tau (s)."""
     if not path.is_file():
         raise ConfigurationError(
             "is not there; was the study made with --no-trajectories? that is enough for runs of "
@@ -143,7 +147,13 @@ def _load_parquet(path: Path) -> Recorded:
     trajectory = read_parquet(path)
     if len(trajectory.time) < 2 or not (np.diff(trajectory.time) > 0).all():
         raise ConfigurationError("must have two samples or more, in the order of time", file=path)
-    return Recorded(trajectory)
+    spacing = float(np.diff(trajectory.time).max())
+    if spacing < 1.5 * tau:
+        return Recorded(trajectory)
+    return Recorded(trajectory, (
+        f"samples every {spacing:g} s were kept, of ticks of {tau:g} s: its sums, counts and times "
+        "are those of the samples; the study's table has the exact ones",
+    ))
 
 
 def _cell(file: Path, line: int, row: Mapping[str, str], key: str) -> float:
@@ -175,5 +185,7 @@ def _study_notes(file: Path, line: int, row: Mapping[str, str]) -> tuple[Note, .
         )
     if row.get("weather_notes"):
         notes.append(Note(row["weather_notes"]))
+    if row.get("suspicious"):
+        notes.append(suspicion(row["suspicious"]))
     fallbacks, limited = (_cell(file, line, row, key) for key in ("fallbacks", "limited_steps"))
     return (*notes, *run_notes(fallbacks, row.get("forecast_repeats_from"), limited))

@@ -75,7 +75,13 @@ def _parser() -> argparse.ArgumentParser:
         help="hand the runs to a Dask cluster, such as tcp://10.0.0.1:8786, instead of processes "
         "of this machine; its workers need greenroof_ros[dask,study]",
     )
-    parser.add_argument(
+    kept = parser.add_mutually_exclusive_group()
+    kept.add_argument(
+        "--trajectory-every", type=within(0, 1e9), default=0.0, metavar="S",
+        help="keep a sample of each run every S seconds, in whole ticks: a tick each second of "
+        "half a year takes a gigabyte of memory (default: every tick)",
+    )
+    kept.add_argument(
         "--no-trajectories", action="store_true",
         help="keep the table only, of thousands of runs; a report then has those only that were "
         "made with several forecast seeds",
@@ -100,9 +106,10 @@ def main() -> int:
     grid: Path = arguments.grid or shared_directory() / "config" / "study.yaml"
     name = "paper" if arguments.grid is None else grid.stem
     cases = read_grid(grid)
+    every = None if arguments.no_trajectories else arguments.trajectory_every
     store = Store(
         arguments.output or Path("studies") / name, grid, cases, arguments.engine,
-        trajectories=not arguments.no_trajectories,
+        trajectory_every=every,
     )
     outcomes = store.finished()
     open_cases = [case for case in cases if case.identity not in outcomes]
@@ -123,8 +130,8 @@ def main() -> int:
             )
             with those as workers:
                 _run(
-                    open_cases, Names(cases), problems, bounds, arguments.engine, workers, store,
-                    outcomes, failures, console,
+                    open_cases, Names(cases), problems, bounds, arguments.engine, every, workers,
+                    store, outcomes, failures, console,
                 )
     except BrokenExecutor:
         console.print("error: the process that starts the others was killed; begin again")
@@ -147,6 +154,7 @@ def _run(
     problems: Mapping[str, Case],
     bounds: dict[str, float],
     engine: str,
+    trajectory_every: float | None,
     workers: Workers,
     store: Store,
     outcomes: dict[str, Outcome],
@@ -172,7 +180,7 @@ def _run(
             workers.submit(bound_case, case): problem for problem, case in problems.items()
         }
         pending: dict[Future[Outcome], Case] = {
-            workers.submit(run_case, case, engine): case for case in ordered
+            workers.submit(run_case, case, engine, trajectory_every): case for case in ordered
         }
         while pending or bounding:
             workers.check()

@@ -29,7 +29,7 @@ from greenroof_ros.forecast.choice import ForecastChoice
 from greenroof_ros.model.metrics import METRICS, Metrics
 from greenroof_ros.model.plant import Plant
 from greenroof_ros.model.sensor_pump_errors import Pump
-from greenroof_ros.model.site import read_site
+from greenroof_ros.model.site import Site, read_site
 from greenroof_ros.recording.bag_reader import load_bag
 from greenroof_ros.study.grid import Case
 from greenroof_ros.weather.reading import read_weather
@@ -55,8 +55,14 @@ class Outcome:
     files: dict[str, bytes]
 
 
-def run_case(case: Case, engine: str) -> Outcome:
+def run_case(case: Case, engine: str, trajectory_every: float | None) -> Outcome:
     """Run a case.
+
+    Args:
+        case: which.
+        engine: one of :data:`ENGINES`.
+        trajectory_every: time between the samples of the trajectory that is kept (s), in whole
+            ticks, at least one; None where only the results are.
 
     Raises:
         ConfigurationError: the run is wrong, or the engine is not there.
@@ -64,8 +70,8 @@ def run_case(case: Case, engine: str) -> Outcome:
     """
     with _laid_out(case) as directory:
         if engine == "ros":
-            return _run_graph(case, directory)
-        return _run_in_process(_build(case, directory))
+            return _run_graph(case, directory, trajectory_every)
+        return _run_in_process(_build(case, directory), trajectory_every)
 
 
 def bound_case(case: Case) -> float:
@@ -92,7 +98,7 @@ def _build(case: Case, directory: Path) -> Run:
     site_file = directory / case.site.name
     site = read_site(site_file)
     weather = read_weather(
-        [directory / file.name for file in case.weather], site, case.evapotranspiration
+        [directory / file.name for file in case.weather], site, case.evapotranspiration, case.gaps
     )
     return build_run(
         site_file, site, weather, case.start, count_ticks(site, case.hours, "hours"),
@@ -111,20 +117,30 @@ def _choice(case: Case, directory: Path) -> ForecastChoice:
     return choice
 
 
-def _run_in_process(run: Run) -> Outcome:
+def _every(site: Site, trajectory_every: float) -> int:
+    """Return of how many ticks one is kept."""
+    return max(1, round(trajectory_every / site.tau))
+
+
+def _run_in_process(run: Run, trajectory_every: float | None) -> Outcome:
     controller = run.make_controller()
     metrics = Metrics()
     began = time.monotonic()
-    trajectory = record(run, closed_loop(run, controller, metrics))
+    ticks = closed_loop(run, controller, metrics)
+    trajectory = None
+    if trajectory_every is None:
+        for _ in ticks:
+            pass
+    else:
+        trajectory = record(run, ticks, _every(run.site, trajectory_every))
     wall = time.monotonic() - began
     result = summary.build(run, metrics.results(), wall_s=wall, solver=controller.statistics())
-    return Outcome(
-        _results(result), _timings(result), {"trajectory.parquet": trajectory.to_parquet()}
-    )
+    files = {} if trajectory is None else {"trajectory.parquet": trajectory.to_parquet()}
+    return Outcome(_results(result), _timings(result), files)
 
 
-def _run_graph(case: Case, directory: Path) -> Outcome:
-    """Run bringup in a domain of its own; keep its bag and summary."""
+def _run_graph(case: Case, directory: Path, trajectory_every: float | None) -> Outcome:
+    """Run bringup in a domain of its own; keep its bag and summary where there is a trajectory."""
     parameters = directory / "parameters.yaml"
     parameters.write_text(
         yaml.safe_dump({f"/**/{case.controller.name}": {"ros__parameters": case.parameters}}),
@@ -133,9 +149,11 @@ def _run_graph(case: Case, directory: Path) -> Outcome:
     output = directory / "run"
     command = [
         sys.executable, "-m", "greenroof_ros.bringup", "--json", "--output", str(output),
+        *(["--no-record"] if trajectory_every is None else []),
         "--site", str(directory / case.site.name),
         "--weather", *(str(directory / file.name) for file in case.weather),
-        "--evapotranspiration", case.evapotranspiration, "--start", case.start,
+        "--evapotranspiration", case.evapotranspiration, "--gaps", case.gaps,
+        "--start", case.start,
         "--hours", repr(case.hours), "--controller", case.controller.reference,
         "--parameters", str(parameters), "--cistern", repr(case.cistern), "--roof", repr(case.roof),
         "--forecast", str(_choice(case, directory)),
@@ -160,6 +178,8 @@ def _run_graph(case: Case, directory: Path) -> Outcome:
     else:
         raise RuntimeError(f"no ROS domain from {_DOMAINS[0]} to {_DOMAINS[-1]} is free")
     result = json.loads((output / "summary.json").read_text(encoding="utf-8"))
+    if trajectory_every is None:
+        return Outcome(_results(result), _timings(result), {})
     site = read_site(output / "configuration" / "site.yaml")
     zone = read_start(case.start).tzinfo
     assert zone is not None
@@ -167,6 +187,7 @@ def _run_graph(case: Case, directory: Path) -> Outcome:
     if case.sensor_pump_errors is not None and not case.sensor_pump_errors.exact_sensor:
         roof = _true_roof(_build(case, directory), trajectory.command.tolist())
         trajectory = replace(trajectory, roof=roof)
+    trajectory = trajectory.thinned(_every(site, trajectory_every))
     kept = ("summary.json", "bag/metadata.yaml", "bag/bag_0.mcap")
     files = {name: (output / name).read_bytes() for name in kept}
     return Outcome(
@@ -180,14 +201,15 @@ def _true_roof(run: Run, commands: Sequence[float]) -> NDArray[np.float64]:
 
     The plant is run once more with the commands of the bag, in which frost has commanded 0.
     """
-    series = run.series
+    series, until = run.series, 0
     plant, pump = Plant(run.site, run.x1, run.x2), Pump(run.sensor_pump_errors, run.site.tau)
     roof = np.empty(run.steps + 1)
     for k, command in enumerate(commands):
         roof[k] = plant.x2
-        rain = series.precipitation[k]
-        pumped = pump.flow(plant, command, series.frost[k] > 0)
-        plant.step(rain, plant.flows(rain, series.evapotranspiration[k], pumped))
+        if k == until:
+            rain, evapotranspiration, frost, until = series.at(k)
+        pumped = pump.flow(plant, command, frost > 0)
+        plant.step(rain, plant.flows(rain, evapotranspiration, pumped))
     return roof
 
 
@@ -212,6 +234,7 @@ def _results(result: dict[str, Any]) -> dict[str, Any]:
             f"{quantity}: {', '.join(hours)}" for quantity, hours in result["filled"].items()
         ),
         "weather_notes": "; ".join(result["weather_notes"]),
+        "suspicious": "; ".join(result["suspicious"]),
         "forecast_repeats_from": result["forecast_repeats_last_record_from"],
     }
 

@@ -38,6 +38,7 @@ from greenroof_ros.model.initial_state import (
 )
 from greenroof_ros.model.sensor_pump_errors import RANGES, SensorPumpErrors
 from greenroof_ros.model.site import Site, read_site
+from greenroof_ros.weather.filling import GAPS, REFUSE
 from greenroof_ros.weather.joining import find_files
 from greenroof_ros.weather.reading import read_weather
 from greenroof_ros.weather.records import name_files
@@ -46,7 +47,7 @@ _KEYS = ("site", "weather", "initial", "controllers")
 _OPTIONAL_KEYS = ("forecast", "sensor_pump_errors")
 # What the directory of a study has beside them.
 _OWN_FILES = ("grid.yaml", "study.json")
-_WINDOW_KEYS = ("file", "start", "hours", "evapotranspiration", "forecast")
+_WINDOW_KEYS = ("file", "start", "hours", "evapotranspiration", "gaps", "forecast")
 
 
 @dataclass(frozen=True)
@@ -74,6 +75,7 @@ class Case:
         start: time of tick 0, ISO 8601 with its offset from UTC.
         hours: length (h).
         evapotranspiration: method.
+        gaps: what is done about gaps in the weather files.
         forecast: which forecasts; a file of them by its name.
         forecast_file: that file; None where there is none.
         skill_file: of the forecasts' skill; None where that has a name.
@@ -100,6 +102,7 @@ class Case:
     cistern: float
     roof: float
     sensor_pump_errors: SensorPumpErrors | None = None
+    gaps: str = REFUSE
 
     @property
     def files(self) -> tuple[InputFile, ...]:
@@ -137,6 +140,7 @@ class Case:
             "start": self.start,
             "hours": self.hours,
             "evapotranspiration": self.evapotranspiration,
+            **({"gaps": self.gaps} if self.gaps != REFUSE else {}),
             "forecast": str(self.forecast),
             **{f"forecast_{name}": self.forecast.options().get(name) for name in OPTIONS},
             **(self.sensor_pump_errors.values() if self.sensor_pump_errors is not None else {}),
@@ -218,8 +222,13 @@ class _Grid:
             files += [file for file in found if file not in files]
         with self._at(window, "hours"):
             steps = count_ticks(site, hours, "hours")
+        gaps = REFUSE
+        if "gaps" in window:
+            gaps = self._one(window, "gaps", str)
+            if gaps not in GAPS:
+                raise self._refuse(window, "gaps", f"must be {' or '.join(GAPS)}")
         with self._at(window, "evapotranspiration"):
-            weather = read_weather(files, site, method)
+            weather = read_weather(files, site, method, gaps)
         # What one controller can run with, the others with the same forecasts can.
         same_forecasts = {
             (parameters.get("horizon"), controller.ensemble): (controller, parameters)
@@ -256,6 +265,7 @@ class _Grid:
                     cistern=run.x1,
                     roof=run.x2,
                     sensor_pump_errors=sensor_pump_errors,
+                    gaps=gaps,
                 )
 
     def _forecasts(self, mapping: YamlMapping) -> Iterator[ForecastChoice]:

@@ -34,7 +34,7 @@ class Store:
         cases: Sequence[Case],
         engine: str,
         *,
-        trajectories: bool,
+        trajectory_every: float | None,
     ) -> None:
         """Begin a study, or go on with one.
 
@@ -43,7 +43,8 @@ class Store:
             grid: its file.
             cases: its runs.
             engine: which makes them.
-            trajectories: whether to keep what happened in each run, not only its results.
+            trajectory_every: time between the samples of what happened in each run (s), 0 for each
+                tick; None to keep the results only.
 
         Raises:
             ConfigurationError: the directory holds something else, another study, or this one as
@@ -52,12 +53,11 @@ class Store:
         """
         self.directory = directory
         self._cases = cases
-        self._trajectories = trajectories
         self._runs = directory / "runs"
         self._bounds = directory / "bounds.json"
         identity = {
             "engine": engine,
-            "trajectories": trajectories,
+            "trajectory_every": trajectory_every,
             "versions": versions(),
             "runs": [case.identity for case in cases],
         }
@@ -113,7 +113,7 @@ class Store:
         for key, what in (
             ("runs", "another grid, or other files"),
             ("engine", "another engine"),
-            ("trajectories", f"{'no ' if self._trajectories else ''}trajectories"),
+            ("trajectory_every", "other trajectories, or none"),
             ("versions", "other versions"),
         ):
             if not isinstance(begun, dict) or begun.get(key) != identity[key]:
@@ -144,8 +144,7 @@ class Store:
         part = self._runs / f"{case.identity}.part"
         about = json.dumps({"results": outcome.results, "timings": outcome.timings}, indent=2)
         try:
-            files = outcome.files if self._trajectories else {}
-            for name, content in {**files, _OUTCOME: f"{about}\n".encode()}.items():
+            for name, content in {**outcome.files, _OUTCOME: f"{about}\n".encode()}.items():
                 (part / name).parent.mkdir(parents=True, exist_ok=True)
                 (part / name).write_bytes(content)
         except OSError as error:  # of a write it does not know where

@@ -140,11 +140,11 @@ def _daily_extremes(
     temperature = records.values["temperature"]
     since_midnight = (records.first.timestamp() / 3600 + site.utc_offset) % 24
     day = np.floor((since_midnight + np.arange(records.hours)) / 24).astype(int)
-    least, largest = np.full(records.hours, np.nan), np.full(records.hours, np.nan)
-    for number in np.unique(day):
-        hours = day == number
-        if hours.sum() == 24:
-            least[hours], largest[hours] = temperature[hours].min(), temperature[hours].max()
+    _, begins, hours = np.unique(day, return_index=True, return_counts=True)
+    least, largest = (
+        np.repeat(np.where(hours == 24, extreme.reduceat(temperature, begins), np.nan), hours)
+        for extreme in (np.minimum, np.maximum)
+    )
     return least, largest
 
 

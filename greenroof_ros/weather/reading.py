@@ -12,13 +12,13 @@ from greenroof_ros.common.files import read_text, shared_directory
 from greenroof_ros.model.site import Site
 from greenroof_ros.weather import eccc, open_meteo, own_csv
 from greenroof_ros.weather.evapotranspiration import FAO56, fao56
+from greenroof_ros.weather.filling import FILL, REFUSE, fill_long_gaps, fill_short_gaps
 from greenroof_ros.weather.joining import join
 from greenroof_ros.weather.records import (
     EVAPOTRANSPIRATION,
     HOUR,
     PRECIPITATION,
     Records,
-    fill_gaps,
 )
 from greenroof_ros.weather.series import Weather
 
@@ -54,24 +54,29 @@ def default_weather() -> Path:
     return shared_directory() / "config" / "weather" / "toronto_2021-07.csv"
 
 
-def read_weather(files: Sequence[Path], site: Site, method: str | None = None) -> Weather:
+def read_weather(
+    files: Sequence[Path], site: Site, method: str | None = None, gaps: str = REFUSE
+) -> Weather:
     """Read weather files, each of one of :data:`FORMATS`, and join them.
 
-    Gaps of at most :data:`greenroof_ros.weather.records.LONGEST_GAP` hours, within a file or
+    Gaps of at most :data:`greenroof_ros.weather.filling.LONGEST_GAP` hours, within a file or
     between two, are filled and noted in the records; a run that needs an hour of a longer one is
-    refused by :class:`greenroof_ros.weather.series.WeatherSeries`.
+    refused by :class:`greenroof_ros.weather.series.WeatherSeries`, unless they are filled, too.
 
     Args:
         files: one or more.
         site: its place on earth, where evapotranspiration is computed or a format needs it.
         method: of the evapotranspiration: ``fao56``, or that of the files' own column. The
             latter if there is one and otherwise ``fao56``, unless given.
+        gaps: one of :data:`greenroof_ros.weather.filling.GAPS`: what is done about longer ones.
 
     Raises:
         ConfigurationError: a file is broken, two contradict each other, or they cannot give the
             method.
     """
-    records = fill_gaps(_whole_hours(join([_read(file, site) for file in files])))
+    records = fill_short_gaps(_whole_hours(join([_read(file, site) for file in files])))
+    if gaps == FILL:
+        records = fill_long_gaps(records)
     frost = None
     if "temperature" in records.values:
         frost = records.values["temperature"] <= _FREEZING
@@ -85,7 +90,9 @@ def read_weather(files: Sequence[Path], site: Site, method: str | None = None) -
             f"must be {FAO56}{own}: {records.source} has no evapotranspiration of another name",
             key="evapotranspiration", value=method,
         )
-    return Weather(records, records.values[PRECIPITATION], evapotranspiration, method, frost)
+    return Weather(
+        records, records.values[PRECIPITATION], evapotranspiration, method, frost, gaps
+    )
 
 
 def _read(file: Path, site: Site) -> Records:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from datetime import datetime, timedelta
 from pathlib import Path
 
@@ -32,11 +32,6 @@ QUANTITIES = {
 
 # What evapotranspiration is computed from, where it is not given.
 FOR_EVAPOTRANSPIRATION = ("temperature", "dew point", "wind speed", "station pressure")
-
-# The longest gap that is filled, by a straight line between the hours before and after it (h).
-# Temperature and wind follow the sun, so half a day must be left to see it by; dew point and
-# pressure follow the air mass, which changes within days. Rain is never guessed.
-LONGEST_GAP = {"temperature": 6, "wind speed": 6, "dew point": 24, "station pressure": 24}
 
 
 @dataclass(frozen=True)
@@ -98,24 +93,6 @@ def gaps(missing: NDArray[np.bool_]) -> list[tuple[int, int]]:
     padded = np.concatenate(([False], missing, [False])).astype(np.int8)
     edges = np.flatnonzero(np.diff(padded))
     return [(int(low), int(high)) for low, high in zip(edges[::2], edges[1::2], strict=True)]
-
-
-def fill_gaps(records: Records) -> Records:
-    """Fill the gaps of at most :data:`LONGEST_GAP` hours that have records on both sides."""
-    values, filled = dict(records.values), dict(records.filled)
-    for quantity, longest in LONGEST_GAP.items():
-        if quantity not in values:
-            continue
-        series = values[quantity].copy()
-        missing = np.isnan(series)
-        for low, high in gaps(missing):
-            if high - low <= longest and low > 0 and high < len(series):
-                series[low:high] = np.interp(
-                    np.arange(low, high), [low - 1, high], [series[low - 1], series[high]]
-                )
-        values[quantity] = series
-        filled[quantity] = missing & ~np.isnan(series)
-    return replace(records, values=values, filled=filled)
 
 
 def name_hours(first: datetime, hours: Iterable[int]) -> list[str]:

@@ -33,6 +33,7 @@ def test_no_raw_data() -> None:
     result |= {
         "frost_hours": 2.0, "weather_notes": ["rain was moved an hour back"],
         "filled": {"dew point": ["2021-07-20T13:00-05:00", "2021-07-20T14:00-05:00"]},
+        "suspicious": ["79.2 mm at 2015-12-29T02:00-05:00"],
         "forecast_repeats_last_record_from": "2021-07-31T23:00-05:00",
     }
     stream = io.StringIO()
@@ -41,5 +42,6 @@ def test_no_raw_data() -> None:
     assert not set("{}[]'").intersection(text) and "None" not in text
     rows = [" ".join(line.replace("│", " ").split()) for line in text.splitlines()]
     assert "REFUSED 39 values: 37 on /pump/flow, 2 on /roof/level" in rows
+    assert "SUSPICIOUS rain 79.2 mm at 2015-12-29T02:00-05:00; taken as it is" in rows
     assert "CHANGED weight 0.001 -> 0.01 at 00:05 (tick 300)" in rows
     assert "CHANGED most no limit -> 2 at 00:05 (tick 301)" in rows

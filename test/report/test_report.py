@@ -431,8 +431,13 @@ def test_a_studys_notes_name_the_hours(tmp_path: Path, simulated: list[Simulated
     """Those that were filled; and what the table knows beyond them."""
     named = "dew point: 2021-07-20T12:00-05:00 to 2021-07-21T03:00-05:00 (16 hours)"
     row = {**simulated[0].row, "filled_hours": "16", "filled": named, "fallbacks": "2",
-           "forecast_repeats_from": "2021-07-31T23:00-05:00"}
-    text = page_of(write_study(tmp_path / "study", [(row, simulated[0].trajectory)]))
+           "suspicious": "79.2 mm", "forecast_repeats_from": "2021-07-31T23:00-05:00"}
+    few = simulated[0].trajectory.thinned(60)
+    text = page_of(
+        write_study(tmp_path / "study", [(row, few)], [*HEADER, "suspicious"])
+    )
+    assert "Suspicious, and taken as it is: 79.2 mm." in text
+    assert "Samples every 60 s were kept, of ticks of 1 s: its sums, counts and times" in text
     assert f"16 hours of its weather were missing and filled in: {named}." in text
     assert "The controller&#39;s solver found no answer in 2 ticks." in text
     assert "The forecast repeats its last record from 2021-07-31T23:00-05:00 on." in text
@@ -923,6 +928,7 @@ def own_run(directory: Path, one: Simulated) -> Path:
         "forecast_repeats_last_record_from": "2021-07-31T23:00-05:00",
         "filled": {"dew point": ["2021-07-20T13:00-05:00"]},
         "weather_notes": ["rain was moved an hour back"],
+        "suspicious": ["79.2 mm at 2015-12-29T02:00-05:00"],
     }))
     return directory
 
@@ -995,6 +1001,7 @@ def test_a_run_directorys_notes_and_bound(tmp_path: Path, simulated: list[Simula
         "a tank ran empty in 4 ticks, and what left it was limited",
         "rain was moved an hour back",
         "dew point was missing and filled in: 2021-07-20T13:00-05:00",
+        "suspicious, and taken as it is: 79.2 mm at 2015-12-29T02:00-05:00",
     ):
         assert note in map(str, report.results[0].notes)
     expected = clairvoyant_bound(paper_run("--initial", "low-low", "--hours", "0.2")).bound_m3

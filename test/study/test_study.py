@@ -129,7 +129,7 @@ def test_what_was_begun_is_not_mixed_with_something_else(tmp_path: Path) -> None
         return result.stderr
 
     assert "begun with another engine" in refusal("--engine", "ros")
-    assert "begun with trajectories" in refusal("--no-trajectories")
+    assert "begun with other trajectories, or none" in refusal("--no-trajectories")
     grid(tmp_path, small.replace("hours: 0.25", "hours: 0.5"))
     assert "begun with another grid, or other files" in refusal()
     grid(tmp_path, small)

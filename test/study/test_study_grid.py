@@ -7,6 +7,7 @@ from pathlib import Path
 import pytest
 from commands import run_command
 from graphs import environment
+from places import DATA
 from studies import CONFIG, GRID, WEATHER, edited, grid
 
 from greenroof_ros.common.errors import ConfigurationError
@@ -108,6 +109,10 @@ WRONG = {
         GRID + "sensor_pump_errors: [{}, {roof_noise: 0}]\n",
         "forecast perfect, {'roof_noise': 0.0, ",
     ),
+    "gaps": (
+        edited("    hours: 0.25\n", "    hours: 0.25\n    gaps: guess\n"),
+        "line 7: gaps = 'guess': must be refuse or fill",
+    ),
     "twice": (edited("0.1]", "0.001]"), "is the same run twice: mpc {'weight': 0.001"),
 }
 
@@ -151,7 +156,7 @@ def test_window_of_several_files(tmp_path: Path) -> None:
         (tmp_path / name).write_text("".join([lines[header], *part]))
     (tmp_path / "grid.yaml").write_text(GRID)
     whole = read_grid(tmp_path / "grid.yaml")
-    outcome = run_case(whole[-1], "inprocess")
+    outcome = run_case(whole[-1], "inprocess", None)
     for files in ("[part-2.csv, part-1.csv]", "part-?.csv"):
         (tmp_path / "grid.yaml").write_text(edited(str(WEATHER), files))
         cases = read_grid(tmp_path / "grid.yaml")
@@ -161,7 +166,7 @@ def test_window_of_several_files(tmp_path: Path) -> None:
         }
         assert [file.name for file in cases[-1].files] == ["site.yaml", "part-1.csv", "part-2.csv"]
         assert not {case.identity for case in cases} & {case.identity for case in whole}
-        assert run_case(cases[-1], "inprocess").results == outcome.results
+        assert run_case(cases[-1], "inprocess", None).results == outcome.results
 
 
 @pytest.mark.parametrize("file", sorted(path.name for path in CONFIG.glob("study*.yaml")))
@@ -205,3 +210,18 @@ def test_names_of_files(tmp_path: Path) -> None:
         f"{copy}, line 2: site = 'my_site.yaml': my_site.yaml is neither beside the grid, in "
         f"{tmp_path}, nor among the package's own files, in {CONFIG}"
     )
+
+
+def test_gaps_of_a_window(tmp_path: Path) -> None:
+    """21 July 2022 lacks an hour of rain: refused, unless the window says to fill it."""
+    july = edited(str(WEATHER), str(DATA / "en_climate_hourly_07-2022.csv"))
+    july = july.replace("2021-07-07T02:00", "2022-07-21T11:00").replace("published, ", "")
+    (tmp_path / "grid.yaml").write_text(july)
+    with pytest.raises(ConfigurationError, match="is missing at 2022-07-21T11:00-05:00"):
+        read_grid(tmp_path / "grid.yaml")
+    (tmp_path / "grid.yaml").write_text(july.replace("hours: 0.25", "hours: 0.25\n    gaps: fill"))
+    case = read_grid(tmp_path / "grid.yaml")[-1]
+    assert case.columns()["gaps"] == "fill"
+    results = run_case(case, "inprocess", None).results
+    assert "precipitation: 2022-07-21T11:00-05:00" in results["filled"]
+    assert results["rain_m3"] == 0

@@ -1,0 +1,53 @@
+"""How long the ticks of a run took, of any number of them in the same memory."""
+
+from __future__ import annotations
+
+import numpy as np
+
+# Of the times kept, each for as many ticks as it takes.
+_MOST_KEPT = 65_536
+
+
+class TickTimes:
+    """Wall times of ticks (s): their number, mean and largest, and percentiles.
+
+    Up to 65,536 are kept. Of more, every second, then every fourth and so on is, of which the
+    percentiles are; mean and largest are of all.
+    """
+
+    def __init__(self) -> None:
+        """Begin with none."""
+        self._count = 0
+        self._sum = 0.0
+        self._largest = 0.0
+        self._kept: list[float] = []
+        self._each = 1  # of so many ticks one is kept
+
+    def __len__(self) -> int:
+        """Return the number of ticks."""
+        return self._count
+
+    def append(self, seconds: float) -> None:
+        """Add the time of a tick (s)."""
+        if self._count % self._each == 0:
+            if len(self._kept) == _MOST_KEPT:
+                del self._kept[1::2]
+                self._each *= 2
+            self._kept.append(seconds)
+        self._count += 1
+        self._sum += seconds
+        self._largest = max(self._largest, seconds)
+
+    @property
+    def mean(self) -> float:
+        """The mean (s); 0 of no ticks."""
+        return self._sum / max(1, self._count)
+
+    @property
+    def largest(self) -> float:
+        """The largest (s); 0 of no ticks."""
+        return self._largest
+
+    def percentile(self, share: float) -> float:
+        """Return what so many per cent of the ticks take at most (s); 0 of no ticks."""
+        return float(np.percentile(self._kept or [0.0], share))

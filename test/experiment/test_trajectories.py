@@ -1,0 +1,62 @@
+"""Trajectories of long runs: every tick, or one every so many seconds."""
+
+from __future__ import annotations
+
+import csv
+from pathlib import Path
+
+import numpy as np
+from commands import run_command
+from graphs import environment
+from paper import paper_run
+from studies import edited
+
+from greenroof_ros.experiment.closed_loop import closed_loop, record
+from greenroof_ros.model.metrics import Metrics
+from greenroof_ros.recording.trajectory import read_parquet
+from greenroof_ros.study.case_run import run_case
+from greenroof_ros.study.grid import read_grid
+
+COLUMNS = ("time", "cistern", "roof", "precipitation", "command", "pump_flow", "frost")
+
+
+def test_every_so_many_ticks_and_the_last() -> None:
+    """Of 1,000 ticks each 300th is kept, and the last: the same by both ways."""
+    run = paper_run("--controller", "onoff", "--hours", "0.2777777777777778")
+    assert run.steps == 1000
+    whole = record(run, closed_loop(run, run.make_controller(), Metrics()))
+    few = record(run, closed_loop(run, run.make_controller(), Metrics()), 300)
+    assert whole.time.tolist() == list(range(1001))
+    assert few.time.tolist() == [0, 300, 600, 900, 1000]
+    for name in COLUMNS:
+        for trajectory in (few, whole.thinned(300)):
+            kept = getattr(whole, name)[[0, 300, 600, 900, 1000]]
+            assert getattr(trajectory, name).tobytes() == np.ascontiguousarray(kept).tobytes()
+
+
+def test_csv(tmp_path: Path) -> None:
+    """The rows of the whole file that fall on a minute, and the last."""
+    options = ["--controller", "onoff", "--hours", "0.05", "--trajectory"]
+    for name, more in (("all.csv", []), ("some.csv", ["--trajectory-every", "60"])):
+        done = run_command("simulate", *options, name, *more, cwd=tmp_path, env=environment(0))
+        assert done.returncode == 0, done.stderr
+    rows = [list(csv.reader((tmp_path / name).open())) for name in ("all.csv", "some.csv")]
+    assert len(rows[0]) == 182
+    assert rows[1] == [rows[0][0], *(rows[0][1 + second] for second in (0, 60, 120, 180))]
+    refused = run_command(
+        "simulate", "--trajectory-every", "60", cwd=tmp_path, env=environment(0)
+    )
+    assert refused.returncode == 2
+    assert "--trajectory-every: needs --trajectory" in refused.stderr
+
+
+def test_results_do_not_depend_on_it(tmp_path: Path) -> None:
+    """A study's run without a trajectory, with one of each tick, and with one every 100 s."""
+    (tmp_path / "grid.yaml").write_text(edited("0.25", "0.1"))
+    case = read_grid(tmp_path / "grid.yaml")[-1]
+    outcomes = [run_case(case, "inprocess", every) for every in (None, 0.0, 100.0)]
+    assert outcomes[0].files == {}
+    assert outcomes[1].results == outcomes[0].results == outcomes[2].results
+    for outcome, samples in zip(outcomes[1:], (361, 5), strict=True):
+        (tmp_path / "file").write_bytes(outcome.files["trajectory.parquet"])
+        assert len(read_parquet(tmp_path / "file").time) == samples

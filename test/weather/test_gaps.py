@@ -1,0 +1,260 @@
+"""Gaps that are filled where asked, and hours of rain that are hard to believe, in real months."""
+
+from __future__ import annotations
+
+import csv
+import math
+import statistics
+from dataclasses import replace
+from datetime import datetime, timedelta, timezone
+from pathlib import Path
+
+import numpy as np
+import pytest
+from commands import run_command
+from graphs import environment
+from places import DATA
+
+from greenroof_ros.common.errors import ConfigurationError
+from greenroof_ros.common.files import shared_directory
+from greenroof_ros.model.site import read_site
+from greenroof_ros.weather.filling import FILL, REFUSE
+from greenroof_ros.weather.reading import read_weather
+from greenroof_ros.weather.records import Records
+from greenroof_ros.weather.series import Weather, WeatherSeries
+from greenroof_ros.weather.suspicion import suspicious_rain
+
+TORONTO = read_site(shared_directory() / "config" / "site.yaml")
+JULY = DATA / "en_climate_hourly_07-2022.csv"
+DECEMBER, APRIL = DATA / "en_climate_hourly_12-2015.csv", DATA / "en_climate_hourly_04-2016.csv"
+LST = timezone(timedelta(hours=-5))
+
+
+def observed(file: Path, column: str) -> list[float]:
+    """Return a column as it stands in a file of the service; NaN where nothing was observed."""
+    values = []
+    with file.open(encoding="utf-8-sig", newline="") as stream:
+        rows = csv.reader(stream)
+        index = next(rows).index(column)
+        for row in rows:
+            there = len(row) > index and row[index] and row[index + 1] != "M"
+            values.append(float(row[index]) if there else math.nan)
+    return values
+
+
+def test_default_refuses_and_says_how() -> None:
+    """21 July 2022, of which an hour of rain is missing."""
+    weather = read_weather([JULY], TORONTO)
+    with pytest.raises(ConfigurationError) as caught:
+        WeatherSeries(weather, TORONTO, datetime(2022, 7, 21, tzinfo=LST), 86_400)
+    assert "is missing at 2022-07-21T11:00-05:00" in str(caught.value)
+    assert "have the gaps filled (--gaps fill, in a grid gaps: fill)" in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("quantity", "column", "longest"),
+    [
+        ("temperature", "Temp (°C)", 6), ("dew point", "Dew Point Temp (°C)", 24),
+        ("wind speed", "Wind Spd (km/h)", 6), ("station pressure", "Stn Press (kPa)", 24),
+    ],
+)
+def test_long_gaps_have_the_mean_of_the_days_about_them(
+    quantity: str, column: str, longest: int
+) -> None:
+    """Three days before and three after, at the same time of day; short gaps are as they were."""
+    weather, plain = read_weather([JULY], TORONTO, gaps=FILL), read_weather([JULY], TORONTO)
+    found, before = weather.records.values[quantity], plain.records.values[quantity]
+    raw = observed(JULY, column)
+    long = 0
+    for hour, value in enumerate(raw):
+        if not math.isnan(value):
+            assert found[hour] == value
+        elif not math.isnan(before[hour]):
+            assert found[hour] == before[hour]
+        else:
+            near = [hour + 24 * days for days in (-3, -2, -1, 1, 2, 3)]
+            there = [float(before[each]) for each in near if 0 <= each < len(raw)]
+            mean = statistics.fmean(each for each in there if not math.isnan(each))
+            assert found[hour] == pytest.approx(mean, rel=1e-12)
+            long += 1
+    assert weather.records.filled[quantity].tolist() == [math.isnan(value) for value in raw]
+    if quantity in ("temperature", "dew point"):
+        assert long > longest
+
+
+def test_missing_rain_counts_as_none_and_every_hour_is_named() -> None:
+    """The hours without a number of the service, and no other."""
+    weather = read_weather([JULY], TORONTO, gaps=FILL)
+    raw = observed(JULY, "Precip. Amount (mm)")
+    assert weather.precipitation.tolist() == [0 if math.isnan(mm) else mm for mm in raw]
+    series = WeatherSeries(weather, TORONTO, weather.first, 31 * 86_400)
+    missing = [hour for hour, mm in enumerate(raw) if math.isnan(mm)]
+    assert missing
+    assert series.filled["precipitation"] == [
+        (weather.first + timedelta(hours=hour)).isoformat(timespec="minutes") for hour in missing
+    ]
+    assert not np.isnan(weather.evapotranspiration).any()
+    # More than five years' mean of the evapotranspiration of Julys, 4 to 5 mm a day, would be
+    # another climate.
+    assert 3.5 < weather.evapotranspiration.mean() < 6
+
+
+def test_what_no_day_has_stays_missing(tmp_path: Path) -> None:
+    """Without a temperature for eight days, the middle has no day within three on either side."""
+    lines = JULY.read_text(encoding="utf-8-sig").splitlines()
+    index = lines[0].replace('"', "").split(",").index("Temp (°C)")
+    for number in range(1 + 5 * 24, 1 + 13 * 24):
+        cells = next(csv.reader([lines[number]]))
+        if len(cells) > index:
+            cells[index] = ""
+            lines[number] = ",".join(f'"{cell}"' for cell in cells)
+    path = tmp_path / "july.csv"
+    path.write_text("\ufeff" + "\r\n".join(lines) + "\r\n", encoding="utf-8")
+    weather = read_weather([path], TORONTO, gaps=FILL)
+    # Of 6 to 13 July, 6 to 8 have days before the gap, 11 to 13 days after it.
+    missing = np.flatnonzero(np.isnan(weather.records.values["temperature"]))
+    known = read_weather([path], TORONTO).records.values["temperature"]
+    assert set(range(8 * 24, 10 * 24)) <= set(missing.tolist())
+    assert missing.tolist() == [
+        hour for hour in range(5 * 24, 13 * 24)
+        if all(math.isnan(known[hour + 24 * days]) for days in (-3, -2, -1, 1, 2, 3))
+    ]
+    with pytest.raises(ConfigurationError) as caught:
+        WeatherSeries(weather, TORONTO, datetime(2022, 7, 9, tzinfo=LST), 3600)
+    assert "--gaps" not in str(caught.value)
+
+
+def test_command_line(tmp_path: Path) -> None:
+    """Refused by default; with the option the summary names what was filled, and the node has it.
+
+    The run's own records say once more what they were made from.
+    """
+    options = [
+        "--controller", "onoff", "--weather", str(JULY), "--start", "2022-07-21T10:30",
+        "--hours", "1", "--output", "run",
+    ]
+    refused = run_command("simulate", *options, cwd=tmp_path, env=environment(0))
+    assert refused.returncode == 2
+    assert "precipitation is missing at 2022-07-21T11:00-05:00; choose another" in refused.stderr
+    done = run_command("simulate", *options, "--gaps", "fill", cwd=tmp_path, env=environment(0))
+    assert done.returncode == 0, done.stderr
+    assert "FILLED" in done.stdout
+    assert "2022-07-21T11:00-05:00" in done.stdout
+    assert "gaps: fill" in (tmp_path / "run" / "configuration" / "parameters.yaml").read_text()
+
+
+@pytest.mark.parametrize(
+    ("file", "named"),
+    [(DECEMBER, "79.2 mm at 2015-12-29T02:00-05:00"), (APRIL, "20.3 mm at 2016-04-04T16:00-05:00")],
+)
+def test_hours_that_are_hard_to_believe(file: Path, named: str) -> None:
+    """79.2 mm in an hour of December, and 20.3 mm at -1 degC and 41 % of relative humidity."""
+    weather = read_weather([file], TORONTO, gaps=FILL)
+    series = WeatherSeries(weather, TORONTO, weather.first, 29 * 86_400)
+    assert len(series.suspicious) == 1
+    assert series.suspicious[0].startswith(named)
+    assert weather.precipitation.max() == float(named.split()[0])
+    before = WeatherSeries(weather, TORONTO, weather.first, 3 * 86_400)
+    assert before.suspicious == []
+
+
+def test_storms_are_believed() -> None:
+    """Both Julys, and the sleet of March."""
+    for month in ("07-2021", "03-2021", "07-2022"):
+        weather = read_weather([DATA / f"en_climate_hourly_{month}.csv"], TORONTO)
+        assert suspicious_rain(weather.records, range(weather.records.hours)) == []
+
+
+def test_factors_of_the_check() -> None:
+    """Durre et al. (2010): 9 times the 95th percentile, 5 times below 0 degC; 20 wet hours."""
+    first = datetime(2021, 1, 20, tzinfo=LST)
+
+    def found(most: float, temperature: float, wet: int = 100) -> list[str]:
+        # Of 1 mm each but one, so that the percentile is 1 mm.
+        rain = np.zeros(240)
+        rain[:wet] = 1.0
+        rain[wet - 1] = most
+        values = {"precipitation": rain, "temperature": np.full(240, temperature)}
+        return suspicious_rain(Records((JULY,), first, values), range(240))
+
+    assert found(8.9, 0.0) == []
+    assert len(found(9.0, 0.0)) == 1
+    assert found(4.9, -0.1) == []
+    assert len(found(5.0, -0.1)) == 1
+    assert found(500.0, 5.0, wet=19) == []
+
+
+def test_the_year_has_no_end() -> None:
+    """What is usual in the last days of December counts for the first of January."""
+    rain = np.zeros(20 * 24)
+    rain[:200] = 1.0  # from 22 to 30 December
+    rain[11 * 24] = 9.0  # 2 January
+    records = Records((JULY,), datetime(2021, 12, 22, tzinfo=LST), {"precipitation": rain})
+    (only,) = suspicious_rain(records, range(records.hours))
+    assert only.startswith("9 mm at 2022-01-02T00:00-05:00, 9.0 times")
+
+
+# --- runs of years ------------------------------------------------------------------------------
+
+
+def years(hours: int) -> Weather:
+    """Return made up records of so many hours."""
+    chance = np.random.default_rng(5)
+    rain, evaporated = chance.gamma(0.1, size=hours), chance.gamma(2.0, size=hours)
+    values = {"precipitation": rain, "temperature": chance.normal(5, 10, size=hours)}
+    records = Records((JULY,), datetime(2014, 6, 1, tzinfo=LST), values, "made")
+    return Weather(records, rain, evaporated, "made", values["temperature"] <= 0, REFUSE)
+
+
+@pytest.mark.parametrize("tau", [1.0, 7.0, 0.3, 3600.0, 1234.5])
+def test_each_tick_has_its_hour(tau: float) -> None:
+    """By the clock: the hour in which a tick begins, from a start within one."""
+    site = replace(TORONTO, tau=tau, M=10)
+    weather = years(70)
+    start = weather.first + timedelta(minutes=83)
+    steps = int(40 * 3600 / tau)
+    series = WeatherSeries(weather, site, start, steps)
+    assert len(series.precipitation) == steps + 10
+    assert weather.frost is not None
+    frozen = 0
+    until = 0
+    for tick in range(0, steps + 10, max(1, steps // 5000)):
+        hour = (timedelta(minutes=83) + tick * timedelta(seconds=tau)) // timedelta(hours=1)
+        now = series.at(tick)
+        assert now[:3] == (
+            series.precipitation[tick], series.evapotranspiration[tick], series.frost[tick]
+        )
+        assert now[:3] == (
+            weather.precipitation[hour] / 1000 / 3600,
+            weather.evapotranspiration[hour] / 1000 / 86400 * site.a2, weather.frost[hour],
+        )
+        if tick >= until:
+            until = now.until
+        assert now.until == until
+    for tick in range(steps):
+        hour = (timedelta(minutes=83) + tick * timedelta(seconds=tau)) // timedelta(hours=1)
+        frozen += int(weather.frost[hour])
+    assert series.frost_hours == pytest.approx(frozen * tau / 3600, rel=1e-12)
+    assert series.precipitation[5:25:3].tolist() == [
+        series.precipitation[tick] for tick in range(5, 25, 3)
+    ]
+    assert series.precipitation.largest == max(series.precipitation)
+    with pytest.raises(IndexError):
+        series.precipitation[steps + 10]
+
+
+def test_years_take_no_more_memory_than_hours() -> None:
+    """Eleven years of seconds: a few numbers an hour, and nothing a tick."""
+    import tracemalloc
+
+    weather = years(96_432)
+    site = replace(TORONTO, tau=1.0, M=10)
+    peaks = []
+    for hours in (96_000, 12):
+        tracemalloc.start()
+        series = WeatherSeries(weather, site, weather.first, hours * 3600)
+        series.at(hours * 3600)
+        peaks.append(tracemalloc.get_traced_memory()[1])
+        tracemalloc.stop()
+    # A byte a tick would be 345 MB.
+    assert peaks[0] < 50e6
