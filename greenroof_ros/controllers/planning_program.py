@@ -45,7 +45,10 @@ Matrix = Any  # scipy's sparse matrices have no types
 
 
 class PlanningProgram:
-    """The program of :class:`greenroof_ros.controllers.planner.Planner`, set up once.
+    """The program of :class:`greenroof_ros.controllers.planner.Planner` for OSQP, set up once.
+
+    It is for ensembles, prices and squares; one forecast without them has
+    :class:`~greenroof_ros.controllers.exact_program.ExactProgram`.
 
     Attributes:
         status: OSQP's status value of the last program, 1 = solved.
@@ -141,18 +144,7 @@ class PlanningProgram:
     def solve(
         self, mean: Array, most: Array, full: float, flow: float, guess: Array | None
     ) -> Array | None:
-        """Return the volumes pumped, and kept, until each step's end (m3), shape (members, n).
-
-        Args:
-            mean: of the roof's deviation in each step without pumping (m3), shape (members, n).
-            most: upper bound of the volumes (m3), shape (members, n).
-            full: the pumps' flow at command 1 (m3/s), as far as the soil keeps it.
-            flow: what is pumped now (m3/s), likewise.
-            guess: of the answer.
-
-        Returns:
-            None where the solver found none; ``status`` says why.
-        """
+        """Solve it; see :class:`greenroof_ros.controllers.objective.Program`."""
         lower, upper = self._bounds(mean, most, full, flow)
         self._solver.update(l=lower, u=upper)
         if guess is not None:
