@@ -11,12 +11,11 @@ from greenroof_ros.model.look_ahead import growing_steps
 from greenroof_ros.model.site import Site
 
 _DAY_S = 86_400.0
-# As many days as the longest forecast has. In July 2021 at Toronto five are as good.
+# As many days as the longest forecast has.
 _DAYS = 10
-# What a roof loses in the mean, as a share of the evapotranspiration: 1 - rain / evapotranspiration
-# is 0.1 to 0.5 in Toronto's seasons of 2015 to 2025, May to October. In July 2021 the deviation is
-# within 1 % from 0.2 to 0.6.
-_NET_DRYING = 0.4
+# What a roof loses in the mean, as a share of the evapotranspiration: the mean of 1 - rain /
+# evapotranspiration over Toronto's seasons of 2015 to 2025, May to October, 0.0 to 0.5 each.
+_NET_DRYING = 0.3
 
 Array = NDArray[np.float64]
 
@@ -28,7 +27,7 @@ class AfterForecast:
     since only evapotranspiration takes it off. Who plans for the forecast's time alone fills the
     roof before a rain at its end, at no cost to the plan, and has too much on it afterwards. The
     shorter the forecast, the more of that. So the deviation counts for ten more days, in which
-    there is no rain, and evapotranspiration is 0.4 of its mean over the past day: what rain and
+    there is no rain, and evapotranspiration is 0.3 of its mean over the past day: what rain and
     evapotranspiration leave between them in a usual summer. The mean is that of a whole day, so
     that it is right at night, too; at first it is that of the forecast's first day.
 

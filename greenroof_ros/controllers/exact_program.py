@@ -74,7 +74,7 @@ class ExactProgram:
         minima = []
         for deviation, limit, length, rises in zip(mean, most, self._lengths, able, strict=True):
             moved += rises
-            _add_right(left, right, moved, limit, math.inf)
+            _end_at(left, right, moved, limit)
             _add_right(left, right, moved, -deviation, length)
             _add_left(left, right, moved, -deviation, length)
             minima.append(-left[0][0])
@@ -82,6 +82,16 @@ class ExactProgram:
 
 
 Breaks = list[tuple[float, float]]
+
+
+def _end_at(left: Breaks, right: Breaks, moved: float, place: float) -> None:
+    """Make it infinite right of a place, which is not left of the wall at 0."""
+    beyond = 0.0
+    while -left[0][0] > place:
+        beyond += heapq.heappop(left)[1]
+    if beyond:
+        heapq.heappush(left, (-place, beyond))
+    heapq.heappush(right, (place - moved, math.inf))
 
 
 def _add_right(left: Breaks, right: Breaks, moved: float, place: float, slope: float) -> None:

@@ -260,25 +260,11 @@ class Planner:
             if not rain_counts:
                 rain[:, 1:] = 0.0
             self._decide(x1, x2, *self._after.lengthen(rain, evaporated))
-        full = maximum_pump_flow(site, x1)
-        kept = self._kept(x2)
-        stays = kept * full
-        share = self._planned_flow() / stays if stays > 0 else 0.0
-        dry = x2 < site.x2_star and cistern_level >= site.suction_level
-        if dry and site.x2_star - x2 < _OFF_PLAN_M3:
-            # The pumps are cut at the target, and would start again: no more than leads there.
+        share = 0.0
+        if x2 < site.x2_star and cistern_level >= site.suction_level:
             missing = site.x2_star - site.roof_volume(roof_level)
-            inflow_now = (
-                float(rain[0, 0]) * site.a2 * kept - float(evaporated[0]) * water_stress(site, x2)
-            )
-            dry = missing > 0
-            share = min(share, ((missing - _BELOW_TARGET_M3) / site.tau - inflow_now) / stays)
-        if not dry or share < _LEAST_COMMAND:
-            share = 0.0
-        share = min(share, self._max_command)
-        if not self._flow:
-            share = self._start(share)
-        self._flow = share * full
+            share = self._share(x1, x2, missing, float(rain[0, 0]), float(evaporated[0]))
+        self._flow = share * maximum_pump_flow(site, x1) if share else 0.0
         self._regret_budget.move(
             x1, x2, fraction, self._flow, float(rain[0, 0]), float(evaporated[0])
         )
@@ -288,6 +274,33 @@ class Planner:
         self._pass_tick()
         self.solve_seconds.append(time.perf_counter() - started)
         return share
+
+    def _share(
+        self, x1: float, x2: float, missing: float, rain: float, evaporated: float
+    ) -> float:
+        """Return the command for a roof that is too dry: the plan's, but not beyond the target.
+
+        Args:
+            x1: in the cistern (m3).
+            x2: on the roof (m3).
+            missing: to the target, by what the sensor reads (m3).
+            rain: in the present tick (m/s).
+            evaporated: in the present tick (m3/s).
+        """
+        site = self._site
+        kept = self._kept(x2)
+        stays = kept * maximum_pump_flow(site, x1)
+        if stays <= 0:
+            return 0.0
+        share = self._planned_flow() / stays
+        if site.x2_star - x2 < _OFF_PLAN_M3:
+            # The pumps are cut at the target, and would start again: no more than leads there.
+            if missing <= 0:
+                return 0.0
+            inflow = rain * site.a2 * kept - evaporated * water_stress(site, x2)
+            share = min(share, ((missing - _BELOW_TARGET_M3) / site.tau - inflow) / stays)
+        share = min(share, self._max_command) if share >= _LEAST_COMMAND else 0.0
+        return share if self._flow else self._start(share)
 
     def skip(self) -> None:
         """Wait for the next reading; what the plan expected of this tick has not happened."""

@@ -84,7 +84,7 @@ def test_a_file_may_leave_parameters_out(tmp_path: Path) -> None:
     (tmp_path / "mine.yaml").write_text("planning_mpc: {ros__parameters: {horizon: 6}}\n")
     given = find_controller("planning_mpc").read_parameters(tmp_path / "mine.yaml")
     assert given["horizon"] == 6
-    assert given["max_waiting_loss"] == 1.0
+    assert given["waiting_budget"] == 72.0
 
 
 @pytest.mark.parametrize(
