@@ -88,9 +88,10 @@ class Planner:
 
     It decides again when there is no plan, the plan is 600 s old (with an ensemble no older than it
     is the same for all members), the roof has come 2 litres off it, or the forecast has changed,
-    which it looks for once a minute; the last solution, moved on, is the solver's first guess. Where the solver finds no
-    solution the last plan, which was good for the whole horizon, is followed on; ``fallbacks``
-    counts it.
+    which it looks for once a minute. One forecast without prices has an exact program
+    (:class:`~greenroof_ros.controllers.exact_program.ExactProgram`). The others are solved by OSQP,
+    whose first guess is the last solution, moved on. Where it finds no solution the last plan,
+    which was good for the whole horizon, is followed on; ``fallbacks`` counts it.
 
     From one start of the pumps to the next it waits 3600 s / ``starts_per_hour`` of the site. The
     program does not know of starts, and without this rule it would follow evapotranspiration with

@@ -23,6 +23,7 @@ from scipy.optimize import linprog
 
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.files import shared_directory
+from greenroof_ros.controllers import after_forecast
 from greenroof_ros.controllers.after_forecast import AfterForecast
 from greenroof_ros.controllers.anticipating_onoff import AnticipatingOnOff
 from greenroof_ros.controllers.exact_program import ExactProgram
@@ -407,11 +408,16 @@ WINDOWS |= {
 
 @cache
 def result(controller: str, window: str) -> tuple[float, float]:
-    """Return a run's total deviation and the least possible one (m3)."""
+    """Return a run's total deviation and the least possible one (m3).
+
+    They end after 12 h, and so does what the controller counts.
+    """
     run = paper_run("--controller", controller, *WINDOWS[window])
     metrics = Metrics()
-    for _ in closed_loop(run, run.make_controller(), metrics):
-        pass
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(after_forecast, "_DAYS", 0)
+        for _ in closed_loop(run, run.make_controller(), metrics):
+            pass
     return metrics["total_deviation_m3"], clairvoyant_bound(run).bound_m3
 
 
@@ -477,7 +483,7 @@ def test_anticipating_onoff_comes_near(window: str) -> None:
 @pytest.mark.parametrize(
     ("options", "share"),
     [
-        ("--controller planning_mpc --hours 6", 0.01),
+        ("--controller planning_mpc --power 2 --hours 6", 0.01),
         # Noise decides when a pump starts, which alone makes 2 % from one run to the next.
         (
             "--controller scenario_mpc --forecast ensemble --forecast-seed 3 --roof-noise 0.002 "
@@ -521,7 +527,7 @@ def test_solver_failures(monkeypatch: pytest.MonkeyPatch, options: str, share: f
 
 def test_solver_that_gives_up() -> None:
     """A limit of ten iterations: no plan, no pumping, and it is counted."""
-    controller = planner(max_iterations=10)
+    controller = planner(max_iterations=10, power=2)
     assert controller.command(2.3, 0.03, *dry({12: 1e-6, 20: 1e-6})) == 0.0
     assert (controller.solves, controller.fallbacks) == (1, 1)
     assert math.isnan(controller.planned_deviation)
@@ -592,17 +598,11 @@ def test_an_expected_level_is_not_below_the_ground() -> None:
 
 
 def test_it_decides_when_something_changed() -> None:
-    """Not every tick; but at once when the roof is elsewhere, or the forecast is another."""
-    decisions = 0
+    """Not every tick; but at once when the roof is elsewhere, in a minute when the forecast is.
 
-    class Counting(PlanningProgram):
-        def solve(self, *arguments: Any) -> Any:
-            nonlocal decisions
-            decisions += 1
-            return super().solve(*arguments)
-
+    And after ten minutes.
+    """
     controller = planner()
-    controller._program = Counting(PAPER_SITE, EDGES, 1.0, 1.0, Prices(), 1, Ensemble(), 20000)
     full = PAPER_SITE.b * math.sqrt(2.3 + PAPER_SITE.c_hat - PAPER_SITE.d)
     x2 = 2.0
 
@@ -614,16 +614,23 @@ def test_it_decides_when_something_changed() -> None:
     none = [0.0] * STEPS
     for _ in range(30):
         tick(none)
-    assert decisions == 1
+    assert controller.solves == 1
     for expected in (1, 2):  # a litre and a half is nothing, three are not
         tick(none, off=0.0015)
         tick(none)
-        assert decisions == expected
-    tick(dry({20: 1e-6})[0])
-    assert decisions == 3
+        assert controller.solves == expected
+    drizzle, rain = dry({20: 1e-7})[0], dry({20: 1e-6})[0]  # 0.18 and 1.8 mm
     for _ in range(60):
-        tick(dry({20: 1e-6})[0])
-    assert decisions == 4
+        tick(drizzle)
+    assert controller.solves == 2
+    for _ in range(60):
+        tick(rain)
+    assert controller.solves == 3
+    since = 0
+    while controller.solves == 3:
+        tick(rain)
+        since += 1
+    assert 540 < since <= 600
 
 
 def medians(values: Array, weights: Array) -> list[float]:
