@@ -63,7 +63,7 @@ class ExactProgram:
             np.dot(self._lengths, np.abs(mean[0] + volumes)) / float(self._edges[-1])
         )
         at_ends = np.interp(self._edges[1:], self._middles, [0.0, *volumes])
-        return np.minimum(at_ends, most[0])[None]
+        return np.asarray(np.minimum(at_ends, most[0])[None])
 
     def _minima(self, mean: list[float], most: list[float], able: list[float]) -> list[float]:
         """Return for each step where f_i is least, and of several places the lowest."""

@@ -33,6 +33,8 @@ _OFF_PLAN_M3 = 2e-3
 # (m); a smaller change waits for the next plan.
 _LOOK_S = 60.0
 _CHANGED_M = 5e-4
+# So much of the pumps' flow (s) is planned beyond what the cistern has.
+_BEYOND_S = 60.0
 # So far below the target it follows evapotranspiration (m3), where nothing cuts the pumps.
 _BELOW_TARGET_M3 = 1e-6
 # Less is the solver's tolerance (share of the maximum flow).
@@ -373,7 +375,7 @@ class Planner:
             filled = site.cistern_volume(site.mains_level)
             given = site.mains_flow * self._edges[1:]
             there = np.maximum(there, np.minimum(x1 + collected, filled) + given)
-        slack = max(_LONGEST_PLAN_S, site.tau) * full
+        slack = max(_BEYOND_S, site.tau) * full
         above = np.maximum(there - site.a1 * site.suction_level + slack, 0.0)
         kept = self._kept(x2)
         self.solves += 1

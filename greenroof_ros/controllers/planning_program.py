@@ -86,8 +86,9 @@ class PlanningProgram:
         self._max_command = max_command
         self._members = members
         self._lengths = np.diff(edges)
-        # A step's deviation is scaled so that seconds and hours are alike to the solver.
-        self._weights = self._lengths / self._lengths.mean()
+        # A step's deviation is scaled so that seconds and days are alike to the solver: half of
+        # the difference by the rows, half by the costs.
+        self._weights = np.sqrt(self._lengths / self._lengths.mean())
         self._starts = prices.start > 0
         # A rise is scaled so that it costs as much as a deviation, or the solver takes ten times
         # the iterations, if it comes to an end.
@@ -131,9 +132,9 @@ class PlanningProgram:
         self._solver = osqp.OSQP()
         self._solver.setup(
             P=scipy.sparse.triu(
-                spread.T @ scipy.sparse.block_diag(quadratic) @ spread, format="csc"
+                n * spread.T @ scipy.sparse.block_diag(quadratic) @ spread, format="csc"
             ),
-            q=spread.T @ cost,
+            q=n * spread.T @ cost,
             A=scipy.sparse.csc_matrix(matrix @ spread),
             l=lower,
             u=upper,
@@ -157,7 +158,7 @@ class PlanningProgram:
         volumes = blocks[:, : len(self._lengths)]
         if self.status not in _USABLE or not np.isfinite(volumes).all():
             return None
-        self.cost = float(result.info.obj_val)
+        self.cost = float(result.info.obj_val) / len(self._lengths)
         # The solver ends within its tolerance of the constraints, on either side.
         return np.asarray(np.maximum.accumulate(np.clip(volumes, 0.0, most), axis=1))
 
@@ -197,11 +198,11 @@ class PlanningProgram:
         step = self._step()
         hessian = [step.T @ scipy.sparse.diags([friction / self._lengths], [0]) @ step]
         if power == 2:
-            hessian.append(scipy.sparse.diags([2 / self._weights / n], [0]))
+            hessian.append(scipy.sparse.diags([np.full(n, 2 / n)], [0]))
             linear = [volume, np.zeros(n)]
         else:
             hessian.append(scipy.sparse.csc_matrix((n, n)))
-            linear = [volume, np.full(n, 1 / n)]
+            linear = [volume, self._weights / n]
         if self._starts:
             hessian.append(scipy.sparse.csc_matrix((n, n)))
             linear.append(np.full(n, prices.start / seconds / self._rise))
