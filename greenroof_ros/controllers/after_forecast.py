@@ -13,8 +13,8 @@ from greenroof_ros.model.site import Site
 _DAY_S = 86_400.0
 # As many days as the longest forecast has.
 _DAYS = 10
-# What a roof loses in the mean, as a share of the evapotranspiration: the mean of 1 - rain /
-# evapotranspiration over Toronto's seasons of 2015 to 2025, May to October, 0.0 to 0.5 each.
+# What a roof loses in the mean, as a share of the evapotranspiration: 1 - rain / evapotranspiration
+# is 0.31 in the mean over Toronto's seasons of 2015 to 2025, May to October, and 0.04 to 0.55 each.
 _NET_DRYING = 0.3
 
 Array = NDArray[np.float64]

@@ -44,7 +44,8 @@ class AnticipatingOnOff:
     where it is not for one of them. This is the plan of the least sum of |x2 - x2*| for pumps of
     any flow: with y_i what is missing in step i, the volumes pumped by then are the isotonic
     regression of y in L1, and its first value is the least, over t, of the medians of y until t.
-    It is above zero where the rule says so.
+    It is above zero where the rule says so (Stout 2008, Unimodal regression via prefix isotonic
+    regression, Comput. Stat. Data Anal. 53:289-297).
 
     One thing this leaves out, and a planner does not: that pumping takes time (a minute and a half
     at full flow for the paper's site). Of a dry forecast it makes the paper's controller.

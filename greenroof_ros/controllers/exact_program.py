@@ -25,8 +25,9 @@ class ExactProgram:
     what the pumps can do; beyond most_i it is infinite; h_i |m_i + P| is added. Kept are the places
     at which its slope changes, those left and those right of the minimum apart, each in a heap. The
     volumes follow backwards: P_{i-1} is as near to the minimum of f_{i-1} as P_i allows. For n
-    steps that takes n log n operations (the 'slope trick', known for L1 isotonic regression, which
-    this is where the pumps have no limits: Stout 2008, Algorithmica 66:93-112, section 2).
+    steps that takes n log n operations. Without limits of the pumps this is isotonic regression in
+    L1, and the way to solve it that of Rote (2019, Isotonic Regression by Dynamic Programming,
+    doi:10.4230/OASIcs.SOSA.2019.1).
 
     Attributes:
         status: 1, as OSQP says of a program that is solved; 0 before the first.

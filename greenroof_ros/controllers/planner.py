@@ -183,12 +183,13 @@ class Planner:
         """Set the program up for forecasts of so many members; what is planned for now stays."""
         self._members = members
         self._longest = _LONGEST_PLAN_S
-        if members == 1 and self._power == 1 and self._prices == NO_PRICES:
-            self._program: Program = ExactProgram(self._edges, self._max_command)
-        else:
+        exact = self._power == 1 and self._prices == NO_PRICES
+        if self._ensemble is not None or not exact:
             # Its solver takes half a second to import, which those who do not need it are spared.
             from greenroof_ros.controllers.planning_program import PlanningProgram
-
+        if members == 1 and exact:
+            self._program: Program = ExactProgram(self._edges, self._max_command)
+        else:
             program = PlanningProgram(
                 self._site, self._edges, self._max_command, self._power, self._prices,
                 members, self._ensemble or MEAN_OF_ALL, self._max_iterations,

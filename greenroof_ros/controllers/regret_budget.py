@@ -47,8 +47,9 @@ class RegretBudget:
 
         (1 + waiting_share) D + waiting_budget x2*,
 
-    and a tick's loss: while forecasts count L is below the limit, and when they cease to, the
-    filling was in it. Good forecasts never come near. A promise of this kind is the robustness of
+    but for a tick's loss, what the pumps wait for their next start, and what evapotranspiration
+    slows the filling: while forecasts count L is below the limit, and when they cease to, the filling
+    was in it. Good forecasts never come near. A promise of this kind is the robustness of
     an online algorithm with predictions, and to follow a good forecast unharmed its consistency
     (Lykouris and Vassilvitskii 2021, Competitive Caching with Machine Learned Advice, J. ACM 68(4),
     doi:10.1145/3447579). In frost nothing may be pumped, and the loss goes on.
@@ -56,6 +57,8 @@ class RegretBudget:
     While a controller waits, a low outlet of the cistern may take what it would fill the roof with.
     What on/off has on the roof beyond all that stays in the cistern costs as much as if it were
     missing for a week.
+
+    The budget is that of a controller's life: a controller that is started again has all of it.
 
     The difference rests on pumps that do what is commanded. With minimum times on and off, or
     another flow than the site file's, the count is wrong by what they pump beside the command.

@@ -30,7 +30,7 @@ from greenroof_ros.forecast.resampling import SteppedForecast
 from greenroof_ros.model.look_ahead import growing_steps
 from greenroof_ros.model.metrics import Metrics
 from greenroof_ros.model.plant import maximum_pump_flow
-from greenroof_ros.weather.series import Weather
+from greenroof_ros.weather.series import Weather, WeatherSeries
 
 Array = NDArray[np.float64]
 
@@ -254,17 +254,19 @@ ADVERSARIES = (
 BUDGET_H, SHARE = 6.0, 0.05
 
 
-def two_weeks(controller: str, directory: Path) -> tuple[str, ...]:
-    """Return the options of two weeks of July in ticks of 30 s, for pumps of a tenth of the flow.
+def two_weeks(directory: Path, *options: str) -> Run:
+    """Build a run of two weeks with a tenth of July 2021's rain, in ticks of 30 s.
 
-    With the whole flow on/off would overshoot by 4 mm in such a tick.
+    Its pumps are to have a tenth of the flow: with all of it on/off would overshoot by 4 mm.
     """
-    strength = "--fraction" if controller.endswith("onoff") else "--max-command"
-    return (
-        "--controller", controller, strength, "0.1", "--site", str(site_file(directory, tau=30.0)),
+    run = paper_run(
+        *options, "--site", str(site_file(directory, tau=30.0)),
         "--weather", str(DATA / "en_climate_hourly_07-2021.csv"), "--start", "2021-07-01T00:00",
         "--hours", "336", "--evapotranspiration", "fao56",
     )
+    weather = replace(run.weather, precipitation=run.weather.precipitation / 10)
+    series = WeatherSeries(weather, run.site, run.start, run.steps)
+    return replace(run, weather=weather, series=series)
 
 
 def deviation_of(run: Run, controller: Any) -> float:
@@ -278,7 +280,7 @@ def deviation_of(run: Run, controller: Any) -> float:
 @pytest.fixture(scope="module")
 def plain_two_weeks(tmp_path_factory: pytest.TempPathFactory) -> float:
     """Return the result of plain on/off in these weeks (m3 s)."""
-    run = paper_run(*two_weeks("onoff", tmp_path_factory.mktemp("plain")))
+    run = two_weeks(tmp_path_factory.mktemp("plain"), "--controller", "onoff", "--fraction", "0.1")
     return deviation_of(run, run.make_controller())
 
 
@@ -288,7 +290,8 @@ def test_an_adversary_costs_at_most_the_budget(
     controller: str, kind: str, tmp_path: Path, plain_two_weeks: float
 ) -> None:
     """On/off and its share, the budget, and at most what is lost until the pumps may start."""
-    run = paper_run(*two_weeks(controller, tmp_path), "--horizon", "48")
+    strength = "--fraction" if controller == "anticipating_onoff" else "--max-command"
+    run = two_weeks(tmp_path, "--controller", controller, strength, "0.1", "--horizon", "48")
     false = SteppedForecast(
         Adversary(kind, run.weather), run.weather, run.site, run.start, growing_steps(48),
         run.steps, run.controller.ensemble,
@@ -411,7 +414,8 @@ def test_lies_that_come_and_go() -> None:
     )
     plain = onoff("--start", "2021-07-07T14:00", fraction=0.005)
     lost = deviation_of(replace(run, forecast=forecast), controller) - plain
-    assert 0.02 * EMPTY_HOUR < lost < 0.102 * EMPTY_HOUR
+    # The roof is filled for hours, and what evaporates meanwhile makes them longer.
+    assert 0.02 * EMPTY_HOUR < lost < 0.11 * EMPTY_HOUR
 
 
 def test_ticks_in_frost_count() -> None:
