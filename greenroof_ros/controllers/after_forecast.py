@@ -47,10 +47,11 @@ class AfterForecast:
         self._gain = -math.expm1(-site.tau / _DAY_S)
         self._mean = math.nan
 
-    def pass_tick(self, evapotranspiration: NDArray[np.float64]) -> None:
+    def pass_tick(self, evapotranspiration: Array) -> None:
         """Take a tick's forecast into the mean (m3/s, shape (steps,)); its first entry is now."""
         if math.isnan(self._mean):
-            self._mean = float(self._first_day @ evapotranspiration)
+            # No dot product: the order of its sums may follow where in memory they lie.
+            self._mean = float((self._first_day * evapotranspiration).sum())
         self._mean += self._gain * (float(evapotranspiration[0]) - self._mean)
 
     def lengthen(self, rain: Array, evapotranspiration: Array) -> tuple[Array, Array]:

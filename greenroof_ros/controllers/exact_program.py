@@ -60,9 +60,8 @@ class ExactProgram:
             volumes.append(min(max(before, volumes[-1] - rises), volumes[-1]))
         volumes.reverse()
         self.status = 1
-        self.cost = float(
-            np.dot(self._lengths, np.abs(mean[0] + volumes)) / float(self._edges[-1])
-        )
+        deviations = np.diff(self._edges) * np.abs(mean[0] + volumes)
+        self.cost = float(deviations.sum() / self._edges[-1])
         at_ends = np.interp(self._edges[1:], self._middles, [0.0, *volumes])
         return np.asarray(np.minimum(at_ends, most[0])[None])
 
