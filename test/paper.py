@@ -62,7 +62,7 @@ def planner(site: Site = PAPER_SITE, **changes: Any) -> Planner:
     """Return a planner of 12 h that takes readings as they are and waits for rain without limit."""
     given = {
         "horizon": 12, "max_command": 1.0, "observer_time_constant": 0.0,
-        "max_waiting_loss": math.inf, **changes,
+        "waiting_budget": math.inf, "waiting_share": 0.0, **changes,
     }
     return Planner(site, **given)
 

@@ -1,4 +1,4 @@
-"""An on/off controller that anticipates the weather: no model, no solver, one level."""
+"""An on/off controller that anticipates the weather: no model, no solver, one sum."""
 
 from __future__ import annotations
 
@@ -11,57 +11,64 @@ from numpy.typing import NDArray
 
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.parameter import Parameter
+from greenroof_ros.controllers.after_forecast import AfterForecast
 from greenroof_ros.controllers.onoff import FRACTION
 from greenroof_ros.controllers.protocol import HORIZON
-from greenroof_ros.controllers.regret_limit import MAX_WAITING_LOSS, RegretLimit
+from greenroof_ros.controllers.regret_budget import WAITING_BUDGET, WAITING_SHARE, RegretBudget
 from greenroof_ros.controllers.roof_observer import OBSERVER_TIME_CONSTANT, RoofObserver
-from greenroof_ros.model.look_ahead import growing_steps
 from greenroof_ros.model.plant import pump_flow
 from greenroof_ros.model.site import Site
 from greenroof_ros.model.soil import free_changes
 
 Array = NDArray[np.float64]
 
+# So often it looks whether to wait on (s).
+_LOOK_S = 60.0
+
 
 class AnticipatingOnOff:
-    """Pumps as the on/off controller does, but up to a level that leaves room for what comes.
+    """Pumps as the on/off controller does, but not where rain will do it.
 
     The paper asks for it: a 'less expensive, hybrid' design, an on/off controller that anticipates
     the weather (Conclusion). The paper's on/off controller, Eq. (12), fills the roof to its target
-    x2*. If rain comes then, the roof stays too wet for the rest of the day, since nothing but
-    evapotranspiration takes water off it. This one fills it to x2* - m only, where
+    x2*. If rain comes then, the roof stays too wet for days. This one looks at how the roof would
+    be if it were left alone, by rain and evapotranspiration, of a measured roof also by what
+    percolates. It pumps while the roof would be
 
-        m = max(0, median of C(t) over the horizon),
-        C(t) = what rain less evapotranspiration bring to the roof from now until t,
-               of a measured roof without what percolates meanwhile.
+        too dry for more than half of the time from now to t, for every t,
 
-    Why the median: pump a little now, and the roof is that much wetter at every later time. That is
-    a gain at those times at which it would otherwise be below its target, and a loss at those at
-    which it would be above. Gain and loss are equal - and the sum of |x2 - x2*| is least - when the
-    roof, left alone from now on, spends half the horizon below its target and half above it. Left
-    alone it holds x2 + C(t), so that is where x2 + median C = x2*. Were the sum of squares to be
-    least, it would be the mean in place of the median.
+    t being the ends of the steps to the horizon and of the ten days after it
+    (:class:`~greenroof_ros.controllers.after_forecast.AfterForecast`).
 
-    Two things this leaves out, and a planner does not: that one can still pump later (if the roof
-    is to fall below its target in the second half only, it is better to wait), and that pumping
-    takes time (a minute and a half at full flow for the paper's site, against half a day). A dry
-    forecast has a negative median, which counts as 0, because the pumps do not work above the
-    target (Eq. 3a): then it is the paper's controller.
+    Why: pump a little now, and the roof is that much wetter at every later time. That is a gain at
+    those times at which it would otherwise be below its target, and a loss at those at which it
+    would be above. What is not pumped now can still be pumped at t; then only the time until t
+    counts. So it is best to pump where the gain is larger than the loss for every t, and to wait
+    where it is not for one of them. This is the plan of the least sum of |x2 - x2*| for pumps of
+    any flow: with y_i what is missing in step i, the volumes pumped by then are the isotonic
+    regression of y in L1, and its first value is the least, over t, of the medians of y until t.
+    It is above zero where the rule says so (Stout 2008, Unimodal regression via prefix isotonic
+    regression, Comput. Stat. Data Anal. 53:289-297).
 
-    For a microcontroller: from the hourly forecast add up rain times the bed's area less
-    evapotranspiration, sort the sums, take the one in the middle, once a minute. The level to
-    switch at is the target less that volume over the bed's area. Two sums more, kept tick by tick,
-    make it fit for a real site:
+    It looks once a minute, and while it pumps in each tick.
+
+    One thing this leaves out, and a planner does not: that pumping takes time (a minute and a half
+    at full flow for the paper's site). Of a dry forecast it makes the paper's controller.
+
+    For a microcontroller: once a minute go through the hours of the forecast, adding up rain times
+    the bed's area less evapotranspiration to what is on the roof. Add up the hours with too little,
+    less those with too much, and stop, not pumping, if that sum is not above zero. Two sums more,
+    kept tick by tick, make it fit for a real site:
     :class:`~greenroof_ros.controllers.roof_observer.RoofObserver` averages the level's readings,
-    :class:`~greenroof_ros.controllers.regret_limit.RegretLimit` limits what a forecast of rain that
-    never comes can do.
+    :class:`~greenroof_ros.controllers.regret_budget.RegretBudget` limits what a forecast of rain
+    that never comes can do.
 
     Attributes:
         fraction: v, the command when pumping (share of the maximum flow).
     """
 
     parameters: ClassVar[tuple[Parameter, ...]] = (
-        HORIZON, FRACTION, OBSERVER_TIME_CONSTANT, MAX_WAITING_LOSS,
+        HORIZON, FRACTION, OBSERVER_TIME_CONSTANT, WAITING_BUDGET, WAITING_SHARE,
     )
 
     def __init__(
@@ -70,7 +77,8 @@ class AnticipatingOnOff:
         horizon: float,
         fraction: float,
         observer_time_constant: float,
-        max_waiting_loss: float,
+        waiting_budget: float,
+        waiting_share: float,
     ) -> None:
         """Take the site and the parameters.
 
@@ -79,13 +87,16 @@ class AnticipatingOnOff:
             horizon: how far to look ahead (h).
             fraction: v.
             observer_time_constant: over how long (s) readings of the roof's level are averaged.
-            max_waiting_loss: what waiting for rain may cost (h of an empty roof).
+            waiting_budget: what waiting for rain may cost (h of an empty roof).
+            waiting_share: and besides, as a share of what plain on/off costs.
         """
         self._site = site
         self.fraction = fraction
-        self._lengths = np.diff(growing_steps(horizon))
+        self._after = AfterForecast(site, horizon)
+        self._lengths = np.diff(self._after.edges)
         self._observer = RoofObserver(site, observer_time_constant)
-        self._regret_limit = RegretLimit(site, max_waiting_loss)
+        self._regret_budget = RegretBudget(site, waiting_budget, waiting_share)
+        self._waited = math.inf  # since it looked and did not pump (s)
 
     def command(
         self,
@@ -101,11 +112,11 @@ class AnticipatingOnOff:
         The forecasts are means over the steps of
         :func:`greenroof_ros.model.look_ahead.growing_steps`.
         """
-        site = self._site
-        if not len(precipitation) == len(evapotranspiration) == len(self._lengths):
+        site, steps = self._site, self._after.steps
+        if not len(precipitation) == len(evapotranspiration) == steps:
             raise ConfigurationError(
                 f"the forecasts have {len(precipitation)} and {len(evapotranspiration)} entries, "
-                f"but there are {len(self._lengths)} steps to the horizon; give weather and "
+                f"but there are {steps} steps to the horizon; give weather and "
                 "controller the same horizon, and only scenario_mpc all members"
             )
         rain, evaporated = np.asarray(precipitation), np.asarray(evapotranspiration)
@@ -113,13 +124,16 @@ class AnticipatingOnOff:
         if not math.isfinite(x1 + roof_level + float(rain.sum() + evaporated.sum())):
             self.skip()
             return 0.0
+        self._after.pass_tick(evaporated)
         x2 = self._observer.correct(roof_level)
-        waited = self._regret_limit.judge(x1, x2, self.fraction)
-        room = 0.0 if waited else self._room(x2, rain, evaporated)
-        dry = x2 < site.x2_star - room and cistern_level >= site.suction_level
+        exhausted = self._regret_budget.judge(x1, x2, self.fraction)
+        dry = x2 < site.x2_star and cistern_level >= site.suction_level
+        if dry and not exhausted:
+            dry = self._waited >= _LOOK_S and self._stays_dry(x2, rain, evaporated)
         command = self.fraction if dry else 0.0
+        self._waited += site.tau
         pumped = pump_flow(site, x1, x2, command)
-        self._regret_limit.move(
+        self._regret_budget.move(
             x1, x2, self.fraction, pumped, float(rain[0]), float(evaporated[0])
         )
         self._observer.predict(x2, float(rain[0]), float(evaporated[0]), pumped)
@@ -128,20 +142,19 @@ class AnticipatingOnOff:
     def skip(self) -> None:
         """Wait for the next reading."""
         self._observer.skip()
-        self._regret_limit.skip()
+        self._regret_budget.skip()
 
-    def _room(self, x2: float, rain: Array, evaporated: Array) -> float:
-        """Return m, what to leave room for (m3)."""
-        (inflow,) = free_changes(self._site, x2, rain[None], evaporated, self._lengths)
+    def _stays_dry(self, x2: float, rain: Array, evaporated: Array) -> bool:
+        """Whether the roof, left alone, is too dry for most of the time until each step's end."""
+        rain, evaporated = self._after.lengthen(rain[None], evaporated)
+        (inflow,) = free_changes(self._site, x2, rain, evaporated, self._lengths)
         # Half-way through each step, since there the sum is the step's mean.
-        return max(0.0, _median(np.cumsum(inflow) - inflow / 2, self._lengths))
+        course = x2 + np.cumsum(inflow) - inflow / 2
+        dry_s = np.where(course < self._site.x2_star, self._lengths, -self._lengths)
+        if np.cumsum(dry_s).min() > 0:
+            return True
+        self._waited = 0.0
+        return False
 
     def statistics(self) -> None:
         """It has no solver."""
-
-
-def _median(values: Array, weights: Array) -> float:
-    """Return the value below which half of the weights lie."""
-    order = np.argsort(values, kind="stable")
-    reached = np.cumsum(weights[order])
-    return float(values[order[np.searchsorted(reached, reached[-1] / 2)]])

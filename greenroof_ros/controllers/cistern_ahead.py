@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from greenroof_ros.model.plant import mains_flows
+from greenroof_ros.model.plant import mains_flows, maximum_pump_flows
 from greenroof_ros.model.site import Site
 
 Array = NDArray[np.float64]
@@ -42,6 +42,8 @@ class CisternAhead(NamedTuple):
     """least surplus with which the pumps work (m3), the mains' water counted, shape (n,)"""
     volume: Array
     """in the cistern, mean of each step if nothing is pumped (m3), shape (members, n)"""
+    full: Array
+    """the pumps' flow at command 1 from that volume (m3/s), shape (members, n)"""
 
     def left(self, pumped: Array) -> Array:
         """Return the surplus at each step's end (m3) if so much is pumped until then (m3).
@@ -68,7 +70,8 @@ def cistern_ahead(
         rain: forecast (m/s), shape (members, n).
         lengths: of the steps (s), shape (n,).
         slack: by how much the last tick that pumps may end below the suction level (m3).
-        kept: share of a pumped volume that the soil keeps; all volumes but the last are kept ones.
+        kept: share of a pumped volume that the soil keeps; what is returned are kept volumes and
+            flows, but for that in the cistern.
     """
     suction = site.cistern_volume(site.suction_level)
     base = max(site.cistern_volume(site.lowest_outlet), suction)
@@ -77,10 +80,12 @@ def cistern_ahead(
     received = rain * lengths * site.effective_catchment
     before = surplus[:, :-1] + received
     share = np.divide(surplus[:, 1:], before, out=np.ones_like(before), where=before > 0)
+    volume = (course[:, :-1] + course[:, 1:]) / 2
     given = (site.mains_flow or 0.0) * np.cumsum(lengths)
     return CisternAhead(
         kept * (x1 - base), kept * received, np.clip(share, _LEAST_SHARE, 1.0),
-        kept * (min(suction - slack, x1) - base - given), (course[:, :-1] + course[:, 1:]) / 2,
+        kept * (min(suction - slack, x1) - base - given), volume,
+        kept * maximum_pump_flows(site, volume),
     )
 
 

@@ -2,7 +2,14 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import NamedTuple, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from greenroof_ros.controllers.cistern_ahead import CisternAhead
+
+Array = NDArray[np.float64]
 
 
 class Prices(NamedTuple):
@@ -21,6 +28,42 @@ class Ensemble(NamedTuple):
     """of the conditional value-at-risk: 0 is the mean of all, 0.9 that of the worst tenth"""
     recourse: float = 0.0
     """until then (s) one plan serves all members; later each has its own"""
+
+
+class Program(Protocol):
+    """What a planner solves; see :class:`greenroof_ros.controllers.planner.Planner`.
+
+    Attributes:
+        status: of the last program by OSQP's numbers, 1 = solved.
+        cost: its objective (m3; m6 where the deviation is squared); NaN if it was not solved.
+    """
+
+    status: int
+    cost: float
+
+    def solve(
+        self,
+        mean: Array,
+        most: Array,
+        full: float,
+        flow: float,
+        guess: Array | None,
+        ahead: CisternAhead | None = None,
+    ) -> Array | None:
+        """Return the volumes pumped, and kept, until each step's end (m3), shape (members, n).
+
+        Args:
+            mean: of the roof's deviation in each step without pumping (m3), shape (members, n).
+            most: upper bound of the volumes (m3), not falling, shape (members, n).
+            full: the pumps' flow at command 1 (m3/s), as far as the soil keeps it.
+            flow: what is pumped now (m3/s), likewise.
+            guess: of the answer.
+            ahead: the cistern, volumes and flows likewise; None where it has no low outlet.
+
+        Returns:
+            None where there is no solution; ``status`` says why.
+        """
+        ...
 
 
 NO_PRICES = Prices()

@@ -13,25 +13,30 @@ from numpy.typing import NDArray
 
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.parameter import Parameter
+from greenroof_ros.controllers.after_forecast import AfterForecast
 from greenroof_ros.controllers.cistern_ahead import cistern_ahead
-from greenroof_ros.controllers.objective import MEAN_OF_ALL, NO_PRICES, Ensemble, Prices
+from greenroof_ros.controllers.exact_program import ExactProgram
+from greenroof_ros.controllers.objective import MEAN_OF_ALL, NO_PRICES, Ensemble, Prices, Program
 from greenroof_ros.controllers.protocol import solver_statistics
-from greenroof_ros.controllers.regret_limit import RegretLimit
+from greenroof_ros.controllers.regret_budget import RegretBudget
 from greenroof_ros.controllers.roof_observer import RoofObserver
 from greenroof_ros.controllers.tick_times import TickTimes
-from greenroof_ros.model.look_ahead import MOST_MEMBERS, growing_steps
-from greenroof_ros.model.plant import maximum_pump_flow, maximum_pump_flows
+from greenroof_ros.model.look_ahead import MOST_MEMBERS
+from greenroof_ros.model.plant import maximum_pump_flow
 from greenroof_ros.model.site import Site
 from greenroof_ros.model.soil import free_changes, kept_share, water_stress
 
 _log = logging.getLogger(__name__)
 
 # A plan is followed this long at most (s), and left when the roof has come this far off it (m3).
-# One for an ensemble takes a hundred times as long to make, and is good for longer: it expects
-# surprises.
-_LONGEST_PLAN_S = 60.0
-_LONGEST_ENSEMBLE_PLAN_S = 600.0
+_LONGEST_PLAN_S = 600.0
 _OFF_PLAN_M3 = 2e-3
+# So often it looks (s) whether the forecast of what comes to the roof has changed by more than this
+# (m); a smaller change waits for the next plan.
+_LOOK_S = 60.0
+_CHANGED_M = 5e-4
+# So much of the pumps' flow (s) is planned beyond what the cistern has.
+_BEYOND_S = 60.0
 # So far below the target it follows evapotranspiration (m3), where nothing cuts the pumps.
 _BELOW_TARGET_M3 = 1e-6
 # Less is the solver's tolerance (share of the maximum flow).
@@ -80,16 +85,21 @@ class Planner:
     be lifted from there, which is what energy costs, and how much the pumps can lift. Without one
     the lift is that from the outlet, and the flow that of now.
 
+    Steps and forecast go on for ten days after the horizon
+    (:class:`~greenroof_ros.controllers.after_forecast.AfterForecast`), since what is on the roof
+    then stays there.
+
     With an ensemble of forecasts (``scenario_mpc``) each member has such a program; what is pumped
     until ``recourse`` is the same for all - one decision now - and each may be answered on its own
     from then on, since by then a newer forecast is there. The objective is the conditional
     value-at-risk of the deviation over the members: its mean over the worst of them.
 
-    It decides again when there is no plan, the plan is 60 s old (with an ensemble 600 s, or as long
-    as it is the same for all members), the roof has come 2 litres off it, or the forecast has
-    changed; the last solution, moved on, is the solver's first guess. Where the solver finds no
-    solution the last plan, which was good for the whole horizon, is followed on; ``fallbacks``
-    counts it.
+    It decides again when there is no plan, the plan is 600 s old (with an ensemble no older than it
+    is the same for all members), the roof has come 2 litres off it, or the forecast has changed,
+    which it looks for once a minute. One forecast without prices and without a low outlet has an
+    exact program (:class:`~greenroof_ros.controllers.exact_program.ExactProgram`). The others are
+    solved by OSQP, whose first guess is the last solution, moved on. Where it finds no solution the
+    last plan, which was good for the whole horizon, is followed on; ``fallbacks`` counts it.
 
     From one start of the pumps to the next it waits 3600 s / ``starts_per_hour`` of the site. The
     program does not know of starts, and without this rule it would follow evapotranspiration with
@@ -97,7 +107,7 @@ class Planner:
 
     The roof's level is not taken as read, and forecasts of rain not for ever: see
     :class:`~greenroof_ros.controllers.roof_observer.RoofObserver` and
-    :class:`~greenroof_ros.controllers.regret_limit.RegretLimit`.
+    :class:`~greenroof_ros.controllers.regret_budget.RegretBudget`.
 
     The children are the controllers: each has its table of parameters.
 
@@ -126,7 +136,8 @@ class Planner:
         horizon: float,
         max_command: float,
         observer_time_constant: float,
-        max_waiting_loss: float,
+        waiting_budget: float,
+        waiting_share: float,
         *,
         power: float = 1,
         prices: Prices = NO_PRICES,
@@ -140,7 +151,8 @@ class Planner:
             horizon: how far to plan ahead (h).
             max_command: upper bound of the commands (1).
             observer_time_constant: over how long (s) readings of the roof's level are averaged.
-            max_waiting_loss: what waiting for rain may cost (h of an empty roof).
+            waiting_budget: what waiting for rain may cost (h of an empty roof).
+            waiting_share: and besides, as a share of what plain on/off costs.
             power: of the deviation in the objective: 1, as in the paper's metric, or 2, as in its
                 controller.
             prices: of energy and starts.
@@ -149,22 +161,25 @@ class Planner:
         """
         self._site = site
         self._max_command = max_command
-        self._edges = growing_steps(horizon)
+        self._after = AfterForecast(site, horizon)
+        self._edges = self._after.edges
         self._lengths = np.diff(self._edges)
         self._power = power
         self._prices = prices
         self._ensemble = ensemble
         self._max_iterations = max_iterations
         self._pumped: Array | None = None  # P at the edges, shape (members, steps + 1)
-        self._inflow: Array | None = None  # to the roof, of the last tick's forecast
+        self._inflow: Array | None = None  # to the roof, of the forecast looked at last
+        self._unlooked = math.inf  # since then (s)
         self._set_up(members=1)
         self._observer = RoofObserver(site, observer_time_constant)
-        self._regret_limit = RegretLimit(site, max_waiting_loss)
+        self._regret_budget = RegretBudget(site, waiting_budget, waiting_share)
         self.plan = _UNDECIDED
         self.solves = 0
         self.fallbacks = 0
         self.solve_seconds = TickTimes()
         self._age = 0.0  # of the plan (s)
+        self._rain_counts = True  # for the plan
         self._expected = math.nan  # x2 at the next tick, if all goes to plan
         self._off_plan = 0.0  # how far x2 has come off the plan since it was made (m3)
         self._flow = 0.0  # commanded in the last tick (m3/s)
@@ -172,32 +187,38 @@ class Planner:
 
     def _set_up(self, members: int) -> None:
         """Set the program up for forecasts of so many members; what is planned for now stays."""
-        # Its solver takes half a second, which those who ask for the parameters alone are spared.
-        from greenroof_ros.controllers.planning_program import PlanningProgram
-
         self._members = members
-        self._program = PlanningProgram(
-            self._site, self._edges, self._max_command, self._power, self._prices,
-            members, self._ensemble or MEAN_OF_ALL, self._max_iterations,
-        )
         self._longest = _LONGEST_PLAN_S
-        if members > 1:
-            self._longest = min(_LONGEST_ENSEMBLE_PLAN_S, self._program.shared_s)
+        plain = self._power == 1 and self._prices == NO_PRICES
+        exact = plain and self._site.low_outlet_level is None
+        if self._ensemble is not None or not exact:
+            # Its solver takes half a second to import, which those who do not need it are spared.
+            from greenroof_ros.controllers.planning_program import PlanningProgram
+        if members == 1 and exact:
+            self._program: Program = ExactProgram(self._edges, self._max_command)
+        else:
+            program = PlanningProgram(
+                self._site, self._edges, self._max_command, self._power, self._prices,
+                members, self._ensemble or MEAN_OF_ALL, self._max_iterations,
+            )
+            if members > 1:
+                self._longest = min(self._longest, program.shared_s)
+            self._program = program
         if self._pumped is not None:
             self._pumped = np.repeat(self._pumped[:1], members, axis=0)
-        self._inflow = None
+        self._inflow, self._unlooked = None, math.inf
 
     @property
     def status(self) -> int:
-        """OSQP's status value of the last program, 1 = solved."""
+        """Status of the last program by OSQP's numbers, 1 = solved."""
         return self._program.status
 
     @property
     def planned_deviation(self) -> float:
         """Objective of the last program (m3); NaN if it was not solved.
 
-        It is the mean deviation over the horizon, of an ensemble its value at risk, and prices;
-        with squares the square root of that, so that the unit is one.
+        It is the mean deviation over the horizon and the ten days after it, of an ensemble its
+        value at risk, and prices; with squares the square root of that, so that the unit is one.
         """
         cost = self._program.cost
         return math.sqrt(cost) if self._power == 2 else cost
@@ -218,7 +239,7 @@ class Planner:
         (steps,), or with an ensemble (members, steps).
         """
         started = time.perf_counter()
-        site, steps = self._site, len(self._lengths)
+        site, steps = self._site, self._after.steps
         # In one order in memory, whatever the caller's: that of numpy's sums follows it.
         rain = np.array(precipitation, dtype=float, order="C", ndmin=2)
         members = len(rain)
@@ -239,36 +260,23 @@ class Planner:
             self.skip()
             return 0.0
         self.plan = _NO_NEW_PLAN
+        self._after.pass_tick(evaporated)
         x2 = self._observer.correct(roof_level)
         self._off_plan += x2 - self._expected
         fraction = min(self._max_command, 1.0)
         waits = self._prices == NO_PRICES or bool(rain[:, 1:].any())
-        if self._regret_limit.judge(x1, x2, fraction, counts=waits):
-            rain[:, 1:] = 0.0
-        inflow = np.cumsum((rain * site.a2 - evaporated) * self._lengths, axis=1)
-        if self._must_decide(inflow, float(rain.max()), float(evaporated.max())):
-            self._decide(x1, x2, rain, evaporated)
-        self._inflow = inflow
-        full = maximum_pump_flow(site, x1)
-        kept = self._kept(x2)
-        stays = kept * full
-        share = self._planned_flow() / stays if stays > 0 else 0.0
-        dry = x2 < site.x2_star and cistern_level >= site.suction_level
-        if dry and site.x2_star - x2 < _OFF_PLAN_M3:
-            # The pumps are cut at the target, and would start again: no more than leads there.
+        rain_counts = not self._regret_budget.judge(x1, x2, fraction, counts=waits)
+        if self._must_decide(rain, evaporated, rain_counts):
+            self._rain_counts = rain_counts
+            if not rain_counts:
+                rain[:, 1:] = 0.0
+            self._decide(x1, x2, *self._after.lengthen(rain, evaporated))
+        share = 0.0
+        if x2 < site.x2_star and cistern_level >= site.suction_level:
             missing = site.x2_star - site.roof_volume(roof_level)
-            inflow_now = (
-                float(rain[0, 0]) * site.a2 * kept - float(evaporated[0]) * water_stress(site, x2)
-            )
-            dry = missing > 0
-            share = min(share, ((missing - _BELOW_TARGET_M3) / site.tau - inflow_now) / stays)
-        if not dry or share < _LEAST_COMMAND:
-            share = 0.0
-        share = min(share, self._max_command)
-        if not self._flow:
-            share = self._start(share)
-        self._flow = share * full
-        self._regret_limit.move(
+            share = self._share(x1, x2, missing, float(rain[0, 0]), float(evaporated[0]))
+        self._flow = share * maximum_pump_flow(site, x1) if share else 0.0
+        self._regret_budget.move(
             x1, x2, fraction, self._flow, float(rain[0, 0]), float(evaporated[0])
         )
         self._expected = self._observer.predict(
@@ -278,16 +286,44 @@ class Planner:
         self.solve_seconds.append(time.perf_counter() - started)
         return share
 
+    def _share(
+        self, x1: float, x2: float, missing: float, rain: float, evaporated: float
+    ) -> float:
+        """Return the command for a roof that is too dry: the plan's, but not beyond the target.
+
+        Args:
+            x1: in the cistern (m3).
+            x2: on the roof (m3).
+            missing: to the target, by what the sensor reads (m3).
+            rain: in the present tick (m/s).
+            evaporated: in the present tick (m3/s).
+        """
+        site = self._site
+        kept = self._kept(x2)
+        stays = kept * maximum_pump_flow(site, x1)
+        if stays <= 0:
+            return 0.0
+        share = self._planned_flow() / stays
+        if site.x2_star - x2 < _OFF_PLAN_M3:
+            # The pumps are cut at the target, and would start again: no more than leads there.
+            if missing <= 0:
+                return 0.0
+            inflow = rain * site.a2 * kept - evaporated * water_stress(site, x2)
+            share = min(share, ((missing - _BELOW_TARGET_M3) / site.tau - inflow) / stays)
+        share = min(share, self._max_command) if share >= _LEAST_COMMAND else 0.0
+        return share if self._flow else self._start(share)
+
     def skip(self) -> None:
         """Wait for the next reading; what the plan expected of this tick has not happened."""
         self._observer.skip()
-        self._regret_limit.skip()
+        self._regret_budget.skip()
         self.plan = _UNDECIDED
         self._flow, self._expected = 0.0, math.nan
         self._pass_tick()
 
     def _pass_tick(self) -> None:
         self._age += self._site.tau
+        self._unlooked += self._site.tau
         self._since_start += self._site.tau
 
     def _start(self, share: float) -> float:
@@ -306,15 +342,20 @@ class Planner:
         """
         return solver_statistics(self.solves, self.fallbacks, self.solve_seconds)
 
-    def _must_decide(self, inflow: Array, rain: float, evaporated: float) -> bool:
+    def _must_decide(self, rain: Array, evaporated: Array, rain_counts: bool) -> bool:
         """Whether plan, state or forecast has changed."""
-        if self._pumped is None or self._inflow is None or self._age >= self._longest:
+        changed = self._unlooked >= _LOOK_S and self._forecast_changed(rain, evaporated)
+        if changed or self._pumped is None or self._age >= self._longest:
             return True
-        if not abs(self._off_plan) <= _OFF_PLAN_M3:
-            return True
-        # Moved on by a tick, the same forecast differs by what comes in a tick at its ends.
-        in_a_tick = self._site.tau * (rain * self._site.a2 + evaporated)
-        return bool(np.abs(inflow - self._inflow).max() > 2 * in_a_tick + 1e-9)
+        return rain_counts != self._rain_counts or not abs(self._off_plan) <= _OFF_PLAN_M3
+
+    def _forecast_changed(self, rain: Array, evaporated: Array) -> bool:
+        """Look at the forecast, and return whether it is another than at the last look."""
+        before, lengths = self._inflow, self._lengths[: self._after.steps]
+        self._inflow = np.cumsum((rain * self._site.a2 - evaporated) * lengths, axis=1)
+        self._unlooked = 0.0
+        most = _CHANGED_M * self._site.a2
+        return before is None or bool(np.abs(self._inflow - before).max() > most)
 
     def _planned_flow(self) -> float:
         """Return the plan's mean flow into the soil in the present tick (m3/s), of all members."""
@@ -339,18 +380,17 @@ class Planner:
             filled = site.cistern_volume(site.mains_level)
             given = site.mains_flow * self._edges[1:]
             there = np.maximum(there, np.minimum(x1 + collected, filled) + given)
-        slack = max(_LONGEST_PLAN_S, site.tau) * full
+        slack = max(_BEYOND_S, site.tau) * full
         above = np.maximum(there - site.a1 * site.suction_level + slack, 0.0)
         kept = self._kept(x2)
-        ahead, flows = None, np.full_like(rain, full)
+        ahead = None
         if site.low_outlet_level is not None:
             ahead = cistern_ahead(site, x1, rain, self._lengths, slack, kept)
-            flows = maximum_pump_flows(site, ahead.volume)
         self.solves += 1
         pumped = self._program.solve(
             (before[:, :-1] + before[:, 1:]) / 2,
             np.minimum(missing, kept * above),
-            kept * flows,
+            kept * full,
             kept * self._flow,
             self._moved_on(),
             ahead,
@@ -365,11 +405,11 @@ class Planner:
             return
         self._pumped = np.hstack([start, pumped])
         self._age = self._off_plan = 0.0
-        planned = np.diff(self._pumped) / self._lengths / kept
+        flows = np.diff(self._pumped) / self._lengths / kept
         levels = np.maximum(before[:, 1:] + pumped + site.x2_star, 0.0) / site.a2
         self.plan = np.column_stack(
-            (self._edges[1:], planned.mean(axis=0), levels.mean(axis=0))
-        )
+            (self._edges[1:], flows.mean(axis=0), levels.mean(axis=0))
+        )[: self._after.steps]
 
     def _kept(self, x2: float) -> float:
         """Return the share of a pumped volume that the soil keeps; no more is on it than x2*."""

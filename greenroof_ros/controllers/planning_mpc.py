@@ -1,4 +1,4 @@
-"""The predictive controller that plans half a day ahead, for one forecast."""
+"""The predictive controller that plans ahead, for one forecast."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from greenroof_ros.common.parameter import Parameter
 from greenroof_ros.controllers.objective import Prices
 from greenroof_ros.controllers.planner import MAX_COMMAND, Planner
 from greenroof_ros.controllers.protocol import HORIZON
-from greenroof_ros.controllers.regret_limit import MAX_WAITING_LOSS
+from greenroof_ros.controllers.regret_budget import WAITING_BUDGET, WAITING_SHARE
 from greenroof_ros.controllers.roof_observer import OBSERVER_TIME_CONSTANT
 from greenroof_ros.model.site import Site
 
@@ -26,7 +26,8 @@ class PlanningMpc(Planner):
         Parameter("start_weight", 0.0, "m3 s", 0.0, 1e5, "what a pump start at full flow counts, "
                   "likewise"),
         OBSERVER_TIME_CONSTANT,
-        MAX_WAITING_LOSS,
+        WAITING_BUDGET,
+        WAITING_SHARE,
     )
 
     def __init__(
@@ -38,10 +39,11 @@ class PlanningMpc(Planner):
         energy_weight: float,
         start_weight: float,
         observer_time_constant: float,
-        max_waiting_loss: float,
+        waiting_budget: float,
+        waiting_share: float,
     ) -> None:
         """Take the site and the parameters; :attr:`parameters` has their units and meanings."""
         super().__init__(
-            site, horizon, max_command, observer_time_constant, max_waiting_loss,
+            site, horizon, max_command, observer_time_constant, waiting_budget, waiting_share,
             power=power, prices=Prices(energy_weight, start_weight),
         )

@@ -46,7 +46,10 @@ Matrix = Any  # scipy's sparse matrices have no types
 
 
 class PlanningProgram:
-    """The program of :class:`greenroof_ros.controllers.planner.Planner`, set up once.
+    """The program of :class:`greenroof_ros.controllers.planner.Planner` for OSQP, set up once.
+
+    It is for ensembles, prices, squares and low outlets; one forecast without them has
+    :class:`~greenroof_ros.controllers.exact_program.ExactProgram`.
 
     Attributes:
         status: OSQP's status value of the last program, 1 = solved.
@@ -85,8 +88,9 @@ class PlanningProgram:
         self._max_command = max_command
         self._members = members
         self._lengths = np.diff(edges)
-        # A step's deviation is scaled so that seconds and hours are alike to the solver.
-        self._weights = self._lengths / self._lengths.mean()
+        # A step's deviation is scaled so that seconds and days are alike to the solver: half of
+        # the difference by the rows, half by the costs.
+        self._weights = np.sqrt(self._lengths / self._lengths.mean())
         self._starts = prices.start > 0
         self._drains = site.low_outlet_level is not None
         # A rise is scaled so that it costs as much as a deviation, or the solver takes ten times
@@ -129,15 +133,15 @@ class PlanningProgram:
         zero = np.zeros((members, n))
         ahead, matrix = None, self._matrix()
         if self._drains:
-            ahead = CisternAhead(0.0, zero, zero + 1.0, zero[0], zero)
+            ahead = CisternAhead(0.0, zero, zero + 1.0, zero[0], zero, zero + self._full)
             self._mark_shares(matrix, self._matrix(share=0.5))
         lower, upper = self._bounds(zero, zero, self._full, 0.0, ahead)
         self._solver = osqp.OSQP()
         self._solver.setup(
             P=scipy.sparse.triu(
-                spread.T @ scipy.sparse.block_diag(quadratic) @ spread, format="csc"
+                n * spread.T @ scipy.sparse.block_diag(quadratic) @ spread, format="csc"
             ),
-            q=spread.T @ cost,
+            q=n * spread.T @ cost,
             A=matrix,
             l=lower,
             u=upper,
@@ -149,25 +153,12 @@ class PlanningProgram:
         self,
         mean: Array,
         most: Array,
-        full: float | Array,
+        full: float,
         flow: float,
         guess: Array | None,
         ahead: CisternAhead | None = None,
     ) -> Array | None:
-        """Return the volumes pumped, and kept, until each step's end (m3), shape (members, n).
-
-        Args:
-            mean: of the roof's deviation in each step without pumping (m3), shape (members, n).
-            most: upper bound of the volumes (m3), shape (members, n).
-            full: the pumps' flow at command 1 (m3/s), as far as the soil keeps it; in each step,
-                shape (members, n), or in all.
-            flow: what is pumped now (m3/s), likewise.
-            guess: of the answer.
-            ahead: the cistern, volumes likewise; None where it has no low outlet.
-
-        Returns:
-            None where the solver found none; ``status`` says why.
-        """
+        """Solve it; see :class:`greenroof_ros.controllers.objective.Program`."""
         lower, upper = self._bounds(mean, most, full, flow, ahead)
         self._solver.update(l=lower, u=upper)
         if ahead is not None:
@@ -185,7 +176,7 @@ class PlanningProgram:
         volumes = blocks[:, : len(self._lengths)]
         if self.status not in _USABLE or not np.isfinite(volumes).all():
             return None
-        self.cost = float(result.info.obj_val)
+        self.cost = float(result.info.obj_val) / len(self._lengths)
         # The solver ends within its tolerance of the constraints, on either side.
         return np.asarray(np.maximum.accumulate(np.clip(volumes, 0.0, most), axis=1))
 
@@ -252,11 +243,11 @@ class PlanningProgram:
         step = self._step()
         hessian = [step.T @ scipy.sparse.diags([friction / self._lengths], [0]) @ step]
         if power == 2:
-            hessian.append(scipy.sparse.diags([2 / self._weights / n], [0]))
+            hessian.append(scipy.sparse.diags([np.full(n, 2 / n)], [0]))
             linear = [volume, np.zeros(n)]
         else:
             hessian.append(scipy.sparse.csc_matrix((n, n)))
-            linear = [volume, np.full(n, 1 / n)]
+            linear = [volume, self._weights / n]
         if self._starts:
             hessian.append(scipy.sparse.csc_matrix((n, n)))
             linear.append(np.full(n, prices.start / seconds / self._rise))
@@ -270,7 +261,7 @@ class PlanningProgram:
         parts = np.tile(self._cost, (self._members, 1))
         lift = self._site.d - ahead.volume / self._site.a1
         parts[:, : len(self._lengths)] = self._price * (lift @ self._step())
-        return np.asarray(self._spread.T @ (parts.ravel() / self._members))
+        return np.asarray(len(lift[0]) * self._spread.T @ (parts.ravel() / self._members))
 
     def _shared(self) -> Matrix:
         """Return what copies the first member's common volumes to all members."""
@@ -302,14 +293,13 @@ class PlanningProgram:
         )
 
     def _bounds(
-        self, mean: Array, most: Array, full: float | Array, flow: float,
-        ahead: CisternAhead | None,
+        self, mean: Array, most: Array, full: float, flow: float, ahead: CisternAhead | None
     ) -> tuple[Array, Array]:
         """Return the bounds of all rows."""
         n = len(self._lengths)
         zero = np.zeros(n)
         # Where the pumps cannot lift, no bound on their commands makes them.
-        flows = np.broadcast_to(full, mean.shape)
+        flows = np.full_like(mean, full) if ahead is None else ahead.full
         largest = np.multiply(flows, self._max_command, out=np.zeros_like(mean), where=flows > 0)
         capacity = _CAPACITY * self._lengths * largest
         lower, upper = [], []

@@ -7,9 +7,11 @@ from typing import Any, ClassVar, Protocol
 
 from greenroof_ros.common.parameter import Parameter
 from greenroof_ros.controllers.tick_times import TickTimes
+from greenroof_ros.model.look_ahead import LONGEST_HORIZON
 
 HORIZON = Parameter(
-    "horizon", 12.0, "h", 0.1, 48.0, "how far it looks ahead; the weather node needs the same"
+    "horizon", 12.0, "h", 0.1, LONGEST_HORIZON,
+    "how far it looks ahead; the weather node needs the same",
 )
 
 

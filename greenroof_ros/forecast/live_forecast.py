@@ -190,6 +190,7 @@ class LiveForecast:
         if now + timedelta(seconds=float(self._ends[-1])) > end:
             raise NoForecastError(
                 f"the newest forecast, issued at {to_people(issue.issued)}, ends at "
-                f"{to_people(end)}, before the {self._ends[-1] / _HOUR_S:.3g} h of the look-ahead"
+                f"{to_people(end)}, before the {self._ends[-1] / _HOUR_S:.3g} h of the look-ahead; "
+                f"a horizon of at most {(end - now) // HOUR} h would do now"
             )
         return issue

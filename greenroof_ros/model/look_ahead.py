@@ -5,10 +5,14 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-# Steps (s) for the first four hours and a half; further ones are an hour each. Fine where a
-# decision is carried out, coarse where it only has to be made room for.
-_FIRST = [10] * 6 + [30] * 2 + [60] * 3 + [300] * 3 + [900] * 4 + [1800] * 6
+# Steps (s) for the first day; further ones are six hours each. Fine where a decision is carried
+# out, coarse where it only has to be made room for.
+_FIRST_DAY = [10] * 6 + [30] * 2 + [60] * 3 + [300] * 3 + [900] * 4 + [1800] * 6 + [3600] * 20
+_LATER = 21_600
 _HOUR = 3600
+
+LONGEST_HORIZON = 240.0
+"""The longest horizon (h): as far as weather services forecast for a place, ten days."""
 
 # Of an ensemble of forecasts.
 MOST_MEMBERS = 100
@@ -17,6 +21,9 @@ MOST_MEMBERS = 100
 def growing_steps(horizon: float) -> NDArray[np.float64]:
     """Return the ends of steps that grow, from now to the horizon.
 
+    From 4 h 20 min on they are an hour each, from 24 h 20 min on six hours; the last one ends at
+    the horizon.
+
     Args:
         horizon: how far (h).
 
@@ -24,6 +31,6 @@ def growing_steps(horizon: float) -> NDArray[np.float64]:
         Seconds from now, the first 0, the last the horizon's, shape (steps + 1,).
     """
     seconds = horizon * _HOUR
-    more = max(0, int(np.ceil((seconds - sum(_FIRST)) / _HOUR)))
-    ends = np.cumsum([*_FIRST, *[_HOUR] * more])
+    more = max(0, int(np.ceil((seconds - sum(_FIRST_DAY)) / _LATER)))
+    ends = np.cumsum([*_FIRST_DAY, *[_LATER] * more])
     return np.concatenate(([0.0], ends[ends < seconds], [seconds]))

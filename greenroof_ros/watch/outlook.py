@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from greenroof_ros.model.look_ahead import growing_steps
+from greenroof_ros.model.look_ahead import LONGEST_HORIZON, growing_steps
 from greenroof_ros.model.site import Site
 
 Values = NDArray[np.float64]
@@ -16,8 +16,6 @@ Values = NDArray[np.float64]
 AHEAD_S = 12 * 3600.0
 """How far people look ahead (s)."""
 
-# The longest look-ahead of a planner (h); no forecast is longer.
-_LONGEST_H = 48.0
 # Fewer members than these have no tenth: their range is from the least to the greatest.
 _TENTHS = 10
 # Less is rounding of the solver (m3/s): 6 mL/min.
@@ -28,14 +26,17 @@ def step_ends(site: Site, steps: int) -> Values | None:
     """Return the ends of a forecast's steps (s from now, shape (steps,)); None where unknown.
 
     The message has no times: M entries are ticks, others the growing steps of a planner, which
-    looks ahead for whole hours where these are an hour each.
+    looks ahead for whole hours where these are an hour each, and for whole six hours where they are
+    six; of another horizon the last step is taken as longer than it is.
     """
     if steps == site.M:
         return site.tau * np.arange(1, steps + 1, dtype=np.float64)
-    longest = growing_steps(_LONGEST_H)
+    longest = growing_steps(LONGEST_HORIZON)
     if not 0 < steps < len(longest):
         return None
     hours = int(longest[steps] // 3600)
+    if longest[steps] - longest[steps - 1] > 3600:
+        hours -= hours % 6
     ends = growing_steps(hours) if hours else longest
     return ends[1 : steps + 1] if len(ends) == steps + 1 else longest[1 : steps + 1]
 

@@ -67,8 +67,12 @@ def test_no_solver_is_imported_for_what_a_class_says() -> None:
     assert imported == "set()"
 
 
-@pytest.mark.parametrize("name", ["mpc", "planning_mpc", "scenario_mpc"])
-def test_without_its_solver(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize(
+    ("name", "changes"), [("mpc", {}), ("planning_mpc", {"power": 2}), ("scenario_mpc", {})]
+)
+def test_without_its_solver(
+    name: str, changes: dict[str, float], monkeypatch: pytest.MonkeyPatch
+) -> None:
     """Where pip's part of the installation was left out, that is said instead of a traceback."""
     monkeypatch.setitem(sys.modules, "osqp", None)
     monkeypatch.delitem(
@@ -76,7 +80,7 @@ def test_without_its_solver(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
     )
     choice = find_controller(name)
     with pytest.raises(ConfigurationError, match=f"'{name}': cannot be imported: .*osqp"):
-        choice.make(PAPER_SITE, choice.defaults())
+        choice.make(PAPER_SITE, {**choice.defaults(), **changes})
 
 
 def test_a_file_may_leave_parameters_out(tmp_path: Path) -> None:
@@ -84,7 +88,7 @@ def test_a_file_may_leave_parameters_out(tmp_path: Path) -> None:
     (tmp_path / "mine.yaml").write_text("planning_mpc: {ros__parameters: {horizon: 6}}\n")
     given = find_controller("planning_mpc").read_parameters(tmp_path / "mine.yaml")
     assert given["horizon"] == 6
-    assert given["max_waiting_loss"] == 1.0
+    assert given["waiting_budget"] == 72.0
 
 
 @pytest.mark.parametrize(

@@ -15,20 +15,24 @@ import numpy as np
 import pytest
 from hypothesis import Phase, given, settings
 from hypothesis import strategies as st
+from numpy.typing import NDArray
 from paper import PAPER_SITE, paper_run, planner, site_file
-from places import CONFIG
+from places import CONFIG, DATA
 
-from greenroof_ros.controllers import regret_limit
 from greenroof_ros.controllers.anticipating_onoff import AnticipatingOnOff
 from greenroof_ros.controllers.onoff import OnOff
 from greenroof_ros.controllers.registry import find_controller
-from greenroof_ros.controllers.regret_limit import RegretLimit
+from greenroof_ros.controllers.regret_budget import RegretBudget
 from greenroof_ros.controllers.roof_observer import RoofObserver
 from greenroof_ros.experiment.closed_loop import closed_loop
 from greenroof_ros.experiment.run import Run
+from greenroof_ros.forecast.resampling import SteppedForecast
 from greenroof_ros.model.look_ahead import growing_steps
 from greenroof_ros.model.metrics import Metrics
 from greenroof_ros.model.plant import maximum_pump_flow
+from greenroof_ros.weather.series import Weather, WeatherSeries
+
+Array = NDArray[np.float64]
 
 EMPTY_HOUR = 3600 * PAPER_SITE.x2_star  # m3 s
 STEPS = len(growing_steps(12)) - 1
@@ -151,7 +155,7 @@ def test_after_ticks_unseen() -> None:
 
 
 CONTROLLERS = {
-    "anticipating_onoff": lambda: AnticipatingOnOff(PAPER_SITE, 12, 1.0, 300.0, math.inf),
+    "anticipating_onoff": lambda: AnticipatingOnOff(PAPER_SITE, 12, 1.0, 300.0, math.inf, 0.0),
     "planning_mpc": lambda: planner(observer_time_constant=300.0),
 }
 
@@ -214,23 +218,108 @@ class Lie:
         return self._truth.evapotranspiration(tick)
 
 
-def lied_to(run: Run, rain: list[float], **parameters: float) -> tuple[float, RegretLimit]:
-    """Return the result of a run (m3 s) with this forecast, and its regret limit."""
-    controller = run.controller.make(run.site, {**run.parameters, **parameters})
+class Adversary:
+    """Hourly forecasts that were made to do harm; the first hour is not forecast but observed."""
+
+    def __init__(self, kind: str, weather: Weather) -> None:
+        self._kind = kind
+        self._weather = weather
+
+    def known(self, hour: int, hours: int) -> tuple[Array, Array]:
+        """Return rain (mm/h) and the true evapotranspiration (mm/day)."""
+        last = len(self._weather.precipitation) - 1
+        ahead = hour + np.arange(hours)
+        now = np.minimum(ahead, last)
+        records = self._weather.precipitation
+        tomorrow = (ahead - hour >= 24) & (ahead - hour < 30)
+        rain = {
+            "always dry": np.zeros(hours),
+            "always rain": np.full(hours, 2.0),
+            "a storm that is always tomorrow": np.where(tomorrow, 8.0, 0.0),
+            "inverted": np.where(records[now] > 0, 0.0, 0.7),
+            "a day early": records[np.minimum(ahead + 24, last)],
+            "a day late": records[np.maximum(now - 24, 0)],
+            "a false alarm each week": records[now] + np.where(ahead % 168 < 6, 8.0, 0.0),
+        }[self._kind]
+        return rain[None], self._weather.evapotranspiration[now]
+
+    def repeats_from(self, hour: int, hours: int) -> None:
+        """It is no record."""
+
+
+ADVERSARIES = (
+    "always dry", "always rain", "a storm that is always tomorrow", "inverted", "a day early",
+    "a day late", "a false alarm each week",
+)
+BUDGET_H, SHARE = 6.0, 0.05
+
+
+def two_weeks(directory: Path, *options: str) -> Run:
+    """Build a run of two weeks with a tenth of July 2021's rain, in ticks of 30 s.
+
+    Its pumps are to have a tenth of the flow: with all of it on/off would overshoot by 4 mm.
+    """
+    run = paper_run(
+        *options, "--site", str(site_file(directory, tau=30.0)),
+        "--weather", str(DATA / "en_climate_hourly_07-2021.csv"), "--start", "2021-07-01T00:00",
+        "--hours", "336", "--evapotranspiration", "fao56",
+    )
+    weather = replace(run.weather, precipitation=run.weather.precipitation / 10)
+    series = WeatherSeries(weather, run.site, run.start, run.steps)
+    return replace(run, weather=weather, series=series)
+
+
+def deviation_of(run: Run, controller: Any) -> float:
+    """Return the result of a run with this controller (m3 s)."""
     metrics = Metrics()
-    for _ in closed_loop(replace(run, forecast=Lie(run, rain)), controller, metrics):
+    for _ in closed_loop(run, controller, metrics):
         pass
-    loss: RegretLimit = controller._regret_limit  # type: ignore[attr-defined]
-    return metrics["total_deviation_m3"] * run.site.tau, loss
+    return metrics["total_deviation_m3"] * run.site.tau
+
+
+@pytest.fixture(scope="module")
+def plain_two_weeks(tmp_path_factory: pytest.TempPathFactory) -> float:
+    """Return the result of plain on/off in these weeks (m3 s)."""
+    run = two_weeks(tmp_path_factory.mktemp("plain"), "--controller", "onoff", "--fraction", "0.1")
+    return deviation_of(run, run.make_controller())
+
+
+@pytest.mark.parametrize("kind", ADVERSARIES)
+@pytest.mark.parametrize("controller", ["anticipating_onoff", "planning_mpc", "scenario_mpc"])
+def test_an_adversary_costs_at_most_the_budget(
+    controller: str, kind: str, tmp_path: Path, plain_two_weeks: float
+) -> None:
+    """On/off and its share, the budget, and at most what is lost until the pumps may start."""
+    strength = "--fraction" if controller == "anticipating_onoff" else "--max-command"
+    run = two_weeks(tmp_path, "--controller", controller, strength, "0.1", "--horizon", "48")
+    false = SteppedForecast(
+        Adversary(kind, run.weather), run.weather, run.site, run.start, growing_steps(48),
+        run.steps, run.controller.ensemble,
+    )
+
+    def reached(budget: float) -> float:
+        given = {**run.parameters, "waiting_budget": budget, "waiting_share": SHARE}
+        return deviation_of(replace(run, forecast=false), run.controller.make(run.site, given))
+
+    limit = (1 + SHARE) * plain_two_weeks + BUDGET_H * EMPTY_HOUR
+    assert reached(BUDGET_H) <= limit + 0.1 * EMPTY_HOUR
+    if kind == "always rain" and controller == "planning_mpc":
+        assert reached(1e6) > 1.5 * limit
+
+
+def lied_to(run: Run, rain: list[float], **parameters: float) -> tuple[float, RegretBudget]:
+    """Return the result of a run (m3 s) with this forecast, and its budget."""
+    given = {**run.parameters, "waiting_share": 0.0, **parameters}
+    controller = run.controller.make(run.site, given)
+    reached = deviation_of(replace(run, forecast=Lie(run, rain)), controller)
+    budget: RegretBudget = controller._regret_budget  # type: ignore[attr-defined]
+    return reached, budget
 
 
 def onoff(*options: str, fraction: float = 1.0) -> float:
     """Return the result of plain on/off (m3 s)."""
     run = paper_run("--controller", "onoff", *options)
-    metrics = Metrics()
-    for _ in closed_loop(run, OnOff(run.site, fraction), metrics):
-        pass
-    return metrics["total_deviation_m3"] * run.site.tau
+    return deviation_of(run, OnOff(run.site, fraction))
 
 
 DRIZZLE = [1 / 3.6e6] * (STEPS - 1)
@@ -238,33 +327,37 @@ DRIZZLE = [1 / 3.6e6] * (STEPS - 1)
 
 @pytest.mark.parametrize("controller", ["anticipating_onoff", "planning_mpc"])
 @pytest.mark.parametrize("start", ["2021-07-07T02:00", "2021-07-08T05:00"])
-def test_loss_is_what_two_runs_differ_by(
-    controller: str, start: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """It follows the difference alone; here it is held to two whole runs. Nothing fades."""
-    monkeypatch.setattr(regret_limit, "_FADING_S", math.inf)
+def test_loss_is_what_two_runs_differ_by(controller: str, start: str) -> None:
+    """It follows the difference alone; here it is held to two whole runs."""
     run = paper_run("--controller", controller, "--start", start)
-    reached, loss = lied_to(run, DRIZZLE, max_waiting_loss=1e6)
-    assert loss.loss == pytest.approx(reached - onoff("--start", start), rel=2e-3)
-    assert not loss.exhausted
+    reached, budget = lied_to(run, DRIZZLE, waiting_budget=1e6)
+    plain = onoff("--start", start)
+    assert budget.loss == pytest.approx(reached - plain, rel=2e-3)
+    assert budget.onoff_cost == pytest.approx(plain, rel=2e-3)
+    assert not budget.exhausted
 
 
-@settings(max_examples=15, phases=[Phase.explicit, Phase.generate])
+@settings(max_examples=20, phases=[Phase.explicit, Phase.generate])
 @given(
+    st.sampled_from(["anticipating_onoff", "planning_mpc"]),
     st.lists(st.floats(0, 20), min_size=STEPS - 1, max_size=STEPS - 1),
     st.sampled_from([0.0, 0.01, 0.1]),
+    st.sampled_from([0.0, 0.05, 1.0]),
     st.sampled_from([1.0, 0.02]),
 )
-def test_trust_costs_at_most_the_limit(
-    rain: list[float], max_waiting_loss: float, fraction: float
+def test_trust_costs_at_most_the_budget(
+    controller: str, rain: list[float], budget: float, share: float, strength: float
 ) -> None:
     """Whatever the forecast says, for three hours without a drop; with weak pumps, too."""
-    run = paper_run("--controller", "anticipating_onoff", "--hours", "3")
+    run = paper_run("--controller", controller, "--hours", "3")
     rates = [rate / 3.6e6 for rate in rain]
-    reached, _ = lied_to(run, rates, max_waiting_loss=max_waiting_loss, fraction=fraction)
-    plain = onoff("--hours", "3", fraction=fraction)
+    name = "fraction" if controller == "anticipating_onoff" else "max_command"
+    reached, _ = lied_to(
+        run, rates, waiting_budget=budget, waiting_share=share, **{name: strength}
+    )
+    plain = onoff("--hours", "3", fraction=strength)
     # It is seen a tick too late; and on/off overshoots by a tick's pumping here or there.
-    assert reached <= plain + max_waiting_loss * EMPTY_HOUR * 1.02 + 60
+    assert reached <= (1 + share) * plain + budget * EMPTY_HOUR * 1.02 + 60
 
 
 @pytest.mark.parametrize("controller", ["anticipating_onoff", "planning_mpc"])
@@ -280,11 +373,11 @@ def test_waiting_while_a_low_outlet_takes_the_water(
     options = ("--site", str(file), "--cistern", "40", "--roof", "1", "--hours", "10")
     rain = [25 / 3.6e6 if end > 3600 else 0.0 for end in growing_steps(12)[2:]]
     run = paper_run("--controller", controller, *options)
-    reached, _ = lied_to(run, rain)
+    reached, _ = lied_to(run, rain, waiting_budget=1.0)
     plain = onoff(*options)
     assert reached <= plain + EMPTY_HOUR * 1.02 + 60
     without = paper_run("--controller", controller, *options[2:])
-    assert lied_to(without, rain)[0] > reached
+    assert lied_to(without, rain, waiting_budget=1.0)[0] > reached
 
 
 def test_a_low_outlet_limits_the_waiting_by_hand() -> None:
@@ -293,13 +386,13 @@ def test_a_low_outlet_limits_the_waiting_by_hand() -> None:
     A week of what is beyond costs the limit of 11 319 m3 s where that is 0.0187 m3, 3 s later.
     """
     site = replace(PAPER_SITE, low_outlet_level=0.8, low_outlet_radius=0.06)
-    loss = RegretLimit(site, 1.0)
+    loss = RegretBudget(site, 1.0, 0.0)
     seconds = 0
     while not loss.judge(40.0, 1.0, 1.0):
         loss.move(40.0, 1.0, 1.0, 0.0)
         seconds += 1
     assert seconds == pytest.approx(153, abs=1)
-    without = RegretLimit(PAPER_SITE, 1.0)
+    without = RegretBudget(PAPER_SITE, 1.0, 0.0)
     for _ in range(seconds + 60):
         assert not without.judge(40.0, 1.0, 1.0)
         without.move(40.0, 1.0, 1.0, 0.0)
@@ -316,19 +409,18 @@ def test_lies_that_come_and_go() -> None:
 
     forecast.precipitation = now_and_then  # type: ignore[method-assign]
     controller = find_controller("anticipating_onoff").make(
-        run.site, {**run.parameters, "fraction": 0.005, "max_waiting_loss": 0.1}
+        run.site,
+        {**run.parameters, "fraction": 0.005, "waiting_budget": 0.1, "waiting_share": 0.0},
     )
-    metrics = Metrics()
-    for _ in closed_loop(replace(run, forecast=forecast), controller, metrics):
-        pass
     plain = onoff("--start", "2021-07-07T14:00", fraction=0.005)
-    lost = metrics["total_deviation_m3"] - plain
-    assert 0.02 * EMPTY_HOUR < lost < 0.102 * EMPTY_HOUR
+    lost = deviation_of(replace(run, forecast=forecast), controller) - plain
+    # The roof is filled for hours, and what evaporates meanwhile makes them longer.
+    assert 0.02 * EMPTY_HOUR < lost < 0.11 * EMPTY_HOUR
 
 
 def test_ticks_in_frost_count() -> None:
     """Nothing may be pumped in them, but who waited before is worse off in each."""
-    loss = RegretLimit(PAPER_SITE, 1.0)
+    loss = RegretBudget(PAPER_SITE, 1.0, 0.0)
     loss.judge(50.0, 2.0, 1.0)
     loss.move(50.0, 2.0, 1.0, 0.0)  # on/off pumps for a tick
     more = loss._more
@@ -347,7 +439,7 @@ def test_the_count_on_a_measured_roof_is_what_onoff_has() -> None:
     """
     run = paper_run("--controller", "onoff", *MEASURED, "--start", "2021-07-08T05:00")
     onoff_roof = [tick.x2 for tick in closed_loop(run, run.make_controller(), Metrics())]
-    loss = RegretLimit(run.site, 1e6)
+    loss = RegretBudget(run.site, 1e6, 0.0)
     idle = paper_run("--controller", "onoff", "--fraction", "1e-9", *MEASURED,
                      "--start", "2021-07-08T05:00")
     lacks = []
@@ -368,10 +460,9 @@ def test_planner_that_is_lied_to(caplog: pytest.LogCaptureFixture) -> None:
     """Drizzle for ever in a dry night: on/off in the end, and it says so once."""
     options = ("--hours", "3")
     run = paper_run("--controller", "planning_mpc", *options)
-    trusting, _ = lied_to(run, DRIZZLE, max_waiting_loss=1e6)
+    trusting, _ = lied_to(run, DRIZZLE, waiting_budget=1e6)
     with caplog.at_level(logging.WARNING):
-        wary, loss = lied_to(run, DRIZZLE, max_waiting_loss=0.05)
-    assert loss.exhausted
+        wary, _ = lied_to(run, DRIZZLE, waiting_budget=0.05)
     assert len(caplog.records) == 1
     assert "more than plain on/off" in caplog.text
     plain = onoff(*options)
@@ -382,22 +473,44 @@ def test_a_loss_without_rain_ahead_is_no_waiting() -> None:
     """Energy so dear that nothing is pumped, in dry weather: that has nothing to do with trust."""
     run = paper_run("--controller", "planning_mpc", "--hours", "2")
     dry = [0.0] * (STEPS - 1)
-    reached, loss = lied_to(run, dry, energy_weight=1e7, max_waiting_loss=0.05)
+    reached, loss = lied_to(run, dry, energy_weight=1e8, waiting_budget=0.05)
     assert reached > onoff("--hours", "2") + 0.1 * EMPTY_HOUR
     assert loss.loss <= 0
     assert not loss.exhausted
 
 
 def test_trust_comes_back() -> None:
-    """When half of the loss has faded, after a week's time times the logarithm of 2."""
-    loss = RegretLimit(PAPER_SITE, 0.01)
+    """When the roof is filled, and a tenth of what on/off costs has made up for what is too much.
+
+    That is 100 m3 s: on/off is 0.1 m3 off its target for 10,000 s.
+    """
+    budget = RegretBudget(PAPER_SITE, 0.01, 0.1)
     ticks = 0
-    while not loss.judge(50.0, 2.0, 1.0):
-        loss.move(50.0, 2.0, 1.0, 0.0)
+    while not budget.judge(50.0, 2.0, 1.0):
+        budget.move(50.0, 2.0, 1.0, 0.0)
         ticks += 1
         assert ticks < 1000
-    loss._more, loss.loss = 0.0, 0.01 * EMPTY_HOUR  # the roof is filled
-    days = 0.0
-    while loss.judge(50.0, 2.0, 1.0):
-        days += 1 / 86400
-    assert days == pytest.approx(7 * math.log(2), rel=1e-3)
+    budget.loss = 0.01 * EMPTY_HOUR + 0.1 * budget.onoff_cost
+    assert budget.judge(50.0, 2.0, 1.0)  # it is not filled
+    budget._more = 0.0
+    budget.loss += 100.0
+    seconds = 0
+    while budget.judge(50.0, PAPER_SITE.x2_star - 0.1, 1.0):
+        seconds += 1
+    assert seconds == pytest.approx(10_000, rel=0.01)
+
+
+def test_a_gain_pays_for_a_loss() -> None:
+    """An hour with 1 m3 too much on the roof of on/off alone, then the budget and 3600 m3 s."""
+    budget = RegretBudget(PAPER_SITE, 0.01, 0.0)
+    budget._more = 1.0
+    for _ in range(3600):
+        assert not budget.judge(50.0, PAPER_SITE.x2_star, 1.0)
+    assert budget.loss == pytest.approx(-3600)
+    assert budget.onoff_cost == pytest.approx(3600)
+    seconds = 0
+    while not budget.judge(50.0, PAPER_SITE.x2_star - 1.0, 1.0):
+        seconds += 1
+    # On/off has the target, and to fill the roof takes half a m3 for as long as that takes.
+    flow = maximum_pump_flow(PAPER_SITE, 50.0)
+    assert seconds == pytest.approx(3600 + 0.01 * EMPTY_HOUR - 0.5 / flow, abs=2)

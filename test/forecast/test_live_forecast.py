@@ -82,7 +82,7 @@ def test_growing_steps(tmp_path: Path) -> None:
     ("later", "horizon", "words"),
     [
         (timedelta(hours=2, seconds=1), 0.0, "older than 2 h"),
-        (timedelta(hours=1, minutes=1), 3.0, "before the 3 h of the look-ahead"),
+        (timedelta(hours=1, minutes=1), 3.0, "look-ahead; a horizon of at most 2 h"),
         (-timedelta(seconds=1), 0.0, "is ahead"),
     ],
 )

@@ -191,7 +191,7 @@ def test_a_forecast_of_ten_ticks_is_none_of_the_next_hours() -> None:
     assert sentence == "no forecast of the next hours: it reaches 10 s ahead"
 
 
-@pytest.mark.parametrize("hours", [0.5, 1, 3, 6, 12, 24, 48])
+@pytest.mark.parametrize("hours", [0.5, 1, 3, 6, 12, 24, 48, 120, 240])
 def test_the_steps_of_a_forecast_follow_from_their_number(hours: float) -> None:
     ends = growing_steps(hours)[1:]
     found = step_ends(PAPER_SITE, len(ends))

@@ -1,9 +1,8 @@
-"""A limit to what trust in a forecast may cost."""
+"""A budget for what trust in forecasts may cost."""
 
 from __future__ import annotations
 
 import logging
-import math
 
 from greenroof_ros.common.parameter import Parameter
 from greenroof_ros.model.plant import maximum_pump_flow, pump_flow, soil_losses
@@ -12,17 +11,21 @@ from greenroof_ros.model.soil import kept_share
 
 _log = logging.getLogger(__name__)
 
-# Gains and losses fade with this time (s): a week.
-_FADING_S = 604_800.0
+# What a low outlet took cannot be pumped until it rains: it counts as missing so long (s).
+_GONE_S = 604_800.0
 
-MAX_WAITING_LOSS = Parameter(
-    "max_waiting_loss", 1.0, "h", 0.0, 1e6,
+WAITING_BUDGET = Parameter(
+    "waiting_budget", 72.0, "h", 0.0, 1e6,
     "what waiting for rain may cost beside plain on/off, as the time with an empty roof that costs "
-    "as much; beyond it forecasts of rain do not count for days",
+    "as much; beyond it and waiting_share forecasts of rain do not count",
+)
+WAITING_SHARE = Parameter(
+    "waiting_share", 0.05, "1", 0.0, 1.0,
+    "what it may cost besides, as a share of what plain on/off would have cost so far",
 )
 
 
-class RegretLimit:
+class RegretBudget:
     """Counts what waiting for rain has cost beside plain on/off, and ends the waiting at a limit.
 
     A controller that leaves room for rain which does not come is worse off than the on/off
@@ -31,35 +34,57 @@ class RegretLimit:
     (12), would have on the roof now - only the difference, so that errors of model and sensor are
     in both - and adds up
 
-        loss = sum of tau (|x2 - x2*| - |x2_onoff - x2*|).
+        L = sum of tau (|x2 - x2*| - |x2_onoff - x2*|),   D = sum of tau |x2_onoff - x2*|.
 
-    A gain by waiting counts as negative. Where the loss, with what it will cost to fill the roof as
-    on/off has, exceeds ``max_waiting_loss``, forecasts of rain no longer count, and the controller
-    fills the roof as on/off does. That lasts until the loss has faded to half of the limit, with a
-    time constant of a week. So trust costs at most the limit at once and as much again each week,
-    whatever the forecasts say; a controller that has gained may lose the gain first. In frost
-    nothing may be pumped, and the loss goes on.
+    A gain by waiting counts as negative: it pays for losses that come later. Where L, with what it
+    will cost to fill the roof as on/off has, is above
+
+        waiting_budget x2* + waiting_share D,
+
+    forecasts of rain do not count, and the controller fills the roof as on/off does. They count
+    again when the roof is filled and L is within the limit, which D raises as time goes on. So at
+    any time, whatever the forecasts said, on/off has cost D and this controller at most
+
+        (1 + waiting_share) D + waiting_budget x2*,
+
+    but for a tick's loss, what the pumps wait for their next start, and what evapotranspiration
+    slows the filling: while forecasts count L is below the limit, and when they cease to, the
+    filling was in it. Good forecasts never come near. A promise of this kind is the robustness of
+    an online algorithm with predictions, and to follow a good forecast unharmed its consistency
+    (Lykouris and Vassilvitskii 2021, Competitive Caching with Machine Learned Advice, J. ACM 68(4),
+    doi:10.1145/3447579). In frost nothing may be pumped, and the loss goes on.
 
     While a controller waits, a low outlet of the cistern may take what it would fill the roof with.
     What on/off has on the roof beyond all that stays in the cistern costs as much as if it were
-    missing until a loss has faded.
+    missing for a week.
+
+    The budget is that of a controller's life: a controller that is started again has all of it.
 
     The difference rests on pumps that do what is commanded. With minimum times on and off, or
     another flow than the site file's, the count is wrong by what they pump beside the command.
 
     Attributes:
-        loss: so far (m3 s); negative is a gain.
+        loss: L so far (m3 s); negative is a gain.
+        onoff_cost: D so far (m3 s).
         exhausted: whether forecasts of rain do not count.
     """
 
-    def __init__(self, site: Site, max_waiting_loss: float) -> None:
-        """Take the site and the limit, as the time (h) with an empty roof that costs as much."""
+    def __init__(self, site: Site, waiting_budget: float, waiting_share: float) -> None:
+        """Take the site and the limit.
+
+        Args:
+            site: the parameters of Table I.
+            waiting_budget: time (h) with an empty roof that costs as much.
+            waiting_share: share of what on/off costs (1).
+        """
         self._site = site
-        self._max_waiting_loss = max_waiting_loss * 3600 * site.x2_star  # m3 s
+        self._budget = waiting_budget * 3600 * site.x2_star  # m3 s
+        self._share = waiting_share
         self._more = 0.0  # what on/off would have on the roof beside what is there (m3)
-        self._kept = math.exp(-site.tau / _FADING_S)
         self._unseen = 0
+        self._warned = False
         self.loss = 0.0
+        self.onoff_cost = 0.0
         self.exhausted = False
 
     def judge(self, x1: float, x2: float, fraction: float, *, counts: bool = True) -> bool:
@@ -73,22 +98,28 @@ class RegretLimit:
                 price of energy; a gain always counts.
         """
         site = self._site
-        more = abs(x2 - site.x2_star) - abs(x2 + self._more - site.x2_star)
-        ticks, self._unseen = 1 + self._unseen, 0
-        self.loss *= self._kept**ticks
-        if counts or more < 0:
-            self.loss += ticks * site.tau * more
+        theirs = abs(x2 + self._more - site.x2_star)
+        lost = abs(x2 - site.x2_star) - theirs
+        seconds, self._unseen = (1 + self._unseen) * site.tau, 0
+        self.onoff_cost += seconds * theirs
+        if counts or lost < 0:
+            self.loss += seconds * lost
+        # What has to be pumped to be where on/off is, or at the target.
+        behind = max(0.0, min(self._more, site.x2_star - x2))
+        flow = fraction * maximum_pump_flow(site, x1)
         drained = self._drained(x1, x2)
-        cost = self.loss + self._filling(x1, x2, fraction) + drained
-        if self.exhausted:
-            self.exhausted = cost >= self._max_waiting_loss / 2
-        elif cost > self._max_waiting_loss:
+        cost = self.loss + self._filling(x2, behind, flow) + drained
+        if cost > self._budget + self._share * self.onoff_cost:
             self.exhausted = True
-            if self._max_waiting_loss > 0 and not drained:
+            if self._budget > 0 and not drained and not self._warned:
+                self._warned = True
                 _log.warning(
-                    "waiting for rain has cost %.0f m3 s more than plain on/off; forecasts of rain "
-                    "do not count until that has faded to half of max_waiting_loss", self.loss,
+                    "waiting for rain has cost %.0f m3 s more than plain on/off: its budget is "
+                    "used up, and forecasts of rain count only as it grows; further times are not "
+                    "reported", self.loss,
                 )
+        elif behind <= site.tau * flow:
+            self.exhausted = False
         return self.exhausted
 
     def skip(self) -> None:
@@ -118,14 +149,13 @@ class RegretLimit:
         drained = theirs.drained - ours.drained + (theirs.evaporated - ours.evaporated)
         self._more += site.tau * (flow - pumped - drained)
 
-    def _filling(self, x1: float, x2: float, fraction: float) -> float:
+    def _filling(self, x2: float, behind: float, flow: float) -> float:
         """Return what it costs (m3 s) to follow on/off to the target, behind it all the way."""
-        kept = kept_share(self._site, x2)
-        flow = fraction * kept * maximum_pump_flow(self._site, x1)
-        if self._more <= 0 or flow <= 0:
+        stays = kept_share(self._site, x2) * flow
+        if behind <= 0 or stays <= 0:
             return 0.0
         missing = max(0.0, self._site.x2_star - x2 - self._more)  # to on/off
-        return self._more * (missing + self._more / 2) / flow
+        return behind * (missing + behind / 2) / stays
 
     def _drained(self, x1: float, x2: float) -> float:
         """Return what it costs (m3 s) that a low outlet takes what on/off has on the roof."""
@@ -134,4 +164,4 @@ class RegretLimit:
             return 0.0
         stays = min(x1, site.cistern_volume(site.low_outlet_level))
         usable = max(0.0, stays - site.cistern_volume(site.suction_level))
-        return max(0.0, self._more - kept_share(site, x2) * usable) * _FADING_S
+        return max(0.0, self._more - kept_share(site, x2) * usable) * _GONE_S
