@@ -46,6 +46,7 @@ Of an ensemble the first five are those of member 0, the last two of all members
 examples:
   python -m greenroof_ros.verify gem_previous_runs.csv --weather gauge.csv
   python -m greenroof_ros.verify caspar/ --weather 'hourly_*.csv' --lead 6 --sums 1 6 --events 1 2
+  python -m greenroof_ros.verify gem_previous_runs.csv --weather gauge.csv --fit gem.yaml
   python -m greenroof_ros.verify errors --weather 'hourly_*.csv' -o errors.html -o errors.csv
 
 exit codes: 0 done, 2 bad usage, configuration or file
@@ -94,6 +95,11 @@ def _parser() -> argparse.ArgumentParser:
         "-o", "--output", type=Path, action="append", default=[], metavar="FILE",
         help="write a page with figures, FILE.html, or the table, FILE.csv; may be given twice",
     )
+    parser.add_argument(
+        "--fit", type=Path, metavar="FILE.yaml",
+        help="write a skill by which --forecast errors is as good as these forecasts, for "
+        "--forecast-skill; takes some minutes",
+    )
     add_forecast_options(parser.add_argument_group("options of forecasts"))
     return parser
 
@@ -104,6 +110,8 @@ def main() -> int:
     arguments = _parser().parse_args()
     sums = _sums(arguments)
     render = _page(arguments.output)
+    if arguments.fit is not None:
+        _refuse_unwritable(arguments.fit, (".yaml",), "--fit")
     choice = forecast_from_arguments(arguments, arguments.forecasts, "FORECASTS")
     site = read_site(arguments.site or shared_directory() / "config" / "site.yaml")
     weather = read_weather(find_files(arguments.weather, "--weather"), site)
@@ -130,8 +138,17 @@ def main() -> int:
     console = Console()
     title = f"{forecasts.name}: {len(forecasts)} issues, against {weather.source}"
     console.print(terminal_table(title, tallies))
-    if arguments.output:
-        written = ", ".join(map(str, arguments.output))
+    if arguments.fit is not None:
+        # Its parts of scipy take half a second, which those who do not fit are spared.
+        from greenroof_ros.verification.fitting import fit_skill, skill_text
+
+        with console.status("fitting"):
+            skill = fit_skill(tallies, forecasts.older, weather.precipitation)
+        source = f"{forecasts.name}, against {records}"
+        arguments.fit.write_text(skill_text(skill, source), encoding="utf-8")
+    files = [*arguments.output, *([arguments.fit] if arguments.fit is not None else [])]
+    if files:
+        written = ", ".join(map(str, files))
         console.print(f"written: {written}", soft_wrap=True, highlight=False)
     return EXIT_DONE
 
@@ -155,17 +172,7 @@ def _sums(arguments: argparse.Namespace) -> list[Sum]:
 def _page(output: list[Path]) -> Callable[[str, str, int, Mapping[Class, Tally]], str]:
     """Return what makes the page; refuse, before it is needed, where files cannot be written."""
     for file in output:
-        if file.suffix not in (".html", ".csv"):
-            raise ConfigurationError(
-                "must end in .html or .csv", key="--output", value=str(file)
-            )
-        if not (file.parent.is_dir() and os.access(file.parent, os.W_OK)):
-            raise ConfigurationError(
-                "must be in a directory that exists and can be written to", key="--output",
-                value=str(file),
-            )
-        if file.exists():
-            raise ConfigurationError("exists; name another file", key="--output", value=str(file))
+        _refuse_unwritable(file, (".html", ".csv"), "--output")
     if not any(file.suffix == ".html" for file in output):
         return lambda *_: ""
     try:
@@ -175,6 +182,18 @@ def _page(output: list[Path]) -> Callable[[str, str, int, Mapping[Class, Tally]]
             f"needs {error.name}: pip install 'greenroof_ros[study]'"
         ) from error
     return render
+
+
+def _refuse_unwritable(file: Path, endings: tuple[str, ...], key: str) -> None:
+    """Refuse a file that is not of these endings, is there, or cannot be written."""
+    if file.suffix not in endings:
+        raise ConfigurationError(f"must end in {' or '.join(endings)}", key=key, value=str(file))
+    if not (file.parent.is_dir() and os.access(file.parent, os.W_OK)):
+        raise ConfigurationError(
+            "must be in a directory that exists and can be written to", key=key, value=str(file)
+        )
+    if file.exists():
+        raise ConfigurationError("exists; name another file", key=key, value=str(file))
 
 
 def _tally(

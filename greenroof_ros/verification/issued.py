@@ -19,6 +19,10 @@ from greenroof_ros.model.site import Site
 from greenroof_ros.weather.records import HOUR
 from greenroof_ros.weather.series import Weather
 
+# Values of day N of previous runs are 24 N to 24 N + 5 h old; the middle of the leads that they
+# stand for, 24 (N - 1) to 24 N, is 24 N - 12.
+_OLDER_H = 14.5
+
 
 class Issued(NamedTuple):
     """One forecast."""
@@ -37,12 +41,14 @@ class IssuedForecasts(Protocol):
         members: of each.
         hours: of the longest.
         finest_lead: by how many hours of lead they can be told apart.
+        older: by how much (h) they are older in the mean than their leads say.
     """
 
     name: str
     members: int
     hours: int
     finest_lead: int
+    older: float
 
     def __len__(self) -> int:
         """How many there are."""
@@ -61,6 +67,7 @@ class ArchivedForecasts:
     members: int
     hours: int
     finest_lead: int
+    older: float
     issues: tuple[Issue, ...]
     weather: Weather
 
@@ -85,6 +92,7 @@ class ModelledForecasts:
     members: int
     hours: int
     finest_lead: int
+    older: float
     choice: ForecastChoice
     weather: Weather
     site: Site
@@ -128,7 +136,7 @@ def issued_forecasts(
         members = choice.members if choice.model == "ensemble" else 1
         options = [f"{name} {value}" for name, value in choice.options().items()]
         return ModelledForecasts(
-            ", ".join([choice.model, *options]), members, horizon, 1, choice, weather, site
+            ", ".join([choice.model, *options]), members, horizon, 1, 0.0, choice, weather, site
         )
     archive = read_archive(choice.file, site, choice.delay)
     refuse_between_hours(archive.verified, weather)
@@ -139,5 +147,8 @@ def issued_forecasts(
     return ArchivedForecasts(
         f"{archive.source} ({archive.kind})", archive.members,
         min(horizon, max((issue.hours for issue in within), default=horizon)),
-        archive.finest_lead, within, weather,
+        archive.finest_lead,
+        # Whole days of lead are those of previous runs.
+        _OLDER_H if archive.finest_lead > 1 else 0.0,
+        within, weather,
     )

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from forecast_skill.figures import (
     SUMS,
+    TIP,
     begin,
     days_ahead,
     figures,
@@ -19,7 +20,6 @@ from forecast_skill.figures import (
     seasons,
     services,
 )
-from forecast_skill.fitting import fit_climate
 from numpy.typing import NDArray
 from scipy.integrate import quad
 from scipy.stats import norm
@@ -30,6 +30,7 @@ from greenroof_ros.common.times import hours_since_1970
 from greenroof_ros.forecast.climate import NormalRecords
 from greenroof_ros.forecast.error_model import ErrorModel
 from greenroof_ros.forecast.skill import SKILLS, read_skill
+from greenroof_ros.verification.fitting import fit_climate
 
 Array = NDArray[np.float64]
 REAL = read_skill("real")
@@ -62,7 +63,7 @@ def test_the_climate_is_torontos(rain: dict[int, Array]) -> None:
     Its mean, and what the greatest tenth and hundredth of the wet hours exceed; by the records
     themselves, and by integration.
     """
-    found, climate = fit_climate(list(rain.values())), REAL.climate
+    found, climate = fit_climate(list(rain.values()), TIP), REAL.climate
     for name in ("wet_share", "scale", "growth", "memory"):
         assert getattr(climate, name) == pytest.approx(getattr(found, name), rel=0.005)
     hours = np.concatenate(list(rain.values()))

@@ -22,27 +22,29 @@ from forecast_skill.figures import (  # noqa: E402
     DAYS,
     NAMES,
     SUMS,
+    TIP,
     days_ahead,
     figures,
     seasons,
     services,
 )
-from forecast_skill.fitting import Sample, fit_climate, fit_errors  # noqa: E402
 
 from greenroof_ros.forecast.skill import REAL, SKILLS, read_skill  # noqa: E402
+from greenroof_ros.verification.fitting import Sample, fit_climate, fit_errors  # noqa: E402
+from greenroof_ros.verification.pairs import Sum  # noqa: E402
 
 
 def fit(rain: dict[int, np.ndarray], spread: dict[tuple[int, int], np.ndarray]) -> None:
     """Fit climate and errors, and print them."""
-    climate = fit_climate(list(rain.values()))
+    climate = fit_climate(list(rain.values()), TIP)
     print("climate:", {name: round(value, 4) for name, value in asdict(climate).items()})
     # The newest issue that is a day old is 24 to 29 h old.
     of_leads = {
-        24 * day + 2.5: np.stack([spread[day, hours] for hours in SUMS], axis=1) for day in DAYS
+        24 * day + 2.5: np.stack([spread[day, hours][:, :3] for hours in SUMS], axis=1)
+        for day in DAYS
     }
-    errors = fit_errors(
-        Sample(climate, list(rain.values()), 8), of_leads, read_skill(REAL).errors
-    )
+    sample = Sample(climate, list(rain.values()), [Sum(*one) for one in SUMS.items()])
+    errors = fit_errors(sample, of_leads, read_skill(REAL).errors)
     print("errors:", {name: round(value, 4) for name, value in asdict(errors).items()}, flush=True)
 
 

@@ -22,6 +22,8 @@ ZONE = timezone(timedelta(hours=-5))
 DAYS = (1, 2, 3, 5)
 # Hours that are summed, and the least sum that is an event (mm).
 SUMS = {1: 1.0, 6: 2.0, 12: 3.0, 24: 5.0}
+# Of Toronto's gauge (mm).
+TIP = 0.25
 NAMES = ("r", "POD", "FAR", "bias")
 
 

@@ -1,0 +1,226 @@
+"""The fit of a skill to verified forecasts: of a climate to records, of errors to scores."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Mapping, Sequence
+from dataclasses import fields, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.fft import irfft, rfft, rfftfreq
+from scipy.optimize import brentq, minimize, minimize_scalar
+from scipy.special import ndtr
+from scipy.stats import multivariate_normal
+
+from greenroof_ros.common.errors import ConfigurationError
+from greenroof_ros.common.records import Key, keys
+from greenroof_ros.forecast.climate import Climate, NormalRecords
+from greenroof_ros.forecast.skill import REAL, Errors, Skill, read_skill
+from greenroof_ros.verification.pairs import Class, Sum
+from greenroof_ros.verification.scores import Tally
+
+Array = NDArray[np.float64]
+
+# Hours apart at which wet and dry hours are compared.
+_LAGS = (1, 2, 3, 4, 6, 9, 12, 18, 24)
+# Records shorter than that say nothing of a climate (h).
+_LEAST_HOURS = 1000
+# Draws of noise of which each figure is the mean.
+_DRAWS = 8
+# Fitted errors, and the first steps of the search. More wetness and a smaller amount have nearly
+# the same figures, so the amount is not fitted; the others show in no figure that is given.
+_STEPS = {"reach": 300.0, "fading": 0.4, "timing": 0.3, "timing_growth": 0.1, "wetness": 0.15}
+# What an invalid value costs, and how much more than the distance from the services' mean that
+# from the nearest of them counts.
+_INVALID, _BEYOND = 100.0, 30.0
+
+
+def fit_skill(tallies: Mapping[Class, Tally], older: float, observed: Array) -> Skill:
+    """Fit a climate to records, and errors to the scores of forecasts of them.
+
+    The constants that no score shows, ``amount``, ``persistence`` and ``evapotranspiration``, are
+    those of skill ``real``.
+
+    Args:
+        tallies: what adds up in each class.
+        older: by how much (h) values are older in the mean than the middle of their class.
+        observed: records (mm/h), shape (hours,); NaN where missing.
+
+    Raises:
+        ConfigurationError: there are too few records, or forecasts of less than two classes of
+            leads have scores.
+    """
+    step = max(one.high - one.low for one in tallies)
+    spells = _spells(observed, step)
+    if sum(map(len, spells)) < _LEAST_HOURS:
+        raise ConfigurationError(
+            f"needs at least {_LEAST_HOURS} h of records, in pieces of {step} h and more",
+            key="--fit",
+        )
+    sums = list(dict.fromkeys(one.sum for one in tallies))
+    goals = {}
+    for low in dict.fromkeys(one.low for one in tallies):
+        of_lead = {one.sum: tally for one, tally in tallies.items() if one.low == low}
+        scores = np.array([of_lead[each].scores()[2:5] for each in sums])
+        if not np.isnan(scores).any():
+            goals[low + step / 2 + older] = scores[None]
+    if len(goals) < 2:
+        raise ConfigurationError(
+            "needs forecasts of two classes of leads or more in which there are events, forecast "
+            f"and observed, of each sum; there are {len(goals)}: see --horizon and --lead",
+            key="--fit",
+        )
+    wet = observed[observed > 0]
+    climate = fit_climate(spells, float(wet.min()))
+    sample = Sample(climate, spells, sums)
+    return Skill(climate, fit_errors(sample, goals, read_skill(REAL).errors))
+
+
+def _spells(observed: Array, step: int) -> list[Array]:
+    """Return the records between missing hours, each of whole steps (h)."""
+    bounds = np.flatnonzero(np.isnan(np.concatenate(([np.nan], observed, [np.nan]))))
+    spells = [
+        observed[low : low + (high - low - 1) // step * step]
+        for low, high in itertools.pairwise(bounds)
+    ]
+    return [spell for spell in spells if len(spell)]
+
+
+def fit_climate(spells: Sequence[Array], tip: float) -> Climate:
+    """Fit a climate to records of rain (mm).
+
+    The share of wet hours is theirs; k and b are the likeliest, given that amounts are counted in
+    tips; T has the tetrachoric correlations of wet and dry hours up to a day apart (least squares).
+
+    Args:
+        spells: hours that follow one another, each of 1 h or more.
+        tip: of the gauge (mm): what is less than half of it away is the same reading.
+    """
+    rain = np.concatenate(spells)
+    amounts = rain[rain > 0]
+    share = len(amounts) / len(rain)
+    tips, counts = np.unique(np.maximum(np.round(amounts / tip), 1) * tip, return_counts=True)
+
+    def unlikely(logarithms: Array) -> float:
+        climate = Climate(share, *map(float, np.exp(logarithms)), 1.0)
+
+        def more(amount: Array) -> Array:
+            return np.asarray(ndtr(-climate.normal(amount)) / share)
+
+        low = np.where(tips <= tip, 1.0, more(tips - tip / 2))
+        return -float((counts * np.log(np.maximum(low - more(tips + tip / 2), 1e-300))).sum())
+
+    scale, growth = np.exp(minimize(unlikely, [0.0, 0.4], method="Nelder-Mead").x)
+    threshold = Climate(share, float(scale), float(growth), 1.0).threshold
+    found = []
+    for lag in _LAGS:
+        pairs = np.concatenate([(one > 0)[:-lag] & (one > 0)[lag:] for one in spells])
+        both = float(pairs.mean())
+
+        def more_often(rho: float, both: float = both) -> float:
+            pair = multivariate_normal([0, 0], [[1, rho], [rho, 1]])
+            return float(pair.cdf([-threshold, -threshold])) - both
+
+        found.append(brentq(more_often, -0.5, 0.999))
+    (memory,) = (key.entry for key in keys(Climate) if key.name == "memory")
+    fitted = minimize_scalar(
+        lambda hours: ((np.exp(-np.array(_LAGS) / hours) - found) ** 2).sum(),
+        bounds=(memory.low, memory.high), method="bounded",
+    )
+    return Climate(share, float(scale), float(growth), float(fitted.x))
+
+
+class Sample:
+    """Records in a circle, and noise of which forecasts of one lead are made at a stroke."""
+
+    def __init__(self, climate: Climate, spells: Sequence[Array], sums: Sequence[Sum]) -> None:
+        """Take the climate, records of rain (mm), whole sums of them, and the sums to score."""
+        self._climate = climate
+        self._sums = sums
+        self._rain = np.concatenate(spells)
+        self._hours = len(self._rain)
+        self._power = climate.spectrum(self._hours)
+        normal = NormalRecords(climate, self._rain, 0).at(np.arange(self._hours))
+        self._records = rfft(normal)
+        self._noise = [
+            rfft(np.random.default_rng([1, draw]).standard_normal(self._hours))
+            * np.sqrt(self._power)
+            for draw in range(_DRAWS)
+        ]
+
+    def scores(self, errors: Errors, lead: float) -> Array:
+        """Return r, POD and FAR of forecasts made so many hours before, shape (sums, 3)."""
+        skill = Skill(self._climate, errors)
+        coherence = skill.coherence(np.array([lead]), rfftfreq(self._hours))[0]
+        twice = np.full(len(self._power), 2.0)
+        twice[[0, -1]] = 1.0
+        unknown = np.sqrt(((1 - coherence**2) * twice * self._power).sum() / self._hours)
+        amount = 1 + (errors.amount - 1) * unknown
+        tallies = [Tally(one.event, 1) for one in self._sums]
+        for noise in self._noise:
+            known = coherence * self._records + np.sqrt(1 - coherence**2) * noise
+            normal = irfft(known, self._hours) + errors.wetness * unknown
+            forecast = amount * self._climate.rain(normal)
+            for one, tally in zip(self._sums, tallies, strict=True):
+                tally.add(
+                    forecast.reshape(1, -1, one.hours).sum(axis=2),
+                    self._rain.reshape(-1, one.hours).sum(axis=1),
+                )
+        return np.array([tally.scores()[2:5] for tally in tallies])
+
+
+def fit_errors(sample: Sample, goals: Mapping[float, Array], start: Errors) -> Errors:
+    """Fit errors to r, POD and FAR of one or more services.
+
+    Least squares: 1 for the distance from their mean, and 30 more for what lies beyond them. The
+    bias is what comes of it: it is each service's own.
+
+    Args:
+        sample: of the records.
+        goals: of each lead (h), the services' scores, shape (services, sums, 3).
+        start: where the search begins; what is not fitted is kept.
+    """
+    limits = {key.name: key.entry for key in keys(Errors)}
+
+    def errors_of(values: Array) -> Errors:
+        return replace(start, **dict(zip(_STEPS, map(float, values), strict=True)))
+
+    def loss(values: Array) -> float:
+        entries = [limits[name] for name in _STEPS]
+        if not all(e.low <= value <= e.high for e, value in zip(entries, values, strict=True)):
+            return _INVALID
+        total = 0.0
+        for lead, goal in goals.items():
+            found = sample.scores(errors_of(values), lead)
+            beyond = np.maximum(0, np.maximum(goal.min(axis=0) - found, found - goal.max(axis=0)))
+            total += float(((found - goal.mean(axis=0)) ** 2 + _BEYOND * beyond**2).sum())
+        return total
+
+    begin = np.array([getattr(start, name) for name in _STEPS])
+    found = minimize(
+        loss, begin, method="Nelder-Mead",
+        options={
+            "initial_simplex": np.vstack([begin, begin + np.diag(list(_STEPS.values()))]),
+            "maxfev": 300, "xatol": 1e-3, "fatol": 1e-4,
+        },
+    )
+    return errors_of(found.x)
+
+
+def skill_text(skill: Skill, source: str) -> str:
+    """Return a skill as its file.
+
+    Args:
+        skill: what to write.
+        source: what it was fitted to, in words.
+    """
+    lines = ["# Fitted by greenroof_ros.verify to", f"# {source}."]
+    for part in fields(skill):
+        values = getattr(skill, part.name)
+        lines += ["", f"{part.name}:", *(_line(values, key) for key in keys(type(values)))]
+    return "\n".join([*lines, ""])
+
+
+def _line(values: object, key: Key) -> str:
+    return f"  {key.name}: {getattr(values, key.name):#.5g}  # {key.entry.meaning}"

@@ -1,0 +1,122 @@
+"""Skills that are fitted: errors to scores, and the command that writes one."""
+
+from __future__ import annotations
+
+import csv
+import subprocess
+from dataclasses import replace
+from datetime import timedelta
+from pathlib import Path
+
+import numpy as np
+import pytest
+from commands import run_command
+from forecast_skill.figures import TIP, begin, days_ahead, figures, seasons
+from numpy.typing import NDArray
+from places import DATA
+
+from greenroof_ros.forecast.skill import read_skill
+from greenroof_ros.verification.fitting import Sample, fit_climate, fit_errors
+from greenroof_ros.verification.pairs import Sum
+
+Array = NDArray[np.float64]
+HALF_DAY = Sum(12, 3.0)
+REAL = read_skill("real")
+
+
+@pytest.fixture(scope="module")
+def rain() -> dict[int, Array]:
+    """Toronto's seasons, mm in each hour."""
+    return seasons()
+
+
+def test_scores_of_a_sample_are_those_of_the_model(rain: dict[int, Array]) -> None:
+    """Forecasts of one lead at a stroke are as good as those that the model issues.
+
+    r, POD and FAR of half days, by another count, over eleven seasons: they scatter by some 0.03.
+    """
+    sample = Sample(REAL.climate, list(rain.values()), [HALF_DAY])
+    observed = np.concatenate(list(rain.values()))
+    ahead = [days_ahead(year, season, REAL, 1, (1, 3)) for year, season in rain.items()]
+    for day in (1, 3):
+        issued = figures(np.concatenate([season[day][0] for season in ahead]), observed)
+        (got,) = sample.scores(REAL.errors, 24 * day + 2.5)
+        assert got == pytest.approx(issued[2, :3], abs=0.06)
+
+
+def test_errors_are_found_again(rain: dict[int, Array]) -> None:
+    """Scores of forecasts of another skill lead to errors with these scores."""
+    spells = [rain[year] for year in (2015, 2017, 2019)]
+    sample = Sample(fit_climate(spells, TIP), spells, [HALF_DAY])
+    worse = replace(REAL.times_lead(3.0).errors, wetness=0.1)
+    goals = {lead: sample.scores(worse, lead)[None] for lead in (26.5, 74.5)}
+    before = [np.abs(sample.scores(REAL.errors, lead) - goal[0]) for lead, goal in goals.items()]
+    assert np.max(before) > 0.1
+    found = fit_errors(sample, goals, REAL.errors)
+    for lead, (goal,) in goals.items():
+        assert sample.scores(found, lead) == pytest.approx(goal, abs=0.02)
+    assert found.persistence == REAL.errors.persistence
+
+
+def write_records(directory: Path, rain: dict[int, Array], hours: int) -> Path:
+    """Write the beginning of a season as a weather file."""
+    path = directory / "records.csv"
+    with path.open("w", newline="") as stream:
+        rows = csv.writer(stream, lineterminator="\n")
+        rows.writerow(["time", "precipitation [mm/h]", "given evapotranspiration [mm/day]"])
+        for hour, depth in enumerate(rain[2017][:hours]):
+            rows.writerow([(begin(2017) + hour * timedelta(hours=1)).isoformat(), depth, 2.0])
+    return path
+
+
+def verify(directory: Path, *arguments: str) -> subprocess.CompletedProcess[str]:
+    """Run the command to its end."""
+    return run_command("verify", *arguments, cwd=directory)
+
+
+def test_the_command_writes_a_skill(tmp_path: Path, rain: dict[int, Array]) -> None:
+    """One that is read as any other, of the records' climate and not so good as ``real``."""
+    write_records(tmp_path, rain, 4416)
+    done = verify(
+        tmp_path, "errors", "--forecast-skill", "much_worse", "--weather", "records.csv",
+        "--sums", "12", "--events", "3", "--horizon", "72", "--fit", "mine.yaml",
+    )
+    assert done.returncode == 0, done.stderr
+    assert "written: mine.yaml" in done.stdout
+    skill = read_skill(str(tmp_path / "mine.yaml"))
+    season = rain[2017]
+    assert skill.climate.wet_share == pytest.approx((season > 0).mean(), rel=1e-4)
+    assert skill.errors.persistence == REAL.errors.persistence
+    sample = Sample(skill.climate, [season], [HALF_DAY])
+    got, real = (sample.scores(errors, 60.0)[0] for errors in (skill.errors, REAL.errors))
+    assert got[0] < real[0] - 0.05
+
+
+WRONG = {
+    "ending": (("--fit", "mine.csv"), "--fit = 'mine.csv': must end in .yaml"),
+    "there": (("--fit", "there.yaml"), "--fit = 'there.yaml': exists; name another file"),
+    "leads": (
+        ("--fit", "mine.yaml", "--horizon", "24", "--sums", "1", "--events", "1"),
+        "--fit: needs forecasts of two classes of leads or more",
+    ),
+}
+
+
+@pytest.mark.parametrize("name", WRONG)
+def test_wrong_use(tmp_path: Path, rain: dict[int, Array], name: str) -> None:
+    """One line that says what would be right, exit code 2, and nothing written."""
+    write_records(tmp_path, rain, 1200)
+    (tmp_path / "there.yaml").write_text("mine")
+    arguments, reason = WRONG[name]
+    done = verify(tmp_path, "errors", "--weather", "records.csv", *arguments)
+    assert done.returncode == 2
+    assert done.stderr.startswith(f"error: {reason}")
+    assert not (tmp_path / "mine.yaml").exists()
+
+
+def test_too_few_records(tmp_path: Path) -> None:
+    """A month is not enough for a climate."""
+    weather = str(DATA / "en_climate_hourly_07-2021.csv")
+    done = verify(tmp_path, "errors", "--weather", weather, "--fit", "mine.yaml")
+    assert done.returncode == 2
+    assert done.stderr.startswith("error: --fit: needs at least 1000 h of records")
