@@ -12,7 +12,7 @@ from greenroof_ros.model.site import Site
 
 Array = NDArray[np.float64]
 
-# No longer (s) at once: rain and outlet change the level together.
+# No longer (s) at once where water comes in: it and the outlet change the level together.
 _LONGEST_S = 300.0
 # A share of 0 would be an entry that the solver's matrix has not.
 _LEAST_SHARE = 1e-6
@@ -106,7 +106,8 @@ def cistern_course(site: Site, x1: float, rain: Array, lengths: Array) -> Array:
     above = np.full(len(rain), min(x1, full) - low)
     course = [above]
     for rate, length in zip(rain.T * site.effective_catchment, lengths, strict=True):
-        parts = int(np.ceil(length / _LONGEST_S))
+        fills = rate.any() or site.mains_flow
+        parts = int(np.ceil(length / _LONGEST_S)) if fills else 1
         seconds = length / parts
         half = site.c_low * seconds / 2 / np.sqrt(site.a1)
         for _ in range(parts):

@@ -103,7 +103,8 @@ def fit_climate(spells: Sequence[Array], tip: float) -> Climate:
     tips, counts = np.unique(np.maximum(np.round(amounts / tip), 1) * tip, return_counts=True)
 
     def unlikely(logarithms: Array) -> float:
-        climate = Climate(share, *map(float, np.exp(logarithms)), 1.0)
+        k, b = map(float, np.exp(logarithms))
+        climate = Climate(share, k, b, 1.0)
 
         def more(amount: Array) -> Array:
             return np.asarray(ndtr(-climate.normal(amount)) / share)
@@ -150,24 +151,34 @@ class Sample:
         ]
 
     def scores(self, errors: Errors, lead: float) -> Array:
-        """Return r, POD and FAR of forecasts made so many hours before, shape (sums, 3)."""
+        """Return r, POD and FAR of forecasts made so many hours before, shape (sums, 3).
+
+        They are the means over all draws of noise.
+        """
         skill = Skill(self._climate, errors)
         coherence = skill.coherence(np.array([lead]), rfftfreq(self._hours))[0]
         twice = np.full(len(self._power), 2.0)
         twice[[0, -1]] = 1.0
         unknown = np.sqrt(((1 - coherence**2) * twice * self._power).sum() / self._hours)
         amount = 1 + (errors.amount - 1) * unknown
-        tallies = [Tally(one.event, 1) for one in self._sums]
+        found = []
         for noise in self._noise:
             known = coherence * self._records + np.sqrt(1 - coherence**2) * noise
             normal = irfft(known, self._hours) + errors.wetness * unknown
-            forecast = amount * self._climate.rain(normal)
-            for one, tally in zip(self._sums, tallies, strict=True):
-                tally.add(
-                    forecast.reshape(1, -1, one.hours).sum(axis=2),
-                    self._rain.reshape(-1, one.hours).sum(axis=1),
-                )
-        return np.array([tally.scores()[2:5] for tally in tallies])
+            found.append(self._scores(amount * self._climate.rain(normal)))
+        return np.asarray(np.mean(found, axis=0))
+
+    def _scores(self, forecast: Array) -> Array:
+        """Return r, POD and FAR of forecasts of each hour (mm), shape (sums, 3)."""
+        found = []
+        for one in self._sums:
+            tally = Tally(one.event, 1)
+            tally.add(
+                forecast.reshape(1, -1, one.hours).sum(axis=2),
+                self._rain.reshape(-1, one.hours).sum(axis=1),
+            )
+            found.append(tally.scores()[2:5])
+        return np.array(found)
 
 
 def fit_errors(sample: Sample, goals: Mapping[float, Array], start: Errors) -> Errors:

@@ -33,15 +33,20 @@ def rain() -> dict[int, Array]:
 def test_scores_of_a_sample_are_those_of_the_model(rain: dict[int, Array]) -> None:
     """Forecasts of one lead at a stroke are as good as those that the model issues.
 
-    r, POD and FAR of half days, by another count, over eleven seasons: they scatter by some 0.03.
+    r, POD and FAR of half days, by another count, over eleven seasons and three seeds, of each of
+    which they scatter by some 0.03.
     """
     sample = Sample(REAL.climate, list(rain.values()), [HALF_DAY])
     observed = np.concatenate(list(rain.values()))
-    ahead = [days_ahead(year, season, REAL, 1, (1, 3)) for year, season in rain.items()]
-    for day in (1, 3):
-        issued = figures(np.concatenate([season[day][0] for season in ahead]), observed)
+    found: dict[int, list[Array]] = {1: [], 3: []}
+    for seed in range(3):
+        ahead = [days_ahead(year, season, REAL, seed, (1, 3)) for year, season in rain.items()]
+        for day, of_day in found.items():
+            issued = np.concatenate([season[day][0] for season in ahead])
+            of_day.append(figures(issued, observed)[2, :3])
+    for day, of_day in found.items():
         (got,) = sample.scores(REAL.errors, 24 * day + 2.5)
-        assert got == pytest.approx(issued[2, :3], abs=0.06)
+        assert got == pytest.approx(np.mean(of_day, axis=0), abs=0.05)
 
 
 def test_errors_are_found_again(rain: dict[int, Array]) -> None:
