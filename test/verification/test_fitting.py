@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import os
 import subprocess
 from dataclasses import replace
 from datetime import timedelta
@@ -76,7 +77,7 @@ def write_records(directory: Path, rain: dict[int, Array], hours: int) -> Path:
 
 def verify(directory: Path, *arguments: str) -> subprocess.CompletedProcess[str]:
     """Run the command to its end."""
-    return run_command("verify", *arguments, cwd=directory)
+    return run_command("verify", *arguments, cwd=directory, env=dict(os.environ))
 
 
 def test_the_command_writes_a_skill(tmp_path: Path, rain: dict[int, Array]) -> None:
