@@ -48,11 +48,11 @@ class RegretBudget:
         (1 + waiting_share) D + waiting_budget x2*,
 
     but for a tick's loss, what the pumps wait for their next start, and what evapotranspiration
-    slows the filling: while forecasts count L is below the limit, and when they cease to, the
-    filling was in it. Good forecasts never come near. A promise of this kind is the robustness of
-    an online algorithm with predictions, and to follow a good forecast unharmed its consistency
-    (Lykouris and Vassilvitskii 2021, Competitive Caching with Machine Learned Advice, J. ACM 68(4),
-    doi:10.1145/3447579). In frost nothing may be pumped, and the loss goes on.
+    slows the filling. For while forecasts count L is below the limit, and when they cease to, the
+    filling was in it. A promise of this kind is the robustness of an online algorithm with
+    predictions; that a good forecast is not harmed is its consistency (Lykouris and Vassilvitskii
+    2021, Competitive Caching with Machine Learned Advice, J. ACM 68(4), doi:10.1145/3447579). In
+    frost nothing may be pumped, and the loss goes on.
 
     While a controller waits, a low outlet of the cistern may take what it would fill the roof with.
     What on/off has on the roof beyond all that stays in the cistern costs as much as if it were

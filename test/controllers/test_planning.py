@@ -564,32 +564,20 @@ def test_a_longer_forecast_does_no_harm(tmp_path: Path) -> None:
     assert least < totals[-1] <= 1.05 * least < totals[0]
 
 
-MARCH = (
-    "--weather", str(DATA / "en_climate_hourly_03-2021.csv"), "--start", "2021-03-16T18:00",
-    "--hours", "4", "--cistern", "57", "--roof", "3.14",
-)
-"""Hours of a little evapotranspiration and no rain or frost, from nearly the target."""
-
-
 @pytest.mark.parametrize("starts_per_hour", [20, 6])
-def test_pumps_start_as_often_as_they_may(starts_per_hour: int, tmp_path: Path) -> None:
-    """Never more in an hour, where each reading is taken as it is, and is 2 mm off."""
+def test_pumps_start_as_often_as_they_may(starts_per_hour: int) -> None:
+    """A level that is a millimetre too low for five seconds, then as much too high, for an hour."""
 
-    def busiest(limit: int) -> int:
-        file = site_file(tmp_path, starts_per_hour=float(limit))
-        run = paper_run(
-            "--controller", "planning_mpc", "--site", str(file), *MARCH, "--roof-noise", "0.002",
-            "--observer-time-constant", "0",
-        )
-        ticks = closed_loop(run, run.make_controller(), Metrics())
-        pumping = [tick.flows.pump > 0 for tick in ticks]
-        starts = [
-            k for k, (before, now) in enumerate(pairwise([False, *pumping])) if now and not before
-        ]
-        return max(sum(start - 3600 < other <= start for other in starts) for start in starts)
+    def starts(limit: int) -> int:
+        controller = planner(site_with(starts_per_hour=limit))
+        commands = [0.0]
+        for second in range(3600):
+            level = PAPER_SITE.z_veg + (1e-3 if second // 5 % 2 else -1e-3)
+            commands.append(controller.command(2.3, level, *dry()))
+        return sum(before == 0 < now for before, now in pairwise(commands))
 
-    assert busiest(3600) > 30
-    assert busiest(starts_per_hour) <= starts_per_hour
+    assert starts(3600) == 360
+    assert 1 < starts(starts_per_hour) <= starts_per_hour
 
 
 def test_long_ticks(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -653,7 +641,7 @@ def test_solver_failures(monkeypatch: pytest.MonkeyPatch, options: str, share: f
 
     monkeypatch.setattr(PlanningProgram, "solve", unreliable)
     total, fallbacks = outcome()
-    assert fallbacks == failed > 100
+    assert fallbacks == failed > 10
     assert total == pytest.approx(reached, rel=share)
 
 
@@ -801,11 +789,10 @@ def test_anticipating_waits() -> None:
     1.08 m3 are missing. 30 mm would be 2.06 m3: then nearly as much too much as is missing now, but
     for days. 8 mm, 0.55 m3, leave room for what is pumped now.
     """
-    controller = anticipating()
     for depth, command in ((0.030, 0.0), (0.008, 1.0)):
         rain = [0.0] * STEPS
         rain[-1] = depth / LENGTHS[-1]
-        assert controller.command(2.3, 0.03, rain, [0.0] * STEPS) == command
+        assert anticipating().command(2.3, 0.03, rain, [0.0] * STEPS) == command
 
 
 def test_ensemble_of_one_forecast_is_that_forecast() -> None:
