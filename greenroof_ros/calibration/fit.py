@@ -338,7 +338,9 @@ def _tell_apart(
 ) -> tuple[list[Range], list[tuple[Range, str]]]:
     """Split parameters into those that the data tell, and those they do not, with the reason."""
     _, triangle, order = qr(jacobian, mode="economic", pivoting=True)
-    size = np.abs(np.diag(triangle))
+    # Fewer residuals than parameters tell no more of these than there are of those.
+    size = np.zeros(len(every))
+    size[:len(triangle)] = np.abs(np.diag(triangle))
     telling = [every[place] for place in order[size > _TELLS_NOTHING * size[0]]]
     held = []
     lengths = np.linalg.norm(jacobian, axis=0)
