@@ -53,8 +53,7 @@ _GRID = {
 }
 _STEP = 1e-3
 _MOST_EVALUATIONS = 60
-# Of longer sums (s) the drainage time cannot be told: in a simulation their rain comes evenly, and
-# leaves the drainage layer more slowly than its showers do. A shorter time would make up for that.
+# Of longer steps (s) the drainage time cannot be told: it would make up for rain that comes evenly.
 _TELLS_DRAINAGE_S = 3600
 # A half of its interval this large, as a share of the parameter or of its range, says little.
 _HARDLY = 0.5
