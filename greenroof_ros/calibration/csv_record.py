@@ -14,12 +14,8 @@ import numpy as np
 
 from greenroof_ros.calibration.daily import reference_from_temperatures
 from greenroof_ros.calibration.record import Record, Values
-from greenroof_ros.calibration.row_steps import (
-    Slots,
-    means_of_steps,
-    steps_of_rows,
-    sums_of_steps,
-)
+from greenroof_ros.calibration.reference_column import refuse_wrong_unit, through_short_gaps
+from greenroof_ros.calibration.row_steps import means_of_steps, steps_of_rows, sums_of_steps
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.files import read_text
 from greenroof_ros.common.times import parse_time
@@ -28,6 +24,7 @@ from greenroof_ros.model.site import Site
 from greenroof_ros.weather.table import Row, Table, numbered_lines
 
 TIME = "time"
+REFERENCE = "reference evapotranspiration"
 _SECONDS = {"s": 1.0, "min": 60.0, "h": 3600.0, "day": 86400.0}
 _RATE = re.compile(r"(?P<amount>mm|l|m3)(/(?P<count>[1-9]\d{0,3})?(?P<time>s|min|h|day))?")
 # Greatest believable amount in a time (mm/h). More rain than that fell nowhere for a minute (WMO:
@@ -47,7 +44,7 @@ _AMOUNTS = {
     "rain": ("mm", "mm/h", "mm/5min"),
     "runoff": ("mm", "mm/5min", "l", "l/s", "m3/h"),
     "pumped": ("mm", "l", "l/s", "m3/h", "m3/s"),
-    "reference evapotranspiration": ("mm", "mm/h", "mm/day"),
+    REFERENCE: ("mm", "mm/h", "mm/day"),
 }
 _FEWEST_ROWS = 100
 # So far a level sensor's zero may be off, or its noise go.
@@ -77,8 +74,9 @@ def read_csv_record(file: Path, site: Site) -> Record:
     Missing rows and empty cells are gaps. Lines that begin with ``#`` are comments.
 
     ``rain`` must be there, ``level`` or ``runoff``, and ``reference evapotranspiration``, which has
-    no gaps, or temperatures: ``temperature``, or the day's ``least temperature`` and ``greatest
-    temperature`` in any row of their day, for Hargreaves' equation. What was pumped onto the
+    gaps of an hour at most, or temperatures: ``temperature``, or the day's ``least temperature``
+    and ``greatest temperature`` in any row of their day, for Hargreaves' equation. A row is of the
+    day of its own time, whatever its step. What was pumped onto the
     roof is ``pumped``, or ``pump state`` (share of the maximum flow) with ``cistern level``;
     without either nothing.
 
@@ -101,33 +99,33 @@ def read_csv_record(file: Path, site: Site) -> Record:
             f"has {len(times)} rows; a record must have {_FEWEST_ROWS} at least", file=file
         )
     slots, step_s = steps_of_rows(file, TIME, times, rows)
-    series = {}
+    series, temperatures = {}, {}
     last_decimal = 0.0
     for quantity, column in columns.items():
+        of_rows = np.array(cells[quantity])
         together = sums_of_steps if column.amount else means_of_steps
-        values = together(np.array(cells[quantity]), slots)
+        values = together(of_rows, slots)
         factor = column.factor * (step_s if column.rate else 1.0)
         series[quantity] = values * factor
         if quantity == "runoff":
             last_decimal = _last_decimal(values) * factor
-        _refuse_unbelievable(file, quantity, column, series[quantity], step_s, slots, rows, cells)
+        if "temperature" in quantity:
+            temperatures[quantity] = of_rows
+        believed = series[quantity][slots] if column.amount else of_rows * factor
+        _refuse_unbelievable(file, quantity, column, believed, step_s, rows, of_rows)
     record = Record(
         source=file, start=times[0], step_s=step_s, rain=series["rain"],
         reference=np.zeros(slots[-1] + 1), pumped=_pumped(series, site, step_s),
         runoff=series.get("runoff"), level=series.get("level"), last_decimal=last_decimal,
         cistern=series.get("cistern level"), command=series.get("pump state"),
     )
-    if "reference evapotranspiration" in series:
-        reference = series["reference evapotranspiration"]
-        name = columns["reference evapotranspiration"].name
-        _refuse_gaps(record, name, reference, slots, rows)
-        if not np.any(reference > 0):
-            raise ConfigurationError(
-                "is 0 throughout: it must be there, or nothing of how the roof dries can be fitted",
-                file=file, key=name,
-            )
+    if REFERENCE in columns:
+        name = columns[REFERENCE].name
+        reference = through_short_gaps(record, name, series[REFERENCE], times, rows, slots)
+        refuse_wrong_unit(record, site, name, reference)
     else:
-        reference = reference_from_temperatures(record, site, series)
+        days = np.array([time.date() for time in times], dtype="datetime64[D]")
+        reference = reference_from_temperatures(record, site, days, temperatures)
     return replace(record, reference=reference)
 
 
@@ -173,7 +171,7 @@ def _require(table: Table, columns: dict[str, _Column]) -> None:
     if "runoff" not in columns and "level" not in columns:
         raise table.refuse("there must be a column 'runoff [mm]' or 'level [m]'")
     if not (
-        "reference evapotranspiration" in columns or "temperature" in columns
+        REFERENCE in columns or "temperature" in columns
         or {"least temperature", "greatest temperature"} <= columns.keys()
     ):
         raise table.refuse(
@@ -235,14 +233,13 @@ def _last_decimal(values: Values) -> float:
 
 
 def _refuse_unbelievable(
-    file: Path, quantity: str, column: _Column, values: Values, step_s: float,
-    slots: Slots, lines: list[int],
-    cells: dict[str, list[float]],
+    file: Path, quantity: str, column: _Column, values: Values, step_s: float, lines: list[int],
+    cells: Values,
 ) -> None:
-    """Refuse a value that nothing on a roof can have."""
+    """Refuse a row with a value that nothing on a roof can have, or an amount of its step."""
     low, high = 0.0, _MOST_MM_PER_H * step_s / 3600
     what = f"from 0 to {_MOST_MM_PER_H:g} mm/h"
-    if quantity == "reference evapotranspiration":
+    if quantity == REFERENCE:
         high = _MOST_EVAPORATING * step_s / 3600
         what = f"from 0 to {_MOST_EVAPORATING:g} mm/h"
     elif quantity == "pump state":
@@ -251,32 +248,13 @@ def _refuse_unbelievable(
         low, high, what = -_ZERO_OFF_M, 100.0, f"from {-_ZERO_OFF_M:g} to 100 m"
     elif "temperature" in quantity:
         low, high, what = -90.0, 60.0, "from -90 to 60 degC"
-    wrong = np.flatnonzero(~((values[slots] >= low) & (values[slots] <= high))
-                           & ~np.isnan(values[slots]))
+    wrong = np.flatnonzero((values < low) | (values > high))
     if len(wrong):
         row = int(wrong[0])
         raise ConfigurationError(
             f"must be {what}; is the unit of the column right?", file=file, line=lines[row],
-            key=column.name, value=cells[quantity][row],
+            key=column.name, value=float(cells[row]),
         )
-
-
-def _refuse_gaps(
-    record: Record, column: str, values: Values, slots: Slots, lines: list[int]
-) -> None:
-    """Refuse evapotranspiration that is not there in every step: a roof dries through gaps, too."""
-    missing = np.flatnonzero(np.isnan(values))
-    if not len(missing):
-        return
-    time = str(record.times[missing[0]])
-    row = int(np.searchsorted(slots, missing[0]))
-    what = "is empty" if slots[row] == missing[0] else f"there is no row of {time}"
-    raise ConfigurationError(
-        f"{what} ({len(missing)} in all): it must be in every step, as a roof dries in gaps of "
-        "the sensors, too; write a day's value into each of its rows, and add missing rows with "
-        "time and this value, their other cells empty",
-        file=record.source, line=lines[row], key=column,
-    )
 
 
 def _pumped(series: dict[str, Values], site: Site, step_s: float) -> Values:

@@ -9,7 +9,7 @@ from greenroof_ros.calibration.record import Record, Values
 from greenroof_ros.calibration.scores import time_name
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.model.site import Site
-from greenroof_ros.weather.hargreaves import hargreaves, over_the_day
+from greenroof_ros.weather.hargreaves import Days, hargreaves, over_the_day
 
 _DAY_S = 86400
 # Of a day, so that its extremes are among them; and days without that take those beside them (d).
@@ -21,18 +21,21 @@ _LONGEST_GAP = 3
 
 
 def reference_from_temperatures(
-    record: Record, site: Site, series: dict[str, Values]
+    record: Record, site: Site, days: Days, temperatures: dict[str, Values]
 ) -> Values:
     """Return Hargreaves' reference evapotranspiration of each step (mm), shape (steps,).
 
-    Days are those of the record's own clock. One without temperatures, or with those of part of it,
-    takes the line between its neighbours', over three days at most.
+    A temperature is of its row's day, not of its step's: the step that a row of 0:00 lies in can
+    have begun the day before, where the logger's clock was set. A step has the evapotranspiration
+    of the day that it begins in on the record's own clock. A day without temperatures, or with
+    those of part of it, takes the line between its neighbours', over three days at most.
 
     Args:
         record: its times.
         site: its place.
-        series: ``temperature``, or ``least temperature`` and ``greatest temperature`` in any row of
-            their day (degC).
+        days: of each row, on the clock of its time, shape (rows,).
+        temperatures: ``temperature``, or ``least temperature`` and ``greatest temperature`` in any
+            row of their day (degC), NaN where a row has none, shape (rows,).
 
     Raises:
         ConfigurationError: the site has no place, temperatures are too far apart to show a day's
@@ -45,10 +48,8 @@ def reference_from_temperatures(
         )
     offset = record.start.utcoffset()
     assert offset is not None
-    seconds = record.seconds
-    dates, day = np.unique(seconds // _DAY_S, return_inverse=True)
-    days = dates.astype("datetime64[D]")
-    if "temperature" in series:
+    dates, day = np.unique(days, return_inverse=True)
+    if "temperature" in temperatures:
         if record.step_s > _LONGEST_STEP_S:
             raise ConfigurationError(
                 f"its rows are {time_name(round(record.step_s))} apart, and show a day's extremes "
@@ -57,20 +58,25 @@ def reference_from_temperatures(
                 key="temperature",
             )
         enough = _ENOUGH * _DAY_S / record.step_s
-        least, greatest = _extremes(series["temperature"], day, len(days), enough)
+        least, greatest = _extremes(temperatures["temperature"], day, len(dates), enough)
     else:
-        least, _ = _extremes(series["least temperature"], day, len(days), 1)
-        _, greatest = _extremes(series["greatest temperature"], day, len(days), 1)
+        least, _ = _extremes(temperatures["least temperature"], day, len(dates), 1)
+        _, greatest = _extremes(temperatures["greatest temperature"], day, len(dates), 1)
     crossed = np.flatnonzero(least > greatest)
     if len(crossed):
         raise ConfigurationError(
-            f"on {days[crossed[0]]} the least temperature, {least[crossed[0]]:g} degC, is above "
+            f"on {dates[crossed[0]]} the least temperature, {least[crossed[0]]:g} degC, is above "
             f"the greatest, {greatest[crossed[0]]:g} degC", file=record.source,
         )
-    daily = hargreaves(site.latitude, days, *(_filled(record, days, one) for one in
-                                              (least, greatest)))
+    seconds = record.seconds
+    numbers, day_of_step = np.unique(seconds // _DAY_S, return_inverse=True)
+    of_steps = numbers.astype("datetime64[D]")
+    daily = hargreaves(
+        site.latitude, of_steps,
+        *(_filled(record, of_steps, dates, one) for one in (least, greatest)),
+    )
     east = site.longitude - offset.total_seconds() / 240
-    return over_the_day(daily, site.latitude, seconds, day, record.step_s, east)
+    return over_the_day(daily, site.latitude, seconds, day_of_step, record.step_s, east)
 
 
 def _extremes(
@@ -86,13 +92,13 @@ def _extremes(
     return least, greatest
 
 
-def _filled(record: Record, days: NDArray[np.datetime64], values: Values) -> Values:
-    """Fill the days without a value from those beside them."""
-    number = days.astype(np.int64)
-    known = np.flatnonzero(~np.isnan(values))
-    if not len(known):
+def _filled(record: Record, days: Days, dates: Days, values: Values) -> Values:
+    """Return the value of each day; of one without, that between its neighbours."""
+    there = ~np.isnan(values)
+    if not there.any():
         raise ConfigurationError("no day has its temperatures", file=record.source)
-    nearest = np.abs(number[:, None] - number[known][None, :]).min(axis=1)
+    number, known = days.astype(np.int64), dates[there].astype(np.int64)
+    nearest = np.abs(number[:, None] - known[None, :]).min(axis=1)
     if nearest.max() > _LONGEST_GAP:
         worst = int(np.argmax(nearest > _LONGEST_GAP))
         raise ConfigurationError(
@@ -100,4 +106,4 @@ def _filled(record: Record, days: NDArray[np.datetime64], values: Values) -> Val
             "evapotranspiration is computed; add a row of each day without, its temperatures in it "
             "and the other cells empty", file=record.source,
         )
-    return np.interp(number, number[known], values[known])
+    return np.interp(number, known, values[there])

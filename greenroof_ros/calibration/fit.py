@@ -31,8 +31,13 @@ from greenroof_ros.model.site import Site
 
 Steps = NDArray[np.bool_]
 
-# Sums over less are the sensors' quantum and the roof's minutes; longer ones lose the peaks.
+# Sums over less are the sensors' quantum and the roof's minutes; longer ones lose the peaks (s).
 _SUM_S = 3600
+# In a simulation the rain of a step comes evenly, and leaves the drainage layer later than its
+# showers do. Step against step, more runoff in all would make up for that: a third more of steps of
+# six hours. Of sums over so many steps the delay does not matter. Over more than so long (s) a
+# record of days has too few of them.
+_SUM_STEPS, _LONGEST_SUM_S = 8, 4 * 86400
 # Residuals that belong together: what a storm does to a roof is forgotten after about a week.
 _WEEK_S = 7 * 86400
 # In standard deviations of what was measured: beyond it a residual counts in proportion, no longer
@@ -48,8 +53,7 @@ _GRID = {
 }
 _STEP = 1e-3
 _MOST_EVALUATIONS = 60
-# Of longer sums (s) the drainage time cannot be told: in a simulation their rain comes evenly, and
-# leaves the drainage layer more slowly than its showers do. A shorter time would make up for that.
+# Of longer steps (s) the drainage time cannot be told: it would make up for rain that comes evenly.
 _TELLS_DRAINAGE_S = 3600
 # A half of its interval this large, as a share of the parameter or of its range, says little.
 _HARDLY = 0.5
@@ -171,11 +175,12 @@ def fit(
 ) -> Fit:
     """Fit a measured roof to some steps of a record.
 
-    The sums over hours of what ran off, and the means of hours of the level, are brought near to
-    what was measured: by least squares within bounds, with a loss that grows only in proportion
-    beyond ten standard deviations of what was measured ("soft_l1"), so that a broken sensor does
-    not decide. What is simulated is taken as the record's meter would show it. The search begins at
-    the best of a coarse grid.
+    Sums of what ran off, and means of the level, are brought near to what was measured, by least
+    squares within bounds: those of hours, or of eight steps where that is longer, or of four days
+    where that is shorter, as rain comes evenly in a simulated step. The loss grows only in
+    proportion beyond ten standard deviations of what was measured ("soft_l1"), so that a broken
+    sensor does not decide. What is simulated is taken as the record's meter would show it. The
+    search begins at the best of a coarse grid.
 
     Parameters that the record cannot tell stay as the site has them: the drainage time where steps
     are longer than an hour, and those whose column of the Jacobian, over their range, is small or a
@@ -302,19 +307,19 @@ class _Comparison:
     def __init__(self, record: Record, steps: Steps) -> None:
         self._steps = steps & record.known
         self._seconds = record.seconds[self._steps]
-        self._over = max(_SUM_S, round(record.step_s))
+        self._over = max(_SUM_S, min(_SUM_STEPS * round(record.step_s), _LONGEST_SUM_S))
         self._names = tuple(record.measured)
-        self._measured = [self._hours(name, record.measured[name]) for name in self._names]
+        self._measured = [self._together(name, record.measured[name]) for name in self._names]
         self._spread = [float(np.std(series)) or 1.0 for series in self._measured]
-        hours = np.unique(self._seconds // self._over) * self._over
-        self.weeks = np.tile(hours // _WEEK_S, len(self._names))
+        begin = np.unique(self._seconds // self._over) * self._over
+        self.weeks = np.tile(begin // _WEEK_S, len(self._names))
 
-    def _hours(self, name: str, values: Values) -> Values:
+    def _together(self, name: str, values: Values) -> Values:
         return TOGETHER[name](values[self._steps], self._seconds, self._over)
 
     def __call__(self, simulated: Simulated) -> Values:
         return np.concatenate([
-            (self._hours(name, getattr(simulated, name)) - measured) / spread
+            (self._together(name, getattr(simulated, name)) - measured) / spread
             for name, measured, spread in zip(
                 self._names, self._measured, self._spread, strict=True
             )
@@ -337,7 +342,9 @@ def _tell_apart(
 ) -> tuple[list[Range], list[tuple[Range, str]]]:
     """Split parameters into those that the data tell, and those they do not, with the reason."""
     _, triangle, order = qr(jacobian, mode="economic", pivoting=True)
-    size = np.abs(np.diag(triangle))
+    # Fewer residuals than parameters tell no more of these than there are of those.
+    size = np.zeros(len(every))
+    size[:len(triangle)] = np.abs(np.diag(triangle))
     telling = [every[place] for place in order[size > _TELLS_NOTHING * size[0]]]
     held = []
     lengths = np.linalg.norm(jacobian, axis=0)

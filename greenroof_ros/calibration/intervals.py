@@ -63,13 +63,16 @@ def freedom(jacobian: Values, groups: NDArray[np.int64]) -> Values:
 def half_intervals(moved: Values, freedom: Values | None = None) -> Values:
     """Return half of each 95 % interval, from how each value moves without one group.
 
-    Tukey's jackknife (Efron 1982, doi:10.1137/1.9781611970319) with Student's t.
+    Tukey's jackknife (Efron 1982, doi:10.1137/1.9781611970319) with Student's t. One group says
+    nothing: the halves are infinite.
 
     Args:
         moved: shape (groups, values), but for what is the same in each group.
         freedom: degrees of freedom of each value; None takes as many as there are groups, less one.
     """
     count = len(moved)
+    if count < 2:  # nothing is left without the only group
+        return np.full(moved.shape[1], np.inf)
     variance = np.var(moved, axis=0) * (count - 1)
     quantile = student.ppf((1 + _CONFIDENCE) / 2, max(1, count - 1) if freedom is None else freedom)
     return np.asarray(quantile * np.sqrt(variance))

@@ -36,6 +36,11 @@ def extraterrestrial_radiation(latitude: float, days: Days) -> Values:
     return np.asarray(model.ts_param["R_a"], dtype=np.float64)
 
 
+def evaporable(radiation: Values) -> Values:
+    """Depth of water (mm) that radiation (MJ/m2) could evaporate, FAO-56 Eq. 20."""
+    return _MM_PER_MJ * radiation
+
+
 def hargreaves(latitude: float, days: Days, least: Values, greatest: Values) -> Values:
     """Reference evapotranspiration of whole days (mm/day), FAO-56 Eq. 52, shape (days,).
 
@@ -49,7 +54,7 @@ def hargreaves(latitude: float, days: Days, least: Values, greatest: Values) -> 
         least: temperature of each day (degC).
         greatest: the same.
     """
-    radiation = _MM_PER_MJ * extraterrestrial_radiation(latitude, days)
+    radiation = evaporable(extraterrestrial_radiation(latitude, days))
     warmth = (least + greatest) / 2 + 17.8
     return np.asarray(np.maximum(0.0, 0.0023 * warmth * np.sqrt(greatest - least) * radiation))
 

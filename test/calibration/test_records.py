@@ -100,28 +100,6 @@ def test_a_pump_of_which_too_little_is_known_is_a_gap(tmp_path: Path) -> None:
     assert np.flatnonzero(~record.known).tolist() == [2, 3, 4, 6, 7, 8]
 
 
-@pytest.mark.parametrize(
-    ("was", "becomes", "message"),
-    [
-        ("T00:10,0,0.02,3", "T00:10,0,0.02,",
-         "line 4: reference evapotranspiration [mm/day]: is empty (1 in all): it must be in"),
-        ("2021-06-01T00:10,0,0.02,3\n2021-06-01T00:15,0,0.02,3\n", "",
-         "line 4: reference evapotranspiration [mm/day]: there is no row of 2021-06-01T00:10:00 "
-         "(2 in all): it must be in every step"),
-    ],
-)
-def test_evapotranspiration_must_be_in_every_step(
-    was: str, becomes: str, message: str, tmp_path: Path
-) -> None:
-    text = small("time,rain [mm],level [m],reference evapotranspiration [mm/day]", "0", "0.02", "3")
-    assert was in text
-    file = tmp_path / "record.csv"
-    file.write_text(text.replace(was, becomes))
-    with pytest.raises(ConfigurationError) as error:
-        read_csv_record(file, TWIN)
-    assert str(error.value).startswith(f"{file}, {message}")
-
-
 def test_missing_rows_and_empty_cells_are_gaps(tmp_path: Path) -> None:
     rows = ROWS[:1] + ROWS[1:500] + ROWS[600:1000]
     rows = [list(row) for row in rows]
@@ -346,18 +324,6 @@ def test_a_dead_flow_meter_is_refused(tmp_path: Path) -> None:
     file = write(rows, tmp_path / "dead.csv")
     with pytest.raises(ConfigurationError, match=r"runoff: is 0 for \d\d days from .* mm came"):
         refuse_wrong(read_csv_record(file, TWIN), TWIN)
-
-
-def test_evapotranspiration_of_0_is_refused(tmp_path: Path) -> None:
-    file = tmp_path / "record.csv"
-    file.write_text(small(
-        "time,rain [mm],level [m],reference evapotranspiration [mm]", "0", "0.02", "0",
-    ))
-    with pytest.raises(ConfigurationError) as error:
-        read_csv_record(file, TWIN)
-    assert str(error.value).startswith(
-        f"{file}: reference evapotranspiration [mm]: is 0 throughout"
-    )
 
 
 @pytest.mark.parametrize(

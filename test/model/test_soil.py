@@ -220,7 +220,7 @@ def test_what_is_followed_is_what_the_plant_did(
         plant.step(rain, flows[-1])
     volumes, layers = zip(*states, strict=True)
     found = follow(
-        site, 0.0, np.array(volumes), np.array([rain for rain, _ in ticks]) * site.a2,
+        site, layers[0], np.array(volumes), np.array([rain for rain, _ in ticks]) * site.a2,
         np.array([asked for _, asked in ticks]), np.full(len(ticks), site.tau),
     )
     assert found.layer.tolist() == list(layers)

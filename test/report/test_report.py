@@ -1555,7 +1555,7 @@ WRONG: dict[str, tuple[Callable[[Path], Any], str, tuple[str, ...]]] = {
     ),
     "pump-data-swapped": (
         lambda at: (
-            small_bag(at / "in"), (at / "p.csv").write_text("flow [m3/s],head [m]\n0,1\n1,2\n")
+            small_bag(at / "in"), (at / "p.csv").write_text("flow [m3/s],head [m]\n0,1\n0.1,2\n")
         ),
         "--pump-data p.csv", ("p.csv", "must fall"),
     ),

@@ -8,6 +8,7 @@ from places import CONFIG, DATA
 
 from greenroof_ros.model.site import read_site
 from greenroof_ros.weather.hargreaves import (
+    evaporable,
     extraterrestrial_radiation,
     hargreaves,
     over_the_day,
@@ -17,9 +18,10 @@ from greenroof_ros.weather.reading import read_weather
 
 
 def test_example_8() -> None:
-    """Ra on 3 September at 20 degrees south: 32.2 MJ/m2 and day."""
+    """Ra on 3 September at 20 degrees south: 32.2 MJ/m2 and day, which evaporates 13.1 mm."""
     radiation = extraterrestrial_radiation(-20.0, np.array(["1998-09-03"], dtype="datetime64[D]"))
     assert radiation == pytest.approx([32.2], abs=0.05)
+    assert evaporable(radiation) == pytest.approx([13.1], abs=0.05)
 
 
 def test_example_20() -> None:
