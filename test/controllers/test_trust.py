@@ -155,7 +155,7 @@ def test_after_ticks_unseen() -> None:
 
 
 CONTROLLERS = {
-    "anticipating_onoff": lambda: AnticipatingOnOff(PAPER_SITE, 12, 1.0, 300.0, math.inf, 0.0),
+    "anticipating_onoff": lambda: AnticipatingOnOff(PAPER_SITE, 12, 10, 1.0, 300.0, math.inf, 0.0),
     "planning_mpc": lambda: planner(observer_time_constant=300.0),
 }
 
