@@ -85,7 +85,7 @@ class Planner:
     be lifted from there, which is what energy costs, and how much the pumps can lift. Without one
     the lift is that from the outlet, and the flow that of now.
 
-    Steps and forecast go on for ten days after the horizon
+    Steps and forecast go on for ``days_after`` after the horizon
     (:class:`~greenroof_ros.controllers.after_forecast.AfterForecast`), since what is on the roof
     then stays there.
 
@@ -134,6 +134,7 @@ class Planner:
         self,
         site: Site,
         horizon: float,
+        days_after: float,
         max_command: float,
         observer_time_constant: float,
         waiting_budget: float,
@@ -149,6 +150,7 @@ class Planner:
         Args:
             site: the parameters of Table I.
             horizon: how far to plan ahead (h).
+            days_after: days that count after it.
             max_command: upper bound of the commands (1).
             observer_time_constant: over how long (s) readings of the roof's level are averaged.
             waiting_budget: what waiting for rain may cost (h of an empty roof).
@@ -161,7 +163,7 @@ class Planner:
         """
         self._site = site
         self._max_command = max_command
-        self._after = AfterForecast(site, horizon)
+        self._after = AfterForecast(site, horizon, days_after)
         self._edges = self._after.edges
         self._lengths = np.diff(self._edges)
         self._power = power
@@ -217,7 +219,7 @@ class Planner:
     def planned_deviation(self) -> float:
         """Objective of the last program (m3); NaN if it was not solved.
 
-        It is the mean deviation over the horizon and the ten days after it, of an ensemble its
+        It is the mean deviation over the horizon and the days after it, of an ensemble its
         value at risk, and prices; with squares the square root of that, so that the unit is one.
         """
         cost = self._program.cost
