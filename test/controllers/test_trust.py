@@ -414,7 +414,7 @@ def test_lies_that_come_and_go() -> None:
     )
     plain = onoff("--start", "2021-07-07T14:00", fraction=0.005)
     lost = deviation_of(replace(run, forecast=forecast), controller) - plain
-    # The budget is 0.1 h. Filling, which it counts ahead, takes longer by what evaporates meanwhile.
+    # The budget is 0.1 h. Filling, which it counts ahead, takes longer by what evaporates.
     pumped = 0.005 * maximum_pump_flow(run.site, run.site.a1 * run.site.suction_level)
     evaporated = max(run.series.evapotranspiration)
     assert 0.02 * EMPTY_HOUR < lost < 0.1 * EMPTY_HOUR / (1 - evaporated / pumped)
