@@ -30,7 +30,7 @@ _log = logging.getLogger(__name__)
 
 # A plan is followed this long at most (s), and left when the roof has come this far off it (m3).
 _LONGEST_PLAN_S = 600.0
-# One forecast on a measured roof: how much of the water drains off follows its level within minutes.
+# One forecast on a measured roof: how much drains off follows the roof's level within minutes.
 _LONGEST_DRAINING_S = 60.0
 _OFF_PLAN_M3 = 2e-3
 # So often it looks (s) whether the forecast of what comes to the roof has changed by more than this
