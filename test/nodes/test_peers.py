@@ -31,7 +31,7 @@ AT_ONCE = """
 import sys
 from greenroof_ros.nodes import controller, weather
 from greenroof_ros.controllers import onoff
-from greenroof_ros.graph.node_process import make_executor
+from greenroof_ros.graph.executors import make_executor
 from std_msgs.msg import Float64, Float64MultiArray
 sys.stdin.readline()
 {}.main()
