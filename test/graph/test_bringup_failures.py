@@ -256,7 +256,8 @@ def test_nodes_are_on_loopback_alone(domain: int, tmp_path: Path) -> None:
 
 def test_graph_that_is_there_already(domain: int, tmp_path: Path) -> None:
     """A second bringup in the domain is exit code 3 with advice, and the first goes on."""
-    process, _ = started(domain, tmp_path)
+    process = Process(domain, "bringup", "--speed", "20", "--output", "run", cwd=tmp_path)
+    process.wait_for_ticks(size=0)
     second = Process(domain, "bringup", "--output", "second", cwd=tmp_path)
     assert second.wait(60) == 3
     assert "ROS_DOMAIN_ID=" in second.stderr()

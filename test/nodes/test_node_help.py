@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from commands import run_command
 from graphs import environment, wait_for
 from mcap.reader import make_reader
 from places import CONFIG
@@ -29,10 +30,7 @@ COMMANDS = (
 
 def run_module(cwd: Path, command: str) -> subprocess.CompletedProcess[str]:
     """Run a node's module in a domain in which no node can be made: 232 is the last."""
-    return subprocess.run(
-        [sys.executable, "-m", *f"greenroof_ros.nodes.{command}".split()],
-        cwd=cwd, env=environment(1000), capture_output=True, text=True, timeout=60, check=False,
-    )
+    return run_command(*f"nodes.{command}".split(), cwd=cwd, env=environment(1000))
 
 
 def section(text: str, heading: str) -> dict[str, str]:
