@@ -55,10 +55,10 @@ def bag_values(run: Path) -> dict[str, list[bytes]]:
 
 OPTIONS: dict[str, tuple[str, ...]] = {
     "mpc": ("--hours", "3"),
-    "onoff": ("--hours", "0.5"),
-    "planning_mpc": ("--hours", "0.5"),
-    "anticipating_onoff": ("--hours", "0.5"),
-    "scenario_mpc": ("--hours", "0.5", "--forecast", "ensemble", "--forecast-seed", "3"),
+    "onoff": ("--hours", "0.2"),
+    "planning_mpc": ("--hours", "0.2"),
+    "anticipating_onoff": ("--hours", "0.2"),
+    "scenario_mpc": ("--hours", "0.2", "--forecast", "ensemble", "--forecast-seed", "3"),
 }
 
 
@@ -251,7 +251,7 @@ def test_same_bits_on_an_imperfect_site(domain: int, tmp_path: Path, controller:
 def test_two_runs_two_equal_bags(domain: int, tmp_path: Path) -> None:
     """Equal in every byte; those of the predictive controller are in the starts below."""
     for output in ("first", "second"):
-        bring_up(domain, tmp_path, "--controller", "onoff", "--hours", "0.5", output=output)
+        bring_up(domain, tmp_path, "--controller", "onoff", "--hours", "0.1", output=output)
     first, second = (bag_file(tmp_path / output).read_bytes() for output in ("first", "second"))
     assert first == second
 

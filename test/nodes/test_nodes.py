@@ -250,7 +250,7 @@ def test_simulated_time(domain: int, tmp_path: Path, observer: Observer) -> None
     from diagnostic_msgs.msg import DiagnosticArray
     from rosgraph_msgs.msg import Clock
 
-    start, ticks = 1_625_641_200, 1800  # 2021-07-07T02:00-05:00 in seconds since 1970
+    start, ticks = 1_625_641_200, 720  # 2021-07-07T02:00-05:00 in seconds since 1970
     stamps: dict[str, list[int]] = {}
     began = time.time()
 
@@ -266,8 +266,8 @@ def test_simulated_time(domain: int, tmp_path: Path, observer: Observer) -> None
     message.clock.sec = start + 86_400
     names = [f"/site1/{name}" for name in ("plant", "weather", "mpc", "recorder")]
     process = Process(
-        domain, "bringup", "--output", "run", "--namespace", "site1", "--hours", "0.5",
-        "--speed", "300", cwd=tmp_path,
+        domain, "bringup", "--output", "run", "--namespace", "site1", "--hours", "0.2",
+        "--speed", "120", cwd=tmp_path,
     )
     for name in names:
         client = observer.node.create_client(GetParameters, f"{name}/get_parameters")
