@@ -23,8 +23,8 @@ FILES = {
     "site2": "/**/onoff:\n  ros__parameters:\n    fraction: 0.4\n",
 }
 OPTIONS = {
-    "site1": ("--namespace", "site1", "--controller", "mpc", "--hours", "0.25"),
-    "site2": ("--namespace", "/site2", "--controller", "onoff", "--hours", "0.25"),
+    "site1": ("--namespace", "site1", "--controller", "mpc", "--hours", "0.1"),
+    "site2": ("--namespace", "/site2", "--controller", "onoff", "--hours", "0.1"),
 }
 TOPICS = {"site1": MPC_TOPICS, "site2": bag_topics()}
 

@@ -53,7 +53,6 @@ class Run:
 
         def reached() -> bool:
             assert self.process.process.poll() is None, self.process.stderr()
-            time.sleep(0.2)  # the bag is read from its beginning each time
             count = 0
             for _, file in numbered_files(self.directory / "bag"):
                 count += sum(1 for _ in read_ticks(file, count))

@@ -200,8 +200,10 @@ def _bag(run: Path) -> bytes:
 
 def test_a_page_beside_a_run_ends_with_it(domain: int, tmp_path: Path) -> None:
     """It shows the run, and the run's bag is that of a run without."""
-    run = ("--hours", "0.05", "--speed", "20")
-    process = Process(domain, "bringup", *run, "--watch", "--output", "run", cwd=tmp_path)
+    run = ("--hours", "0.05")
+    process = Process(
+        domain, "bringup", *run, "--speed", "20", "--watch", "--output", "run", cwd=tmp_path
+    )
     port = wait_for(lambda: port_of(process.stderr()), 60, "an address")
 
     def shown() -> bool:
