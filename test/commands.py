@@ -22,7 +22,7 @@ import traceback
 from functools import cache
 from pathlib import Path
 
-_ROOMS = ("common", "controllers", "experiment", "report", "study", "graph")
+_ROOMS = ("common", "controllers", "experiment", "report", "study", "calibration", "graph")
 _LIMIT_S = 300
 
 
