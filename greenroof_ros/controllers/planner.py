@@ -24,7 +24,7 @@ from greenroof_ros.controllers.tick_times import TickTimes
 from greenroof_ros.model.look_ahead import MOST_MEMBERS
 from greenroof_ros.model.plant import maximum_pump_flow
 from greenroof_ros.model.site import Site
-from greenroof_ros.model.soil import free_changes, kept_share, water_stress
+from greenroof_ros.model.soil import free_changes, kept_share, lasting_share, water_stress
 
 _log = logging.getLogger(__name__)
 
@@ -369,7 +369,11 @@ class Planner:
         """Make a new plan; keep the old one where the solver finds none."""
         site = self._site
         start = np.zeros((self._members, 1))
-        inflow = np.cumsum(free_changes(site, x2, rain, evaporated, self._lengths), axis=1)
+        weather = rain, evaporated, self._lengths
+        inflow = np.cumsum(free_changes(site, x2, *weather), axis=1)
+        lasting = None
+        if self._prices == NO_PRICES and site.low_outlet_level is None:
+            lasting = lasting_share(site, x2, *weather)
         before = x2 - site.x2_star + np.hstack([start, inflow])
         missing = np.maximum.accumulate(np.maximum(-before, 0.0), axis=1)[:, 1:]
         # What will be above the suction level by then, and below the outlet.
@@ -394,6 +398,7 @@ class Planner:
             kept * self._flow,
             self._moved_on(),
             ahead,
+            lasting,
         )
         if pumped is None:
             self.fallbacks += 1
@@ -406,6 +411,8 @@ class Planner:
         self._pumped = np.hstack([start, pumped])
         self._age = self._off_plan = 0.0
         flows = np.diff(self._pumped) / self._lengths / kept
+        if lasting is not None:
+            pumped = lasting * np.cumsum(np.diff(self._pumped) / lasting, axis=1)
         levels = np.maximum(before[:, 1:] + pumped + site.x2_star, 0.0) / site.a2
         self.plan = np.column_stack(
             (self._edges[1:], flows.mean(axis=0), levels.mean(axis=0))
