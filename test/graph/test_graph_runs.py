@@ -57,7 +57,7 @@ def bag_values(run: Path) -> dict[str, list[bytes]]:
 OPTIONS: dict[str, tuple[str, ...]] = {
     "mpc": (),
     "onoff": ("--hours", "0.5"),
-    "planning_mpc": ("--hours", "0.5"),
+    "planning_mpc": ("--hours", "0.5", "--horizon", "240"),
     "anticipating_onoff": ("--hours", "0.5"),
     "scenario_mpc": ("--hours", "0.5", "--forecast", "ensemble", "--forecast-seed", "3"),
 }
