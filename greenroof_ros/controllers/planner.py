@@ -65,9 +65,10 @@ class Planner:
     command is a flow over the maximum flow at the cistern's level - so that the prediction is the
     exact mass balance of Eq. (1): the roof deviates from its target by c_i + P_i at the end of step
     i, where c_i is what state, rain and evapotranspiration make of it alone
-    (:func:`greenroof_ros.model.soil.free_changes`). That a measured roof which was pumped lets a
-    little more rain pass is left to the next plan. With the deviation taken as linear within a step
-    the program is
+    (:func:`greenroof_ros.model.soil.free_changes`). Of what is pumped onto a measured roof a share
+    is left later, since the fuller soil lets more rain pass
+    (:func:`greenroof_ros.model.soil.lasting_share`); with prices or a low outlet all of it counts
+    as left. With the deviation taken as linear within a step the program is
 
         minimise    sum_i h_i |m_i + (P_{i-1} + P_i) / 2|,  m_i = (c_{i-1} + c_i) / 2
         subject to  0 <= P_i - P_{i-1} <= h_i u_max q(x1)     what the pumps can do,
