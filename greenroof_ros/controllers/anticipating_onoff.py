@@ -153,11 +153,12 @@ class AnticipatingOnOff:
         """
         rain, evaporated = self._after.lengthen(rain[None], evaporated)
         weather = rain, evaporated, self._lengths
-        (inflow,) = free_changes(self._site, x2, *weather)
+        changes = free_changes(self._site, x2, *weather)
+        (inflow,) = changes
         # Half-way through each step, since there the sum is the step's mean.
         course = x2 + np.cumsum(inflow) - inflow / 2
         dry_s = np.where(course < self._site.x2_star, self._lengths, -self._lengths)
-        lasting = lasting_share(self._site, x2, *weather)
+        lasting = lasting_share(self._site, x2, changes, *weather)
         if lasting is not None:
             dry_s = dry_s * lasting[0]
         if np.cumsum(dry_s).min() > 0:

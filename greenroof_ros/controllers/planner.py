@@ -377,10 +377,11 @@ class Planner:
         site = self._site
         start = np.zeros((self._members, 1))
         weather = rain, evaporated, self._lengths
-        inflow = np.cumsum(free_changes(site, x2, *weather), axis=1)
+        changes = free_changes(site, x2, *weather)
+        inflow = np.cumsum(changes, axis=1)
         lasting = None
         if self._prices == NO_PRICES and site.low_outlet_level is None:
-            lasting = lasting_share(site, x2, *weather)
+            lasting = lasting_share(site, x2, changes, *weather)
         before = x2 - site.x2_star + np.hstack([start, inflow])
         missing = np.maximum.accumulate(np.maximum(-before, 0.0), axis=1)[:, 1:]
         # What will be above the suction level by then, and below the outlet.

@@ -230,7 +230,8 @@ def free_changes(
 
 
 def lasting_share(
-    site: Site, x2: float, rain: Values, evapotranspiration: Values, lengths: Values
+    site: Site, x2: float, changes: Values, rain: Values, evapotranspiration: Values,
+    lengths: Values,
 ) -> Values | None:
     """Predict which share of the water that fills the roof now is still on it in later steps (1).
 
@@ -242,6 +243,7 @@ def lasting_share(
     Args:
         site: its parameters.
         x2: volume on the roof at the beginning (m3).
+        changes: of the roof left alone, as :func:`free_changes` returns them (m3).
         rain: mean in each step (m/s), shape (members, n).
         evapotranspiration: asked for, off the whole bed (m3/s), shape (n,).
         lengths: of the steps (s), shape (n,).
@@ -253,7 +255,6 @@ def lasting_share(
     if site.field_capacity is None:
         return None
     added = max(site.x2_star - x2, _LEAST_ADDED * site.available_volume)
-    weather = rain, evapotranspiration, lengths
-    fades = free_changes(site, x2 + added, *weather) - free_changes(site, x2, *weather)
+    fades = free_changes(site, x2 + added, rain, evapotranspiration, lengths) - changes
     ends = 1 + np.cumsum(fades, axis=1) / added
     return np.asarray(np.maximum(ends - fades / added / 2, _LEAST_LASTING))

@@ -206,7 +206,8 @@ def lasting(x2: float, rain_m3: list[float], asked_m3: list[float]) -> list[floa
     """Return the share that lasts, of hours with so much rain and evapotranspiration."""
     rain = np.array([rain_m3]) / 3600 / ROOF.a2
     hours = np.full(len(rain_m3), 3600.0)
-    found = lasting_share(ROOF, x2, rain, np.array(asked_m3) / 3600, hours)
+    weather = rain, np.array(asked_m3) / 3600, hours
+    found = lasting_share(ROOF, x2, free_changes(ROOF, x2, *weather), *weather)
     assert found is not None
     return list(found[0])
 
@@ -229,15 +230,15 @@ def test_what_lasts_of_water_on_a_roof_that_dries() -> None:
     """All of it while plants lack nothing; below 4 m3 exp(-e/2) of it, e being asked for."""
     assert lasting(4.4, [0.0] * 2, [0.1] * 2) == pytest.approx([1.0, 1.0], rel=1e-9)
     dry = replace(ROOF, z_veg=0.035, x2_star=3.5)
-    found = lasting_share(
-        dry, 2.5, np.zeros((1, 1)), np.array([2.0 / 3600]), np.array([3600.0])
-    )
+    weather = np.zeros((1, 1)), np.array([2.0 / 3600]), np.array([3600.0])
+    found = lasting_share(dry, 2.5, free_changes(dry, 2.5, *weather), *weather)
     assert found == pytest.approx(np.array([[(1 + math.exp(-1)) / 2]]), rel=1e-9)
 
 
 def test_all_lasts_on_the_papers_soil() -> None:
     """None stands for that."""
-    assert lasting_share(PAPER_SITE, 2.0, np.ones((1, 1)), np.ones(1), np.ones(1)) is None
+    weather = np.ones((1, 1)), np.ones(1), np.ones(1)
+    assert lasting_share(PAPER_SITE, 2.0, np.ones((1, 1)), *weather) is None
 
 
 @given(
