@@ -167,6 +167,9 @@ class PlanningProgram:
         """
         rates = np.ones_like(mean)
         if lasting is not None:
+            # One plan for all until recourse, and so one share.
+            one = np.broadcast_to(lasting.mean(axis=0), lasting.shape)
+            lasting = np.hstack((one[:, : self._common], lasting[:, self._common :]))
             rates, most = lasting, most / lasting
             weights = self._lasting_weights * lasting[self._lasting_steps]
             self._solver.update(Ax=weights, Ax_idx=self._lasting_entries)

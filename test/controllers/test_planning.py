@@ -509,7 +509,7 @@ def test_prices_are_those_of_the_pumps(prices: Prices) -> None:
     """
     solver = program(prices=prices)
     volumes = np.full((1, STEPS), FULL_AT_OUTLET * LENGTHS[0])
-    variables = solver._variables(volumes, np.zeros((1, STEPS)), 0.0)
+    variables = solver._variables(volumes, np.zeros((1, STEPS)), 0.0, np.ones((1, STEPS)), None)
     variables[STEPS : 2 * STEPS] = 0.0  # the deviations
     hessian, linear = solver._objective(PAPER_SITE, 1.0, prices, EDGES[-1])
     cost = (variables @ hessian @ variables / 2 + linear @ variables) * EDGES[-1]
@@ -950,6 +950,19 @@ def test_the_last_plan_outlives_its_members(monkeypatch: pytest.MonkeyPatch) -> 
         command = controller.command(2.3, 0.0, [rain, rain], evaporated)
         assert command == pytest.approx(first, abs=2e-3)
     assert controller.fallbacks > 0
+
+
+def test_members_whose_water_fades_share_one_plan() -> None:
+    """Until recourse, though in a member's rain less of what is pumped is left."""
+    mean, most = free_course(2.0, np.full(STEPS, 1e-7), np.full(STEPS, 2e-6))
+    lasting = np.stack([np.ones(STEPS), np.linspace(1.0, 0.6, STEPS)])
+    two = program(members=2, ensemble=Ensemble(0.0, 7200.0), site=FADING_SITE)
+    plans = two.solve(
+        np.tile(mean, (2, 1)), np.tile(most, (2, 1)), FULL, 0.0, None, None, lasting
+    )
+    assert plans is not None
+    common = int(np.count_nonzero(EDGES[1:] <= 7200.0))
+    assert np.ptp(plans[:, :common], axis=0).max() < 1e-3 < np.ptp(plans[:, -1])
 
 
 def test_without_recourse_the_first_step_is_shared() -> None:
