@@ -18,7 +18,7 @@ from greenroof_ros.controllers.regret_budget import WAITING_BUDGET, WAITING_SHAR
 from greenroof_ros.controllers.roof_observer import OBSERVER_TIME_CONSTANT, RoofObserver
 from greenroof_ros.model.plant import pump_flow
 from greenroof_ros.model.site import Site
-from greenroof_ros.model.soil import free_changes
+from greenroof_ros.model.soil import free_changes, lasting_share
 
 Array = NDArray[np.float64]
 
@@ -147,12 +147,20 @@ class AnticipatingOnOff:
         self._regret_budget.skip()
 
     def _stays_dry(self, x2: float, rain: Array, evaporated: Array) -> bool:
-        """Whether the roof, left alone, is too dry for most of the time until each step's end."""
+        """Whether the roof, left alone, is too dry for most of the time until each step's end.
+
+        Of a measured roof a time counts by the share of what is pumped now that is left then.
+        """
         rain, evaporated = self._after.lengthen(rain[None], evaporated)
-        (inflow,) = free_changes(self._site, x2, rain, evaporated, self._lengths)
+        weather = rain, evaporated, self._lengths
+        changes = free_changes(self._site, x2, *weather)
+        (inflow,) = changes
         # Half-way through each step, since there the sum is the step's mean.
         course = x2 + np.cumsum(inflow) - inflow / 2
         dry_s = np.where(course < self._site.x2_star, self._lengths, -self._lengths)
+        lasting = lasting_share(self._site, x2, changes, *weather)
+        if lasting is not None:
+            dry_s = dry_s * lasting[0]
         if np.cumsum(dry_s).min() > 0:
             return True
         self._waited = 0.0

@@ -24,7 +24,7 @@ from greenroof_ros.controllers.tick_times import TickTimes
 from greenroof_ros.model.look_ahead import MOST_MEMBERS
 from greenroof_ros.model.plant import maximum_pump_flow
 from greenroof_ros.model.site import Site
-from greenroof_ros.model.soil import free_changes, kept_share, water_stress
+from greenroof_ros.model.soil import free_changes, kept_share, lasting_share, water_stress
 
 _log = logging.getLogger(__name__)
 
@@ -65,9 +65,10 @@ class Planner:
     command is a flow over the maximum flow at the cistern's level - so that the prediction is the
     exact mass balance of Eq. (1): the roof deviates from its target by c_i + P_i at the end of step
     i, where c_i is what state, rain and evapotranspiration make of it alone
-    (:func:`greenroof_ros.model.soil.free_changes`). That a measured roof which was pumped lets a
-    little more rain pass is left to the next plan. With the deviation taken as linear within a step
-    the program is
+    (:func:`greenroof_ros.model.soil.free_changes`). Of what is pumped onto a measured roof a share
+    is left later, since the fuller soil lets more rain pass
+    (:func:`greenroof_ros.model.soil.lasting_share`); with prices or a low outlet all of it counts
+    as left. With the deviation taken as linear within a step the program is
 
         minimise    sum_i h_i |m_i + (P_{i-1} + P_i) / 2|,  m_i = (c_{i-1} + c_i) / 2
         subject to  0 <= P_i - P_{i-1} <= h_i u_max q(x1)     what the pumps can do,
@@ -375,7 +376,12 @@ class Planner:
         """Make a new plan; keep the old one where the solver finds none."""
         site = self._site
         start = np.zeros((self._members, 1))
-        inflow = np.cumsum(free_changes(site, x2, rain, evaporated, self._lengths), axis=1)
+        weather = rain, evaporated, self._lengths
+        changes = free_changes(site, x2, *weather)
+        inflow = np.cumsum(changes, axis=1)
+        lasting = None
+        if self._prices == NO_PRICES and site.low_outlet_level is None:
+            lasting = lasting_share(site, x2, changes, *weather)
         before = x2 - site.x2_star + np.hstack([start, inflow])
         missing = np.maximum.accumulate(np.maximum(-before, 0.0), axis=1)[:, 1:]
         # What will be above the suction level by then, and below the outlet.
@@ -400,6 +406,7 @@ class Planner:
             kept * self._flow,
             self._moved_on(),
             ahead,
+            lasting,
         )
         if pumped is None:
             self.fallbacks += 1
@@ -412,6 +419,8 @@ class Planner:
         self._pumped = np.hstack([start, pumped])
         self._age = self._off_plan = 0.0
         flows = np.diff(self._pumped) / self._lengths / kept
+        if lasting is not None:
+            pumped = lasting * np.cumsum(np.diff(self._pumped) / lasting, axis=1)
         levels = np.maximum(before[:, 1:] + pumped + site.x2_star, 0.0) / site.a2
         self.plan = np.column_stack(
             (self._edges[1:], flows.mean(axis=0), levels.mean(axis=0))
