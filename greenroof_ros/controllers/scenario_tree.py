@@ -1,0 +1,48 @@
+"""When the members of an ensemble of forecasts will be known apart: a tree of scenarios."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+Groups = NDArray[np.intp]
+
+
+def halved_by_rain(rain: Array, edges: Array, recourse: float) -> Groups:
+    """Return the group of each member in each step, by the least index in the group.
+
+    What is pumped is the same for all members of a group, since nothing tells them apart yet. All
+    are one group at first. At each ``recourse`` each group is halved: into the members with less
+    and with more rain until then, and where that is equal, in the next step, and so on; of an odd
+    number the wetter half has one more. So the groups of a step are the groups of the step before,
+    or parts of them, and in the end each member is alone.
+
+    That each may be answered on its own at once is what no forecast gives: a planner that believes
+    it waits, since soon it will know all (Dupacova, Groewe-Kuska and Roemisch 2003, Scenario
+    reduction in stochastic programming, doi:10.1007/s10107-002-0331-0; Heitsch and Roemisch 2009,
+    Scenario tree modeling for multistage stochastic programs, doi:10.1007/s10107-007-0197-2, who
+    build a tree from scenarios by grouping what is alike until each stage). In which order the
+    members are given does not matter.
+
+    Args:
+        rain: forecast (m/s), shape (members, n).
+        edges: ends of the steps (s from now), the first 0, shape (n + 1,).
+        recourse: from one halving to the next (s).
+
+    Returns:
+        Shape (members, n).
+    """
+    members, n = rain.shape
+    groups = np.zeros((members, n), dtype=np.intp)
+    fallen = np.cumsum(rain * np.diff(edges), axis=1)
+    stages = edges[:-1] // recourse
+    for step in range(1, n):
+        groups[:, step] = groups[:, step - 1]
+        for _ in range(int(stages[step] - stages[step - 1])):
+            order = np.lexsort(fallen[:, step - 1 :].T[::-1])
+            for label in np.unique(groups[:, step]):
+                together = order[groups[order, step] == label]
+                for half in np.split(together, [len(together) // 2]):
+                    groups[half, step] = half.min(initial=members)
+    return groups
