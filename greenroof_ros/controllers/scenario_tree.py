@@ -19,11 +19,10 @@ def halved_by_rain(rain: Array, edges: Array, recourse: float) -> Groups:
     or parts of them, and in the end each member is alone.
 
     That each may be answered on its own at once is what no forecast gives: a planner that believes
-    it waits, since soon it will know all (Dupacova, Groewe-Kuska and Roemisch 2003, Scenario
-    reduction in stochastic programming, doi:10.1007/s10107-002-0331-0; Heitsch and Roemisch 2009,
-    Scenario tree modeling for multistage stochastic programs, doi:10.1007/s10107-007-0197-2, who
-    build a tree from scenarios by grouping what is alike until each stage). In which order the
-    members are given does not matter.
+    it waits, since soon it will know all. A tree from scenarios that are alike until each stage is
+    that of Heitsch and Roemisch (2009, Scenario tree modeling for multistage stochastic programs,
+    doi:10.1007/s10107-007-0197-2); here the members part by rank, so that it is as large whatever
+    the rain. In which order the members are given does not matter.
 
     Args:
         rain: forecast (m/s), shape (members, n).
