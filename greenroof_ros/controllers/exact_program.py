@@ -1,4 +1,4 @@
-"""The planners' program for one forecast without prices, solved exactly and without a solver."""
+"""The planners' program without prices, solved exactly and without a solver."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from greenroof_ros.controllers.cistern_ahead import CisternAhead
+from greenroof_ros.controllers.scenario_tree import Groups, least_of_groups, means_of_groups
 
 Array = NDArray[np.float64]
 
@@ -17,118 +18,169 @@ class ExactProgram:
     """The least sum of absolute deviations, by following how the least cost depends on the volume.
 
     With P_i what is pumped until the middle of step i, at which the roof deviates by m_i without
-    pumping, the program is
+    pumping, the program of one forecast is
 
         minimise    sum_i h_i |m_i + P_i|
         subject to  0 <= P_i - P_{i-1} <= u_max q (h_{i-1} + h_i) / 2,  P_i <= most_i.
 
-    f_i(P), the least cost of the steps to i if P is pumped by then, is convex and made of straight
-    lines. From f_{i-1} it comes in three moves: the part right of its minimum goes to the right by
-    what the pumps can do; beyond most_i it is infinite; h_i |m_i + P| is added. Kept are the places
-    at which its slope changes, those left and those right of the minimum apart, each in a heap. The
-    volumes follow backwards: P_{i-1} is as near to the minimum of f_{i-1} as P_i allows. For n
-    steps that takes n log n operations. Without limits of the pumps this is isotonic regression in
-    L1, and the way to solve it that of Rote (2019, Isotonic Regression by Dynamic Programming,
-    doi:10.4230/OASIcs.SOSA.2019.1).
+    That of several is the sum over all of them, where those in one group at step i have one P_i: a
+    tree, see :mod:`greenroof_ros.controllers.scenario_tree`.
+
+    f_i(P), the least cost of a group from step i on if P is pumped until then, is convex and made
+    of straight lines. It comes from the groups into which it splits at step i + 1 in three moves:
+    in each, the part left of its minimum goes to the left by what the pumps can do; these are
+    added up, with h_i |m_i + P| of each member; beyond the least most_i of the members it is
+    infinite. Kept are the places at which its slope changes, those left and those right of the
+    minimum apart, each in a heap. The volumes follow forwards: P_i is as near to the minimum of f_i
+    as P_{i-1} allows, and of several minima the lowest is taken. That is the least of all answers
+    at each step, and so there is one.
+
+    For n steps and members in all that takes n log n operations, but for the splits. For one
+    forecast without limits of the pumps it is isotonic regression in L1, and the way to solve it
+    that of Rote (2019, Isotonic Regression by Dynamic Programming,
+    doi:10.4230/OASIcs.SOSA.2019.1), from the other end.
 
     Of water that does not stay, the share l_i of what is pumped now being left in step i, the roof
     has l_i V_i of all that is pumped, where V_i - V_{i-1} = (P_i - P_{i-1}) / l_i: what is pumped
     later has faded less. It is the same program in V, with l_i h_i, m_i / l_i and limits over l_i.
+    Members in one group have one share, the mean of theirs.
 
     Attributes:
         status: 1, as OSQP says of a program that is solved; 0 before the first.
-        cost: mean deviation over all steps (m3); NaN before the first.
+        cost: mean deviation over all steps and members (m3); NaN before the first.
     """
 
     def __init__(self, edges: Array, max_command: float) -> None:
         """Take the ends of the steps (s from now), the first 0, and the commands' upper bound."""
-        lengths = np.diff(edges)
         self.status = 0
         self.cost = math.nan
         self._max_command = max_command
         self._edges = edges
-        self._lengths = lengths
-        self._middles = np.concatenate(([0.0], edges[:-1] + lengths / 2))
-        self._spans = np.diff(self._middles)
+        self._lengths = np.diff(edges)
+        self._middles = np.concatenate(([0.0], edges[:-1] + self._lengths / 2))
 
     def solve(
-        self, mean: Array, most: Array, full: float, flow: float = 0.0, guess: Array | None = None,
-        ahead: CisternAhead | None = None, lasting: Array | None = None,
+        self, mean: Array, most: Array, full: float, flow: float, guess: Array | None,
+        groups: Groups, ahead: CisternAhead | None = None, lasting: Array | None = None,
     ) -> Array:
         """Solve it; see :class:`greenroof_ros.controllers.objective.Program`.
 
         There always is a solution; flow and guess do not matter. It is not for low outlets.
         """
         # Where the pumps cannot lift, no bound on their commands makes them.
-        rises = self._spans * (full * self._max_command if full else 0.0)
-        lengths = self._lengths
+        able = np.diff(self._middles) * (full * self._max_command if full else 0.0)
+        able = np.broadcast_to(able, mean.shape)
+        lengths = np.broadcast_to(self._lengths, mean.shape)
         if lasting is not None:
-            mean, most, rises = mean / lasting, most / lasting, rises / lasting[0]
-            lengths = lengths * lasting[0]
-        able = rises.tolist()
-        least = self._minima(mean[0].tolist(), most[0].tolist(), lengths.tolist(), able)
-        volumes = [least[-1]]
-        for before, rise in zip(reversed(least[:-1]), reversed(able[1:]), strict=True):
-            volumes.append(min(max(before, volumes[-1] - rise), volumes[-1]))
-        volumes.reverse()
+            lasting = means_of_groups(lasting, groups)
+            mean, most, able = mean / lasting, most / lasting, able / lasting
+            lengths = lengths * lasting
+            # In a group that parts the share of one may grow, and nothing is taken back.
+            most = np.minimum.accumulate(most[:, ::-1], axis=1)[:, ::-1]
+        most = least_of_groups(most, groups)
+        rises = np.minimum(able, most.max()).T.tolist()
+        labels = groups.T.tolist()
+        least = self._minima(
+            (-mean).T.tolist(), most.T.tolist(), lengths.T.tolist(), rises, labels
+        )
+        now, volumes = [0.0] * len(mean), []
+        for places, rise, group in zip(least, rises, labels, strict=True):
+            now = [
+                min(max(places[label], before), before + more)
+                for label, before, more in zip(group, now, rise, strict=True)
+            ]
+            volumes.append(now)
+        pumped = np.array(volumes).T
         self.status = 1
-        deviations = lengths * np.abs(mean[0] + volumes)
-        self.cost = float(deviations.sum() / self._edges[-1])
+        self.cost = float((lengths * np.abs(mean + pumped)).sum(axis=1).mean())
+        self.cost /= float(self._edges[-1])
         if lasting is not None:
-            volumes = np.cumsum(np.diff(volumes, prepend=0.0) * lasting[0]).tolist()
-        at_ends = np.interp(self._edges[1:], self._middles, [0.0, *volumes])
-        return np.asarray(np.minimum(at_ends, most[0])[None])
+            pumped = np.cumsum(np.diff(pumped, prepend=0.0) * lasting, axis=1)
+        at_ends = [np.interp(self._edges[1:], self._middles, [0.0, *each]) for each in pumped]
+        return np.asarray(np.minimum(at_ends, most))
 
     def _minima(
-        self, mean: list[float], most: list[float], lengths: list[float], able: list[float]
-    ) -> list[float]:
-        """Return for each step where f_i is least, and of several places the lowest."""
-        # (place, change of the slope) left of the minimum, with the places' signs turned, and
-        # right of it, where all places are less by `moved`. The walls at 0: nothing pumped yet.
-        left, right = [(0.0, math.inf)], [(0.0, math.inf)]
-        moved = 0.0
+        self, places: list[list[float]], most: list[list[float]], lengths: list[list[float]],
+        rises: list[list[float]], labels: list[list[int]],
+    ) -> list[list[float]]:
+        """Return for each step where f_i of each group is least, and of several places the lowest.
+
+        Args:
+            places: at which a member deviates by nothing, -m_i, a list of members for each step.
+            most: upper bounds, likewise; alike within a group.
+            lengths: slopes of the deviations, likewise; alike within a group.
+            rises: what may be pumped from the step before, likewise; alike within a group.
+            labels: of the members' groups, likewise.
+        """
+        members = len(places[0])
+        # (place, change of the slope) of each group, left of its minimum, where all places are less
+        # by what it has `moved` and their signs are turned, and right of it.
+        left: list[Breaks] = [[] for _ in range(members)]
+        right: list[Breaks] = [[] for _ in range(members)]
+        moved = [0.0] * members
         minima = []
-        for deviation, limit, length, rises in zip(mean, most, lengths, able, strict=True):
-            moved += rises
-            _end_at(left, right, moved, limit)
-            _add_right(left, right, moved, -deviation, length)
-            _add_left(left, right, moved, -deviation, length)
-            minima.append(-left[0][0])
+        for step in reversed(range(len(places))):
+            _join(left, right, moved, labels[step])
+            of_step = zip(labels[step], places[step], most[step], lengths[step], strict=True)
+            for label, place, limit, length in of_step:
+                # Between 0 and the limit it is the same line.
+                at = min(max(place, 0.0), limit)
+                heapq.heappush(left[label], (-at - moved[label], length))
+                heapq.heappush(right[label], (at, length))
+            least = [-math.inf] * members
+            for label in set(labels[step]):
+                _part(left[label], right[label], moved[label])
+                _end_at(left[label], right[label], moved[label], most[step][label])
+                if left[label]:
+                    least[label] = -left[label][0][0] - moved[label]
+                moved[label] += rises[step][label]
+            minima.append(least)
+        minima.reverse()
         return minima
 
 
 Breaks = list[tuple[float, float]]
+# Places that are no further apart are the same (m3).
+_SAME_M3 = 1e-9
+
+
+def _join(
+    left: list[Breaks], right: list[Breaks], moved: list[float], labels: list[int]
+) -> None:
+    """Add up the functions of groups that have become one."""
+    for member, label in enumerate(labels):
+        if label == member or not (left[member] or right[member]):
+            continue
+        more = moved[member] - moved[label]
+        left[label] += [(turned + more, change) for turned, change in left[member]]
+        right[label] += right[member]
+        left[member], right[member] = [], []
+        heapq.heapify(left[label])
+        heapq.heapify(right[label])
+
+
+def _part(left: Breaks, right: Breaks, moved: float) -> None:
+    """Exchange changes of the slope until all on the left are left of those on the right.
+
+    c (a - P)^+ + c (P - b)^+ with b < a is c (b - P)^+ + c (P - a)^+ and a constant. Places that
+    differ by rounding alone are the same, or they would be exchanged without end.
+    """
+    while left and right and -left[0][0] - moved > right[0][0] + _SAME_M3:
+        (turned, falling), (lower, rising) = heapq.heappop(left), heapq.heappop(right)
+        part, upper = min(falling, rising), -turned - moved
+        if falling > part:
+            heapq.heappush(left, (turned, falling - part))
+        if rising > part:
+            heapq.heappush(right, (lower, rising - part))
+        heapq.heappush(left, (-lower - moved, part))
+        heapq.heappush(right, (upper, part))
 
 
 def _end_at(left: Breaks, right: Breaks, moved: float, place: float) -> None:
-    """Make it infinite right of a place, which is not left of the wall at 0."""
+    """Make it infinite right of a place."""
     beyond = 0.0
-    while -left[0][0] > place:
+    while left and -left[0][0] - moved > place:
         beyond += heapq.heappop(left)[1]
     if beyond:
-        heapq.heappush(left, (-place, beyond))
-    heapq.heappush(right, (place - moved, math.inf))
-
-
-def _add_right(left: Breaks, right: Breaks, moved: float, place: float, slope: float) -> None:
-    """Add a line that rises right of a place."""
-    heapq.heappush(left, (-place, slope))
-    while slope > 0:
-        at, change = heapq.heappop(left)
-        part = min(change, slope)
-        if change > part:
-            heapq.heappush(left, (at, change - part))
-        heapq.heappush(right, (-at - moved, part))
-        slope -= part
-
-
-def _add_left(left: Breaks, right: Breaks, moved: float, place: float, slope: float) -> None:
-    """Add a line that rises left of a place."""
-    heapq.heappush(right, (place - moved, slope))
-    while slope > 0:
-        at, change = heapq.heappop(right)
-        part = min(change, slope)
-        if change > part:
-            heapq.heappush(right, (at, change - part))
-        heapq.heappush(left, (-at - moved, part))
-        slope -= part
+        heapq.heappush(left, (-place - moved, beyond))
+        right.clear()

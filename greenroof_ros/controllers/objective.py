@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from greenroof_ros.controllers.cistern_ahead import CisternAhead
+from greenroof_ros.controllers.scenario_tree import Groups
 
 Array = NDArray[np.float64]
 
@@ -19,15 +20,6 @@ class Prices(NamedTuple):
     """of a kWh of hydraulic energy, as deviation (m3 s, or m6 s where that is squared)"""
     start: float = 0.0
     """of a pump start at full flow, likewise"""
-
-
-class Ensemble(NamedTuple):
-    """How a program looks at several forecasts at once."""
-
-    level: float = 0.0
-    """of the conditional value-at-risk: 0 is the mean of all, 0.9 that of the worst tenth"""
-    recourse: float = 0.0
-    """until then (s) one plan serves all members; later each has its own"""
 
 
 class Program(Protocol):
@@ -48,6 +40,7 @@ class Program(Protocol):
         full: float,
         flow: float,
         guess: Array | None,
+        groups: Groups,
         ahead: CisternAhead | None = None,
         lasting: Array | None = None,
     ) -> Array | None:
@@ -59,6 +52,8 @@ class Program(Protocol):
             full: the pumps' flow at command 1 (m3/s), as far as the soil keeps it.
             flow: what is pumped now (m3/s), likewise.
             guess: of the answer.
+            groups: of the members for which the volumes of a step are the same, by the least index
+                of a member; a group is part of one of the step before; shape (members, n).
             ahead: the cistern, volumes and flows likewise; None where it has no low outlet.
             lasting: share of what is pumped now that is still on the roof in each step (1), shape
                 (members, n); None where it is all of it.
@@ -70,4 +65,3 @@ class Program(Protocol):
 
 
 NO_PRICES = Prices()
-MEAN_OF_ALL = Ensemble()

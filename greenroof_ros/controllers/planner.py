@@ -16,10 +16,11 @@ from greenroof_ros.common.parameter import Parameter
 from greenroof_ros.controllers.after_forecast import AfterForecast
 from greenroof_ros.controllers.cistern_ahead import cistern_ahead
 from greenroof_ros.controllers.exact_program import ExactProgram
-from greenroof_ros.controllers.objective import MEAN_OF_ALL, NO_PRICES, Ensemble, Prices, Program
+from greenroof_ros.controllers.objective import NO_PRICES, Prices, Program
 from greenroof_ros.controllers.protocol import solver_statistics
 from greenroof_ros.controllers.regret_budget import RegretBudget
 from greenroof_ros.controllers.roof_observer import RoofObserver
+from greenroof_ros.controllers.scenario_tree import halved_by_rain
 from greenroof_ros.controllers.tick_times import TickTimes
 from greenroof_ros.model.look_ahead import MOST_MEMBERS
 from greenroof_ros.model.plant import maximum_pump_flow
@@ -67,8 +68,8 @@ class Planner:
     i, where c_i is what state, rain and evapotranspiration make of it alone
     (:func:`greenroof_ros.model.soil.free_changes`). Of what is pumped onto a measured roof a share
     is left later, since the fuller soil lets more rain pass
-    (:func:`greenroof_ros.model.soil.lasting_share`); with prices or a low outlet all of it counts
-    as left. With the deviation taken as linear within a step the program is
+    (:func:`greenroof_ros.model.soil.lasting_share`); with prices, squares or a low outlet all of it
+    counts as left. With the deviation taken as linear within a step the program is
 
         minimise    sum_i h_i |m_i + (P_{i-1} + P_i) / 2|,  m_i = (c_{i-1} + c_i) / 2
         subject to  0 <= P_i - P_{i-1} <= h_i u_max q(x1)     what the pumps can do,
@@ -92,15 +93,14 @@ class Planner:
     (:class:`~greenroof_ros.controllers.after_forecast.AfterForecast`), since what is on the roof
     then stays there.
 
-    With an ensemble of forecasts (``scenario_mpc``) each member has such a program; what is pumped
-    until ``recourse`` is the same for all - one decision now - and each may be answered on its own
-    from then on, since by then a newer forecast is there. The objective is the conditional
-    value-at-risk of the deviation over the members: its mean over the worst of them.
+    With an ensemble of forecasts (``scenario_mpc``) each member has such a program, and the
+    objective is the mean over the members. What is pumped until ``recourse`` is the same for all -
+    one decision now - and from then on for those that newer forecasts have not told apart
+    (:func:`~greenroof_ros.controllers.scenario_tree.halved_by_rain`).
 
-    It decides again when there is no plan, the plan is 600 s old (on a measured roof 60 s; with an
-    ensemble 600 s, but no older than it is the same for all members), the roof has come 2 litres
-    off it, or the forecast has changed, which it looks for once a minute. One forecast without
-    prices and without a low outlet has an exact program
+    It decides again when there is no plan, the plan is 600 s old (of one forecast on a measured
+    roof 60 s), the roof has come 2 litres off it, or the forecast has changed, which it looks for
+    once a minute. Without prices and without a low outlet the program is solved exactly
     (:class:`~greenroof_ros.controllers.exact_program.ExactProgram`). The others are solved by OSQP,
     whose first guess is the last solution, moved on. Where it finds no solution the last plan,
     which was good for the whole horizon, is followed on; ``fallbacks`` counts it.
@@ -146,7 +146,7 @@ class Planner:
         *,
         power: float = 1,
         prices: Prices = NO_PRICES,
-        ensemble: Ensemble | None = None,
+        recourse: float | None = None,
         max_iterations: int = 10000,
     ) -> None:
         """Set the program up once; every decision only updates it.
@@ -162,7 +162,7 @@ class Planner:
             power: of the deviation in the objective: 1, as in the paper's metric, or 2, as in its
                 controller.
             prices: of energy and starts.
-            ensemble: how to look at the members of a forecast; None for a single forecast.
+            recourse: from one halving of an ensemble to the next (s); None for single forecasts.
             max_iterations: OSQP's limit.
         """
         self._site = site
@@ -172,12 +172,14 @@ class Planner:
         self._lengths = np.diff(self._edges)
         self._power = power
         self._prices = prices
-        self._ensemble = ensemble
-        self._max_iterations = max_iterations
+        self._recourse = recourse
+        drains = site.field_capacity is not None and recourse is None
+        self._longest = _LONGEST_DRAINING_S if drains else _LONGEST_PLAN_S
+        self._program = self._make_program(max_iterations)
+        self._members = 1
         self._pumped: Array | None = None  # P at the edges, shape (members, steps + 1)
         self._inflow: Array | None = None  # to the roof, of the forecast looked at last
         self._unlooked = math.inf  # since then (s)
-        self._set_up(members=1)
         self._observer = RoofObserver(site, observer_time_constant)
         self._regret_budget = RegretBudget(site, waiting_budget, waiting_share)
         self.plan = _UNDECIDED
@@ -191,29 +193,16 @@ class Planner:
         self._flow = 0.0  # commanded in the last tick (m3/s)
         self._since_start = math.inf  # (s)
 
-    def _set_up(self, members: int) -> None:
-        """Set the program up for forecasts of so many members; what is planned for now stays."""
-        self._members = members
-        drains = self._site.field_capacity is not None and self._ensemble is None
-        self._longest = _LONGEST_DRAINING_S if drains else _LONGEST_PLAN_S
+    def _make_program(self, max_iterations: int) -> Program:
         plain = self._power == 1 and self._prices == NO_PRICES
-        exact = plain and self._site.low_outlet_level is None
-        if self._ensemble is not None or not exact:
-            # Its solver takes half a second to import, which those who do not need it are spared.
-            from greenroof_ros.controllers.planning_program import PlanningProgram
-        if members == 1 and exact:
-            self._program: Program = ExactProgram(self._edges, self._max_command)
-        else:
-            program = PlanningProgram(
-                self._site, self._edges, self._max_command, self._power, self._prices,
-                members, self._ensemble or MEAN_OF_ALL, self._max_iterations,
-            )
-            if members > 1:
-                self._longest = min(self._longest, program.shared_s)
-            self._program = program
-        if self._pumped is not None:
-            self._pumped = np.repeat(self._pumped[:1], members, axis=0)
-        self._inflow, self._unlooked = None, math.inf
+        if plain and self._site.low_outlet_level is None:
+            return ExactProgram(self._edges, self._max_command)
+        # Its solver takes half a second to import, which those who do not need it are spared.
+        from greenroof_ros.controllers.planning_program import PlanningProgram
+
+        return PlanningProgram(
+            self._site, self._edges, self._max_command, self._power, self._prices, max_iterations
+        )
 
     @property
     def status(self) -> int:
@@ -224,8 +213,8 @@ class Planner:
     def planned_deviation(self) -> float:
         """Objective of the last program (m3); NaN if it was not solved.
 
-        It is the mean deviation over the horizon and the days after it, of an ensemble its
-        value at risk, and prices; with squares the square root of that, so that the unit is one.
+        It is the mean deviation over the horizon and the days after it, of all members, and
+        prices; with squares the square root of that, so that the unit is one.
         """
         cost = self._program.cost
         return math.sqrt(cost) if self._power == 2 else cost
@@ -250,7 +239,7 @@ class Planner:
         # In one order in memory, whatever the caller's: that of numpy's sums follows it.
         rain = np.array(precipitation, dtype=float, order="C", ndmin=2)
         members = len(rain)
-        most = 1 if self._ensemble is None else MOST_MEMBERS
+        most = 1 if self._recourse is None else MOST_MEMBERS
         if rain.shape[1] != steps or len(evapotranspiration) != steps or members > most:
             raise ConfigurationError(
                 f"the forecasts of rain have {members} members of {rain.shape[1]} entries, that of "
@@ -259,7 +248,7 @@ class Planner:
                 "scenario_mpc all members"
             )
         if members != self._members:
-            self._set_up(members)
+            self._change_members(members)
         evaporated = np.asarray(evapotranspiration)
         x1 = site.cistern_volume(cistern_level)
         if not math.isfinite(x1 + roof_level + float(rain.sum() + evaporated.sum())):
@@ -349,6 +338,13 @@ class Planner:
         """
         return solver_statistics(self.solves, self.fallbacks, self.solve_seconds)
 
+    def _change_members(self, members: int) -> None:
+        """Go on with another number of forecasts; what is planned for now stays."""
+        self._members = members
+        if self._pumped is not None:
+            self._pumped = np.repeat(self._pumped[:1], members, axis=0)
+        self._inflow, self._unlooked = None, math.inf
+
     def _must_decide(self, rain: Array, evaporated: Array, rain_counts: bool) -> bool:
         """Whether plan, state or forecast has changed."""
         changed = self._unlooked >= _LOOK_S and self._forecast_changed(rain, evaporated)
@@ -380,7 +376,7 @@ class Planner:
         changes = free_changes(site, x2, *weather)
         inflow = np.cumsum(changes, axis=1)
         lasting = None
-        if self._prices == NO_PRICES and site.low_outlet_level is None:
+        if isinstance(self._program, ExactProgram):
             lasting = lasting_share(site, x2, changes, *weather)
         before = x2 - site.x2_star + np.hstack([start, inflow])
         missing = np.maximum.accumulate(np.maximum(-before, 0.0), axis=1)[:, 1:]
@@ -405,6 +401,7 @@ class Planner:
             kept * full,
             kept * self._flow,
             self._moved_on(),
+            halved_by_rain(rain, self._edges, self._recourse or math.inf),
             ahead,
             lasting,
         )

@@ -11,7 +11,8 @@ import scipy.sparse
 from numpy.typing import NDArray
 
 from greenroof_ros.controllers.cistern_ahead import CisternAhead
-from greenroof_ros.controllers.objective import Ensemble, Prices
+from greenroof_ros.controllers.objective import Prices
+from greenroof_ros.controllers.scenario_tree import Groups
 from greenroof_ros.model.plant import JOULES_PER_KWH, WATER_DENSITY, maximum_pump_flow
 from greenroof_ros.model.site import Site
 from greenroof_ros.model.soil import kept_share
@@ -36,9 +37,9 @@ _SOLVER_SETTINGS = {
 _ENSEMBLE_SETTINGS = {
     "eps_abs": 1e-3, "eps_rel": 1e-3, "rho": 0.03, "adaptive_rho": 0, "polishing": False,
 }
-# Weights of the rows of what the pumps can do, of the volumes, of the excess over the value at
-# risk, and of the balance of a cistern with a low outlet; those of the least iterations.
-_CAPACITY, _VOLUME, _EXCESS, _BALANCE = 5.0, 2.0, 8.0, 8.0
+# Weights of the rows of what the pumps can do, of the volumes, and of the balance of a cistern with
+# a low outlet; those of the least iterations.
+_CAPACITY, _VOLUME, _BALANCE = 5.0, 2.0, 8.0
 _USABLE = (osqp.SolverStatus.OSQP_SOLVED, osqp.SolverStatus.OSQP_SOLVED_INACCURATE)
 
 Array = NDArray[np.float64]
@@ -46,17 +47,16 @@ Matrix = Any  # scipy's sparse matrices have no types
 
 
 class PlanningProgram:
-    """The program of :class:`greenroof_ros.controllers.planner.Planner` for OSQP, set up once.
+    """The program of :class:`greenroof_ros.controllers.planner.Planner` for OSQP.
 
-    It is for ensembles, prices, squares and low outlets; one forecast without them has
-    :class:`~greenroof_ros.controllers.exact_program.ExactProgram`.
+    It is for prices, squares and low outlets; without them there is
+    :class:`~greenroof_ros.controllers.exact_program.ExactProgram`. The solver is set up once for
+    the same groups of members; each further program only updates it.
 
     Attributes:
         status: OSQP's status value of the last program, 1 = solved.
         cost: its objective: the mean deviation over the horizon (m3; m6 where it is squared), of an
-            ensemble its value-at-risk, and prices; NaN if it was not solved.
-        shared_s: until then (s) one plan serves all members: the end of the last step that ends
-            within ``recourse``, of the first step at least.
+            ensemble its mean, and prices; NaN if it was not solved.
     """
 
     def __init__(
@@ -66,11 +66,9 @@ class PlanningProgram:
         max_command: float,
         power: float,
         prices: Prices,
-        members: int,
-        ensemble: Ensemble,
         max_iterations: int,
     ) -> None:
-        """Set the solver up.
+        """Take what all programs have in common.
 
         Args:
             site: the parameters of Table I.
@@ -78,15 +76,16 @@ class PlanningProgram:
             max_command: upper bound of the commands (1).
             power: of the deviation, 1 or 2.
             prices: of energy and starts.
-            members: number of the forecasts.
-            ensemble: how to look at them.
             max_iterations: OSQP's limit.
         """
         self.status = 0
         self.cost = math.nan
         self._site = site
         self._max_command = max_command
-        self._members = members
+        self._power = power
+        self._prices = prices
+        self._seconds = float(edges[-1])
+        self._max_iterations = max_iterations
         self._lengths = np.diff(edges)
         # A step's deviation is scaled so that seconds and days are alike to the solver: half of
         # the difference by the rows, half by the costs.
@@ -96,10 +95,6 @@ class PlanningProgram:
         # A rise is scaled so that it costs as much as a deviation, or the solver takes ten times
         # the iterations, if it comes to an end.
         self._rise = max(1.0, prices.start / float(edges[-1]) * len(self._lengths))
-        # At least the first step: it is what is decided.
-        self._common = max(1, int(np.count_nonzero(edges[1:] <= ensemble.recourse)))
-        self.shared_s = float(edges[self._common])
-        self._risk = members > 1 and ensemble.level > 0
         # Volumes are those that the soil keeps, here about its target.
         self._full = kept_share(site, site.x2_star) * maximum_pump_flow(site, site.a1 * site.z_o)
         n = len(self._lengths)
@@ -110,34 +105,26 @@ class PlanningProgram:
         # Per m and m3 that is kept: more is lifted.
         self._price = prices.energy / float(edges[-1]) * WATER_DENSITY * site.g / JOULES_PER_KWH
         self._price /= kept_share(site, site.x2_star)
-        hessian, linear = self._objective(site, power, prices, float(edges[-1]))
+        self._groups: Groups = np.empty((0, n), dtype=np.intp)
+
+    def _set_up(self, groups: Groups) -> None:
+        """Set the solver up for members that are in these groups."""
+        n, members = len(self._lengths), len(groups)
+        self._groups, self._members = groups, members
+        hessian, linear = self._objective()
         self._cost = linear  # of a member
         cost = np.tile(linear, members) / members
         quadratic = [scipy.sparse.csc_matrix(hessian / members)] * members
         self._columns = len(linear)
-        # From the variables, in which the common volumes are there once, to those of all members.
-        self._spread = self._shared()
-        if self._risk:
-            # CVaR = min over t of t + sum_m max(0, D_m - t) / ((1 - level) members), where D_m is
-            # the mean deviation of a member (Rockafellar and Uryasev 2000).
-            cost = np.concatenate([
-                np.zeros_like(cost), [1.0],
-                np.full(members, 1 / ((1 - ensemble.level) * members)),
-            ])
-            quadratic.append(scipy.sparse.csc_matrix((members + 1,) * 2))
-            self._spread = scipy.sparse.block_diag(
-                [self._spread, scipy.sparse.identity(members + 1)], format="csc"
-            )
-        spread = self._spread
+        # From the variables, in which the volumes of a group are there once, to all members'.
+        self._spread = spread = self._shared()
         self._first = np.asarray(spread.argmax(axis=0)).ravel()
         zero = np.zeros((members, n))
         ahead, matrix = None, self._matrix()
         if self._drains:
             ahead = CisternAhead(0.0, zero, zero + 1.0, zero[0], zero, zero + self._full)
             self._mark_shares(matrix, self._matrix(share=0.5))
-        if site.field_capacity is not None:
-            self._mark_lasting(matrix, self._matrix(lasting=0.5))
-        lower, upper = self._bounds(zero, zero, self._full, 0.0, ahead, zero + 1.0)
+        lower, upper = self._bounds(zero, zero, self._full, 0.0, ahead)
         self._solver = osqp.OSQP()
         self._solver.setup(
             P=scipy.sparse.triu(
@@ -147,7 +134,7 @@ class PlanningProgram:
             A=matrix,
             l=lower,
             u=upper,
-            max_iter=max_iterations,
+            max_iter=self._max_iterations,
             **{**_SOLVER_SETTINGS, **(_ENSEMBLE_SETTINGS if members > 1 else {})},
         )
 
@@ -158,22 +145,17 @@ class PlanningProgram:
         full: float,
         flow: float,
         guess: Array | None,
+        groups: Groups,
         ahead: CisternAhead | None = None,
         lasting: Array | None = None,
     ) -> Array | None:
         """Solve it; see :class:`greenroof_ros.controllers.objective.Program`.
 
-        Its volumes V are those of :class:`~greenroof_ros.controllers.exact_program.ExactProgram`.
+        What is pumped counts as lasting.
         """
-        rates = np.ones_like(mean)
-        if lasting is not None:
-            # One plan for all until recourse, and so one share.
-            one = np.broadcast_to(lasting.mean(axis=0), lasting.shape)
-            lasting = np.hstack((one[:, : self._common], lasting[:, self._common :]))
-            rates, most = lasting, most / lasting
-            weights = self._lasting_weights * lasting[self._lasting_steps]
-            self._solver.update(Ax=weights, Ax_idx=self._lasting_entries)
-        lower, upper = self._bounds(mean, most, full, flow, ahead, rates)
+        if not np.array_equal(groups, self._groups):
+            self._set_up(groups)
+        lower, upper = self._bounds(mean, most, full, flow, ahead)
         self._solver.update(l=lower, u=upper)
         if ahead is not None:
             shares = self._share_weights * ahead.share[self._share_steps]
@@ -181,10 +163,7 @@ class PlanningProgram:
             if self._price:
                 self._solver.update(q=self._linear(ahead))
         if guess is not None:
-            if lasting is not None:
-                guess = np.cumsum(np.diff(guess, prepend=0.0, axis=1) / lasting, axis=1)
-            variables = self._variables(guess, mean, flow, rates, ahead)
-            self._solver.warm_start(x=variables[self._first])
+            self._solver.warm_start(x=self._variables(guess, mean, flow, ahead)[self._first])
         result = self._solver.solve(raise_error=False)
         self.status = int(result.info.status_val)
         self.cost = math.nan
@@ -195,22 +174,12 @@ class PlanningProgram:
             return None
         self.cost = float(result.info.obj_val) / len(self._lengths)
         # The solver ends within its tolerance of the constraints, on either side.
-        volumes = np.maximum.accumulate(np.clip(volumes, 0.0, most), axis=1)
-        if lasting is None:
-            return np.asarray(volumes)
-        return np.cumsum(np.diff(volumes, prepend=0.0, axis=1) * lasting, axis=1)
+        return np.asarray(np.maximum.accumulate(np.clip(volumes, 0.0, most), axis=1))
 
-    def _matrix(self, share: float = 1.0, lasting: float = 1.0) -> Matrix:
-        """Return the constraints.
-
-        Args:
-            share: that a cistern's low outlet leaves (1).
-            lasting: share of what is pumped now that is still on the roof (1).
-        """
-        blocks = [self._rows(share, lasting)] * self._members
+    def _matrix(self, share: float = 1.0) -> Matrix:
+        """Return the constraints; of a cistern with a low outlet if it leaves that share."""
+        blocks = [self._rows(share)] * self._members
         matrix = scipy.sparse.block_diag(blocks, format="csc")
-        if self._risk:
-            matrix = self._with_excess(matrix, np.tile(self._cost, self._members))
         matrix = scipy.sparse.csc_matrix(matrix @ self._spread)
         matrix.sort_indices()
         return matrix
@@ -218,30 +187,20 @@ class PlanningProgram:
     def _mark_shares(self, whole: Matrix, half: Matrix) -> None:
         """Find the entries that go with the share that a step's outlets leave, of 1 and of 1/2."""
         entries = np.flatnonzero(whole.data != half.data)
-        n, rows = len(self._lengths), self._rows(1.0, 1.0).shape[0]
+        n, rows = len(self._lengths), self._rows(1.0).shape[0]
         member, row = np.divmod(whole.indices[entries], rows)
         # A member's last rows but n are those with the shares.
         self._share_entries = entries.astype(np.int32)
         self._share_steps = member, row - (rows - 2 * n)
         self._share_weights = whole.data[entries]
 
-    def _mark_lasting(self, whole: Matrix, half: Matrix) -> None:
-        """Find the entries that go with the share that lasts, of 1 and of 1/2."""
-        entries = np.flatnonzero(whole.data != half.data)
-        n, rows = len(self._lengths), self._rows(1.0, 1.0).shape[0]
-        member, row = np.divmod(whole.indices[entries], rows)
-        # After a member's first n rows come the deviations', twice.
-        self._lasting_entries = entries.astype(np.int32)
-        self._lasting_steps = member, row % n
-        self._lasting_weights = whole.data[entries]
-
-    def _rows(self, share: float, lasting: float) -> Matrix:
+    def _rows(self, share: float) -> Matrix:
         """Return the constraints of one member: on volumes, scaled deviations, rises, surplus."""
         n = len(self._lengths)
         eye = scipy.sparse.identity(n, format="csc")
         none = scipy.sparse.csc_matrix((n, n))
         step = self._step()
-        scaled = scipy.sparse.diags([lasting * self._weights], [0]) @ self._between
+        scaled = scipy.sparse.diags([self._weights], [0]) @ self._between
         rows = [[_CAPACITY * step, none], [scaled, -eye], [scaled, eye], [_VOLUME * eye, none]]
         if self._starts:
             # Each rise of the flow (share of the full one), of the first step from what flows now.
@@ -264,11 +223,9 @@ class PlanningProgram:
         n = len(self._lengths)
         return scipy.sparse.diags([np.ones(n), -np.ones(n - 1)], [0, -1], format="csc")
 
-    def _objective(
-        self, site: Site, power: float, prices: Prices, seconds: float
-    ) -> tuple[Matrix, Array]:
+    def _objective(self) -> tuple[Matrix, Array]:
         """Return Hessian and linear part for one member, in the mean deviation's unit."""
-        n = len(self._lengths)
+        n, site = len(self._lengths), self._site
         kept = kept_share(site, site.x2_star)
         price = self._price
         volume = np.zeros(n)
@@ -277,7 +234,7 @@ class PlanningProgram:
         friction = 2 * price * site.pipe_resistance * self._full / kept**2
         step = self._step()
         hessian = [step.T @ scipy.sparse.diags([friction / self._lengths], [0]) @ step]
-        if power == 2:
+        if self._power == 2:
             hessian.append(scipy.sparse.diags([np.full(n, 2 / n)], [0]))
             linear = [volume, np.zeros(n)]
         else:
@@ -285,7 +242,7 @@ class PlanningProgram:
             linear = [volume, self._weights / n]
         if self._starts:
             hessian.append(scipy.sparse.csc_matrix((n, n)))
-            linear.append(np.full(n, prices.start / seconds / self._rise))
+            linear.append(np.full(n, self._prices.start / self._seconds / self._rise))
         if self._drains:
             hessian.append(scipy.sparse.csc_matrix((n, n)))
             linear.append(np.zeros(n))
@@ -299,37 +256,17 @@ class PlanningProgram:
         return np.asarray(len(lift[0]) * self._spread.T @ (parts.ravel() / self._members))
 
     def _shared(self) -> Matrix:
-        """Return what copies the first member's common volumes to all members."""
-        size = self._members * self._columns
-        source = np.arange(size)
-        for member in range(1, self._members):
-            first = member * self._columns
-            source[first : first + self._common] = np.arange(self._common)
-        kept, column = np.unique(source, return_inverse=True)
+        """Return what copies the volumes of each group to its members."""
+        size, n = self._members * self._columns, len(self._lengths)
+        source = np.arange(size).reshape(self._members, self._columns)
+        source[:, :n] = self._groups * self._columns + np.arange(n)
+        kept, column = np.unique(source.ravel(), return_inverse=True)
         return scipy.sparse.csc_matrix(
             (np.ones(size), (np.arange(size), column)), shape=(size, len(kept))
         )
 
-    def _with_excess(self, matrix: Matrix, deviations: Array) -> Matrix:
-        """Add t and each member's excess over it, with their rows."""
-        members, columns = self._members, self._columns
-        own = scipy.sparse.csc_matrix(
-            scipy.sparse.kron(scipy.sparse.identity(members), np.ones((1, columns)))
-        ).multiply(deviations[None, :])
-        ones, eye = np.ones((members, 1)), scipy.sparse.identity(members)
-        nothing = scipy.sparse.csc_matrix((members, members * columns))
-        return scipy.sparse.bmat(
-            [
-                [matrix, scipy.sparse.csc_matrix((matrix.shape[0], members + 1))],
-                [_EXCESS * own, _EXCESS * scipy.sparse.hstack([-ones, -eye])],
-                [nothing, scipy.sparse.hstack([0 * ones, eye])],
-            ],
-            format="csc",
-        )
-
     def _bounds(
-        self, mean: Array, most: Array, full: float, flow: float, ahead: CisternAhead | None,
-        rates: Array,
+        self, mean: Array, most: Array, full: float, flow: float, ahead: CisternAhead | None
     ) -> tuple[Array, Array]:
         """Return the bounds of all rows."""
         n = len(self._lengths)
@@ -337,7 +274,7 @@ class PlanningProgram:
         # Where the pumps cannot lift, no bound on their commands makes them.
         flows = np.full_like(mean, full) if ahead is None else ahead.full
         largest = np.multiply(flows, self._max_command, out=np.zeros_like(mean), where=flows > 0)
-        capacity = _CAPACITY * self._lengths * largest / rates
+        capacity = _CAPACITY * self._lengths * largest
         lower, upper = [], []
         for member, free in enumerate(self._weights * mean):
             lower += [zero, -self._infinite, -free, zero]
@@ -352,18 +289,13 @@ class PlanningProgram:
                 added[0] += _BALANCE * ahead.surplus
                 lower += [-self._infinite, -self._infinite, ahead.least]
                 upper += [added, ahead.share[member] * added, self._infinite]
-        if self._risk:
-            nothing, any_ = np.zeros(self._members), np.full(self._members, np.inf)
-            lower += [-any_, nothing]
-            upper += [nothing, any_]
         return np.concatenate(lower), np.concatenate(upper)
 
     def _variables(
-        self, volumes: Array, mean: Array, flow: float, rates: Array,
-        ahead: CisternAhead | None,
+        self, volumes: Array, mean: Array, flow: float, ahead: CisternAhead | None = None
     ) -> Array:
-        """Return all variables at some volumes; the risk's start again."""
-        deviation = self._weights * np.abs(mean + rates * (volumes @ self._between.T))
+        """Return all variables at some volumes."""
+        deviation = self._weights * np.abs(mean + volumes @ self._between.T)
         parts = [volumes, deviation]
         if self._starts:
             flows = np.diff(volumes, prepend=0.0, axis=1) / self._lengths / self._full
@@ -371,9 +303,4 @@ class PlanningProgram:
             parts.append(self._rise * rises)
         if ahead is not None:
             parts.append(ahead.left(volumes))
-        variables = np.hstack(parts).ravel()
-        if self._risk:
-            each = deviation.mean(axis=1)
-            worst = float(np.median(each))
-            variables = np.concatenate([variables, [worst], np.maximum(each - worst, 0.0)])
-        return variables
+        return np.hstack(parts).ravel()

@@ -6,27 +6,26 @@ from typing import ClassVar
 
 from greenroof_ros.common.parameter import Parameter
 from greenroof_ros.controllers.after_forecast import DAYS_AFTER
-from greenroof_ros.controllers.objective import Ensemble
 from greenroof_ros.controllers.planner import MAX_COMMAND, Planner
 from greenroof_ros.controllers.protocol import HORIZON
 from greenroof_ros.controllers.regret_budget import WAITING_BUDGET, WAITING_SHARE
 from greenroof_ros.controllers.roof_observer import OBSERVER_TIME_CONSTANT
+from greenroof_ros.model.look_ahead import LONGEST_HORIZON
 from greenroof_ros.model.site import Site
 
 _HOUR_S = 3600.0
 
 
 class ScenarioMpc(Planner):
-    """Plans for the worst members of an ensemble; for a single forecast as ``planning_mpc``."""
+    """Plans for all members of an ensemble; for a single forecast as ``planning_mpc``."""
 
     parameters: ClassVar[tuple[Parameter, ...]] = (
         HORIZON,
         DAYS_AFTER,
         MAX_COMMAND,
-        Parameter("cvar_level", 0.8, "1", 0.0, 0.99, "level of the conditional value-at-risk: 0 "
-                  "the mean of all members, 0.9 that of the worst tenth"),
-        Parameter("recourse", 6.0, "h", 0.0, 48.0, "until then one plan serves all members; the "
-                  "next forecast is there then"),
+        Parameter("recourse", 48.0, "h", 1.0, LONGEST_HORIZON, "until then one plan serves all "
+                  "members; each time it has passed, newer forecasts tell which half of them was "
+                  "wrong"),
         OBSERVER_TIME_CONSTANT,
         WAITING_BUDGET,
         WAITING_SHARE,
@@ -39,7 +38,6 @@ class ScenarioMpc(Planner):
         horizon: float,
         days_after: float,
         max_command: float,
-        cvar_level: float,
         recourse: float,
         observer_time_constant: float,
         waiting_budget: float,
@@ -48,5 +46,5 @@ class ScenarioMpc(Planner):
         """Take the site and the parameters; :attr:`parameters` has their units and meanings."""
         super().__init__(
             site, horizon, days_after, max_command, observer_time_constant, waiting_budget,
-            waiting_share, ensemble=Ensemble(cvar_level, recourse * _HOUR_S),
+            waiting_share, recourse=recourse * _HOUR_S,
         )

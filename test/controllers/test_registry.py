@@ -67,9 +67,7 @@ def test_no_solver_is_imported_for_what_a_class_says() -> None:
     assert imported == "set()"
 
 
-@pytest.mark.parametrize(
-    ("name", "changes"), [("mpc", {}), ("planning_mpc", {"power": 2}), ("scenario_mpc", {})]
-)
+@pytest.mark.parametrize(("name", "changes"), [("mpc", {}), ("planning_mpc", {"power": 2})])
 def test_without_its_solver(
     name: str, changes: dict[str, float], monkeypatch: pytest.MonkeyPatch
 ) -> None:
