@@ -349,7 +349,8 @@ class Metrics:
 
     def results(self) -> Totals:
         """Return each metric by its name, of a run that ends in the tick observed last."""
-        return _finished(self._site, _add(self._totals, self._site, self._end()))
+        end = self._end()
+        return _finished(self._site, _add(self._totals, self._site, end))
 
     def weekly_deviations(self) -> list[float]:
         """Return the total deviation of each week of the run (m3), summed over its ticks.

@@ -10,7 +10,7 @@ import altair as alt
 
 from greenroof_ros.recording.results_table import differing
 from greenroof_ros.report.drawing import COLOURS, Figure, Panel, Rows, cycle, distinct, short
-from greenroof_ros.report.results import Report, heading
+from greenroof_ros.report.results import Report
 from greenroof_ros.report.seasons import Place, Seasons, differences, seasons
 from greenroof_ros.report.settings import controller_name
 from greenroof_ros.report.sizing import is_sizing, size_of
@@ -35,7 +35,7 @@ def season_figures(report: Report) -> list[Callable[[], Figure]]:
 def _title(place: Place, found: Sequence[Seasons]) -> str:
     """Return what distinguishes a panel's place from the others."""
     apart = differing([one.place.facts for one in found])
-    return heading(place.facts, apart) or "all years"
+    return ", ".join(place.facts[name] for name in apart) or "all years"
 
 
 def _series(one: Seasons, found: Sequence[Seasons], *, forecast: bool = True) -> str:
@@ -84,7 +84,7 @@ def by_year(found: Sequence[Seasons]) -> Figure:
     return Figure(
         "seasons", "Deviation of each season",
         "Total deviation of each season, the mean over the seeds of the forecasts' errors. The "
-        "axes do not begin at 0.", tuple(panels), min(len(panels), 3), data,
+        "axes do not begin at 0.", tuple(panels), max(1, min(len(usual), 3)), data,
     )
 
 

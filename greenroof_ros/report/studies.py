@@ -183,7 +183,8 @@ def _load_parquet(path: Path, tau: float) -> Recorded:
     if not path.is_file():
         raise ConfigurationError(
             "is not there; was the study made with --no-trajectories? that is enough for runs of "
-            "several forecast seeds only: make it again without, in another directory", file=path,
+            "several forecast seeds, or of the same season of several years, only: make it again "
+            "without, in another directory", file=path,
         )
     trajectory = read_parquet(path)
     if len(trajectory.time) < 2 or not (np.diff(trajectory.time) > 0).all():

@@ -89,7 +89,7 @@ def _parser() -> argparse.ArgumentParser:
     kept.add_argument(
         "--no-trajectories", action="store_true",
         help="keep the table only, of thousands of runs; a report then has those only that were "
-        "made with several forecast seeds",
+        "made with several forecast seeds, or of the same season of several years",
     )
     return parser
 
