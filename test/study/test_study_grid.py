@@ -191,7 +191,7 @@ def test_window_of_several_files(tmp_path: Path) -> None:
 
 
 # Those that need years of weather, which the package has not.
-YEARS = ("study_seasons.yaml", "study_sizing.yaml")
+YEARS = ("study_seasons.yaml", "study_sizing.yaml", "study_ticks.yaml")
 
 
 @pytest.mark.parametrize(
