@@ -118,7 +118,7 @@ def difference_figure(report: Report, found: Sequence[Seasons]) -> Figure:
         order = [str(row["series"]) for row in data[name]]
         base = alt.Chart(alt.NamedData(name)).encode(
             y=alt.Y("series:N", sort=order, title=None, axis=alt.Axis(labelLimit=260)),
-            color=alt.Color("controller:N", legend=None, scale=alt.Scale(
+            color=alt.Color("controller:N", title=None, scale=alt.Scale(
                 domain=[controller_name(each) for each in colours], range=list(colours.values()),
             )),
             tooltip=["series:N", "v:Q", "low:Q", "high:Q", "verdict:N"],

@@ -150,11 +150,18 @@ def test_a_study_of_seasons(tmp_path: Path, text: str) -> None:
         "--output", "out",
     )
     assert done.returncode == 0, done.stderr
-    others, runs = split_by_years(find_runs([tmp_path / "out"], None).runs)
+    sources = find_runs([tmp_path / "out"], None)
+    others, runs = split_by_years(sources.runs)
     report = Report([], [], runs)
     found = seasons(report)
     assert not others and {tuple(one.years) for one in found} == {(2015, 2016)}
-    names = [make().name for make in make_figures(report, None)]
+    figures = [make() for make in make_figures(report, None)]
+    names = [figure.name for figure in figures]
+    page = render(report, figures, sources, Assumptions())
+    for number, figure in enumerate(names):
+        assert f'id="{figure}-panel-1"' in page
+        figures[number].save(tmp_path)
+        assert (tmp_path / f"{figure}.png").stat().st_size > 10_000
     if text is SIZES:
         assert names == ["sizing"]
         # The same roof: what its cistern does not hold, the mains give.
