@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import argparse
 import os
-from collections.abc import Callable, Mapping
+import sys
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
 from pathlib import Path
 
 from rich.console import Console
@@ -18,6 +20,7 @@ from greenroof_ros.experiment.options import add_forecast_options, forecast_from
 from greenroof_ros.forecast.choice import MODELS
 from greenroof_ros.model.site import read_site
 from greenroof_ros.verification.issued import IssuedForecasts, issued_forecasts
+from greenroof_ros.verification.odd_leads import odd_leads
 from greenroof_ros.verification.pairs import Class, Sum, tally
 from greenroof_ros.verification.scores import Tally
 from greenroof_ros.verification.table import csv_text, terminal_table
@@ -98,7 +101,7 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument(
         "--fit", type=Path, metavar="FILE.yaml",
         help="write a skill by which --forecast errors is as good as these forecasts, for "
-        "--forecast-skill; takes some minutes",
+        "--forecast-skill; takes half a minute for two years",
     )
     add_forecast_options(parser.add_argument_group("options of forecasts"))
     return parser
@@ -138,12 +141,18 @@ def main() -> int:
     console = Console()
     title = f"{forecasts.name}: {len(forecasts)} issues, against {weather.source}"
     console.print(terminal_table(title, tallies))
+    if forecasts.finest_lead > 1:  # previous runs, whose leads a service puts together
+        for lead, ratio in odd_leads(tallies).items():
+            print(
+                f"warning: {lead} has {ratio:.2f} times the water of the other leads, most likely "
+                "by an error of the archive; --horizon leaves late leads out", file=sys.stderr,
+            )
     if arguments.fit is not None:
         # Its parts of scipy take half a second, which those who do not fit are spared.
-        from greenroof_ros.verification.fitting import fit_skill, skill_text
+        from greenroof_ros.verification.fitting import MOST_TRIALS, fit_skill, skill_text
 
-        with console.status("fitting"):
-            skill = fit_skill(tallies, forecasts.older, weather.precipitation)
+        with _bar("fitting", MOST_TRIALS, "trials") as done:
+            skill = fit_skill(tallies, forecasts.older, weather.precipitation, done)
         source = f"{forecasts.name}, against {records}"
         arguments.fit.write_text(skill_text(skill, source), encoding="utf-8")
     files = [*arguments.output, *([arguments.fit] if arguments.fit is not None else [])]
@@ -200,16 +209,26 @@ def _tally(
     forecasts: IssuedForecasts, weather: Weather, lead: int, sums: list[Sum]
 ) -> dict[Class, Tally]:
     """Add up all pairs, behind a progress bar."""
+    with _bar("verifying", len(forecasts), "issues") as done:
+        return tally(
+            forecasts, weather.precipitation, forecasts.members, forecasts.hours, lead, sums, done
+        )
+
+
+@contextmanager
+def _bar(what: str, total: int, unit: str) -> Iterator[Callable[[int], None]]:
+    """Show a progress bar on standard error, where that is a terminal.
+
+    Yields:
+        What is called with how many more are done.
+    """
     console = Console(stderr=True)
     with Progress(
-        TextColumn("{task.description}"), BarColumn(), TextColumn("{task.completed} issues"),
+        TextColumn("{task.description}"), BarColumn(), TextColumn(f"{{task.completed}} {unit}"),
         TimeRemainingColumn(), console=console, transient=True, disable=not console.is_terminal,
     ) as progress:
-        task = progress.add_task("verifying", total=len(forecasts))
-        return tally(
-            forecasts, weather.precipitation, forecasts.members, forecasts.hours, lead, sums,
-            lambda more: progress.advance(task, more),
-        )
+        task = progress.add_task(what, total=total)
+        yield lambda more: progress.advance(task, more)
 
 
 if __name__ == "__main__":

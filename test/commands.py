@@ -1,13 +1,15 @@
 """Commands in processes that need not import anything first, most of them to be refused.
 
-A process of Python's own takes a second to import what the commands need, and two hundred tests of
-wrong options and files need nothing else of it. Here one process has imported it, and forks itself
-for each command: its own directory, environment, output and exit code, as with ``python -m``.
+A process of Python's own takes a second to import what the commands need, and three hundred tests
+of wrong options and files need nothing else of it. Here one process has imported it, and forks
+itself for each command: its own directory, environment, output and exit code, as with
+``python -m``.
 """
 
 from __future__ import annotations
 
 import importlib
+import importlib.util
 import json
 import os
 import pkgutil
@@ -20,14 +22,14 @@ import traceback
 from functools import cache
 from pathlib import Path
 
-_ROOMS = ("common", "controllers", "experiment", "report", "study")
+_ROOMS = ("common", "controllers", "experiment", "report", "study", "calibration", "graph")
 _LIMIT_S = 300
 
 
 def run_command(
     module: str, *arguments: str, cwd: Path, env: dict[str, str]
 ) -> subprocess.CompletedProcess[str]:
-    """Run ``python -m greenroof_ros.module`` to its end."""
+    """Run ``python -m greenroof_ros.module`` to its end; a node's module is nodes.plant, say."""
     server = _server()
     assert server.stdin is not None and server.stdout is not None
     with tempfile.TemporaryDirectory() as scratch:
@@ -50,7 +52,8 @@ def _server() -> subprocess.Popen[str]:
 def _serve() -> None:
     """Fork for each request, and answer with the exit code."""
     sys.path[0] = str(Path(__file__).resolve().parent.parent)
-    for room in _ROOMS:
+    without_ros = importlib.util.find_spec("rclpy") is None
+    for room in _ROOMS[:-1] if without_ros else _ROOMS:
         package = importlib.import_module(f"greenroof_ros.{room}")
         for module in pkgutil.iter_modules(package.__path__, f"{package.__name__}."):
             if not module.name.endswith(".__main__"):

@@ -33,25 +33,35 @@ signal.signal(signal.SIGINT, signal.default_int_handler)
 
 @pytest.hookimpl(tryfirst=True)  # before pytest-xdist looks at the groups
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Say what may run side by side: graphs and studies, one by one, then the rest by file.
+    """Say what may run side by side: graphs and studies one by one, the rest by file.
 
     The tests of a file share what was made for the first of them. Graphs and studies, which take
-    longest, share nothing within a process: what several need, ``once`` makes.
+    longest, share nothing within a process: what several need, ``once`` makes. Graphs mostly wait,
+    and files mostly compute: both come evenly mixed, so that the cores are neither idle nor
+    crowded.
     """
+    alone: dict[str, int] = {}
+    files: dict[str, int] = {}
     for item in items:
-        if "domain" in getattr(item, "fixturenames", ()):
+        graph = "domain" in getattr(item, "fixturenames", ())
+        if graph:
             item.add_marker(pytest.mark.graph)
-        elif item.path.parent.name != "study":
+        if graph or item.path.parent.name == "study":
+            alone[item.nodeid] = len(alone)
+        else:
             item.add_marker(pytest.mark.xdist_group(item.path.name))
-    items.sort(key=_place)
+            files.setdefault(item.path.name, len(files))
 
+    def place(item: pytest.Item) -> tuple[int, float]:
+        """Return how far along a test comes: the longest first, then each kind from 0 to 1."""
+        for number, name in enumerate(LONGEST):
+            if name in (item.name, item.path.name):
+                return number, 0.0
+        if item.nodeid in alone:
+            return len(LONGEST), alone[item.nodeid] / len(alone)
+        return len(LONGEST), files[item.path.name] / len(files)
 
-def _place(item: pytest.Item) -> int:
-    """Return which tests come first: the longest, then those one by one, then those by file."""
-    for place, name in enumerate(LONGEST):
-        if name in (item.name, item.path.name):
-            return place
-    return len(LONGEST) + (item.get_closest_marker("xdist_group") is not None)
+    items.sort(key=place)
 
 
 @pytest.fixture(scope="session")

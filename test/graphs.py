@@ -109,13 +109,17 @@ def free_ports(number: int) -> list[int]:
 
 
 def wait_for(condition: Callable[[], Any], seconds: float, what: str) -> Any:
-    """Wait until a condition holds and return its value."""
+    """Wait until a condition holds and return its value; one that computes is asked less often.
+
+    To read a bag all the time would take a core from what is waited for.
+    """
     until = time.monotonic() + seconds
     while time.monotonic() < until:
+        began = time.thread_time()
         value = condition()
         if value:
             return value
-        time.sleep(0.02)
+        time.sleep(max(0.02, 3 * (time.thread_time() - began)))
     raise AssertionError(f"{what} did not happen within {seconds:g} s")
 
 

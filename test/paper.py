@@ -61,7 +61,7 @@ def site_file(directory: Path, **changes: float) -> Path:
 def planner(site: Site = PAPER_SITE, **changes: Any) -> Planner:
     """Return a planner of 12 h that takes readings as they are and waits for rain without limit."""
     given = {
-        "horizon": 12, "max_command": 1.0, "observer_time_constant": 0.0,
+        "horizon": 12, "days_after": 10, "max_command": 1.0, "observer_time_constant": 0.0,
         "waiting_budget": math.inf, "waiting_share": 0.0, **changes,
     }
     return Planner(site, **given)

@@ -42,11 +42,12 @@ def storms(days: int, random: np.random.Generator) -> np.ndarray:
 
 
 def record_rows(
-    site: Site, days: int, seed: int, *, gaps: bool = True, pumping: bool = False
+    site: Site, days: int, seed: int, *, gaps: bool = True, pumping: bool = False,
+    tick_s: float = 5.0,
 ) -> list[list[str]]:
     """Return the rows of a CSV record, the header first.
 
-    The true roof is stepped by the plant, with ticks of a second while it rains and those of the
+    The true roof is stepped by the plant, with ticks of ``tick_s`` while it rains and those of the
     record else. Its level is measured with a noise of 2 mm, its runoff by a counter of tips; three
     gaps of a day leave out both. If anything is pumped, then on every fourth day twice for ten
     minutes at a quarter of the flow, where the cistern is not too low; its level has the same
@@ -66,12 +67,12 @@ def record_rows(
     )
     x2 = site.wilting_volume + FILLED_AT_FIRST * site.available_volume
     x1, layer = 2.5 * site.a1, 0.0
-    wet, dry = (Plant(replace(site, tau=tau), x1, x2) for tau in (1.0, float(STEP_S)))
+    wet, dry = (Plant(replace(site, tau=tau), x1, x2) for tau in (tick_s, float(STEP_S)))
     pair = np.arange(len(rain)) % (4 * _DAY) // 2
     command = np.where(pumping & ((pair == 40) | (pair == 60)), 0.25, 0.0)
     level, cistern, runoff = [], [], []
     for step, (fell, wanted) in enumerate(zip(rain.tolist(), reference.tolist(), strict=True)):
-        plant, ticks = (wet, STEP_S) if fell > 0 or command[step] > 0 else (dry, 1)
+        plant, ticks = (wet, round(STEP_S / tick_s)) if fell > 0 or command[step] > 0 else (dry, 1)
         plant.x1, plant.x2, plant.layer, drained = x1, x2, layer, 0.0
         cistern.append(plant.levels()[0])
         level.append(plant.levels()[1])

@@ -7,41 +7,51 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
+from greenroof_ros.common.parameter import Parameter
 from greenroof_ros.model.look_ahead import growing_steps
 from greenroof_ros.model.site import Site
 
 _DAY_S = 86_400.0
-# As many days as the longest forecast has.
-_DAYS = 10
 # What a roof loses in the mean, as a share of the evapotranspiration: 1 - rain / evapotranspiration
 # is 0.31 in the mean over Toronto's seasons of 2015 to 2025, May to October, and 0.04 to 0.55 each.
 _NET_DRYING = 0.3
+
+# By default as many days as the longest forecast has.
+DAYS_AFTER = Parameter(
+    "days_after", 10, "days", 0, 10,
+    "days after the forecast that count, too, in which the roof dries slowly; 0 for a roof whose "
+    "time ends with the forecast",
+)
 
 Array = NDArray[np.float64]
 
 
 class AfterForecast:
-    """Lengthens a forecast by ten days in which the roof dries slowly.
+    """Lengthens a forecast by days in which the roof dries slowly.
 
     What is on the roof at the end of the forecast does not vanish: without rain it stays for days,
     since only evapotranspiration takes it off. Who plans for the forecast's time alone fills the
     roof before a rain at its end, at no cost to the plan, and has too much on it afterwards. The
-    shorter the forecast, the more of that. So the deviation counts for ten more days, in which
-    there is no rain, and evapotranspiration is 0.3 of its mean over the past day: what rain and
-    evapotranspiration leave between them in a usual summer. The mean is that of a whole day, so
-    that it is right at night, too; at first it is that of the forecast's first day.
+    shorter the forecast, the more of that. So the deviation counts for ``days_after`` more
+    days, in which there is no rain, and evapotranspiration is 0.3 of its mean over the past day:
+    what rain and evapotranspiration leave between them in a usual summer. The mean is that of a
+    whole day, so that it is right at night, too; at first it is that of the forecast's first day.
+
+    Without these days the forecast's end is the end of all. That is right for a study whose runs
+    end there, as the paper's 12 h do, and for no roof that lives on.
 
     Attributes:
-        edges: ends of all steps (s from now), those of the forecast and the ten days after it, the
-            first 0, shape (steps + 11,).
+        edges: ends of all steps (s from now), those of the forecast and the days after it, the
+            first 0, shape (steps + days_after + 1,).
         steps: of the forecast.
     """
 
-    def __init__(self, site: Site, horizon: float) -> None:
-        """Take the site, and how far the forecast reaches (h)."""
+    def __init__(self, site: Site, horizon: float, days_after: float) -> None:
+        """Take the site, how far the forecast reaches (h), and how many whole days follow."""
         own = growing_steps(horizon)
         self.steps = len(own) - 1
-        self.edges = np.concatenate((own, own[-1] + _DAY_S * np.arange(1, _DAYS + 1)))
+        self._days = int(days_after)
+        self.edges = np.concatenate((own, own[-1] + _DAY_S * np.arange(1, self._days + 1)))
         first_day = np.diff(np.minimum(own, _DAY_S))
         self._first_day = first_day / first_day.sum()
         self._gain = -math.expm1(-site.tau / _DAY_S)
@@ -62,8 +72,8 @@ class AfterForecast:
             evapotranspiration: likewise, shape (steps,).
 
         Returns:
-            Shape (members, steps + 10) and (steps + 10,).
+            Shape (members, steps + days_after) and (steps + days_after,).
         """
-        none = np.zeros((len(rain), _DAYS))
-        drying = np.full(_DAYS, _NET_DRYING * self._mean)
+        none = np.zeros((len(rain), self._days))
+        drying = np.full(self._days, _NET_DRYING * self._mean)
         return np.hstack((rain, none)), np.concatenate((evapotranspiration, drying))

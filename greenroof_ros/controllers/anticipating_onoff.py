@@ -11,14 +11,14 @@ from numpy.typing import NDArray
 
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.parameter import Parameter
-from greenroof_ros.controllers.after_forecast import AfterForecast
+from greenroof_ros.controllers.after_forecast import DAYS_AFTER, AfterForecast
 from greenroof_ros.controllers.onoff import FRACTION
 from greenroof_ros.controllers.protocol import HORIZON
 from greenroof_ros.controllers.regret_budget import WAITING_BUDGET, WAITING_SHARE, RegretBudget
 from greenroof_ros.controllers.roof_observer import OBSERVER_TIME_CONSTANT, RoofObserver
 from greenroof_ros.model.plant import pump_flow
 from greenroof_ros.model.site import Site
-from greenroof_ros.model.soil import free_changes
+from greenroof_ros.model.soil import free_changes, lasting_share
 
 Array = NDArray[np.float64]
 
@@ -37,7 +37,7 @@ class AnticipatingOnOff:
 
         too dry for more than half of the time from now to t, for every t,
 
-    t being the ends of the steps to the horizon and of the ten days after it
+    t being the ends of the steps to the horizon and of the days after it
     (:class:`~greenroof_ros.controllers.after_forecast.AfterForecast`).
 
     Why: pump a little now, and the roof is that much wetter at every later time. That is a gain at
@@ -68,13 +68,14 @@ class AnticipatingOnOff:
     """
 
     parameters: ClassVar[tuple[Parameter, ...]] = (
-        HORIZON, FRACTION, OBSERVER_TIME_CONSTANT, WAITING_BUDGET, WAITING_SHARE,
+        HORIZON, DAYS_AFTER, FRACTION, OBSERVER_TIME_CONSTANT, WAITING_BUDGET, WAITING_SHARE,
     )
 
     def __init__(
         self,
         site: Site,
         horizon: float,
+        days_after: float,
         fraction: float,
         observer_time_constant: float,
         waiting_budget: float,
@@ -85,6 +86,7 @@ class AnticipatingOnOff:
         Args:
             site: the parameters of Table I.
             horizon: how far to look ahead (h).
+            days_after: days that count after it.
             fraction: v.
             observer_time_constant: over how long (s) readings of the roof's level are averaged.
             waiting_budget: what waiting for rain may cost (h of an empty roof).
@@ -92,7 +94,7 @@ class AnticipatingOnOff:
         """
         self._site = site
         self.fraction = fraction
-        self._after = AfterForecast(site, horizon)
+        self._after = AfterForecast(site, horizon, days_after)
         self._lengths = np.diff(self._after.edges)
         self._observer = RoofObserver(site, observer_time_constant)
         self._regret_budget = RegretBudget(site, waiting_budget, waiting_share)
@@ -145,12 +147,20 @@ class AnticipatingOnOff:
         self._regret_budget.skip()
 
     def _stays_dry(self, x2: float, rain: Array, evaporated: Array) -> bool:
-        """Whether the roof, left alone, is too dry for most of the time until each step's end."""
+        """Whether the roof, left alone, is too dry for most of the time until each step's end.
+
+        Of a measured roof a time counts by the share of what is pumped now that is left then.
+        """
         rain, evaporated = self._after.lengthen(rain[None], evaporated)
-        (inflow,) = free_changes(self._site, x2, rain, evaporated, self._lengths)
+        weather = rain, evaporated, self._lengths
+        changes = free_changes(self._site, x2, *weather)
+        (inflow,) = changes
         # Half-way through each step, since there the sum is the step's mean.
         course = x2 + np.cumsum(inflow) - inflow / 2
         dry_s = np.where(course < self._site.x2_star, self._lengths, -self._lengths)
+        lasting = lasting_share(self._site, x2, changes, *weather)
+        if lasting is not None:
+            dry_s = dry_s * lasting[0]
         if np.cumsum(dry_s).min() > 0:
             return True
         self._waited = 0.0

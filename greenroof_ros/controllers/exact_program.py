@@ -31,6 +31,10 @@ class ExactProgram:
     L1, and the way to solve it that of Rote (2019, Isotonic Regression by Dynamic Programming,
     doi:10.4230/OASIcs.SOSA.2019.1).
 
+    Of water that does not stay, the share l_i of what is pumped now being left in step i, the roof
+    has l_i V_i of all that is pumped, where V_i - V_{i-1} = (P_i - P_{i-1}) / l_i: what is pumped
+    later has faded less. It is the same program in V, with l_i h_i, m_i / l_i and limits over l_i.
+
     Attributes:
         status: 1, as OSQP says of a program that is solved; 0 before the first.
         cost: mean deviation over all steps (m3); NaN before the first.
@@ -43,39 +47,48 @@ class ExactProgram:
         self.cost = math.nan
         self._max_command = max_command
         self._edges = edges
-        self._lengths = lengths.tolist()
+        self._lengths = lengths
         self._middles = np.concatenate(([0.0], edges[:-1] + lengths / 2))
         self._spans = np.diff(self._middles)
 
     def solve(
         self, mean: Array, most: Array, full: float, flow: float = 0.0, guess: Array | None = None,
-        ahead: CisternAhead | None = None,
+        ahead: CisternAhead | None = None, lasting: Array | None = None,
     ) -> Array:
         """Solve it; see :class:`greenroof_ros.controllers.objective.Program`.
 
         There always is a solution; flow and guess do not matter. It is not for low outlets.
         """
         # Where the pumps cannot lift, no bound on their commands makes them.
-        able = (self._spans * (full * self._max_command if full else 0.0)).tolist()
-        least = self._minima(mean[0].tolist(), most[0].tolist(), able)
+        rises = self._spans * (full * self._max_command if full else 0.0)
+        lengths = self._lengths
+        if lasting is not None:
+            mean, most, rises = mean / lasting, most / lasting, rises / lasting[0]
+            lengths = lengths * lasting[0]
+        able = rises.tolist()
+        least = self._minima(mean[0].tolist(), most[0].tolist(), lengths.tolist(), able)
         volumes = [least[-1]]
-        for before, rises in zip(reversed(least[:-1]), reversed(able[1:]), strict=True):
-            volumes.append(min(max(before, volumes[-1] - rises), volumes[-1]))
+        for before, rise in zip(reversed(least[:-1]), reversed(able[1:]), strict=True):
+            volumes.append(min(max(before, volumes[-1] - rise), volumes[-1]))
         volumes.reverse()
         self.status = 1
-        deviations = np.diff(self._edges) * np.abs(mean[0] + volumes)
+        deviations = lengths * np.abs(mean[0] + volumes)
         self.cost = float(deviations.sum() / self._edges[-1])
+        if lasting is not None:
+            volumes = np.cumsum(np.diff(volumes, prepend=0.0) * lasting[0]).tolist()
         at_ends = np.interp(self._edges[1:], self._middles, [0.0, *volumes])
         return np.asarray(np.minimum(at_ends, most[0])[None])
 
-    def _minima(self, mean: list[float], most: list[float], able: list[float]) -> list[float]:
+    def _minima(
+        self, mean: list[float], most: list[float], lengths: list[float], able: list[float]
+    ) -> list[float]:
         """Return for each step where f_i is least, and of several places the lowest."""
         # (place, change of the slope) left of the minimum, with the places' signs turned, and
         # right of it, where all places are less by `moved`. The walls at 0: nothing pumped yet.
         left, right = [(0.0, math.inf)], [(0.0, math.inf)]
         moved = 0.0
         minima = []
-        for deviation, limit, length, rises in zip(mean, most, self._lengths, able, strict=True):
+        for deviation, limit, length, rises in zip(mean, most, lengths, able, strict=True):
             moved += rises
             _end_at(left, right, moved, limit)
             _add_right(left, right, moved, -deviation, length)

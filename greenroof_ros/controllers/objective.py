@@ -49,6 +49,7 @@ class Program(Protocol):
         flow: float,
         guess: Array | None,
         ahead: CisternAhead | None = None,
+        lasting: Array | None = None,
     ) -> Array | None:
         """Return the volumes pumped, and kept, until each step's end (m3), shape (members, n).
 
@@ -59,6 +60,8 @@ class Program(Protocol):
             flow: what is pumped now (m3/s), likewise.
             guess: of the answer.
             ahead: the cistern, volumes and flows likewise; None where it has no low outlet.
+            lasting: share of what is pumped now that is still on the roof in each step (1), shape
+                (members, n); None where it is all of it.
 
         Returns:
             None where there is no solution; ``status`` says why.

@@ -13,19 +13,30 @@ FRACTION = Parameter(
     "v of Eq. (12): the command when pumping, share of the maximum flow", may_change=True,
 )
 
+LEVEL = Parameter(
+    "level", 1.0, "1", 0.0, 1.0,
+    "share of the target that it fills the roof to; 1 is Eq. (12)", may_change=True,
+)
+
 
 class OnOff:
     """Pumps at a fixed command while the roof is too dry and the cistern holds enough.
 
+    Too dry is below ``level`` times the target. Less than 1 leaves room for rain: without a
+    forecast nothing else can. What it is worth on which roof is in
+    ``doc/explanation/controllers.md``.
+
     Attributes:
         fraction: v, the command when pumping (share of the maximum flow).
+        level: share of the target that it fills the roof to (1).
     """
 
-    parameters: ClassVar[tuple[Parameter, ...]] = (FRACTION,)
+    parameters: ClassVar[tuple[Parameter, ...]] = (FRACTION, LEVEL)
 
-    def __init__(self, site: Site, fraction: float) -> None:
+    def __init__(self, site: Site, fraction: float, level: float = LEVEL.default) -> None:
         self._site = site
         self.fraction = fraction
+        self.level = level
 
     def command(
         self,
@@ -35,7 +46,7 @@ class OnOff:
         evapotranspiration: Sequence[float],
     ) -> float:
         """Decide from the levels (m) alone; it does not look at the forecasts."""
-        dry = roof_level < self._site.z_veg
+        dry = roof_level < self.level * self._site.z_veg
         enough = cistern_level >= self._site.suction_level
         return self.fraction if dry and enough else 0.0
 

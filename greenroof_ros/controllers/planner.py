@@ -24,12 +24,14 @@ from greenroof_ros.controllers.tick_times import TickTimes
 from greenroof_ros.model.look_ahead import MOST_MEMBERS
 from greenroof_ros.model.plant import maximum_pump_flow
 from greenroof_ros.model.site import Site
-from greenroof_ros.model.soil import free_changes, kept_share, water_stress
+from greenroof_ros.model.soil import free_changes, kept_share, lasting_share, water_stress
 
 _log = logging.getLogger(__name__)
 
 # A plan is followed this long at most (s), and left when the roof has come this far off it (m3).
 _LONGEST_PLAN_S = 600.0
+# One forecast on a measured roof: how much drains off follows the roof's level within minutes.
+_LONGEST_DRAINING_S = 60.0
 _OFF_PLAN_M3 = 2e-3
 # So often it looks (s) whether the forecast of what comes to the roof has changed by more than this
 # (m); a smaller change waits for the next plan.
@@ -63,9 +65,10 @@ class Planner:
     command is a flow over the maximum flow at the cistern's level - so that the prediction is the
     exact mass balance of Eq. (1): the roof deviates from its target by c_i + P_i at the end of step
     i, where c_i is what state, rain and evapotranspiration make of it alone
-    (:func:`greenroof_ros.model.soil.free_changes`). That a measured roof which was pumped lets a
-    little more rain pass is left to the next plan. With the deviation taken as linear within a step
-    the program is
+    (:func:`greenroof_ros.model.soil.free_changes`). Of what is pumped onto a measured roof a share
+    is left later, since the fuller soil lets more rain pass
+    (:func:`greenroof_ros.model.soil.lasting_share`); with prices or a low outlet all of it counts
+    as left. With the deviation taken as linear within a step the program is
 
         minimise    sum_i h_i |m_i + (P_{i-1} + P_i) / 2|,  m_i = (c_{i-1} + c_i) / 2
         subject to  0 <= P_i - P_{i-1} <= h_i u_max q(x1)     what the pumps can do,
@@ -85,7 +88,7 @@ class Planner:
     be lifted from there, which is what energy costs, and how much the pumps can lift. Without one
     the lift is that from the outlet, and the flow that of now.
 
-    Steps and forecast go on for ten days after the horizon
+    Steps and forecast go on for ``days_after`` after the horizon
     (:class:`~greenroof_ros.controllers.after_forecast.AfterForecast`), since what is on the roof
     then stays there.
 
@@ -94,12 +97,13 @@ class Planner:
     from then on, since by then a newer forecast is there. The objective is the conditional
     value-at-risk of the deviation over the members: its mean over the worst of them.
 
-    It decides again when there is no plan, the plan is 600 s old (with an ensemble no older than it
-    is the same for all members), the roof has come 2 litres off it, or the forecast has changed,
-    which it looks for once a minute. One forecast without prices and without a low outlet has an
-    exact program (:class:`~greenroof_ros.controllers.exact_program.ExactProgram`). The others are
-    solved by OSQP, whose first guess is the last solution, moved on. Where it finds no solution the
-    last plan, which was good for the whole horizon, is followed on; ``fallbacks`` counts it.
+    It decides again when there is no plan, the plan is 600 s old (on a measured roof 60 s; with an
+    ensemble 600 s, but no older than it is the same for all members), the roof has come 2 litres
+    off it, or the forecast has changed, which it looks for once a minute. One forecast without
+    prices and without a low outlet has an exact program
+    (:class:`~greenroof_ros.controllers.exact_program.ExactProgram`). The others are solved by OSQP,
+    whose first guess is the last solution, moved on. Where it finds no solution the last plan,
+    which was good for the whole horizon, is followed on; ``fallbacks`` counts it.
 
     From one start of the pumps to the next it waits 3600 s / ``starts_per_hour`` of the site. The
     program does not know of starts, and without this rule it would follow evapotranspiration with
@@ -134,6 +138,7 @@ class Planner:
         self,
         site: Site,
         horizon: float,
+        days_after: float,
         max_command: float,
         observer_time_constant: float,
         waiting_budget: float,
@@ -149,6 +154,7 @@ class Planner:
         Args:
             site: the parameters of Table I.
             horizon: how far to plan ahead (h).
+            days_after: days that count after it.
             max_command: upper bound of the commands (1).
             observer_time_constant: over how long (s) readings of the roof's level are averaged.
             waiting_budget: what waiting for rain may cost (h of an empty roof).
@@ -161,7 +167,7 @@ class Planner:
         """
         self._site = site
         self._max_command = max_command
-        self._after = AfterForecast(site, horizon)
+        self._after = AfterForecast(site, horizon, days_after)
         self._edges = self._after.edges
         self._lengths = np.diff(self._edges)
         self._power = power
@@ -188,7 +194,8 @@ class Planner:
     def _set_up(self, members: int) -> None:
         """Set the program up for forecasts of so many members; what is planned for now stays."""
         self._members = members
-        self._longest = _LONGEST_PLAN_S
+        drains = self._site.field_capacity is not None and self._ensemble is None
+        self._longest = _LONGEST_DRAINING_S if drains else _LONGEST_PLAN_S
         plain = self._power == 1 and self._prices == NO_PRICES
         exact = plain and self._site.low_outlet_level is None
         if self._ensemble is not None or not exact:
@@ -217,7 +224,7 @@ class Planner:
     def planned_deviation(self) -> float:
         """Objective of the last program (m3); NaN if it was not solved.
 
-        It is the mean deviation over the horizon and the ten days after it, of an ensemble its
+        It is the mean deviation over the horizon and the days after it, of an ensemble its
         value at risk, and prices; with squares the square root of that, so that the unit is one.
         """
         cost = self._program.cost
@@ -369,7 +376,12 @@ class Planner:
         """Make a new plan; keep the old one where the solver finds none."""
         site = self._site
         start = np.zeros((self._members, 1))
-        inflow = np.cumsum(free_changes(site, x2, rain, evaporated, self._lengths), axis=1)
+        weather = rain, evaporated, self._lengths
+        changes = free_changes(site, x2, *weather)
+        inflow = np.cumsum(changes, axis=1)
+        lasting = None
+        if self._prices == NO_PRICES and site.low_outlet_level is None:
+            lasting = lasting_share(site, x2, changes, *weather)
         before = x2 - site.x2_star + np.hstack([start, inflow])
         missing = np.maximum.accumulate(np.maximum(-before, 0.0), axis=1)[:, 1:]
         # What will be above the suction level by then, and below the outlet.
@@ -394,6 +406,7 @@ class Planner:
             kept * self._flow,
             self._moved_on(),
             ahead,
+            lasting,
         )
         if pumped is None:
             self.fallbacks += 1
@@ -406,6 +419,8 @@ class Planner:
         self._pumped = np.hstack([start, pumped])
         self._age = self._off_plan = 0.0
         flows = np.diff(self._pumped) / self._lengths / kept
+        if lasting is not None:
+            pumped = lasting * np.cumsum(np.diff(self._pumped) / lasting, axis=1)
         levels = np.maximum(before[:, 1:] + pumped + site.x2_star, 0.0) / site.a2
         self.plan = np.column_stack(
             (self._edges[1:], flows.mean(axis=0), levels.mean(axis=0))

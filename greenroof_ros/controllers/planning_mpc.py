@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import ClassVar
 
 from greenroof_ros.common.parameter import Parameter
+from greenroof_ros.controllers.after_forecast import DAYS_AFTER
 from greenroof_ros.controllers.objective import Prices
 from greenroof_ros.controllers.planner import MAX_COMMAND, Planner
 from greenroof_ros.controllers.protocol import HORIZON
@@ -18,6 +19,7 @@ class PlanningMpc(Planner):
 
     parameters: ClassVar[tuple[Parameter, ...]] = (
         HORIZON,
+        DAYS_AFTER,
         MAX_COMMAND,
         Parameter("power", 1, "1", 1, 2, "of the deviation in the objective: 1 as the metric, 2 "
                   "squares it"),
@@ -34,6 +36,7 @@ class PlanningMpc(Planner):
         self,
         site: Site,
         horizon: float,
+        days_after: float,
         max_command: float,
         power: float,
         energy_weight: float,
@@ -44,6 +47,6 @@ class PlanningMpc(Planner):
     ) -> None:
         """Take the site and the parameters; :attr:`parameters` has their units and meanings."""
         super().__init__(
-            site, horizon, max_command, observer_time_constant, waiting_budget, waiting_share,
-            power=power, prices=Prices(energy_weight, start_weight),
+            site, horizon, days_after, max_command, observer_time_constant, waiting_budget,
+            waiting_share, power=power, prices=Prices(energy_weight, start_weight),
         )

@@ -135,7 +135,9 @@ class PlanningProgram:
         if self._drains:
             ahead = CisternAhead(0.0, zero, zero + 1.0, zero[0], zero, zero + self._full)
             self._mark_shares(matrix, self._matrix(share=0.5))
-        lower, upper = self._bounds(zero, zero, self._full, 0.0, ahead)
+        if site.field_capacity is not None:
+            self._mark_lasting(matrix, self._matrix(lasting=0.5))
+        lower, upper = self._bounds(zero, zero, self._full, 0.0, ahead, zero + 1.0)
         self._solver = osqp.OSQP()
         self._solver.setup(
             P=scipy.sparse.triu(
@@ -157,9 +159,21 @@ class PlanningProgram:
         flow: float,
         guess: Array | None,
         ahead: CisternAhead | None = None,
+        lasting: Array | None = None,
     ) -> Array | None:
-        """Solve it; see :class:`greenroof_ros.controllers.objective.Program`."""
-        lower, upper = self._bounds(mean, most, full, flow, ahead)
+        """Solve it; see :class:`greenroof_ros.controllers.objective.Program`.
+
+        Its volumes V are those of :class:`~greenroof_ros.controllers.exact_program.ExactProgram`.
+        """
+        rates = np.ones_like(mean)
+        if lasting is not None:
+            # One plan for all until recourse, and so one share.
+            one = np.broadcast_to(lasting.mean(axis=0), lasting.shape)
+            lasting = np.hstack((one[:, : self._common], lasting[:, self._common :]))
+            rates, most = lasting, most / lasting
+            weights = self._lasting_weights * lasting[self._lasting_steps]
+            self._solver.update(Ax=weights, Ax_idx=self._lasting_entries)
+        lower, upper = self._bounds(mean, most, full, flow, ahead, rates)
         self._solver.update(l=lower, u=upper)
         if ahead is not None:
             shares = self._share_weights * ahead.share[self._share_steps]
@@ -167,7 +181,10 @@ class PlanningProgram:
             if self._price:
                 self._solver.update(q=self._linear(ahead))
         if guess is not None:
-            self._solver.warm_start(x=self._variables(guess, mean, flow, ahead)[self._first])
+            if lasting is not None:
+                guess = np.cumsum(np.diff(guess, prepend=0.0, axis=1) / lasting, axis=1)
+            variables = self._variables(guess, mean, flow, rates, ahead)
+            self._solver.warm_start(x=variables[self._first])
         result = self._solver.solve(raise_error=False)
         self.status = int(result.info.status_val)
         self.cost = math.nan
@@ -178,11 +195,19 @@ class PlanningProgram:
             return None
         self.cost = float(result.info.obj_val) / len(self._lengths)
         # The solver ends within its tolerance of the constraints, on either side.
-        return np.asarray(np.maximum.accumulate(np.clip(volumes, 0.0, most), axis=1))
+        volumes = np.maximum.accumulate(np.clip(volumes, 0.0, most), axis=1)
+        if lasting is None:
+            return np.asarray(volumes)
+        return np.cumsum(np.diff(volumes, prepend=0.0, axis=1) * lasting, axis=1)
 
-    def _matrix(self, share: float = 1.0) -> Matrix:
-        """Return the constraints; of a cistern with a low outlet if it leaves that share."""
-        blocks = [self._rows(share)] * self._members
+    def _matrix(self, share: float = 1.0, lasting: float = 1.0) -> Matrix:
+        """Return the constraints.
+
+        Args:
+            share: that a cistern's low outlet leaves (1).
+            lasting: share of what is pumped now that is still on the roof (1).
+        """
+        blocks = [self._rows(share, lasting)] * self._members
         matrix = scipy.sparse.block_diag(blocks, format="csc")
         if self._risk:
             matrix = self._with_excess(matrix, np.tile(self._cost, self._members))
@@ -193,20 +218,30 @@ class PlanningProgram:
     def _mark_shares(self, whole: Matrix, half: Matrix) -> None:
         """Find the entries that go with the share that a step's outlets leave, of 1 and of 1/2."""
         entries = np.flatnonzero(whole.data != half.data)
-        n, rows = len(self._lengths), self._rows(1.0).shape[0]
+        n, rows = len(self._lengths), self._rows(1.0, 1.0).shape[0]
         member, row = np.divmod(whole.indices[entries], rows)
         # A member's last rows but n are those with the shares.
         self._share_entries = entries.astype(np.int32)
         self._share_steps = member, row - (rows - 2 * n)
         self._share_weights = whole.data[entries]
 
-    def _rows(self, share: float) -> Matrix:
+    def _mark_lasting(self, whole: Matrix, half: Matrix) -> None:
+        """Find the entries that go with the share that lasts, of 1 and of 1/2."""
+        entries = np.flatnonzero(whole.data != half.data)
+        n, rows = len(self._lengths), self._rows(1.0, 1.0).shape[0]
+        member, row = np.divmod(whole.indices[entries], rows)
+        # After a member's first n rows come the deviations', twice.
+        self._lasting_entries = entries.astype(np.int32)
+        self._lasting_steps = member, row % n
+        self._lasting_weights = whole.data[entries]
+
+    def _rows(self, share: float, lasting: float) -> Matrix:
         """Return the constraints of one member: on volumes, scaled deviations, rises, surplus."""
         n = len(self._lengths)
         eye = scipy.sparse.identity(n, format="csc")
         none = scipy.sparse.csc_matrix((n, n))
         step = self._step()
-        scaled = scipy.sparse.diags([self._weights], [0]) @ self._between
+        scaled = scipy.sparse.diags([lasting * self._weights], [0]) @ self._between
         rows = [[_CAPACITY * step, none], [scaled, -eye], [scaled, eye], [_VOLUME * eye, none]]
         if self._starts:
             # Each rise of the flow (share of the full one), of the first step from what flows now.
@@ -293,7 +328,8 @@ class PlanningProgram:
         )
 
     def _bounds(
-        self, mean: Array, most: Array, full: float, flow: float, ahead: CisternAhead | None
+        self, mean: Array, most: Array, full: float, flow: float, ahead: CisternAhead | None,
+        rates: Array,
     ) -> tuple[Array, Array]:
         """Return the bounds of all rows."""
         n = len(self._lengths)
@@ -301,7 +337,7 @@ class PlanningProgram:
         # Where the pumps cannot lift, no bound on their commands makes them.
         flows = np.full_like(mean, full) if ahead is None else ahead.full
         largest = np.multiply(flows, self._max_command, out=np.zeros_like(mean), where=flows > 0)
-        capacity = _CAPACITY * self._lengths * largest
+        capacity = _CAPACITY * self._lengths * largest / rates
         lower, upper = [], []
         for member, free in enumerate(self._weights * mean):
             lower += [zero, -self._infinite, -free, zero]
@@ -323,10 +359,11 @@ class PlanningProgram:
         return np.concatenate(lower), np.concatenate(upper)
 
     def _variables(
-        self, volumes: Array, mean: Array, flow: float, ahead: CisternAhead | None = None
+        self, volumes: Array, mean: Array, flow: float, rates: Array,
+        ahead: CisternAhead | None,
     ) -> Array:
         """Return all variables at some volumes; the risk's start again."""
-        deviation = self._weights * np.abs(mean + volumes @ self._between.T)
+        deviation = self._weights * np.abs(mean + rates * (volumes @ self._between.T))
         parts = [volumes, deviation]
         if self._starts:
             flows = np.diff(volumes, prepend=0.0, axis=1) / self._lengths / self._full

@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import ClassVar
 
 from greenroof_ros.common.parameter import Parameter
+from greenroof_ros.controllers.after_forecast import DAYS_AFTER
 from greenroof_ros.controllers.objective import Ensemble
 from greenroof_ros.controllers.planner import MAX_COMMAND, Planner
 from greenroof_ros.controllers.protocol import HORIZON
@@ -20,6 +21,7 @@ class ScenarioMpc(Planner):
 
     parameters: ClassVar[tuple[Parameter, ...]] = (
         HORIZON,
+        DAYS_AFTER,
         MAX_COMMAND,
         Parameter("cvar_level", 0.8, "1", 0.0, 0.99, "level of the conditional value-at-risk: 0 "
                   "the mean of all members, 0.9 that of the worst tenth"),
@@ -35,6 +37,7 @@ class ScenarioMpc(Planner):
         self,
         site: Site,
         horizon: float,
+        days_after: float,
         max_command: float,
         cvar_level: float,
         recourse: float,
@@ -44,6 +47,6 @@ class ScenarioMpc(Planner):
     ) -> None:
         """Take the site and the parameters; :attr:`parameters` has their units and meanings."""
         super().__init__(
-            site, horizon, max_command, observer_time_constant, waiting_budget, waiting_share,
-            ensemble=Ensemble(cvar_level, recourse * _HOUR_S),
+            site, horizon, days_after, max_command, observer_time_constant, waiting_budget,
+            waiting_share, ensemble=Ensemble(cvar_level, recourse * _HOUR_S),
         )

@@ -21,7 +21,6 @@ from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import ndtr, ndtri
 
 from greenroof_ros.common.records import Entry
 
@@ -58,6 +57,9 @@ class Climate:
     @property
     def threshold(self) -> float:
         """c: z of the least rain (1)."""
+        # Here, since every command reads skills and few need this: it takes long to import.
+        from scipy.special import ndtri
+
         return float(-ndtri(self.wet_share))
 
     def rain(self, normal: Array) -> Array:
@@ -140,6 +142,8 @@ def _drawn(climate: Climate, records: bytes, first: int) -> Array:
         records: rain of each hour (mm), NaN where missing, the bytes of an array.
         first: hours since 1970 of the first.
     """
+    from scipy.special import ndtr, ndtri
+
     rain = np.frombuffer(records)
     missing = np.isnan(rain)
     drawn = missing | (rain == 0)

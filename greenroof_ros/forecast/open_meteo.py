@@ -177,7 +177,7 @@ def _read_json(file: Path, text: str, site: Site) -> _Hours:
         content = json.loads(text)
     except json.JSONDecodeError as error:
         raise ConfigurationError(
-            f"is not valid JSON: {error.msg}", file=file, line=error.lineno
+            f"is not valid JSON: {error}", file=file, line=error.lineno
         ) from error
     except RecursionError as error:
         raise ConfigurationError("is JSON nested too deep to be an answer", file=file) from error

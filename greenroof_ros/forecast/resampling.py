@@ -114,8 +114,7 @@ class SteppedForecast:
         self._lengths = np.diff(edges)
         self._hour = -1
         self._rates = self._sums = np.empty((0, 0))
-        self._ends = _EndsInHours(self._rates, self._sums, np.empty(0))
-        self._same = (0.0, 0.0)  # s since the hour's start: then the ends stay in their hours
+        self._course: _CourseOfMeans | None = None
         self._tick = -1
         self._means: tuple[Rain, array[float]] = (array("d"), array("d"))
         self.repeats_from = self._ask_for_all()
@@ -138,11 +137,11 @@ class SteppedForecast:
                 self._hour = hour
                 self._take_hour(hour)
             since = time - hour * _HOUR_S
-            ends = since + self._edges
-            if not self._same[0] <= since < self._same[1]:
-                self._ends = _EndsInHours(self._rates, self._sums, ends)
-                self._same = (since, since + self._ends.shortest_stay(ends))
-            means = self._ends.means(ends, self._lengths)
+            if self._course is None or not self._course.begin <= since < self._course.end:
+                self._course = _CourseOfMeans(
+                    self._rates, self._sums, self._edges, self._lengths, since
+                )
+            means = self._course.at(since)
             self._means = (
                 means[:-1] if self._all_members else array("d", means[0].tobytes()),
                 array("d", means[-1].tobytes()),
@@ -176,7 +175,7 @@ class SteppedForecast:
         rates[-1] *= self._site.a2 / 1000 / 86400
         self._rates = rates
         self._sums = sums_of_hours(rates)
-        self._same = (0.0, 0.0)
+        self._course = None
 
 
 def sums_of_hours(rates: Array) -> Array:
@@ -195,34 +194,52 @@ def means_of_hours(rates: Array, sums: Array, ends: Array, lengths: Array) -> Ar
         ends: of the steps (s since the start of the first hour), shape (steps + 1,).
         lengths: of the steps (s), shape (steps,).
     """
-    return _EndsInHours(rates, sums, ends).means(ends, lengths)
+    return _CourseOfMeans(rates, sums, ends, lengths, 0.0).at(0.0)
 
 
-class _EndsInHours:
-    """The hours in which steps end, of each its rate and what has come before it.
+class _CourseOfMeans:
+    """The means of steps as time passes: straight lines while each end stays in its hour.
 
-    They are good for later ends in the same hours, too: a tick moves few into the next.
+    The lines are those from the start of the hour, whenever in it they are asked for first, so that
+    a node that was started again has each bit of one that was not.
+
+    Attributes:
+        begin: from then on they are right (s since the start of the first hour).
+        end: until then, but for a rounding.
     """
 
-    def __init__(self, rates: Array, sums: Array, ends: Array) -> None:
-        """Take what :func:`means_of_hours` does, which explains it."""
+    def __init__(
+        self, rates: Array, sums: Array, edges: Array, lengths: Array, since: float
+    ) -> None:
+        """Take what :func:`means_of_hours` does, which explains it, and the time.
+
+        Args:
+            rates: of each hour.
+            sums: before each hour.
+            edges: ends of the steps (s from the time), shape (steps + 1,).
+            lengths: of the steps.
+            since: the time (s since the start of the first hour).
+        """
+        ends = since + edges
         # The end of the last step may be that of the last hour.
         index = np.minimum(ends // _HOUR_S, rates.shape[1] - 1).astype(np.intp)
-        self._begins = index * _HOUR_S
+        begins = index * _HOUR_S
         # numpy's choice of columns turns the order in memory around, and that of its sums follows
         # it: the last bit of a sum over members would differ from that on what a message brings.
-        self._rates = np.ascontiguousarray(rates[:, index])
-        self._sums = np.ascontiguousarray(sums[:, index])
+        at_ends = np.ascontiguousarray(rates[:, index])
+        come = np.ascontiguousarray(sums[:, index]) + at_ends * (edges - begins)
+        self._first = (come[:, 1:] - come[:, :-1]) / lengths
+        self._slope = (at_ends[:, 1:] - at_ends[:, :-1]) / lengths
+        self.begin = since
+        self.end = since + float((begins + _HOUR_S - ends).min()) - _ROUNDING_S
 
-    def means(self, ends: Array, lengths: Array) -> Array:
-        """Return the mean rate of each step, shape (..., steps), row by row in memory."""
-        come = self._sums + self._rates * (ends - self._begins)
-        means: Array = (come[:, 1:] - come[:, :-1]) / lengths
+    def at(self, since: float) -> Array:
+        """Return the mean rate of each step, shape (..., steps), row by row in memory.
+
+        None is below 0; the last bit of a line's end may be.
+        """
+        means: Array = np.maximum(self._first + self._slope * since, 0.0)
         return means
-
-    def shortest_stay(self, ends: Array) -> float:
-        """Return how long (s) all ends stay in their hours, but for a rounding."""
-        return float((self._begins + _HOUR_S - ends).min()) - _ROUNDING_S
 
 
 def look_ahead_ends(site: Site, horizon: float) -> Array:

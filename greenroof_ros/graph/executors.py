@@ -1,4 +1,7 @@
-"""rclpy's executors: the slow one says the number of a message, the fast one does not."""
+"""rclpy's executors: the slow one says the number of a message, the fast one does not.
+
+See :attr:`greenroof_ros.graph.link.LinkedNode.in_lockstep` for who takes which.
+"""
 
 from __future__ import annotations
 

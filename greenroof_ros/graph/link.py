@@ -300,9 +300,14 @@ class LinkedNode(Node):
             self._trigger.act_every(period)
 
     @property
-    def joining(self) -> bool:
-        """Whether the node needs rclpy's slower executor, which says more of each message."""
-        return bool(self._subscriptions_while_joining)
+    def in_lockstep(self) -> bool:
+        """Whether the node takes part in a run whose other nodes are all here.
+
+        Only then it takes rclpy's fast executor. Before, and on a live site, it takes the slow one,
+        which says more of each message; and rmw_fastrtps can lock up where the fast one begins to
+        listen, or hears of two changes at once, while the liveliness of a peer changes.
+        """
+        return not (self.live or self._subscriptions_while_joining) and self.ready
 
     def _take_part(self) -> None:
         """Receive messages as fast as it goes from now on."""

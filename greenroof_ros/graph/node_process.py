@@ -15,7 +15,7 @@ from rclpy.signals import SignalHandlerOptions
 from greenroof_ros.common.command_line import EXIT_DONE, EXIT_FAILED, EXIT_USAGE, exit_code
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.graph.errors import LockstepError
-from greenroof_ros.graph.executors import hand_over, make_executor
+from greenroof_ros.graph.executors import hand_over
 from greenroof_ros.graph.link import LinkedNode
 from greenroof_ros.graph.parameters import refuse_unknown
 from greenroof_ros.graph.transport import choose_transport
@@ -63,14 +63,14 @@ def run_node(make: Callable[[], LinkedNode]) -> int:
     try:
         node = make()
         refuse_unknown(node, sys.argv)
-        executor: Any = SingleThreadedExecutor() if node.joining else make_executor()
+        executor: Any = SingleThreadedExecutor()
         executor.add_node(node)
-        joining = node.joining
+        slow = True
         while not (stopping or node.over):
             executor.spin_once(timeout_sec=node.listen_s())
             node.check()
-            if joining and not node.joining:
-                joining = False
+            if slow and node.in_lockstep:
+                slow = False
                 executor = hand_over(node, executor)
     except ConfigurationError as error:
         print(f"error: {error}", file=sys.stderr)

@@ -39,6 +39,10 @@ class PublisherWatch:
     A second message in one tick is a doubt as well, since the news of a second publisher may come
     behind its first message: without that news it is refused.
 
+    A topic with a lease is told of publishers by that alone, not by the event that they match, too:
+    taking a matched event locks the reader behind a lock that its liveliness needs, and a node that
+    takes one while the other comes stands still for ever (rmw_fastrtps, pull request 890).
+
     Otherwise the second is refused: two live longer than a lease, they have two names, or one of
     them left in good order, so that it lived, and what was said meanwhile may be its.
 
@@ -76,8 +80,7 @@ class PublisherWatch:
         self._on_doubt = on_doubt
         self._on_second = on_second
         self._lease = math.isfinite(topic.qos.lease_s) and not recorded
-        self._matched = 0
-        self._known = 0  # those with a lease, alive or not
+        self._known = 0  # those that match; where there is a lease, alive or not
         self._since = 0.0
 
     def profile(self) -> QoSProfile:
@@ -87,9 +90,7 @@ class PublisherWatch:
     def events(self) -> SubscriptionEventCallbacks:
         """Return the callbacks of the subscription, which count."""
         if self._lease:
-            return SubscriptionEventCallbacks(
-                liveliness=self._on_liveliness, matched=self._on_matched
-            )
+            return SubscriptionEventCallbacks(liveliness=self._on_liveliness)
         return SubscriptionEventCallbacks(matched=self._on_matched)
 
     def names(self) -> list[str]:
@@ -129,21 +130,19 @@ class PublisherWatch:
         self._doubt(True)
 
     def _on_liveliness(self, event: Any) -> None:
-        known = event.alive_count + event.not_alive_count
-        left = known < self._known
-        self._known = known
-        self._on_count(event.alive_count, left=left)
+        self._on_count(event.alive_count, event.alive_count + event.not_alive_count)
 
     def _on_matched(self, event: Any) -> None:
-        before, self._matched = self._matched, event.current_count
-        if self._matched > before > 0:
+        self._on_count(event.current_count, event.current_count)
+
+    def _on_count(self, count: int, known: int) -> None:
+        """Note how many there are: those that live, and all that are known."""
+        left = known < self._known  # in good order
+        came = known > self._known > 0
+        self._known = known
+        if came:
             self._on_second(answered=self._twice)
             self._twice = False
-        if not self._lease:
-            self._on_count(self._matched, left=self._matched < before)
-
-    def _on_count(self, count: int, *, left: bool) -> None:
-        """Note how many there are, and whether one of them left in good order."""
         before, self.count = self.count, count
         if count > max(before, 1):
             self._since = time.monotonic()

@@ -19,6 +19,12 @@ from greenroof_ros.model.site import Site
 
 Values = NDArray[np.float64]
 
+# lasting_share follows at least that much, of the water that plants can take (1): differences of
+# less would be of rounding.
+_LEAST_ADDED = 0.005
+# Less is not distinguished from nothing (1); a storm that fills the substrate leaves nothing.
+_LEAST_LASTING = 1e-3
+
 
 def filled_share(site: Site, x2: float) -> float:
     """S: how full of water that plants can take a substrate holding x2 (m3) is, from 0 to 1.
@@ -221,3 +227,34 @@ def free_changes(
             volume += max(volume - dry, 0.0) * lost
             volumes[-1].append(volume)
     return np.diff(volumes, axis=1)
+
+
+def lasting_share(
+    site: Site, x2: float, changes: Values, rain: Values, evapotranspiration: Values,
+    lengths: Values,
+) -> Values | None:
+    """Predict which share of the water that fills the roof now is still on it in later steps (1).
+
+    Two roofs are followed by :func:`free_changes`: one left alone, and one filled to its target
+    now. What they differ by, over what they differed by at first, is the share. On a measured roof
+    it falls: the fuller substrate lets more of each rain pass and, where plants lack water, gives
+    more to them. A storm that fills both leaves no difference.
+
+    Args:
+        site: its parameters.
+        x2: volume on the roof at the beginning (m3).
+        changes: of the roof left alone, as :func:`free_changes` returns them (m3).
+        rain: mean in each step (m/s), shape (members, n).
+        evapotranspiration: asked for, off the whole bed (m3/s), shape (n,).
+        lengths: of the steps (s), shape (n,).
+
+    Returns:
+        The mean of each step, at least 0.001, shape (members, n); None of the paper's soil, in
+        which all of it stays.
+    """
+    if site.field_capacity is None:
+        return None
+    added = max(site.x2_star - x2, _LEAST_ADDED * site.available_volume)
+    fades = free_changes(site, x2 + added, rain, evapotranspiration, lengths) - changes
+    ends = 1 + np.cumsum(fades, axis=1) / added
+    return np.asarray(np.maximum(ends - fades / added / 2, _LEAST_LASTING))

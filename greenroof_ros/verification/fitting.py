@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import fields, replace
 
 import numpy as np
@@ -22,6 +22,8 @@ from greenroof_ros.verification.scores import Tally
 
 Array = NDArray[np.float64]
 
+# Sets of errors that are tried at most.
+MOST_TRIALS = 300
 # Hours apart at which wet and dry hours are compared.
 _LAGS = (1, 2, 3, 4, 6, 9, 12, 18, 24)
 # Records shorter than that say nothing of a climate (h).
@@ -36,7 +38,9 @@ _STEPS = {"reach": 300.0, "fading": 0.4, "timing": 0.3, "timing_growth": 0.1, "w
 _INVALID, _BEYOND = 100.0, 30.0
 
 
-def fit_skill(tallies: Mapping[Class, Tally], older: float, observed: Array) -> Skill:
+def fit_skill(
+    tallies: Mapping[Class, Tally], older: float, observed: Array, done: Callable[[int], None]
+) -> Skill:
     """Fit a climate to records, and errors to the scores of forecasts of them.
 
     The constants that no score shows, ``amount``, ``persistence`` and ``evapotranspiration``, are
@@ -46,6 +50,7 @@ def fit_skill(tallies: Mapping[Class, Tally], older: float, observed: Array) -> 
         tallies: what adds up in each class.
         older: by how much (h) values are older in the mean than the middle of their class.
         observed: records (mm/h), shape (hours,); NaN where missing.
+        done: is called with how many more of :data:`MOST_TRIALS` were made; there may be fewer.
 
     Raises:
         ConfigurationError: there are too few records, or forecasts of less than two classes of
@@ -74,7 +79,7 @@ def fit_skill(tallies: Mapping[Class, Tally], older: float, observed: Array) -> 
     wet = observed[observed > 0]
     climate = fit_climate(spells, float(wet.min()))
     sample = Sample(climate, spells, sums)
-    return Skill(climate, fit_errors(sample, goals, read_skill(REAL).errors))
+    return Skill(climate, fit_errors(sample, goals, read_skill(REAL).errors, done))
 
 
 def _spells(observed: Array, step: int) -> list[Array]:
@@ -181,7 +186,9 @@ class Sample:
         return np.array(found)
 
 
-def fit_errors(sample: Sample, goals: Mapping[float, Array], start: Errors) -> Errors:
+def fit_errors(
+    sample: Sample, goals: Mapping[float, Array], start: Errors, done: Callable[[int], None]
+) -> Errors:
     """Fit errors to r, POD and FAR of one or more services.
 
     Least squares: 1 for the distance from their mean, and 30 more for what lies beyond them. The
@@ -191,6 +198,7 @@ def fit_errors(sample: Sample, goals: Mapping[float, Array], start: Errors) -> E
         sample: of the records.
         goals: of each lead (h), the services' scores, shape (services, sums, 3).
         start: where the search begins; what is not fitted is kept.
+        done: see :func:`fit_skill`.
     """
     limits = {key.name: key.entry for key in keys(Errors)}
 
@@ -198,6 +206,7 @@ def fit_errors(sample: Sample, goals: Mapping[float, Array], start: Errors) -> E
         return replace(start, **dict(zip(_STEPS, map(float, values), strict=True)))
 
     def loss(values: Array) -> float:
+        done(1)
         entries = [limits[name] for name in _STEPS]
         if not all(e.low <= value <= e.high for e, value in zip(entries, values, strict=True)):
             return _INVALID
@@ -213,7 +222,7 @@ def fit_errors(sample: Sample, goals: Mapping[float, Array], start: Errors) -> E
         loss, begin, method="Nelder-Mead",
         options={
             "initial_simplex": np.vstack([begin, begin + np.diag(list(_STEPS.values()))]),
-            "maxfev": 300, "xatol": 1e-3, "fatol": 1e-4,
+            "maxfev": MOST_TRIALS, "xatol": 1e-3, "fatol": 1e-4,
         },
     )
     return errors_of(found.x)

@@ -36,7 +36,8 @@ def true_value(name: str) -> float:
 
 def recover(days: int, seed: int, scratch: Path) -> list[Parameter]:
     """Return the parameters fitted to a twin's record."""
-    record = read_csv_record(write(record_rows(TWIN, days, seed), scratch / "twin.csv"), TWIN)
+    rows = record_rows(TWIN, days, seed, tick_s=1.0)
+    record = read_csv_record(write(rows, scratch / "twin.csv"), TWIN)
     refuse_wrong(record, TWIN)
     return fit(ELSEWHERE, record, comparable(record)).parameters
 

@@ -12,6 +12,8 @@ from typing import Any
 import numpy as np
 import pytest
 from browsers import started_browser
+from commands import run_command
+from graphs import environment
 from recover_twins import ELSEWHERE, recover, true_value
 from twins import TWIN, record_rows, summed, write
 
@@ -159,10 +161,7 @@ def test_halves_have_the_same_water_and_no_storm_in_common(record: Record) -> No
 
 
 def calibrate(directory: Path, *arguments: str) -> subprocess.CompletedProcess[str]:
-    return subprocess.run(
-        [sys.executable, "-m", "greenroof_ros.calibrate", *arguments], cwd=directory,
-        capture_output=True, text=True, check=False,
-    )
+    return run_command("calibrate", *arguments, cwd=directory, env=environment(0))
 
 
 @pytest.fixture(scope="module")
@@ -186,9 +185,12 @@ def fitted(tmp_path_factory: pytest.TempPathFactory) -> Path:
     (directory / "site.yaml").write_text(text, encoding="utf-8")
     # On the curve 50 - 1e6 q^2.
     (directory / "pump.csv").write_text("flow [m3/s],head [m]\n0,50\n0.002,46\n0.004,34\n")
-    ended = calibrate(
-        directory, "twin.csv", "--site", "site.yaml", "-o", "fitted.yaml", "--pump-data",
-        "pump.csv", "--months", "4-6",
+    ended = subprocess.run(
+        [
+            sys.executable, "-m", "greenroof_ros.calibrate", "twin.csv", "--site", "site.yaml",
+            "-o", "fitted.yaml", "--pump-data", "pump.csv", "--months", "4-6",
+        ],
+        cwd=directory, env=environment(0), capture_output=True, text=True, check=False,
     )
     assert ended.returncode == 0, ended.stderr
     assert "runoff, validation" in ended.stdout

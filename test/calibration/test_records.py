@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -18,7 +19,13 @@ from greenroof_ros.common.files import shared_directory
 
 DAY = 288
 Rows = list[list[str]]
-ROWS = record_rows(TWIN, 30, 1, gaps=False)
+HOURS = (1, 6, 24)
+
+
+@cache
+def twin(days: int, seed: int) -> Rows:
+    """The rows of a twin without gaps, made when the first test needs them."""
+    return record_rows(TWIN, days, seed, gaps=False)
 
 
 def small(header: str, *cells: str, minutes: int = 5, clock: str = "") -> str:
@@ -101,7 +108,7 @@ def test_a_pump_of_which_too_little_is_known_is_a_gap(tmp_path: Path) -> None:
 
 
 def test_missing_rows_and_empty_cells_are_gaps(tmp_path: Path) -> None:
-    rows = ROWS[:1] + ROWS[1:500] + ROWS[600:1000]
+    rows = twin(30, 1)[:500] + twin(30, 1)[600:1000]
     rows = [list(row) for row in rows]
     rows[200][2] = ""
     record = read_csv_record(write(rows, tmp_path / "record.csv"), TWIN)
@@ -239,14 +246,11 @@ WRONG = {
 @pytest.mark.parametrize("name", WRONG)
 def test_wrong_records_are_refused(name: str, tmp_path: Path) -> None:
     changed, message = WRONG[name]
-    file = write(changed(ROWS), tmp_path / "wrong.csv")
+    file = write(changed(twin(30, 1)), tmp_path / "wrong.csv")
     with pytest.raises(ConfigurationError) as error:
         refuse_wrong(read_csv_record(file, TWIN), TWIN)
     assert str(error.value).startswith(str(file))
     assert message in str(error.value)
-
-
-LONG = record_rows(TWIN, 100, 1, gaps=False)
 
 
 @pytest.mark.parametrize(
@@ -257,19 +261,15 @@ def test_of_a_season_a_unit_that_is_wrong_is_refused(
     column: int, factor: float, tmp_path: Path
 ) -> None:
     file = tmp_path / "season.csv"
-    refuse_wrong(read_csv_record(write(LONG, file), TWIN), TWIN)
+    refuse_wrong(read_csv_record(write(twin(100, 1), file), TWIN), TWIN)
     with pytest.raises(ConfigurationError, match="unit"):
-        refuse_wrong(read_csv_record(write(scaled(column, factor)(LONG), file), TWIN), TWIN)
+        refuse_wrong(read_csv_record(write(scaled(column, factor)(twin(100, 1)), file), TWIN), TWIN)
 
 
-OTHER = record_rows(TWIN, 100, 2, gaps=False)
-LONGER = {hours: summed(LONG, hours) for hours in (1, 6, 24)}
-
-
-@pytest.mark.parametrize("hours", LONGER)
+@pytest.mark.parametrize("hours", HOURS)
 def test_sums_of_longer_steps_are_not_refused(hours: int, tmp_path: Path) -> None:
     """With runoff, with the level alone, and of other weather."""
-    for seed, rows in ((1, LONGER[hours]), (2, summed(OTHER, hours))):
+    for seed, rows in ((seed, summed(twin(100, seed), hours)) for seed in (1, 2)):
         for number, changed in enumerate((lambda rows: rows, without(2), without(3))):
             file = write(changed(rows), tmp_path / f"{seed}-{number}.csv")
             record = read_csv_record(file, TWIN)
@@ -298,18 +298,18 @@ WRONG_SUMS = {
 }
 
 
-@pytest.mark.parametrize("hours", LONGER)
+@pytest.mark.parametrize("hours", HOURS)
 @pytest.mark.parametrize("name", WRONG_SUMS)
 def test_wrong_sums_of_longer_steps_are_refused(name: str, hours: int, tmp_path: Path) -> None:
     changed, message = WRONG_SUMS[name]
-    file = write(changed(hours)(LONGER[hours]), tmp_path / "wrong.csv")
+    file = write(changed(hours)(summed(twin(100, 1), hours)), tmp_path / "wrong.csv")
     with pytest.raises(ConfigurationError) as error:
         refuse_wrong(read_csv_record(file, TWIN), TWIN)
     assert message in str(error.value)
 
 
 def test_temperatures_of_every_sixth_hour_do_not_show_a_day(tmp_path: Path) -> None:
-    rows = [[*row[:4], "12"] for row in LONGER[6]]
+    rows = [[*row[:4], "12"] for row in summed(twin(100, 1), 6)]
     rows[0][4] = "temperature [degC]"
     with pytest.raises(ConfigurationError) as error:
         read_csv_record(write(rows, tmp_path / "record.csv"), TWIN)
@@ -320,7 +320,7 @@ def test_temperatures_of_every_sixth_hour_do_not_show_a_day(tmp_path: Path) -> N
 
 def test_a_dead_flow_meter_is_refused(tmp_path: Path) -> None:
     """More than 100 mm fall, and the soil is 100 mm deep."""
-    rows = change(2, lambda row, text: text if row < 30 * DAY else "0")(LONG)
+    rows = change(2, lambda row, text: text if row < 30 * DAY else "0")(twin(100, 1))
     file = write(rows, tmp_path / "dead.csv")
     with pytest.raises(ConfigurationError, match=r"runoff: is 0 for \d\d days from .* mm came"):
         refuse_wrong(read_csv_record(file, TWIN), TWIN)
@@ -333,7 +333,7 @@ def test_a_dead_flow_meter_is_refused(tmp_path: Path) -> None:
      "a blocked rain gauge", "temperatures end", "runoff an hour early"],
 )
 def test_the_command_ends_with_2_and_one_line(name: str, tmp_path: Path) -> None:
-    file = write(WRONG[name][0](ROWS), tmp_path / "wrong.csv")
+    file = write(WRONG[name][0](twin(30, 1)), tmp_path / "wrong.csv")
     site = shared_directory() / "config" / "site.yaml"
     ended = run_command(
         "calibrate", str(file), "--site", str(site), "-o", "fitted.yaml", cwd=tmp_path, env={},
@@ -345,7 +345,7 @@ def test_the_command_ends_with_2_and_one_line(name: str, tmp_path: Path) -> None
 
 
 def test_a_place_is_needed_for_temperatures(tmp_path: Path) -> None:
-    file = write(ROWS, tmp_path / "record.csv")
+    file = write(twin(30, 1), tmp_path / "record.csv")
     with pytest.raises(ConfigurationError, match="needs latitude and longitude"):
         read_csv_record(file, replace(TWIN, latitude=None))
     with pytest.raises(ConfigurationError, match="must say its offset from UTC"):

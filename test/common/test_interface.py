@@ -132,7 +132,8 @@ def test_live_graph_is_the_interface(domain: int, tmp_path: Path, controller: st
     from rclpy.node import Node
 
     process = Process(
-        domain, "bringup", "--controller", controller, "--output", "run", cwd=tmp_path
+        domain, "bringup", "--controller", controller, "--speed", "20", "--output", "run",
+        cwd=tmp_path,
     )
     context = rclpy.Context()
     rclpy.init(args=[], context=context, domain_id=domain)
@@ -143,7 +144,7 @@ def test_live_graph_is_the_interface(domain: int, tmp_path: Path, controller: st
         "plant": "plant", "weather": "weather", "controller": controller, "recorder": "recorder"
     }
     try:
-        process.wait_for_ticks()
+        process.wait_for_ticks(size=0)
         nodes = set(names.values())
         wait_for(lambda: nodes <= set(node.get_node_names()), 60, "discovery of the nodes")
         interface = {

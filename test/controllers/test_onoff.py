@@ -34,12 +34,21 @@ def test_thresholds(cistern: float, roof: float, pumps: bool) -> None:
     assert controller.command(cistern, roof, NO_WEATHER, NO_WEATHER) == (1.5 if pumps else 0.0)
 
 
-def test_fraction_may_change_between_two_ticks() -> None:
-    """The next command is the new one."""
+def test_a_level_below_the_target() -> None:
+    """With 0.75 it pumps below 0.034275 m, and not from there on."""
+    controller = OnOff(PAPER_SITE, 1.5, 0.75)
+    assert controller.command(3.0, 0.034274, NO_WEATHER, NO_WEATHER) == 1.5
+    assert controller.command(3.0, 0.034276, NO_WEATHER, NO_WEATHER) == 0.0
+
+
+def test_parameters_may_change_between_two_ticks() -> None:
+    """The next command is by the new ones."""
     controller = OnOff(PAPER_SITE, 0.2)
-    assert controller.command(3.0, 0.0, NO_WEATHER, NO_WEATHER) == 0.2
+    assert controller.command(3.0, 0.04, NO_WEATHER, NO_WEATHER) == 0.2
     controller.fraction = 2.0
-    assert controller.command(3.0, 0.0, NO_WEATHER, NO_WEATHER) == 2.0
+    assert controller.command(3.0, 0.04, NO_WEATHER, NO_WEATHER) == 2.0
+    controller.level = 0.8
+    assert controller.command(3.0, 0.04, NO_WEATHER, NO_WEATHER) == 0.0
 
 
 @given(site=sites(), cistern=st.floats(0, 5), roof=st.floats(0, 2), rain=st.floats(0, 1e-3))

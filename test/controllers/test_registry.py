@@ -205,7 +205,7 @@ def test_an_option_of_another_controller(tmp_path: Path) -> None:
     """Refused, with what this one has."""
     result = simulate(tmp_path, "--controller", "onoff", "--weight", "0.1")
     assert result.returncode == 2
-    assert "--weight 0.1 (the parameters of onoff are --fraction)" in result.stderr
+    assert "--weight 0.1 (the parameters of onoff are --fraction, --level)" in result.stderr
 
 
 @pytest.mark.parametrize("value", ["1.5", "0", "3", "x"])

@@ -44,7 +44,7 @@ def fit(rain: dict[int, np.ndarray], spread: dict[tuple[int, int], np.ndarray]) 
         for day in DAYS
     }
     sample = Sample(climate, list(rain.values()), [Sum(*one) for one in SUMS.items()])
-    errors = fit_errors(sample, of_leads, read_skill(REAL).errors)
+    errors = fit_errors(sample, of_leads, read_skill(REAL).errors, lambda _: None)
     print("errors:", {name: round(value, 4) for name, value in asdict(errors).items()}, flush=True)
 
 

@@ -173,9 +173,9 @@ def test_last_words_are_in_the_log(domain: int, tmp_path: Path) -> None:
 
 def test_pause_shorter_than_the_limit_changes_nothing(domain: int, tmp_path: Path) -> None:
     """Each node stopped for a while, the recorder for 3 s: the bag equals an undisturbed one."""
-    bring_up(domain, tmp_path, "--hours", "0.5", output="undisturbed")
+    bring_up(domain, tmp_path, "--hours", "0.25", output="undisturbed")
     process = Process(
-        domain, "bringup", "--output", "run", "--hours", "0.5", "--speed", "300", cwd=tmp_path
+        domain, "bringup", "--output", "run", "--hours", "0.25", "--speed", "100", cwd=tmp_path
     )
     process.wait_for_ticks()
     nodes = process.nodes()
@@ -256,7 +256,8 @@ def test_nodes_are_on_loopback_alone(domain: int, tmp_path: Path) -> None:
 
 def test_graph_that_is_there_already(domain: int, tmp_path: Path) -> None:
     """A second bringup in the domain is exit code 3 with advice, and the first goes on."""
-    process, _ = started(domain, tmp_path)
+    process = Process(domain, "bringup", "--speed", "20", "--output", "run", cwd=tmp_path)
+    process.wait_for_ticks(size=0)
     second = Process(domain, "bringup", "--output", "second", cwd=tmp_path)
     assert second.wait(60) == 3
     assert "ROS_DOMAIN_ID=" in second.stderr()

@@ -193,7 +193,7 @@ def test_killed_at_the_start_and_together(domain: int, tmp_path: Path) -> None:
 
     Nothing of it is seen in the bag: on/off control has no memory.
     """
-    hours = 0.3
+    hours = 0.2
     bring_up(domain, tmp_path, "--hours", repr(hours), "--controller", "onoff", output="whole")
     run = Run(domain, tmp_path, "--hours", repr(hours), "--controller", "onoff", "--speed", "100")
     for node in ("weather", "mpc", "recorder", "recorder"):

@@ -151,7 +151,7 @@ def assert_balance(run: Run) -> Metrics:
 def test_a_measured_roof_balances() -> None:
     """12 hours with a storm on the roof of Neubrandenburg: half of what comes drains off."""
     metrics = assert_balance(paper_run(
-        "--controller", "planning_mpc", "--site", str(CONFIG / "site_neubrandenburg.yaml"),
+        "--controller", "onoff", "--site", str(CONFIG / "site_neubrandenburg.yaml"),
         "--start", "2021-07-08T00:00",
     ))
     assert metrics["limited_steps"] == 0

@@ -19,6 +19,7 @@ from greenroof_ros.model.soil import (
     follow,
     free_changes,
     kept_share,
+    lasting_share,
     layer_outflow,
     mean_percolation,
     percolation,
@@ -199,6 +200,45 @@ def test_free_changes_of_the_papers_soil_are_the_weather() -> None:
     assert found == pytest.approx(
         np.array([[6.88e-4 - 1e-5, -2e-4], [-1e-5, 0.01376 - 2e-4]]), rel=1e-12
     )
+
+
+def lasting(x2: float, rain_m3: list[float], asked_m3: list[float]) -> list[float]:
+    """Return the share that lasts, of hours with so much rain and evapotranspiration."""
+    rain = np.array([rain_m3]) / 3600 / ROOF.a2
+    hours = np.full(len(rain_m3), 3600.0)
+    weather = rain, np.array(asked_m3) / 3600, hours
+    found = lasting_share(ROOF, x2, free_changes(ROOF, x2, *weather), *weather)
+    assert found is not None
+    return list(found[0])
+
+
+def test_what_lasts_of_water_on_a_roof_in_rain() -> None:
+    """4.5 m3 against 3 m3, S of 0.625 and 0.25, in rain of 1 and 2 m3: S = tanh(artanh S + i/4)."""
+    wet, dry = (
+        [4 * math.tanh(math.atanh(filled) + rain / 4) for rain in (0, 1, 3)]
+        for filled in (0.625, 0.25)
+    )
+    ends = [(more - less) / 1.5 for more, less in zip(wet, dry, strict=True)]
+    assert lasting(3.0, [1.0, 2.0], [0.0, 0.0]) == pytest.approx(
+        [(ends[0] + ends[1]) / 2, (ends[1] + ends[2]) / 2], rel=1e-9
+    )
+    # A storm fills both to field capacity.
+    assert lasting(3.0, [100.0, 0.0], [0.0, 0.0]) == pytest.approx([0.5, 0.001], rel=1e-6)
+
+
+def test_what_lasts_of_water_on_a_roof_that_dries() -> None:
+    """All of it while plants lack nothing; below 4 m3 exp(-e/2) of it, e being asked for."""
+    assert lasting(4.4, [0.0] * 2, [0.1] * 2) == pytest.approx([1.0, 1.0], rel=1e-9)
+    dry = replace(ROOF, z_veg=0.035, x2_star=3.5)
+    weather = np.zeros((1, 1)), np.array([2.0 / 3600]), np.array([3600.0])
+    found = lasting_share(dry, 2.5, free_changes(dry, 2.5, *weather), *weather)
+    assert found == pytest.approx(np.array([[(1 + math.exp(-1)) / 2]]), rel=1e-9)
+
+
+def test_all_lasts_on_the_papers_soil() -> None:
+    """None stands for that."""
+    weather = np.ones((1, 1)), np.ones(1), np.ones(1)
+    assert lasting_share(PAPER_SITE, 2.0, np.ones((1, 1)), *weather) is None
 
 
 @given(

@@ -9,6 +9,8 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from bag_topics import MPC_TOPICS
+from commands import run_command
 from graphs import environment, wait_for
 from mcap.reader import make_reader
 from places import CONFIG
@@ -29,10 +31,7 @@ COMMANDS = (
 
 def run_module(cwd: Path, command: str) -> subprocess.CompletedProcess[str]:
     """Run a node's module in a domain in which no node can be made: 232 is the last."""
-    return subprocess.run(
-        [sys.executable, "-m", *f"greenroof_ros.nodes.{command}".split()],
-        cwd=cwd, env=environment(1000), capture_output=True, text=True, timeout=60, check=False,
-    )
+    return run_command(*f"nodes.{command}".split(), cwd=cwd, env=environment(1000))
 
 
 def section(text: str, heading: str) -> dict[str, str]:
@@ -161,16 +160,17 @@ def test_help_is_what_the_nodes_have(
             check_topics(observer, node, helps[node])
         start("mpc")
         check_topics(observer, "mpc", helps["mpc"])
-        bag = tmp_path / "my_bag"
-        wait_for(lambda: (bag / "metadata.yaml").exists(), 120, "the bag")
+        bag = tmp_path / "my_bag" / "my_bag_0.mcap"
+        wait_for(lambda: bag.exists() and bag.stat().st_size > 30_000, 120, "a growing bag")
     finally:
         for process in started.values():
             process.terminate()
         for process in started.values():
             process.wait(60)
-    with (bag / "my_bag_0.mcap").open("rb") as stream:
+    with bag.open("rb") as stream:
         index = make_reader(stream).get_summary()
     assert index is not None and index.statistics is not None
-    assert set(index.statistics.channel_message_counts.values()) == {3601}
+    assert len(index.channels) == len(MPC_TOPICS)
+    assert min(index.statistics.channel_message_counts.values()) > 30
     weights = re.findall(r"^    (\w+):", (CONFIG / "mpc.yaml").read_text(), re.MULTILINE)
     assert set(weights) < section(helps["mpc"], "parameters").keys()

@@ -17,6 +17,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from commands import run_command
 from graphs import Process, environment, summary_of, udp_addresses_of, wait_for
 
 rclpy = pytest.importorskip("rclpy", reason="nodes need ROS 2")
@@ -186,8 +187,8 @@ def test_middleware_that_locks_up_at_the_end(domain: int, tmp_path: Path, when: 
 
 def test_two_masters(domain: int, tmp_path: Path, observer: Observer) -> None:
     """A second publisher of the command ends the run, and the message names the topic."""
-    process = Process(domain, "bringup", "--output", "run", cwd=tmp_path)
-    process.wait_for_ticks()
+    process = Process(domain, "bringup", "--speed", "20", "--output", "run", cwd=tmp_path)
+    process.wait_for_ticks(size=0)
     assert weight_setter(observer)(0.01).successful
     observer.node.create_publisher(Float64, "/pump/command", qos("/pump/command"))
     observer.until(lambda: process.process.poll() is not None, 60, "the end of the run")
@@ -249,7 +250,7 @@ def test_simulated_time(domain: int, tmp_path: Path, observer: Observer) -> None
     from diagnostic_msgs.msg import DiagnosticArray
     from rosgraph_msgs.msg import Clock
 
-    start, ticks = 1_625_641_200, 1800  # 2021-07-07T02:00-05:00 in seconds since 1970
+    start, ticks = 1_625_641_200, 720  # 2021-07-07T02:00-05:00 in seconds since 1970
     stamps: dict[str, list[int]] = {}
     began = time.time()
 
@@ -265,8 +266,8 @@ def test_simulated_time(domain: int, tmp_path: Path, observer: Observer) -> None
     message.clock.sec = start + 86_400
     names = [f"/site1/{name}" for name in ("plant", "weather", "mpc", "recorder")]
     process = Process(
-        domain, "bringup", "--output", "run", "--namespace", "site1", "--hours", "0.5",
-        "--speed", "300", cwd=tmp_path,
+        domain, "bringup", "--output", "run", "--namespace", "site1", "--hours", "0.2",
+        "--speed", "120", cwd=tmp_path,
     )
     for name in names:
         client = observer.node.create_client(GetParameters, f"{name}/get_parameters")
@@ -343,11 +344,7 @@ def test_wrong_parameters(
     domain: int, tmp_path: Path, command: str, words: tuple[str, ...]
 ) -> None:
     """Exit code 2 and one clear message, as of the commands."""
-    done = subprocess.run(
-        [sys.executable, "-m", *f"greenroof_ros.nodes.{command}".split()],
-        cwd=tmp_path, env=environment(domain), capture_output=True, text=True, timeout=60,
-        check=False,
-    )
+    done = run_command(*f"nodes.{command}".split(), cwd=tmp_path, env=environment(domain))
     assert done.returncode == 2, done.stderr
     assert done.stderr.count("error:") == 1
     assert "Traceback" not in done.stderr

@@ -31,7 +31,7 @@ AT_ONCE = """
 import sys
 from greenroof_ros.nodes import controller, weather
 from greenroof_ros.controllers import onoff
-from greenroof_ros.graph.node_process import make_executor
+from greenroof_ros.graph.executors import make_executor
 from std_msgs.msg import Float64, Float64MultiArray
 sys.stdin.readline()
 {}.main()
@@ -325,6 +325,7 @@ def test_second_command_never_pumps(nodes: Nodes) -> None:
 def test_a_plant_that_fails_before_the_run_ends_the_others(nodes: Nodes) -> None:
     """There is no weather: the plant gives up, and the controller says why it ends, too."""
     nodes.node("onoff")
+    nodes.says("onoff", "waiting for plant")  # it hears the plant's end
     nodes.node("plant", *parameters(run_length=100, start_limit=4.0))
     assert nodes.code("plant", 60) == 1
     assert nodes.code("onoff", 60) == 1

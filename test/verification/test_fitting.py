@@ -34,14 +34,14 @@ def rain() -> dict[int, Array]:
 def test_scores_of_a_sample_are_those_of_the_model(rain: dict[int, Array]) -> None:
     """Forecasts of one lead at a stroke are as good as those that the model issues.
 
-    r, POD and FAR of half days, by another count, over eleven seasons and three seeds, of each of
+    r, POD and FAR of half days, by another count, over eleven seasons and two seeds, of each of
     which they scatter by some 0.03.
     """
     sample = Sample(REAL.climate, list(rain.values()), [HALF_DAY])
     observed = np.concatenate(list(rain.values()))
-    found: dict[int, list[Array]] = {1: [], 3: []}
-    for seed in range(3):
-        ahead = [days_ahead(year, season, REAL, seed, (1, 3)) for year, season in rain.items()]
+    found: dict[int, list[Array]] = {1: [], 2: []}
+    for seed in range(2):
+        ahead = [days_ahead(year, season, REAL, seed, (1, 2)) for year, season in rain.items()]
         for day, of_day in found.items():
             issued = np.concatenate([season[day][0] for season in ahead])
             of_day.append(figures(issued, observed)[2, :3])
@@ -58,7 +58,7 @@ def test_errors_are_found_again(rain: dict[int, Array]) -> None:
     goals = {lead: sample.scores(worse, lead)[None] for lead in (26.5, 74.5)}
     before = [np.abs(sample.scores(REAL.errors, lead) - goal[0]) for lead, goal in goals.items()]
     assert np.max(before) > 0.1
-    found = fit_errors(sample, goals, REAL.errors)
+    found = fit_errors(sample, goals, REAL.errors, lambda _: None)
     for lead, (goal,) in goals.items():
         assert sample.scores(found, lead) == pytest.approx(goal, abs=0.02)
     assert found.persistence == REAL.errors.persistence

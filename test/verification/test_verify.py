@@ -151,6 +151,46 @@ def test_runs_by_lead(tmp_path: Path) -> None:
     assert [float(row["crps_mm"]) for row in rows] == [3.75, 3.75]
 
 
+def previous_runs(directory: Path, hours: int, shares: tuple[float, ...]) -> Path:
+    """Write an archive of previous runs in which each day has its share of the water."""
+    path = directory / "previous_runs.csv"
+    first, rng = datetime.fromisoformat("2024-03-01T00:00"), np.random.default_rng(7)
+    with path.open("w", newline="") as stream:
+        rows = csv.writer(stream, lineterminator="\n")
+        days = range(1, len(shares) + 1)
+        rows.writerow(["datetime", *(f"precipitation_previous_day{day}" for day in days)])
+        for hour in range(hours):
+            rain = rng.gamma(0.5, 2.0, len(shares)) * (rng.random(len(shares)) < 0.06) * shares
+            rows.writerow([f"{first + hour * HOUR:%Y-%m-%d %H:%M:%S}", *np.round(rain, 2)])
+    return path
+
+
+@pytest.mark.parametrize(
+    ("hours", "last", "said"),
+    [
+        (8900, 0.45, "warning: day 5 has "), (8900, 2.5, "warning: day 5 has "),
+        (8900, 0.7, ""), (8900, 1.4, ""), (4000, 0.45, ""),
+    ],
+)
+def test_a_day_without_half_of_its_water(
+    tmp_path: Path, hours: int, last: float, said: str
+) -> None:
+    """It is named, as GFS's fifth would be; what storms may do is not, nor less than a year.
+
+    The ratio is that of the columns of the file, and the table is made all the same.
+    """
+    file = previous_runs(tmp_path, hours, (1.0, 1.1, 0.9, 1.0, last))
+    done = verify(tmp_path, str(file), "--weather", str(records(tmp_path, file, 1)))
+    assert (done.returncode, "day 5" in done.stdout) == (0, True)
+    assert len(done.stderr.splitlines()) == bool(said)
+    assert said in done.stderr
+    if said:
+        series = np.array([list(map(float, cells)) for cells in columns(file).values()])
+        totals = series.sum(axis=0)
+        ratio = float(done.stderr.split("has ")[1].split()[0])
+        assert ratio == pytest.approx(totals[4] / np.median(totals[:4]), abs=0.01)
+
+
 def test_models_of_the_package(tmp_path: Path) -> None:
     """Perfect forecasts are perfect, those without errors, too; persistence is as it counts."""
     common = ("--weather", str(JULY), "--horizon", "48")

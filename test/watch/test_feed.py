@@ -174,7 +174,7 @@ def test_what_is_heard_is_the_bags(domain: int, tmp_path: Path) -> None:
 def test_at_full_speed_the_bag_is_read(domain: int, tmp_path: Path) -> None:
     """/diagnostics alone is heard; the water account is that of the run's own summary."""
     with fed(domain) as (watched, _):
-        first = bring_up(domain, tmp_path, "--hours", "0.5", output="first")
+        first = bring_up(domain, tmp_path, "--hours", "0.25", output="first")
         ended(watched, tmp_path / "first")
         bag, heard = recorded(tmp_path / "first"), watched.of(HEARD)
         # Until the recorder has said where its bag is, samples that came with /diagnostics.
@@ -186,7 +186,7 @@ def test_at_full_speed_the_bag_is_read(domain: int, tmp_path: Path) -> None:
         assert account["pumped"] == pytest.approx(first["pumped_m3"], abs=1e-9)
         assert watched.runs == 0
         # Another run is picked up.
-        bring_up(domain, tmp_path, "--hours", "0.3", "--start", "2021-07-08T02:00",
+        bring_up(domain, tmp_path, "--hours", "0.15", "--start", "2021-07-08T02:00",
                  output="second")
         ended(watched, tmp_path / "second")
         assert watched.runs >= 1
@@ -200,10 +200,10 @@ def test_at_full_speed_the_bag_is_read(domain: int, tmp_path: Path) -> None:
 
 def test_samples_where_there_is_no_bag(domain: int, tmp_path: Path) -> None:
     """They are said to be such, and each is that of its tick."""
-    bring_up(domain, tmp_path, "--hours", "0.6", output="recorded")
+    bring_up(domain, tmp_path, "--hours", "0.3", output="recorded")
     with fed(domain) as (watched, _):
         run = Process(
-            domain, "bringup", "--hours", "0.6", "--speed", "200", "--no-record",
+            domain, "bringup", "--hours", "0.3", "--speed", "100", "--no-record",
             "--output", "run", cwd=tmp_path,
         )
         assert run.wait(300) == 0, run.stderr()

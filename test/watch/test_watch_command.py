@@ -17,6 +17,7 @@ import time
 from pathlib import Path
 
 import pytest
+from commands import run_command
 from graphs import (
     Process,
     alive,
@@ -122,19 +123,19 @@ def test_a_port_that_is_taken(domain: int, tmp_path: Path) -> None:
 def test_wrong_input_is_one_message(
     arguments: tuple[str, ...], message: str, unused_domain: int, tmp_path: Path
 ) -> None:
-    process = Process(unused_domain, "watch", *arguments, cwd=tmp_path)
-    assert process.wait(60) == 2
-    (line,) = [line for line in process.stderr().splitlines() if "error:" in line]
+    done = run_command("watch", *arguments, cwd=tmp_path, env=environment(unused_domain))
+    assert done.returncode == 2
+    (line,) = [line for line in done.stderr.splitlines() if "error:" in line]
     assert message in line
-    assert process.stdout() == ""
+    assert done.stdout == ""
 
 
 def test_help_teaches(unused_domain: int, tmp_path: Path) -> None:
-    process = Process(unused_domain, "watch", "--help", cwd=tmp_path)
-    assert process.wait(60) == 0
+    done = run_command("watch", "--help", cwd=tmp_path, env=environment(unused_domain))
+    assert done.returncode == 0
     for word in ("--terminal", "ssh -L", "--bag runs/", "Ctrl-C", "exit codes", "token"):
-        assert word in process.stdout()
-    assert max(map(len, process.stdout().splitlines())) <= 100
+        assert word in done.stdout
+    assert max(map(len, done.stdout.splitlines())) <= 100
 
 
 WITHOUT = """
@@ -199,8 +200,10 @@ def _bag(run: Path) -> bytes:
 
 def test_a_page_beside_a_run_ends_with_it(domain: int, tmp_path: Path) -> None:
     """It shows the run, and the run's bag is that of a run without."""
-    run = ("--hours", "0.05", "--speed", "20")
-    process = Process(domain, "bringup", *run, "--watch", "--output", "run", cwd=tmp_path)
+    run = ("--hours", "0.05")
+    process = Process(
+        domain, "bringup", *run, "--speed", "20", "--watch", "--output", "run", cwd=tmp_path
+    )
     port = wait_for(lambda: port_of(process.stderr()), 60, "an address")
 
     def shown() -> bool:
