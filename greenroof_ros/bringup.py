@@ -356,6 +356,7 @@ def _end_whole(
     result = summary.build(
         run,
         plant["metrics"],
+        plant["weeks"],
         wall_s=plant["wall_s"],
         solver=controller["solver"],
         messages=supervisor.last.get(RECORDER, {}).get("messages"),

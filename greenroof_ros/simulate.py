@@ -110,6 +110,7 @@ def main() -> int:
     result = summary.build(
         run,
         metrics.results(),
+        metrics.weekly_deviations(),
         wall_s=wall,
         solver=controller.statistics(),
     )

@@ -5,6 +5,8 @@ from __future__ import annotations
 import csv
 import subprocess
 import sys
+from collections.abc import Iterable
+from datetime import datetime, timedelta, timezone
 from pathlib import Path
 
 from greenroof_ros.common.files import shared_directory
@@ -51,3 +53,18 @@ def edited(old: str, new: str) -> str:
     """Return the grid with something else in it."""
     assert old in GRID
     return GRID.replace(old, new)
+
+
+def record(directory: Path, years: Iterable[int]) -> None:
+    """Write a record of the first days of May of some years."""
+    directory.mkdir()
+    header = "time,precipitation [mm/h],temperature [degC],dew point [degC],wind speed [km/h],"
+    for year in years:
+        first = datetime(year, 5, 1, tzinfo=timezone(timedelta(hours=-5)))
+        lines = [
+            f"{(first + timedelta(hours=hour)).isoformat()},{hour % 50 == year % 50},15,10,9,101"
+            .replace("True", "6").replace("False", "0")
+            for hour in range(20 * 24)
+        ]
+        text = "\n".join([f"{header}station pressure [kPa]", *lines, ""])
+        (directory / f"{year}_5.csv").write_text(text)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -20,6 +20,7 @@ RUNNING, DONE, FAILED, INTERRUPTED = "running", "done", "failed", "interrupted"
 def build(
     run: Run,
     metrics: Mapping[str, float],
+    weeks: Sequence[float],
     *,
     wall_s: float,
     solver: Mapping[str, float] | None,
@@ -33,6 +34,7 @@ def build(
     Args:
         run: what was asked for.
         metrics: its results, by :data:`greenroof_ros.model.metrics.METRICS`.
+        weeks: total deviation of each week (m3).
         wall_s: duration in wall time (s).
         solver: the controller's statistics; None where it has no solver.
         messages: how many messages of each topic are in the bag.
@@ -46,6 +48,7 @@ def build(
         "frost_hours": run.series.frost_hours,
         "precipitation_in_frost_mm": run.series.precipitation_in_frost,
         **metrics,
+        "weekly_deviation_m3": list(weeks),
         "solver": dict(solver) if solver is not None else None,
         "wall_s": wall_s,
         "times_real_time": run.steps * run.site.tau / wall_s,

@@ -29,6 +29,7 @@ from greenroof_ros.model.plant import (
 from greenroof_ros.model.site import Site
 
 _HOUR_S = 3600.0
+_WEEK_S = 7 * 24 * _HOUR_S
 
 NEAR_TARGET = 0.05
 """Half width of the band about the roof's target in which its level is good, as share of it."""
@@ -174,13 +175,22 @@ def _hydraulic_energy(site: Site, one: Samples) -> Values:
     return WATER_DENSITY * site.g * one.pump * head * one.duration / JOULES_PER_KWH
 
 
+def _deviation(site: Site, one: Samples) -> Values:
+    # Samples that are not a tick apart count with their time over tau.
+    return np.abs(one.roof - site.x2_star) * (one.duration / site.tau)
+
+
 METRICS = (
     Metric(
         "total_deviation_m3", "m3", "total deviation",
-        "sum of |x2 - x2*| over the ticks (Fig. 5)",
-        # Samples that are not a tick apart count with their time over tau.
-        lambda site, one: np.abs(one.roof - site.x2_star) * (one.duration / site.tau),
-        form=".2f",
+        "sum of |x2 - x2*| over the ticks (Fig. 5)", _deviation, form=".2f",
+    ),
+    Metric(
+        "near_target_hours", "h", "near the target",
+        f"at most {NEAR_TARGET:.0%} of x2* off it, over the ticks",
+        lambda site, one: one.duration / site.tau
+        * (np.abs(one.roof - site.x2_star) <= NEAR_TARGET * site.x2_star),
+        form=".2f", finish=_hours,
     ),
     Metric(
         "final_cistern_m3", "m3", "cistern at the end", "the last x1",
@@ -201,6 +211,10 @@ METRICS = (
     Metric(
         "mains_m3", "m3", "mains water used", "into the cistern, where there is a top-up",
         lambda site, one: None if one.mains is None else one.duration * one.mains,
+    ),
+    Metric(
+        "saved_m3", "m3", "mains water saved", "pumped, less what the mains gave",
+        lambda site, one: one.duration * (one.pump if one.mains is None else one.pump - one.mains),
     ),
     Metric(
         "outflow_m3", "m3", "outflow", "from the cistern to the sewer",
@@ -308,6 +322,8 @@ class Metrics:
     def __init__(self) -> None:
         """Begin with pumps that stand still."""
         self._totals: Totals = {}
+        self._weeks: list[float] = []
+        self._done = 0  # ticks that are in the totals
         self._ticks = bytearray()
         self._pumping = False
         self._starts = np.empty(0)
@@ -333,13 +349,26 @@ class Metrics:
 
     def results(self) -> Totals:
         """Return each metric by its name, of a run that ends in the tick observed last."""
+        end = self._end()
+        return _finished(self._site, _add(self._totals, self._site, end))
+
+    def weekly_deviations(self) -> list[float]:
+        """Return the total deviation of each week of the run (m3), summed over its ticks.
+
+        A bad fortnight of a season does not show in the season's sum. The last week may be short;
+        the last tick of all counts in it, so that the weeks make up the total.
+        """
+        last = float(_deviation(self._site, self._end())[0])
+        *whole, begun = self._weeks or [0.0]
+        return [*whole, begun + last]
+
+    def _end(self) -> Samples:
+        """Add up all ticks, and return the state in which the run ends."""
         if self._ticks:
             self._add_ticks()
         state = _pack_tick(*self._state, *[0.0] * (len(_TICK) - len(self._state)))
         end = self._samples(state)
-        if end.mains is not None:
-            end = replace(end, mains=np.zeros(1))
-        return _finished(self._site, _add(self._totals, self._site, end))
+        return end if end.mains is None else replace(end, mains=np.zeros(1))
 
     def __getitem__(self, name: str) -> float:
         """Return the metric of that name."""
@@ -362,7 +391,18 @@ class Metrics:
     def _add_ticks(self) -> None:
         samples = self._samples(self._ticks)
         self._totals = _add(self._totals, self._site, samples)
+        self._add_weeks(samples)
         self._pumping = bool(samples.pump[-1] > 0)
         starts = _start_times(self._site, samples) - float(samples.duration.sum())
         self._starts = starts[starts > -_HOUR_S]
         self._ticks = bytearray()
+
+    def _add_weeks(self, samples: Samples) -> None:
+        """Add the deviations of these ticks to their weeks."""
+        ticks = self._done + np.arange(len(samples.roof))
+        self._done += len(ticks)
+        week = (ticks * self._site.tau // _WEEK_S).astype(np.intp)
+        self._weeks += [0.0] * (int(week[-1]) + 1 - len(self._weeks))
+        sums = np.bincount(week - week[0], _deviation(self._site, samples))
+        for number, deviation in enumerate(sums.tolist(), start=int(week[0])):
+            self._weeks[number] += deviation

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import math
+import re
+from collections.abc import Mapping
 from dataclasses import MISSING, dataclass, field, fields
 from functools import cached_property
 from pathlib import Path
@@ -23,6 +25,16 @@ _WHOLE = {"pumps_in_series", "pumps_in_parallel"}
 _MOST_PONDED = 1.825
 # A cistern lies below the roof; where its outlet does not, it holds what Table II asks of it.
 _ABOVE_OUTLET = 1.3
+# Volumes, and what they are proportional to.
+_FOLLOW = {
+    "x2_star": ("a2", "z_veg"),
+    "z_cap": ("a2", "z_soil", "field_capacity"),
+    "initial_cistern": ("a1",),
+    "initial_roof": ("a2",),
+    "initial_layer": ("a2",),
+}
+# A line of a site file up to the end of its number.
+_LINE = r"^(?P<before>(?P<key>{key}):[ \t]*)(?P<value>[-+.\deE]+)"
 # What may be left out, with its range: the runoff coefficient, what a measured roof has and the
 # paper's soil has not, a mains top-up and a low outlet of the cistern, what a run begins with, how
 # many pumps the curve stands for, which only the duty of one of them needs, the pumps' efficiency,
@@ -55,6 +67,11 @@ _OPTIONAL = {
     "wind_height": (0.5, 100.0),
     "crop_coefficient": (0.01, 3.0),
 }
+PLACE = (
+    "latitude", "longitude", "elevation", "utc_offset", "albedo", "k_Rs", "wind_height",
+    "crop_coefficient",
+)
+"""What the weather of a site depends on, computed evapotranspiration included."""
 # Of them these belong together: each needs the others of its line. A roof without a drainage layer
 # may be a measured one, too.
 _TOGETHER = (
@@ -341,6 +358,35 @@ def site_parameters() -> list[SiteParameter]:
         )
         for each in fields(Site)
     ]
+
+
+def edited(text: str, values: Mapping[str, float]) -> str:
+    """Return the text of a site file with other values; its comments stay.
+
+    The volumes that go with what is edited follow it: x2_star and z_cap, which are products, and
+    those that a run begins with, whose levels stay.
+
+    Args:
+        text: of a file that :func:`read_site` accepts.
+        values: by their symbols; one that the file does not have is added.
+    """
+    given = {
+        found["key"]: float(found["value"])
+        for found in re.finditer(_LINE.format(key=r"\w+"), text, re.MULTILINE)
+    }
+    new = {**given, **values}
+    for volume, factors in _FOLLOW.items():
+        if volume in given and volume not in values:
+            ratio = math.prod(new.get(name, 1.0) / given.get(name, 1.0) for name in factors)
+            new[volume] = given[volume] * ratio
+    for key, value in new.items():
+        if key not in given:
+            text = f"{text.rstrip()}\n{key}: {value!r}\n"
+        elif value != given[key]:
+            text = re.sub(
+                _LINE.format(key=key), rf"\g<before>{value!r}", text, flags=re.MULTILINE
+            )
+    return text
 
 
 def read_site(path: Path) -> Site:

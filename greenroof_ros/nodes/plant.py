@@ -269,8 +269,11 @@ class PlantNode(LinkedNode):
         return found
 
     def summary(self) -> dict[str, Any]:
-        """Return the run's metrics, and how long it took (s of wall time)."""
-        return {"metrics": self._metrics.results(), "wall_s": self._wall_s}
+        """Return the run's metrics, those of its weeks, and how long it took (s of wall time)."""
+        return {
+            "metrics": self._metrics.results(), "weeks": self._metrics.weekly_deviations(),
+            "wall_s": self._wall_s,
+        }
 
 
 def _help() -> str:

@@ -16,6 +16,7 @@ from greenroof_ros.report.assessment import Assumptions
 from greenroof_ros.report.entries import FailedRun
 from greenroof_ros.report.results import Report, best_runs, result
 from greenroof_ros.report.runs import find_runs, nothing_to_show
+from greenroof_ros.report.seasons import split_by_years
 from greenroof_ros.report.seeds import split_by_seeds
 from greenroof_ros.report.settings import controller_name
 
@@ -154,7 +155,8 @@ def main() -> int:
         TextColumn("{task.description}"), BarColumn(), TextColumn("{task.completed}/{task.total}"),
         console=Console(stderr=True), transient=True,
     ) as progress:
-        single, seeded = split_by_seeds(sources.runs)
+        others, seasons = split_by_years(sources.runs)
+        single, seeded = split_by_seeds(others)
         results = []
         for entry in progress.track(single, description="reading runs"):
             try:
@@ -165,9 +167,9 @@ def main() -> int:
                 sources.failed.append(
                     FailedRun(entry.name, entry.controller, f"{entry.ending.sentence}; {error}")
                 )
-        if not results and not seeded:
+        if not (results or seeded or seasons):
             raise nothing_to_show(sources)
-        report = Report(results, seeded)
+        report = Report(results, seeded, seasons)
         makers = figures.make_figures(report, arguments.pump_data)
         try:
             (output / "figures").mkdir(parents=True, exist_ok=True)
@@ -201,6 +203,11 @@ def main() -> int:
         console.print(
             f"runs with many seeds of their forecasts' errors: {len(report.seeded)}; the report "
             "has their mean and their worst tenth"
+        )
+    if report.seasons:
+        console.print(
+            f"runs of the same season in several years: {len(report.seasons)}; the report has "
+            "their means and how sure their differences are"
         )
     if sources.failed:
         console.print(

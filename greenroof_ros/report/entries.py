@@ -106,6 +106,31 @@ class Seeded:
     bound_m3: float | None
 
 
+@dataclass(frozen=True)
+class Season:
+    """What the table of a study says of a run of a week or more.
+
+    Attributes:
+        year: in which it begins.
+        begins: month, day and time of that.
+        hours: its length (h).
+        metrics: those of :data:`greenroof_ros.model.metrics.METRICS` that the table has.
+        weeks: total deviation of each whole week (m3).
+        forecast: what the controller was given, without the seed of its errors.
+        seed: of those errors; empty where there is none.
+        bound_m3: the least total deviation that any controller could reach; None if unknown.
+    """
+
+    year: int
+    begins: str
+    hours: float
+    metrics: Mapping[str, float]
+    weeks: tuple[float, ...]
+    forecast: str
+    seed: str
+    bound_m3: float | None
+
+
 def known_bound(bound: float | None) -> Callable[[Trajectory], float | None]:
     """Return a bound (m3) whatever the trajectory: a study's own, or None where it is unknown."""
     return lambda _trajectory: bound
@@ -136,6 +161,7 @@ class RunEntry:
         sensor_pump_errors: of level sensor and pumps; empty where there were none, or they were
             not written down.
         seeded: what a study's table says of it; None unless its forecasts had random errors.
+        season: what a study's table says of it; None unless it took a week.
         changes: of parameters, in the run.
         ending: how it ended; None if it is done, or nothing says that it is not.
         source: the study or run directory that it is from, by a name that no other one has.
@@ -157,6 +183,7 @@ class RunEntry:
     bound: Callable[[Trajectory], float | None] = _UNKNOWN_BOUND
     sensor_pump_errors: str = ""
     seeded: Seeded | None = None
+    season: Season | None = None
     source: str = ""
     meant: Mapping[str, object] = field(default_factory=dict)
     changes: tuple[Change, ...] = ()

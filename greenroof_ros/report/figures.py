@@ -11,6 +11,7 @@ from greenroof_ros.report.balance_figure import balance
 from greenroof_ros.report.drawing import Figure
 from greenroof_ros.report.pump_figures import pump_curve, pump_smoothing, read_pump_data
 from greenroof_ros.report.results import Report
+from greenroof_ros.report.season_figures import SEASON_FIGURES, season_figures
 from greenroof_ros.report.seed_figures import forecast_errors
 from greenroof_ros.report.setting_figures import QUANTITIES, by_setting
 from greenroof_ros.report.trajectory_figures import trajectories
@@ -19,7 +20,7 @@ from greenroof_ros.report.weather_figure import weather
 # The names of all figures begin with these; their numbers follow.
 _KINDS = (
     "pump-curve", "pump-smoothing", "weather", *(one.name for one in QUANTITIES), "trajectories",
-    "water-balance", "forecast-errors",
+    "water-balance", "forecast-errors", *SEASON_FIGURES,
 )
 
 
@@ -39,7 +40,9 @@ def make_figures(report: Report, pump_data: Path | None) -> list[Callable[[], Fi
         ConfigurationError: their file is wrong.
     """
     points = read_pump_data(pump_data) if pump_data is not None else None
-    sites = {entry.site_name: entry.site for entry in report.entries}
+    # Seasons are of many sites, which differ in size alone: their pumps are the same.
+    alone = [*(one.entry for one in report.results), *report.seeded]
+    sites = {entry.site_name: entry.site for entry in alone}
     makers: list[Callable[[], Figure]] = []
     for number, (name, site) in enumerate(sites.items(), start=1):
         of = f" of {name}" if len(sites) > 1 else ""
@@ -62,4 +65,6 @@ def make_figures(report: Report, pump_data: Path | None) -> list[Callable[[], Fi
         makers.append(partial(balance, report, window, number))
     if report.seeded:
         makers.append(partial(forecast_errors, report))
+    if report.seasons:
+        makers += season_figures(report)
     return makers

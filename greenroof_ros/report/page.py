@@ -17,6 +17,8 @@ from greenroof_ros.report.assessment import Assumptions
 from greenroof_ros.report.drawing import CONFIG, Figure, Rows
 from greenroof_ros.report.entries import Sources
 from greenroof_ros.report.results import Report, heading
+from greenroof_ros.report.season_tables import season_windows
+from greenroof_ros.report.seasons import RESAMPLES
 from greenroof_ros.report.seeds import place, spreads
 from greenroof_ros.report.settings import controller_name
 from greenroof_ros.report.tables import make_tables, shown_metrics, unit
@@ -50,9 +52,13 @@ def render(
         ],
         metrics=[(metric.label, unit(metric), metric.meaning) for metric in shown_metrics(report)],
         bounds=any(one.bound_m3 for one in report.results)
-        or any(one.bound_m3 for one in spreads(report)),
+        or any(one.bound_m3 for one in spreads(report))
+        or any(entry.season.bound_m3 for entry in report.seasons if entry.season),
         assumptions=assumptions,
-        windows=[*map(report.heading, report.windows), *_seeded_windows(report)],
+        resamples=RESAMPLES,
+        windows=[
+            *map(report.heading, report.windows), *_seeded_windows(report), *season_windows(report),
+        ],
         sites=_sites(report),
         configuration=sources.configuration,
         versions=_versions(),

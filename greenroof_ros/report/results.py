@@ -197,6 +197,7 @@ class Report:
         results: every run that left something to show but the seeded ones.
         seeded: runs of which only what the study's table says is known, as they differ from others
             in the seed of their forecasts' errors alone.
+        seasons: runs of which only that is known as well, as they are the same season of years.
         entries: of all of them.
         controllers: names, the paper's first.
         settings: of each controller.
@@ -205,10 +206,14 @@ class Report:
         initials: names of the results' initial states, in their order.
     """
 
-    def __init__(self, results: Sequence[Result], seeded: Sequence[RunEntry] = ()) -> None:
+    def __init__(
+        self, results: Sequence[Result], seeded: Sequence[RunEntry] = (),
+        seasons: Sequence[RunEntry] = (),
+    ) -> None:
         self.results = list(results)
         self.seeded = list(seeded)
-        self.entries = [*(one.entry for one in results), *seeded]
+        self.seasons = list(seasons)
+        self.entries = [*(one.entry for one in results), *seeded, *seasons]
         found = list(dict.fromkeys(entry.controller for entry in self.entries))
         self.controllers = [name for name in PAPERS_CONTROLLERS if name in found]
         self.controllers += [name for name in found if name not in PAPERS_CONTROLLERS]

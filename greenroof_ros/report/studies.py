@@ -14,7 +14,8 @@ import numpy as np
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.files import file_digest, read_text
 from greenroof_ros.common.times import to_people
-from greenroof_ros.forecast.choice import OPTIONS
+from greenroof_ros.forecast.choice import OPTIONS, PERFECT
+from greenroof_ros.model.metrics import METRICS
 from greenroof_ros.model.sensor_pump_errors import RANGES
 from greenroof_ros.model.site import Site, read_site
 from greenroof_ros.recording.bag_reader import Recorded
@@ -29,12 +30,22 @@ from greenroof_ros.report.about import (
     suspicion,
     what_initial,
 )
-from greenroof_ros.report.entries import FailedRun, Note, RunEntry, Seeded, Sources, known_bound
+from greenroof_ros.report.entries import (
+    FailedRun,
+    Note,
+    RunEntry,
+    Season,
+    Seeded,
+    Sources,
+    known_bound,
+)
 
 _RESULT_COLUMNS = (
     "run", "site", "weather", "evapotranspiration", "controller", "initial",
     "cistern_m3", "roof_m3", "status", "error", "total_deviation_m3",
 )
+
+_WEEK_H = 168
 
 
 def read_study(path: Path, source: str, prefix: str, sources: Sources) -> None:
@@ -117,6 +128,7 @@ def read_study(path: Path, source: str, prefix: str, sources: Sources) -> None:
                 bound=known_bound(bound),
                 sensor_pump_errors=sensor_pump_errors,
                 seeded=seeded,
+                season=_season(file, line, row, bound),
                 source=source,
                 meant={
                     "site_name": sites[row["site"]],
@@ -137,12 +149,42 @@ def read_study(path: Path, source: str, prefix: str, sources: Sources) -> None:
             sources.configuration[prefix + further.name] = read_text(further)
 
 
+def _season(
+    file: Path, line: int, row: Mapping[str, str], bound: float | None
+) -> Season | None:
+    """Return what a row says of a run of a week or more; None of a shorter one."""
+    hours = _cell(file, line, row, "hours")
+    try:
+        start = datetime.fromisoformat(row.get("start", ""))
+        weeks = tuple(map(float, row.get("weekly_deviation_m3", "").split()))
+    except ValueError:
+        return None
+    whole = int(hours // _WEEK_H)
+    if not whole or len(weeks) < whole:
+        return None
+    options = {option: row.get(f"forecast_{option}") for option in OPTIONS if option != "seed"}
+    return Season(
+        year=start.year,
+        begins=f"{start:%d %B %H:%M}",
+        hours=hours,
+        metrics={
+            metric.name: _cell(file, line, row, metric.name)
+            for metric in METRICS if row.get(metric.name)
+        },
+        weeks=weeks[:whole],
+        forecast=forecast_label(row.get("forecast"), options) or PERFECT,
+        seed=row.get("forecast_seed", ""),
+        bound_m3=bound,
+    )
+
+
 def _load_parquet(path: Path, tau: float) -> Recorded:
     """Read the trajectory of a study's run, whose ticks last tau (s)."""
     if not path.is_file():
         raise ConfigurationError(
             "is not there; was the study made with --no-trajectories? that is enough for runs of "
-            "several forecast seeds only: make it again without, in another directory", file=path,
+            "several forecast seeds, or of the same season of several years, only: make it again "
+            "without, in another directory", file=path,
         )
     trajectory = read_parquet(path)
     if len(trajectory.time) < 2 or not (np.diff(trajectory.time) > 0).all():

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import partial
@@ -11,7 +10,9 @@ from typing import NamedTuple
 from greenroof_ros.model.metrics import METRICS, Metric
 from greenroof_ros.recording.results_table import differing
 from greenroof_ros.report.assessment import Assumptions
+from greenroof_ros.report.cells import Cell, Table, number, share, word
 from greenroof_ros.report.results import Best, Report, Result, best_runs
+from greenroof_ros.report.season_tables import season_tables
 from greenroof_ros.report.seeds import Spread, spreads
 from greenroof_ros.report.settings import controller_name
 
@@ -23,45 +24,19 @@ _BALANCE_ONLY = {
     "evapotranspiration_m3", "final_cistern_m3", "final_roof_m3",
     "final_layer_m3",
 }
-
-
-class Cell(NamedTuple):
-    """A cell of a table: what is shown, and what the table is sorted by."""
-
-    text: str
-    key: float | str
-    warning: bool = False
-
-
-class Table(NamedTuple):
-    """A table that a reader can sort; the first column names the row.
-
-    Without a header each row is a quantity of the only run.
-    """
-
-    name: str
-    header: Sequence[str]
-    rows: Sequence[Sequence[Cell]]
+# Shown with the band that was asked for.
+_BAND = "near_target_hours"
 
 
 def make_tables(report: Report, assumptions: Assumptions) -> list[Table]:
     """Return the tables that a report has something for."""
-    tables = _seeded(report)
+    tables = [*season_tables(report), *_seeded(report)]
     if len(report.results) > len(best_runs(report)):
         tables.append(_best_table(report))
     tables += _methods(report)
     if report.results:
         tables += [_results_table(report, assumptions), _balance_table(report)]
     return tables
-
-
-def _number(value: float, digits: str = ".4g", warning: bool = False) -> Cell:
-    text = f"{value:{digits}}"
-    return Cell("0" if float(text) == 0 else text, value, warning)
-
-
-def _word(text: str) -> Cell:
-    return Cell(text, text)
 
 
 class _Column(NamedTuple):
@@ -94,9 +69,9 @@ def _named(report: Report) -> list[_Column]:
         )
 
     return [
-        _Column("controller", lambda one: _word(controller_name(one.entry.controller))),
+        _Column("controller", lambda one: word(controller_name(one.entry.controller))),
         _Column("setting", setting),
-        _Column("from", lambda one: _word(one.entry.initial)),
+        _Column("from", lambda one: word(one.entry.initial)),
         *_endings(report),
     ]
 
@@ -112,7 +87,7 @@ def _apart(report: Report) -> list[_Column]:
 def _fact(name: str, one: Result) -> Cell:
     """Return what a fact of its window says of a run."""
     text = one.window.facts[name]
-    return Cell(text, one.window.sky.hours) if name == "length" else _word(text)
+    return Cell(text, one.window.sky.hours) if name == "length" else word(text)
 
 
 def _endings(report: Report) -> list[_Column]:
@@ -125,11 +100,11 @@ def _endings(report: Report) -> list[_Column]:
 def _ended(one: Result) -> Cell:
     """Return whether a run is done, and if not where it ended."""
     ending = one.entry.ending
-    return _word("done") if ending is None else Cell(ending.short, ending.short, warning=True)
+    return word("done") if ending is None else Cell(ending.short, ending.short, warning=True)
 
 
 # The directory's name stands behind the first results: it may be long, and says little.
-_RUN = _Column("run", lambda one: _word(one.entry.name))
+_RUN = _Column("run", lambda one: word(one.entry.name))
 
 
 def _metric(metric: Metric) -> _Column:
@@ -137,7 +112,7 @@ def _metric(metric: Metric) -> _Column:
 
     def cell(one: Result) -> Cell:
         value = one.assessment.metrics[metric.name]
-        return _number(value, metric.form, value > metric.most)
+        return number(value, metric.form, value > metric.most)
 
     return _Column(header(metric), cell)
 
@@ -165,24 +140,25 @@ def _results_table(report: Report, assumptions: Assumptions) -> Table:
     """Return the results of each run."""
     money = assumptions.currency
     deviation, *others = [
-        _metric(metric) for metric in shown_metrics(report) if metric.name not in _BALANCE_ONLY
+        _metric(metric) for metric in shown_metrics(report)
+        if metric.name not in {*_BALANCE_ONLY, _BAND}
     ]
     return _run_table(report, "Results", [
         deviation,
         *_ratio(report),
         *_apart(report),
         _RUN,
-        _Column("near target (h)", lambda one: _number(one.assessment.band_hours, ".2f")),
-        _Column("near target (%)", lambda one: _number(
+        _Column("near target (h)", lambda one: number(one.assessment.band_hours, ".2f")),
+        _Column("near target (%)", lambda one: number(
             100 * one.assessment.band_hours / one.assessment.hours, ".1f")),
         *others,
-        _Column(f"value as mains water ({money})", lambda one: _number(one.assessment.water_value)),
+        _Column(f"value as mains water ({money})", lambda one: number(one.assessment.water_value)),
         _Column(
             f"cost of electric energy ({money})",
-            lambda one: _number(one.assessment.energy_cost),
+            lambda one: number(one.assessment.energy_cost),
         ),
-        _Column("frost (h)", lambda one: _number(one.assessment.frost_hours, ".2f")),
-        _Column("pumped in frost (m³)", lambda one: _number(
+        _Column("frost (h)", lambda one: number(one.assessment.frost_hours, ".2f")),
+        _Column("pumped in frost (m³)", lambda one: number(
             one.assessment.frost_pumped_m3, ".4g", one.assessment.frost_pumped_m3 > 0)),
     ])
 
@@ -198,15 +174,15 @@ def _balance_table(report: Report) -> Table:
         metric("rain_cistern_m3", "cistern: rain"),
         metric("pumped_m3", "pumped"),
         metric("outflow_m3", "to the sewer"),
-        _Column("cistern: change (m³)", lambda one: _number(one.assessment.cistern_change_m3)),
-        _Column("cistern: unexplained (m³)", lambda one: _number(
+        _Column("cistern: change (m³)", lambda one: number(one.assessment.cistern_change_m3)),
+        _Column("cistern: unexplained (m³)", lambda one: number(
             one.assessment.cistern_residual_m3, ".1e")),
         metric("final_cistern_m3", "cistern: at the end"),
         metric("rain_roof_m3", "roof: rain"),
         metric("evapotranspiration_m3", "evapotranspiration"),
         metric("drainage_m3", "drainage"),
-        _Column("roof: change (m³)", lambda one: _number(one.assessment.roof_change_m3)),
-        _Column("roof: unexplained (m³)", lambda one: _number(
+        _Column("roof: change (m³)", lambda one: number(one.assessment.roof_change_m3)),
+        _Column("roof: unexplained (m³)", lambda one: number(
             one.assessment.roof_residual_m3, ".1e")),
         metric("final_roof_m3", "roof: at the end"),
         *(
@@ -222,7 +198,7 @@ def _run_table(report: Report, name: str, columns: Sequence[_Column]) -> Table:
     """Return a table with a line a run; of a single one a line a quantity."""
     columns = [*_named(report), *columns]
     if len(report.results) == 1:
-        rows = [[_word(column.header), column.cell(report.results[0])] for column in columns]
+        rows = [[word(column.header), column.cell(report.results[0])] for column in columns]
         return Table(f"{name} of the run", header=(), rows=rows)
     return Table(
         name=f"{name} of each run",
@@ -235,24 +211,19 @@ def _ratio(report: Report) -> list[_Column]:
     """Return the column of deviations over the least possible, where any is known."""
     if all(one.ratio_to_bound is None for one in report.results):
         return []
-    return [_Column("over the least possible (1)", lambda one: _share(one.ratio_to_bound))]
-
-
-def _share(value: float | None) -> Cell:
-    """Return a cell of a ratio; the unknown ones come last."""
-    return Cell("unknown", sys.float_info.max) if value is None else _number(value, ".4f")
+    return [_Column("over the least possible (1)", lambda one: share(one.ratio_to_bound))]
 
 
 def _best_table(report: Report) -> Table:
     """Return the best run of each controller."""
     columns = [
         _BestColumn(
-            "controller", lambda best: _word(controller_name(best.run.entry.controller))
+            "controller", lambda best: word(controller_name(best.run.entry.controller))
         ),
-        _BestColumn("best setting", lambda best: _word(best.setting)),
-        _BestColumn("from", lambda best: _word(best.initial)),
+        _BestColumn("best setting", lambda best: word(best.setting)),
+        _BestColumn("from", lambda best: word(best.initial)),
     ]
-    windows = [_Column("window", lambda one: _word(report.heading(one.window)))]
+    windows = [_Column("window", lambda one: word(report.heading(one.window)))]
     for column in (
         *_endings(report),
         _metric(METRICS_BY_NAME["total_deviation_m3"]), *_ratio(report),
@@ -283,14 +254,14 @@ def _seeded(report: Report) -> list[Table]:
     def row(rank: int, one: Spread) -> list[Cell]:
         totals = (one.mean, one.worst_tenth, one.worst)
         return [
-            _word(controller_name(one.controller)),
+            word(controller_name(one.controller)),
             Cell(one.setting, f"{one.controller} {rank:06}"),
-            _number(len(one.totals), "d"),
-            _word(one.skill),
-            *(_word(one.place.facts[name]) for name in where),
-            _word(one.place.initial),
-            *(_number(total, ".2f") for total in totals),
-            *(_share(total / one.bound_m3 if one.bound_m3 else None)
+            number(len(one.totals), "d"),
+            word(one.skill),
+            *(word(one.place.facts[name]) for name in where),
+            word(one.place.initial),
+            *(number(total, ".2f") for total in totals),
+            *(share(total / one.bound_m3 if one.bound_m3 else None)
               for total in totals if known),
         ]
 
@@ -324,9 +295,9 @@ def _methods(report: Report) -> list[Table]:
         published, fao56 = (run.assessment.metrics["total_deviation_m3"] for run in (one, other))
         share = 100 * (fao56 / published - 1) if published else 0.0
         rows.append([
-            _word(report.label(one)), _word(one.entry.initial),
+            word(report.label(one)), word(one.entry.initial),
             *(_fact(name, one) for name in where),
-            _number(published, ".2f"), _number(fao56, ".2f"), _number(share, "+.2f"),
+            number(published, ".2f"), number(fao56, ".2f"), number(share, "+.2f"),
         ])
     return [Table(
         "Total deviation under both kinds of evapotranspiration",

@@ -50,4 +50,11 @@ def make_warnings(report: Report) -> list[RunWarning]:
         )
         for note in entry.notes:
             warn(note.of_many(), entry)
+    for entry in report.seasons:
+        warn(
+            "these runs are the same season of several years. They are judged together, by "
+            "results.csv; what follows says nothing of their commands and frost", entry,
+        )
+        for note in entry.notes:
+            warn(note.of_many(), entry)
     return [RunWarning(text, runs) for text, runs in found.items()]

@@ -62,6 +62,11 @@ def _parser() -> argparse.ArgumentParser:
         help="directory of the study, new or its own (default: studies/ and the grid's name)",
     )
     parser.add_argument(
+        "--weather", type=Path, metavar="DIR",
+        help="directory of weather files that the grid names and that are not beside it, such as "
+        "the record of years for config/study_seasons.yaml",
+    )
+    parser.add_argument(
         "--jobs", type=within(1, 1024, int), metavar="N",
         help="runs at a time (default: one a core; with --engine ros, one every two cores)",
     )
@@ -84,7 +89,7 @@ def _parser() -> argparse.ArgumentParser:
     kept.add_argument(
         "--no-trajectories", action="store_true",
         help="keep the table only, of thousands of runs; a report then has those only that were "
-        "made with several forecast seeds",
+        "made with several forecast seeds, or of the same season of several years",
     )
     return parser
 
@@ -105,7 +110,7 @@ def main() -> int:
         )
     grid: Path = arguments.grid or shared_directory() / "config" / "study.yaml"
     name = "paper" if arguments.grid is None else grid.stem
-    cases = read_grid(grid)
+    cases = read_grid(grid, arguments.weather)
     every = None if arguments.no_trajectories else arguments.trajectory_every
     store = Store(
         arguments.output or Path("studies") / name, grid, cases, arguments.engine,
@@ -119,7 +124,10 @@ def main() -> int:
         console.print(f"{len(outcomes)} of {len(cases)} runs are there already")
     try:
         bounds = store.bounds()
-        problems = {case.problem: case for case in cases if case.problem not in bounds}
+        problems = {
+            case.problem: case for case in cases
+            if case.bound_block != 0 and case.problem not in bounds
+        }
         if open_cases or problems:
             cores = len(os.sched_getaffinity(0))
             if arguments.engine == "ros":

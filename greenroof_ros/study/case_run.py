@@ -81,7 +81,9 @@ def bound_case(case: Case) -> float:
     :func:`greenroof_ros.experiment.clairvoyant.clairvoyant_bound`.
     """
     with _laid_out(case) as directory:
-        return clairvoyant_bound(_build(case, directory)).bound_m3
+        run = _build(case, directory)
+    block = None if case.bound_block is None else round(case.bound_block / run.site.tau)
+    return clairvoyant_bound(run, block=block).bound_m3
 
 
 @contextmanager
@@ -134,7 +136,10 @@ def _run_in_process(run: Run, trajectory_every: float | None) -> Outcome:
     else:
         trajectory = record(run, ticks, _every(run.site, trajectory_every))
     wall = time.monotonic() - began
-    result = summary.build(run, metrics.results(), wall_s=wall, solver=controller.statistics())
+    result = summary.build(
+        run, metrics.results(), metrics.weekly_deviations(), wall_s=wall,
+        solver=controller.statistics(),
+    )
     files = {} if trajectory is None else {"trajectory.parquet": trajectory.to_parquet()}
     return Outcome(_results(result), _timings(result), files)
 
@@ -225,6 +230,7 @@ def _results(result: dict[str, Any]) -> dict[str, Any]:
     solver = result["solver"] or {}
     return {
         **{metric.name: result[metric.name] for metric in METRICS if metric.name in result},
+        "weekly_deviation_m3": " ".join(map(repr, result["weekly_deviation_m3"])),
         "solves": solver.get("solves"),
         "fallbacks": solver.get("fallbacks"),
         "frost_hours": result["frost_hours"],

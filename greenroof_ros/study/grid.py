@@ -7,16 +7,23 @@ import hashlib
 import itertools
 import json
 import math
+import tempfile
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 from greenroof_ros.common.errors import ConfigurationError
-from greenroof_ros.common.files import YamlMapping, read_yaml, shared_directory, unique_name
+from greenroof_ros.common.files import (
+    YamlMapping,
+    read_text,
+    read_yaml,
+    shared_directory,
+    unique_name,
+)
 from greenroof_ros.controllers.registry import ControllerChoice, find_controller
-from greenroof_ros.experiment.run import build_run, count_ticks
+from greenroof_ros.experiment.run import Run, build_run, count_ticks
 from greenroof_ros.forecast.archive import read_archive
 from greenroof_ros.forecast.choice import (
     NUMBERS,
@@ -27,7 +34,7 @@ from greenroof_ros.forecast.choice import (
     choose,
 )
 from greenroof_ros.forecast.own_csv import write_forecasts
-from greenroof_ros.forecast.skill import SKILLS
+from greenroof_ros.forecast.skill import SKILLS, read_skill
 from greenroof_ros.model.initial_state import (
     INITIAL_STATES,
     OWN_KEYS,
@@ -37,14 +44,16 @@ from greenroof_ros.model.initial_state import (
     own_state,
 )
 from greenroof_ros.model.sensor_pump_errors import RANGES, SensorPumpErrors
-from greenroof_ros.model.site import Site, read_site
+from greenroof_ros.model.site import PLACE, Site, edited, read_site, site_parameters
+from greenroof_ros.recording.results_table import shortest
 from greenroof_ros.weather.filling import GAPS, REFUSE
 from greenroof_ros.weather.joining import find_files
 from greenroof_ros.weather.reading import read_weather
 from greenroof_ros.weather.records import name_files
+from greenroof_ros.weather.series import Weather
 
 _KEYS = ("site", "weather", "initial", "controllers")
-_OPTIONAL_KEYS = ("forecast", "sensor_pump_errors")
+_OPTIONAL_KEYS = ("forecast", "sensor_pump_errors", "bound_block")
 # What the directory of a study has beside them.
 _OWN_FILES = ("grid.yaml", "study.json")
 _WINDOW_KEYS = ("file", "start", "hours", "evapotranspiration", "gaps", "forecast")
@@ -85,6 +94,8 @@ class Case:
         cistern: initial volume (m3).
         roof: initial volume (m3).
         sensor_pump_errors: of level sensor and pumps; None where the grid does not speak of them.
+        bound_block: s that share a variable of the least possible deviation; None for what is
+            usual, 0 where it is not asked for.
     """
 
     site: InputFile
@@ -103,6 +114,7 @@ class Case:
     roof: float
     sensor_pump_errors: SensorPumpErrors | None = None
     gaps: str = REFUSE
+    bound_block: float | None = None
 
     @property
     def files(self) -> tuple[InputFile, ...]:
@@ -126,11 +138,12 @@ class Case:
 
     @property
     def problem(self) -> str:
-        """Identity of what every controller is given alike: site, weather, initial state."""
-        return replace(
+        """Identity of what every controller is given alike, and of how it is bounded."""
+        alike = replace(
             self, controller=find_controller("onoff"), parameters={}, forecast=ForecastChoice(),
             forecast_file=None, skill_file=None, sensor_pump_errors=None,
         ).identity
+        return alike if self.bound_block is None else f"{alike}-{shortest(self.bound_block)}"
 
     def columns(self) -> dict[str, Any]:
         """Return what the table says of the case itself, without its parameters."""
@@ -151,17 +164,31 @@ class Case:
         }
 
 
-def read_grid(path: Path) -> list[Case]:
+class _Setting(NamedTuple):
+    """A controller as it is to run."""
+
+    controller: ControllerChoice
+    parameters: dict[str, float]
+    """all of them"""
+    forecasts: list[ForecastChoice] | None
+    """instead of the grid's, for a controller that looks at none or at one kind; None for those"""
+
+
+def read_grid(path: Path, weather: Path | None = None) -> list[Case]:
     """Read a grid such as ``config/study.yaml`` and check every run of it.
 
+    Args:
+        path: of the grid.
+        weather: directory of weather files that are not beside it, such as a record of years.
+
     Returns:
-        The runs, in the order of the file: windows, methods, forecasts, initial states,
+        The runs, in the order of the file: sites, windows, methods, forecasts, initial states,
         sensor_pump_errors, controllers with their parameters.
 
     Raises:
         ConfigurationError: the grid, or a file that it names, is wrong; nothing has run yet.
     """
-    grid = _Grid(path)
+    grid = _Grid(path, weather)
     cases = list(grid.cases())
     seen: set[str] = set()
     for case in cases:
@@ -179,8 +206,11 @@ def read_grid(path: Path) -> list[Case]:
 class _Grid:
     """A grid file while it is read."""
 
-    def __init__(self, path: Path) -> None:
+    def __init__(self, path: Path, weather: Path | None) -> None:
         self._path = path
+        self._places = [path.parent, *([] if weather is None else [weather])]
+        # Holds edited sites until they are carried along.
+        self._scratch = tempfile.TemporaryDirectory(prefix="greenroof_ros-")
         self._mapping = read_yaml(path)
         self._keys(self._mapping, (*_KEYS, *_OPTIONAL_KEYS))
         for key in _KEYS:
@@ -188,12 +218,12 @@ class _Grid:
                 raise ConfigurationError("is missing or empty", file=path, key=key)
         self._files: dict[Path, InputFile] = {}
         self._weathers: dict[tuple[InputFile, ...], str] = {}
+        self._read: dict[tuple[object, ...], Weather] = {}
 
     def cases(self) -> Iterator[Case]:
         """Yield every combination."""
         controllers = list(self._controllers())
-        for site_file in self._list(self._mapping, "site", str):
-            path = self._place(self._mapping, "site", site_file) / site_file
+        for path in self._sites():
             site = read_site(path)
             for window in self._windows():
                 for start, hours, method in itertools.product(
@@ -203,6 +233,35 @@ class _Grid:
                 ):
                     yield from self._runs(path, site, window, start, hours, method, controllers)
 
+    def _sites(self) -> Iterator[Path]:
+        """Yield each site file, those with other values as they are with these."""
+        given = self._mapping["site"]
+        for number, each in enumerate(given if isinstance(given, list) else [given]):
+            if isinstance(each, str):
+                yield self._place(self._mapping, "site", each) / each
+                continue
+            if not isinstance(each, YamlMapping) or "file" not in each:
+                raise self._refuse(
+                    self._mapping, "site",
+                    "must be the name of a file, {file: site.yaml, tau: 10.0, a1: [10.0, 25.0]}, "
+                    "or a list of such",
+                )
+            symbols = [parameter.symbol for parameter in site_parameters()]
+            self._keys(each, ("file", *symbols))
+            values = {key: self._list(each, key, float) for key in each if key != "file"}
+            for name in self._list(each, "file", str):
+                file = self._place(each, "file", name) / name
+                read_site(file)
+                for combination in itertools.product(*values.values()):
+                    own = dict(zip(values, combination, strict=True))
+                    label = "_".join(f"{key}-{shortest(value)}" for key, value in own.items())
+                    path = Path(self._scratch.name, str(number), f"{file.stem}_{label}.yaml")
+                    path.parent.mkdir(exist_ok=True)
+                    path.write_text(edited(read_text(file), own), encoding="utf-8")
+                    with self._at(each, next(iter(own), "file")):
+                        read_site(path)
+                    yield path
+
     def _runs(
         self,
         site_file: Path,
@@ -211,7 +270,7 @@ class _Grid:
         start: str,
         hours: float | None,
         method: str | None,
-        controllers: list[tuple[ControllerChoice, dict[str, float]]],
+        controllers: list[_Setting],
     ) -> Iterator[Case]:
         """Yield the runs of one site in one window."""
         files: list[Path] = []
@@ -228,26 +287,36 @@ class _Grid:
             if gaps not in GAPS:
                 raise self._refuse(window, "gaps", f"must be {' or '.join(GAPS)}")
         with self._at(window, "evapotranspiration"):
-            weather = read_weather(files, site, method, gaps)
-        # What one controller can run with, the others with the same forecasts can.
-        same_forecasts = {
-            (parameters.get("horizon"), controller.ensemble): (controller, parameters)
-            for controller, parameters in controllers
-        }
+            weather = self._weather(files, site, method, gaps)
+        # What one controller can run with, the others with the same forecasts can; and forecasts
+        # with errors need the records that perfect ones do.
+        checked: dict[tuple[object, ...], Run] = {}
         given = window if "forecast" in window else self._mapping
+        usual = list(self._forecasts(given))
+        choices = [*usual]
+        for one in controllers:
+            choices += [choice for choice in one.forecasts or () if choice not in choices]
         for choice, (initial, volumes) in itertools.product(
-            list(self._forecasts(given)), list(self._initial_states(site_file, site))
+            choices, list(self._initial_states(site_file, site))
         ):
-            for controller, parameters in same_forecasts.values():
-                with self._at(window, "start"):
-                    run = build_run(
-                        site_file, site, weather, start, steps, controller, parameters, initial,
-                        volumes, choice,
-                    )
+            theirs = [
+                one for one in controllers
+                if choice in (usual if one.forecasts is None else one.forecasts)
+            ]
+            for controller, parameters, _ in theirs:
+                asked = ForecastChoice() if "seed" in choice.takes else choice
+                key = (asked, volumes, parameters.get("horizon"), controller.ensemble)
+                if key not in checked:
+                    with self._at(window, "start"):
+                        checked[key] = build_run(
+                            site_file, site, weather, start, steps, controller, parameters,
+                            initial, volumes, asked,
+                        )
+                run = checked[key]
             carried, forecast_file, skill_file = self._carried(choice, site)
             inputs = tuple(map(self._input, weather.files))
-            for sensor_pump_errors, (controller, parameters) in itertools.product(
-                list(self._sensor_pump_errors()), controllers
+            for sensor_pump_errors, (controller, parameters, _) in itertools.product(
+                list(self._sensor_pump_errors()), theirs
             ):
                 yield Case(
                     site=self._input(site_file),
@@ -266,6 +335,7 @@ class _Grid:
                     roof=run.x2,
                     sensor_pump_errors=sensor_pump_errors,
                     gaps=gaps,
+                    bound_block=self._bound_block(site),
                 )
 
     def _forecasts(self, mapping: YamlMapping) -> Iterator[ForecastChoice]:
@@ -297,6 +367,14 @@ class _Grid:
             ):
                 yield replace(choice, skill=skill, **values)
 
+    def _weather(self, files: list[Path], site: Site, method: str | None, gaps: str) -> Weather:
+        """Return the weather of some files, read once for all sites of a place."""
+        place = tuple(getattr(site, name) for name in PLACE)
+        key = (*files, place, method, gaps)
+        if key not in self._read:
+            self._read[key] = read_weather(files, site, method, gaps)
+        return self._read[key]
+
     def _skills(self, options: YamlMapping) -> list[str]:
         """Return the skills under ``skill:``, a file of one by its path."""
         skills = []
@@ -305,9 +383,11 @@ class _Grid:
                 check_skill(text)
             except ValueError as error:
                 raise self._refuse(options, "skill", f"{text!r} {error}") from error
-            skills.append(
-                text if text in SKILLS else str(self._place(options, "skill", text) / text)
-            )
+            if text not in SKILLS:
+                text = str(self._place(options, "skill", text) / text)
+            with self._at(options, "skill"):
+                read_skill(text)
+            skills.append(text)
         return skills
 
     def _sensor_pump_errors(self) -> Iterator[SensorPumpErrors | None]:
@@ -349,13 +429,13 @@ class _Grid:
     def _place(self, mapping: YamlMapping, key: str, name: str) -> Path:
         """Return the directory from which a name, or a pattern, is that of a file.
 
-        It is the grid's own, or else the package's ``config/``: a copy of a grid of the package
-        runs as it is.
+        It is the grid's own, or else that of the weather, or else the package's ``config/``: a
+        copy of a grid of the package runs as it is.
 
         Raises:
-            ConfigurationError: there is no such file in either.
+            ConfigurationError: there is no such file in any of them.
         """
-        places = (self._path.parent, shared_directory() / "config")
+        places = (*self._places, shared_directory() / "config")
         for place in places:
             if (place / name).exists() or glob.glob(str(place / name)):  # noqa: PTH207
                 return place
@@ -363,8 +443,9 @@ class _Grid:
             raise self._refuse(mapping, key, f"{name} does not exist")
         raise self._refuse(
             mapping, key,
-            f"{name} is neither beside the grid, in {places[0].resolve()}, nor among the package's "
-            f"own files, in {places[1]}",
+            f"{name} is neither beside the grid, in {places[0].resolve()}, nor "
+            + "".join(f"in --weather {place}, nor " for place in places[1:-1])
+            + f"among the package's own files, in {places[-1]}",
         )
 
     def _input(self, path: Path) -> InputFile:
@@ -473,7 +554,20 @@ class _Grid:
                 check_volumes(site, volumes[0], volumes[1], keys=("cistern", "roof"))
             yield name, (volumes[0], volumes[1])
 
-    def _controllers(self) -> Iterator[tuple[ControllerChoice, dict[str, float]]]:
+    def _bound_block(self, site: Site) -> float | None:
+        """Return what is under ``bound_block:``, whole ticks of a site or 0; None without it."""
+        if "bound_block" not in self._mapping:
+            return None
+        seconds = float(self._one(self._mapping, "bound_block", float))
+        ticks = round(seconds / site.tau) if math.isfinite(seconds) else -1
+        if ticks < 0 or not math.isclose(ticks * site.tau, seconds, rel_tol=1e-9, abs_tol=1e-9):
+            raise self._refuse(
+                self._mapping, "bound_block",
+                f"must be a whole number of ticks of {site.tau:g} s, or 0 for no bound",
+            )
+        return seconds
+
+    def _controllers(self) -> Iterator[_Setting]:
         """Yield each controller with each combination of its parameters."""
         section = self._mapping["controllers"]
         if not isinstance(section, YamlMapping):
@@ -494,12 +588,14 @@ class _Grid:
             references[controller.name] = reference
             given = section[reference]
             if given is None:
-                yield controller, defaults
+                yield _Setting(controller, defaults, None)
                 continue
             if not isinstance(given, YamlMapping):
                 raise self._refuse(section, reference, "must hold parameters, or nothing")
+            forecasts = list(self._forecasts(given)) if "forecast" in given else None
+            keys = [key for key in given if key != "forecast"]
             choices = []
-            for key in given:
+            for key in keys:
                 controller.check_name(key, self._path, given.lines[key])
                 parameter = controller.parameters[key]
                 values = self._list(given, key, float)
@@ -508,7 +604,8 @@ class _Grid:
                         raise self._refuse(given, key, f"{value:g} {parameter.expected}")
                 choices.append([int(value) if parameter.whole else value for value in values])
             for combination in itertools.product(*choices):
-                yield controller, {**defaults, **dict(zip(given, combination, strict=True))}
+                parameters = {**defaults, **dict(zip(keys, combination, strict=True))}
+                yield _Setting(controller, parameters, forecasts)
 
     @contextmanager
     def _at(self, mapping: YamlMapping, key: str) -> Iterator[None]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import random
-from dataclasses import fields
+from dataclasses import fields, replace
 from pathlib import Path
 
 import pytest
@@ -53,6 +53,8 @@ def sums(site: Site, ticks: Ticks) -> dict[str, float]:
         energy = 1000.0 * site.g * flows.pump * head * site.tau / 3.6e6
         for name, value in (
             ("total_deviation_m3", abs(x2 - site.x2_star)),
+            ("near_target_hours", int(abs(x2 - site.x2_star) <= 0.05 * site.x2_star)),
+            ("saved_m3", site.tau * flows.pump),
             ("pumped_m3", site.tau * flows.pump),
             ("outflow_m3", site.tau * flows.outflow),
             ("drainage_m3", site.tau * flows.drainage),
@@ -72,9 +74,29 @@ def sums(site: Site, ticks: Ticks) -> dict[str, float]:
         pumping = flows.pump > 0
     found["final_cistern_m3"], found["final_roof_m3"] = ticks[-1][:2]
     found["total_deviation_m3"] += abs(ticks[-1][1] - site.x2_star)
-    for name in ("beyond_hours", "pump_hours"):  # exact, as a sum of 1 / 3600 is not
+    found["near_target_hours"] += abs(ticks[-1][1] - site.x2_star) <= 0.05 * site.x2_star
+    # Exact, as a sum of 1 / 3600 is not.
+    for name in ("beyond_hours", "pump_hours", "near_target_hours"):
         found[name] = found[name] * site.tau / 3600
     return found
+
+
+@pytest.mark.parametrize(("days", "weeks"), [(1, 1), (14, 2), (34, 5)])
+def test_weeks(days: int, weeks: int) -> None:
+    """Each week's deviation by hand, across blocks; the last tick counts in the last."""
+    site = replace(PAPER_SITE, tau=600.0)
+    ticks = drawn(days * 144 + 1, seed=days)
+    metrics = Metrics()
+    for x1, x2, command, rain, flows in ticks[:-1]:
+        metrics.observe(site, x1, x2)
+        metrics.step(command, rain, flows)
+    metrics.observe(site, *ticks[-1][:2])
+    expected = [0.0] * weeks
+    for k, tick in enumerate(ticks):
+        expected[min(k // 1008, weeks - 1)] += abs(tick[1] - site.x2_star)
+    found = metrics.weekly_deviations()
+    assert found == pytest.approx(expected, rel=1e-12)
+    assert sum(found) == pytest.approx(metrics["total_deviation_m3"], rel=1e-12)
 
 
 @pytest.mark.parametrize("count", [1, 2, 4096, 4097, 4098, 10_000])

@@ -304,7 +304,10 @@ def test_dask(tmp_path: Path) -> None:
     from distributed import LocalCluster
 
     archive(tmp_path)
-    name = grid(tmp_path, GRID.replace("02:00", "01:00") + "forecast: archive.csv\n")
+    # As a study of seasons: coarse ticks, and no forecast for a controller that looks at none.
+    text = GRID.replace("02:00", "01:00").replace("onoff:", "onoff: {forecast: perfect}")
+    text = text.replace(f"site: {CONFIG / 'site.yaml'}", "site: {file: site.yaml, tau: 10, M: 1}")
+    name = grid(tmp_path, text + "forecast: archive.csv\n")
     assert study(tmp_path, name, "--output", "here").returncode == 0
     with LocalCluster(
         n_workers=2, threads_per_worker=1, host="127.0.0.1", dashboard_address=None
@@ -315,6 +318,9 @@ def test_dask(tmp_path: Path) -> None:
     assert result.returncode == 0, result.stderr
     here, there = (tmp_path / each / "results.csv" for each in ("here", "there"))
     assert here.read_bytes() == there.read_bytes()
+    assert {(row["controller"], row["forecast"]) for row in rows_of(here)} == {
+        ("mpc", "archive.csv"), ("onoff", "perfect"),
+    }
     result = study(tmp_path, name, "--output", "nowhere", "--scheduler", "tcp://127.0.0.1:9")
     assert result.returncode == 2
     assert "--scheduler = 'tcp://127.0.0.1:9': does not answer" in result.stderr

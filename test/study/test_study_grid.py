@@ -5,13 +5,14 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
+import yaml
 from commands import run_command
 from graphs import environment
 from places import DATA
-from studies import CONFIG, GRID, WEATHER, edited, grid
+from studies import CONFIG, GRID, WEATHER, edited, grid, record
 
 from greenroof_ros.common.errors import ConfigurationError
-from greenroof_ros.study.case_run import run_case
+from greenroof_ros.study.case_run import bound_case, run_case
 from greenroof_ros.study.grid import read_grid
 
 WRONG = {
@@ -19,6 +20,26 @@ WRONG = {
     "no-mapping": ("- a\n", "must hold 'key: value' lines"),
     "no-yaml": ("site: [\n", "is not valid YAML"),
     "unknown-key": (GRID + "engine: ros\n", "line 14: engine: is not known here"),
+    "site-kind": (edited(f"site: {CONFIG / 'site.yaml'}", "site: 3"), "line 2: site = 3: must be"),
+    "site-no-file": (
+        edited(f"site: {CONFIG / 'site.yaml'}", "site: {tau: 10}"),
+        "line 2: site: must be the name of a file, {file: site.yaml, tau: 10.0",
+    ),
+    "site-key": (
+        edited(f"site: {CONFIG / 'site.yaml'}", "site: {file: site.yaml, tua: 10}"),
+        "line 2: tua: is not known here",
+    ),
+    "site-value": (
+        edited(f"site: {CONFIG / 'site.yaml'}", "site: {file: site.yaml, a2: -1}"),
+        "a2 = -1.0: must be greater than 0",
+    ),
+    "bound-block": (
+        GRID + "bound_block: 0.5\n",
+        "line 14: bound_block = 0.5: must be a whole number of ticks of 1 s, or 0 for no bound",
+    ),
+    "own-forecast": (
+        edited("onoff:", "onoff: {forecast: perfekt}"), "forecast = 'perfekt': 'perfekt' must be",
+    ),
     "no-weather": (GRID[: GRID.index("weather")], "weather: is missing or empty"),
     "no-site-file": (edited("site.yaml", "absent.yaml"), "absent.yaml does not exist"),
     "no-weather-file": (edited("toronto", "absent"), "absent_2021-07.csv does not exist"),
@@ -169,7 +190,13 @@ def test_window_of_several_files(tmp_path: Path) -> None:
         assert run_case(cases[-1], "inprocess", None).results == outcome.results
 
 
-@pytest.mark.parametrize("file", sorted(path.name for path in CONFIG.glob("study*.yaml")))
+# Those that need years of weather, which the package has not.
+YEARS = ("study_seasons.yaml", "study_sizing.yaml", "study_ticks.yaml")
+
+
+@pytest.mark.parametrize(
+    "file", sorted({path.name for path in CONFIG.glob("study*.yaml")} - {*YEARS})
+)
 def test_grids_that_come_with_it(tmp_path: Path, file: str) -> None:
     """A copy of each in an empty directory can be run as it is, with the files of the package."""
     copy = tmp_path / "my_study.yaml"
@@ -177,6 +204,62 @@ def test_grids_that_come_with_it(tmp_path: Path, file: str) -> None:
     (case, *_) = read_grid(copy)
     assert case.site.content == (CONFIG / "site.yaml").read_bytes()
     assert case.weather[0].content == WEATHER.read_bytes()
+
+
+@pytest.mark.parametrize(("file", "sites", "forecasts"), [
+    # Of each year and roof: 2 controllers that look at none, 2 that do at 10 + 1, and one
+    # with one forecast.
+    ("study_seasons.yaml", 2, 2 + 2 * 11 + 1),
+    ("study_sizing.yaml", 18, 1 + 2),
+])
+def test_grids_of_years(tmp_path: Path, file: str, sites: int, forecasts: int) -> None:
+    """Those that come with it, cut to the first days of two of their eleven years."""
+    record(tmp_path / "record", (2015, 2016))
+    text = (CONFIG / file).read_text()
+    years = [line for line in text.splitlines() if "start:" in line]
+    assert [int(line.split('"')[1][:4]) for line in years] == [*range(2015, 2026)]
+    assert all("-05-01T00:00, hours: 4416" in line for line in years)  # to the end of October
+    for line in years[2:]:
+        text = text.replace(f"{line}\n", "")
+    name = tmp_path / grid(tmp_path, text.replace("hours: 4416", "hours: 24"))
+    with pytest.raises(ConfigurationError, match=r"2015_\*.csv is neither beside the grid"):
+        read_grid(name)
+    cases = read_grid(name, tmp_path / "record")
+    assert len(cases) == 2 * sites * forecasts
+    assert len({case.site.content for case in cases}) == sites
+    assert {yaml.safe_load(case.site.content)["tau"] for case in cases} == {10}
+
+
+def test_sites_with_other_values(tmp_path: Path) -> None:
+    """Every combination is a site file; what goes with a value follows it, and comments stay."""
+    text = (CONFIG / "site.yaml").read_text() + "initial_cistern: 50.0\ninitial_roof: 1.0\n"
+    (tmp_path / "mine.yaml").write_text(text)
+    own = "[{file: mine.yaml, a1: [5.0, 25.0], a2: 137.6, runoff_coefficient: 0.9}, mine.yaml]"
+    text = GRID.replace(str(CONFIG / "site.yaml"), own).replace("[low-low, ", "[site, ")
+    cases = read_grid(tmp_path / grid(tmp_path, text))
+    files = {case.site.name: case.site for case in cases}
+    assert list(files) == [
+        "mine_a1-5_a2-137.6_runoff_coefficient-0.9.yaml",
+        "mine_a1-25_a2-137.6_runoff_coefficient-0.9.yaml", "mine.yaml",
+    ]
+    site = yaml.safe_load(files["mine_a1-5_a2-137.6_runoff_coefficient-0.9.yaml"].content)
+    # A cistern of a fifth, and a roof of twice the area: their volumes, not their levels.
+    assert (site["a1"], site["a2"], site["runoff_coefficient"]) == (5.0, 137.6, 0.9)
+    assert site["x2_star"] == pytest.approx(137.6 * 0.0457)
+    assert (site["z_cap"], site["initial_cistern"]) == (pytest.approx(68.8), pytest.approx(10.0))
+    assert site["initial_roof"] == pytest.approx(2.0)
+    assert site["z_o"] == 3.0
+    assert "bottom surface area of the cistern [T1]" in cases[0].site.content.decode()
+    assert (cases[0].initial, cases[0].cistern) == ("site", pytest.approx(10.0))
+
+
+def test_seconds_of_the_bound(tmp_path: Path) -> None:
+    """Another block is another bound, of the same runs; 0 asks for none."""
+    usual = read_grid(tmp_path / grid(tmp_path))[0]
+    ten = read_grid(tmp_path / grid(tmp_path, GRID + "bound_block: 600\n"))[0]
+    assert usual.identity == ten.identity and usual.problem != ten.problem
+    # Of larger blocks that are whole multiples it is never above (Jensen's inequality).
+    assert 0 < bound_case(ten) <= bound_case(usual)
 
 
 def test_a_sites_own_state_beside_one_of_the_papers(tmp_path: Path) -> None:

@@ -1,0 +1,183 @@
+"""The same season in several years: means and differences by hand, intervals by another library."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import scipy.stats
+from studies import grid, record, study
+from test_report import write_study
+
+from greenroof_ros.report.assessment import Assumptions
+from greenroof_ros.report.figures import make_figures
+from greenroof_ros.report.page import render
+from greenroof_ros.report.results import Report
+from greenroof_ros.report.runs import find_runs
+from greenroof_ros.report.seasons import Difference, differences, seasons, split_by_years
+
+HEADER = [
+    "run", "site", "weather", "start", "hours", "evapotranspiration", "forecast", "forecast_skill",
+    "forecast_seed", "controller", "parameter:fraction", "initial", "cistern_m3", "roof_m3",
+    "status", "error", "total_deviation_m3", "weekly_deviation_m3", "near_target_hours", "saved_m3",
+    "outflow_m3", "bound_m3",
+]
+YEARS = range(2015, 2026)
+
+
+def rows(controller: str, seed: int | None, totals: dict[int, float]) -> list[dict[str, Any]]:
+    """Return runs of a fortnight and two days, the second week three times as bad as the first."""
+    forecast: dict[str, Any] = {"forecast": "perfect"}
+    if seed is not None:
+        forecast = {"forecast": "errors", "forecast_skill": "real", "forecast_seed": seed}
+    return [
+        {
+            "site": "site.yaml", "weather": f"{year}.csv", "start": f"{year}-05-01T00:00:00-05:00",
+            "hours": 384.0, "evapotranspiration": "fao56", **forecast, "controller": controller,
+            "initial": "low-low", "cistern_m3": 57.7, "roof_m3": 2.4, "status": "done",
+            "total_deviation_m3": total, "near_target_hours": 96.0, "saved_m3": 2.0 + (seed or 0),
+            "outflow_m3": 1.0, "bound_m3": 50.0,
+            "weekly_deviation_m3": f"{total / 8} {3 * total / 8} {total / 2}",
+        }
+        for year, total in totals.items()
+    ]
+
+
+def report_of(directory: Path, *runs: dict[str, Any]) -> Report:
+    """Return the report of a study of seasons alone."""
+    path = write_study(directory / "study", [(row, None) for row in runs], HEADER)
+    others, found = split_by_years(find_runs([path], None).runs)
+    assert not others
+    return Report([], [], found)
+
+
+ONOFF = {year: 100.0 + 10 * (year - 2015) for year in YEARS}
+
+
+def difference(directory: Path, *others: dict[int, float]) -> Difference:
+    """Return the difference from on/off of a controller with a seed for each of these totals."""
+    own = [row for seed, totals in enumerate(others, 1) for row in rows("mpc", seed, totals)]
+    (found,) = differences(seasons(report_of(directory, *rows("onoff", None, ONOFF), *own)))
+    return found
+
+
+def test_means_by_hand(tmp_path: Path) -> None:
+    """Over years, of each over its seeds; the worst year; the worst tenth of all whole weeks."""
+    lower = {year: total - 20 for year, total in ONOFF.items()}
+    report = report_of(
+        tmp_path, *rows("onoff", None, ONOFF), *rows("mpc", 1, ONOFF), *rows("mpc", 2, lower),
+    )
+    one = next(one for one in seasons(report) if one.controller == "mpc")
+    assert one.mean("total_deviation_m3") == pytest.approx(150 - 10)
+    assert (one.worst_year, one.seeds, one.forecast) == (2025, 2, "errors skill real")
+    assert one.mean("saved_m3") == pytest.approx(3.5)
+    assert one.ratio_to_bound == pytest.approx(140 / 50)
+    # 44 whole weeks: the worst four are the second weeks of 2025, 2024, 2025 less 20, 2023.
+    assert one.worst_weeks == pytest.approx(3 / 8 * (200 + 190 + 180 + 180) / 4)
+    text = render(report, [], find_runs([tmp_path / "study"], None), Assumptions())
+    for expected in ("Means of a season", "2015 to 2025", "11 of 11", "errors skill real"):
+        assert expected in text
+
+
+def test_differences_and_luck(tmp_path: Path) -> None:
+    """The same in all years is no luck; to and fro may be."""
+    found = difference(tmp_path / "a", {year: total - 30 for year, total in ONOFF.items()})
+    assert found.mean == pytest.approx((-30, -30, -30))
+    assert found.mean.verdict == "better" and (found.better, found.years) == (11, 11)
+    assert found.share == pytest.approx(-30 / 150)
+    found = difference(tmp_path / "b", {year: total + 30 for year, total in ONOFF.items()})
+    assert found.mean.verdict == "worse" and found.better == 0
+    assert found.worst_weeks.value == pytest.approx(30 * 3 / 8)
+    uneven = {year: total + (-1) ** year * 30 for year, total in ONOFF.items()}
+    found = difference(tmp_path / "c", uneven)
+    assert found.mean.verdict == "may be luck" and found.better == 6  # the odd years
+
+
+def test_interval_of_another_library(tmp_path: Path) -> None:
+    """With one seed the two stages are one: scipy's percentile bootstrap of the years."""
+    random = np.random.default_rng(7)
+    less = dict(zip(YEARS, random.normal(-10, 20, 11).tolist(), strict=True))
+    found = difference(tmp_path, {year: ONOFF[year] + less[year] for year in YEARS}).mean
+    scipys = scipy.stats.bootstrap(
+        ([*less.values()],), np.mean, method="percentile", n_resamples=20_000, random_state=1,
+    ).confidence_interval
+    assert found.value == pytest.approx(np.mean([*less.values()]))
+    width = scipys.high - scipys.low
+    assert (found.low, found.high) == pytest.approx(tuple(scipys), abs=0.05 * width)
+
+
+def test_seeds_widen_the_interval(tmp_path: Path) -> None:
+    """Where years are alike and seeds are not, what is unsure are the seeds."""
+    apart = [{year: total + each for year, total in ONOFF.items()} for each in (-40, 40)]
+    found = difference(tmp_path, *apart).mean
+    # A year's mean of two seeds is -40, 0, 0 or 40; that of eleven has a deviation of 8.5.
+    deviation = 40 / np.sqrt(2 * 11)
+    assert found.value == pytest.approx(0)
+    assert (found.low, found.high) == pytest.approx((-1.96 * deviation, 1.96 * deviation), rel=0.15)
+
+
+SEASONS = """
+site: {file: site.yaml, tau: 300.0}
+weather:
+  - {file: "2015_*.csv", start: 2015-05-01T00:00, hours: 192, evapotranspiration: fao56}
+  - {file: "2016_*.csv", start: 2016-05-01T00:00, hours: 192, evapotranspiration: fao56}
+bound_block: 3600
+forecast: {model: errors, skill: real, seed: [1, 2]}
+initial: low-low
+controllers:
+  onoff: {forecast: perfect}
+  planning_mpc: {horizon: 48}
+"""
+SIZES = """
+site: {file: site_catchment.yaml, tau: 300.0, a1: [2.0, 8.0]}
+weather:
+  - {file: "2015_*.csv", start: 2015-05-01T00:00, hours: 192, evapotranspiration: fao56}
+  - {file: "2016_*.csv", start: 2016-05-01T00:00, hours: 192, evapotranspiration: fao56}
+bound_block: 0
+initial: site
+controllers: {onoff: }
+"""
+
+
+@pytest.mark.parametrize("text", [SEASONS, SIZES], ids=["seasons", "sizes"])
+def test_a_study_of_seasons(tmp_path: Path, text: str) -> None:
+    """From the grid to the figures: a week and a day of two years."""
+    record(tmp_path / "record", (2015, 2016))
+    done = study(
+        tmp_path, grid(tmp_path, text), "--weather", "record", "--no-trajectories",
+        "--output", "out",
+    )
+    assert done.returncode == 0, done.stderr
+    sources = find_runs([tmp_path / "out"], None)
+    others, runs = split_by_years(sources.runs)
+    report = Report([], [], runs)
+    found = seasons(report)
+    assert not others and {tuple(one.years) for one in found} == {(2015, 2016)}
+    figures = [make() for make in make_figures(report, None)]
+    names = [figure.name for figure in figures]
+    page = render(report, figures, sources, Assumptions())
+    for number, figure in enumerate(names):
+        assert f'id="{figure}-panel-1"' in page
+        figures[number].save(tmp_path)
+        assert (tmp_path / f"{figure}.png").stat().st_size > 10_000
+    if text is SIZES:
+        assert names == ["sizing"]
+        # The same roof: what its cistern does not hold, the mains give.
+        small, large = found
+        assert small.site.a1 < large.site.a1
+        assert small.mean("outflow_m3") > large.mean("outflow_m3") >= 0
+        for one in (small, large):
+            assert one.mean("saved_m3") == pytest.approx(
+                one.mean("pumped_m3") - one.mean("mains_m3")
+            )
+        return
+    assert names == ["seasons", "season-differences"]
+    for one in found:
+        ratio = one.ratio_to_bound
+        assert ratio is not None and ratio > 1
+        for season in one.years[2015]:
+            assert len(season.weeks) == 1
+            assert 0 < season.weeks[0] < season.metrics["total_deviation_m3"]
+    assert {one.seeds for one in found} == {1, 2}
