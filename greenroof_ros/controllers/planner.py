@@ -31,8 +31,6 @@ _log = logging.getLogger(__name__)
 
 # A plan is followed this long at most (s), and left when the roof has come this far off it (m3).
 _LONGEST_PLAN_S = 600.0
-# One forecast on a measured roof: how much drains off follows the roof's level within minutes.
-_LONGEST_DRAINING_S = 60.0
 _OFF_PLAN_M3 = 2e-3
 # So often it looks (s) whether the forecast of what comes to the roof has changed by more than this
 # (m); a smaller change waits for the next plan.
@@ -98,9 +96,9 @@ class Planner:
     one decision now - and from then on for those that newer forecasts have not told apart
     (:func:`~greenroof_ros.controllers.scenario_tree.halved_by_rain`).
 
-    It decides again when there is no plan, the plan is 600 s old (of one forecast on a measured
-    roof 60 s), the roof has come 2 litres off it, or the forecast has changed, which it looks for
-    once a minute. Without prices and without a low outlet the program is solved exactly
+    It decides again when there is no plan, the plan is 600 s old, the roof has come 2 litres off
+    it, or the forecast has changed, which it looks for once a minute. Without prices and without a
+    low outlet the program is solved exactly
     (:class:`~greenroof_ros.controllers.exact_program.ExactProgram`). The others are solved by OSQP,
     whose first guess is the last solution, moved on. Where it finds no solution the last plan,
     which was good for the whole horizon, is followed on; ``fallbacks`` counts it.
@@ -173,8 +171,6 @@ class Planner:
         self._power = power
         self._prices = prices
         self._recourse = recourse
-        drains = site.field_capacity is not None and recourse is None
-        self._longest = _LONGEST_DRAINING_S if drains else _LONGEST_PLAN_S
         self._program = self._make_program(max_iterations)
         self._members = 1
         self._pumped: Array | None = None  # P at the edges, shape (members, steps + 1)
@@ -348,7 +344,7 @@ class Planner:
     def _must_decide(self, rain: Array, evaporated: Array, rain_counts: bool) -> bool:
         """Whether plan, state or forecast has changed."""
         changed = self._unlooked >= _LOOK_S and self._forecast_changed(rain, evaporated)
-        if changed or self._pumped is None or self._age >= self._longest:
+        if changed or self._pumped is None or self._age >= _LONGEST_PLAN_S:
             return True
         return rain_counts != self._rain_counts or not abs(self._off_plan) <= _OFF_PLAN_M3
 
