@@ -97,7 +97,13 @@ class ExactProgram:
         if lasting is not None:
             pumped = np.cumsum(np.diff(pumped, prepend=0.0) * lasting, axis=1)
         at_ends = [np.interp(self._edges[1:], self._middles, [0.0, *each]) for each in pumped]
-        return np.asarray(np.minimum(at_ends, most))
+        ends = np.minimum(at_ends, most)
+        # What a bound has cut cannot be made up for faster than the pumps can.
+        flowing = self._lengths * (full * self._max_command if full else 0.0)
+        reach = np.cumsum(flowing)
+        behind = np.minimum.accumulate(ends - reach, axis=1)
+        caught_up = np.hstack((np.zeros((len(ends), 1)), np.minimum(behind, 0.0)[:, :-1])) + reach
+        return np.asarray(np.minimum(ends, caught_up))
 
     def _minima(
         self, places: list[list[float]], most: list[list[float]], lengths: list[list[float]],

@@ -165,7 +165,7 @@ def test_same_bits_as_simulate(domain: int, tmp_path: Path, controller: str) -> 
 def test_same_bits_of_a_measured_roof(domain: int, tmp_path: Path, controller: str) -> None:
     """Rain on a roof with a drainage layer, of which the summary has what it holds at the end."""
     options = (
-        "--controller", controller, "--start", "2021-07-08T04:45", "--hours", "0.5",
+        "--controller", controller, "--start", "2021-07-08T10:45", "--hours", "0.5",
         "--site", str(shared_directory() / "config" / "site_neubrandenburg.yaml"),
     )
     summary = bring_up(domain, tmp_path, *options)

@@ -335,23 +335,19 @@ from pathlib import Path
 if any(word.endswith("nodes.weather") for word in sys.orig_argv) and not Path("died").exists():
     from greenroof_ros.weather.series import WeatherSeries
     class Dying:
-        def __init__(self, values):
-            self.values = values
+        def __init__(self, hour):
+            self.hour = hour
         def __getattr__(self, name):
-            return getattr(self.values, name)
-        def __len__(self):
-            return len(self.values)
-        def __getitem__(self, tick):
-            by = sys._getframe(1).f_code.co_name
-            if by == "on_inputs" and tick == 20:
+            if name == "precipitation":
                 Path("died").touch()
                 os.kill(os.getpid(), signal.SIGKILL)
-            return self.values[tick]
-    init = WeatherSeries.__init__
-    def dying(self, *arguments):
-        init(self, *arguments)
-        object.__setattr__(self, "precipitation", Dying(self.precipitation))
-    WeatherSeries.__init__ = dying
+            return getattr(self.hour, name)
+    at = WeatherSeries.at
+    def dying(self, tick):
+        hour = at(self, tick)
+        by = sys._getframe(1).f_code.co_name
+        return Dying(hour) if by == "on_inputs" and tick == 20 else hour
+    WeatherSeries.at = dying
 """
 
 

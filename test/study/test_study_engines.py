@@ -209,7 +209,7 @@ def test_forecasts(tmp_path: Path) -> None:
     ]
     header = list(rows[0])
     assert header.index("evapotranspiration") + 1 == header.index("forecast")
-    assert header.index("forecast_members") + 1 == header.index("controller")
+    assert header.index("forecast_delay") + 1 == header.index("controller")
     assert len({row["run"] for row in rows}) == 4
     # Rain is coming by the file alone, so that less is pumped.
     pumped = [float(row["pumped_m3"]) for row in rows]
@@ -275,7 +275,7 @@ def test_sensor_and_pump_errors_by_both_engines(tmp_path: Path) -> None:
         (0.0005, 0.002, 1, 60, 90),
     ]
     header = list(rows[0])
-    first = header.index("forecast_members") + 1
+    first = header.index("forecast_delay") + 1
     assert header[first : header.index("controller")] == names
     assert len({row["run"] for row in rows}) == 3
     # A sensor that reads too little is overruled by Eq. (3a); one that reads too much is believed.

@@ -19,7 +19,7 @@ from paper import PAPER_SITE, paper_run
 
 from greenroof_ros.common.interface import read_topics
 from greenroof_ros.experiment.closed_loop import closed_loop, record
-from greenroof_ros.model.look_ahead import growing_steps
+from greenroof_ros.model.look_ahead import LONGEST_HORIZON, growing_steps
 from greenroof_ros.model.metrics import Metrics
 from greenroof_ros.watch import words
 from greenroof_ros.watch.alarms import Status
@@ -368,7 +368,7 @@ def test_hostile_forecasts_and_plans() -> None:
     for values in (
         np.empty(0), np.empty((0, 0)), np.full((3, 3, 3), 1e-7), np.full(32, np.nan),
         np.full(32, 1e300), np.full(32, -1e-9), np.full(100_000, 1e-7), np.full((5000, 32), 1e-7),
-        np.full(69, 1e-7),
+        np.full(len(growing_steps(LONGEST_HORIZON)), 1e-7),  # a step more than there may be
     ):
         one.add_forecast("/forecast/precipitation", at, values)
         assert shown(one)["tiles"]["rain"]["sentence"] == "no forecast is known"
