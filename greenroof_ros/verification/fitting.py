@@ -26,6 +26,8 @@ Array = NDArray[np.float64]
 MOST_TRIALS = 300
 # Hours apart at which wet and dry hours are compared.
 _LAGS = (1, 2, 3, 4, 6, 9, 12, 18, 24)
+# Between which their correlations are sought.
+_LEAST_RHO, _MOST_RHO = -0.5, 0.999
 # Records shorter than that say nothing of a climate (h).
 _LEAST_HOURS = 1000
 # Draws of noise of which each figure is the mean.
@@ -54,7 +56,7 @@ def fit_skill(
 
     Raises:
         ConfigurationError: there are too few records, or forecasts of less than two classes of
-            leads have scores.
+            leads have scores, or wet hours never follow one another.
     """
     step = max(one.high - one.low for one in tallies)
     spells = _spells(observed, step)
@@ -97,10 +99,15 @@ def fit_climate(spells: Sequence[Array], tip: float) -> Climate:
 
     The share of wet hours is theirs; k and b are the likeliest, given that amounts are counted in
     tips; T has the tetrachoric correlations of wet and dry hours up to a day apart (least squares).
+    All are such as a file of a skill may have. Hours so far apart that there is no correlation, as
+    where no two of them are wet, do not count.
 
     Args:
         spells: hours that follow one another, each of 1 h or more.
         tip: of the gauge (mm): what is less than half of it away is the same reading.
+
+    Raises:
+        ConfigurationError: there is no correlation at all.
     """
     rain = np.concatenate(spells)
     amounts = rain[rain > 0]
@@ -117,22 +124,33 @@ def fit_climate(spells: Sequence[Array], tip: float) -> Climate:
         low = np.where(tips <= tip, 1.0, more(tips - tip / 2))
         return -float((counts * np.log(np.maximum(low - more(tips + tip / 2), 1e-300))).sum())
 
-    scale, growth = np.exp(minimize(unlikely, [0.0, 0.4], method="Nelder-Mead").x)
+    limits = {key.name: (key.entry.low, key.entry.high) for key in keys(Climate)}
+    likeliest = minimize(
+        unlikely, [0.0, 0.4], method="Nelder-Mead",
+        bounds=np.log([limits["scale"], limits["growth"]]),
+    )
+    scale, growth = np.exp(likeliest.x)
     threshold = Climate(share, float(scale), float(growth), 1.0).threshold
-    found = []
+    found = {}
     for lag in _LAGS:
         pairs = np.concatenate([(one > 0)[:-lag] & (one > 0)[lag:] for one in spells])
-        both = float(pairs.mean())
+        both = float(pairs.sum()) / max(len(pairs), 1)
 
         def more_often(rho: float, both: float = both) -> float:
             pair = multivariate_normal([0, 0], [[1, rho], [rho, 1]])
             return float(pair.cdf([-threshold, -threshold])) - both
 
-        found.append(brentq(more_often, -0.5, 0.999))
-    (memory,) = (key.entry for key in keys(Climate) if key.name == "memory")
+        if more_often(_LEAST_RHO) < 0 < more_often(_MOST_RHO):
+            found[lag] = brentq(more_often, _LEAST_RHO, _MOST_RHO)
+    if not found:
+        raise ConfigurationError(
+            "needs records with more rain: wet hours must follow one another within a day",
+            key="--fit",
+        )
+    lags, correlations = np.array(list(found)), np.array(list(found.values()))
     fitted = minimize_scalar(
-        lambda hours: ((np.exp(-np.array(_LAGS) / hours) - found) ** 2).sum(),
-        bounds=(memory.low, memory.high), method="bounded",
+        lambda hours: ((np.exp(-lags / hours) - correlations) ** 2).sum(),
+        bounds=limits["memory"], method="bounded",
     )
     return Climate(share, float(scale), float(growth), float(fitted.x))
 

@@ -16,8 +16,9 @@ from forecast_skill.figures import TIP, begin, days_ahead, figures, seasons
 from numpy.typing import NDArray
 from places import DATA
 
+from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.forecast.skill import read_skill
-from greenroof_ros.verification.fitting import Sample, fit_climate, fit_errors
+from greenroof_ros.verification.fitting import Sample, fit_climate, fit_errors, skill_text
 from greenroof_ros.verification.pairs import Sum
 
 Array = NDArray[np.float64]
@@ -62,6 +63,38 @@ def test_errors_are_found_again(rain: dict[int, Array]) -> None:
     for lead, (goal,) in goals.items():
         assert sample.scores(found, lead) == pytest.approx(goal, abs=0.02)
     assert found.persistence == REAL.errors.persistence
+
+
+def test_lags_without_two_wet_hours(rain: dict[int, Array]) -> None:
+    """Of a short and dry record some lags say nothing; the others still give its climate.
+
+    A shower of three hours each 50, from four to 24 hours apart are none: a memory of few hours.
+    """
+    showers = np.zeros(1000)
+    for hour in range(3):
+        showers[hour::50] = 1.0 + hour
+    fitted = fit_climate([showers], TIP)
+    assert fitted.wet_share == pytest.approx(0.06)
+    assert 1 < fitted.memory < 12
+    # A shower of one hour each 50 has no such pair at all.
+    with pytest.raises(ConfigurationError, match=r"^--fit: needs records with more rain"):
+        fit_climate([np.where(np.arange(1000) % 50 == 0, 1.0, 0.0)], TIP)
+    windows = [season[begin : begin + 1080] for season in rain.values() for begin in (0, 1800)]
+    lonely = [
+        window for window in windows
+        if any(not ((window > 0)[:-lag] & (window > 0)[lag:]).any() for lag in (12, 18, 24))
+    ]
+    assert lonely
+    for window in lonely[:3]:
+        assert fit_climate([window], TIP).wet_share == pytest.approx((window > 0).mean())
+
+
+def test_a_spring_gives_a_file_that_is_read(tmp_path: Path, rain: dict[int, Array]) -> None:
+    """Of 45 days of 2021 the likeliest growth is less than a file may have."""
+    climate = fit_climate([rain[2021][:1080]], TIP)
+    file = tmp_path / "spring.yaml"
+    file.write_text(skill_text(replace(REAL, climate=climate), "a spring"))
+    assert read_skill(str(file)).climate.growth == pytest.approx(climate.growth, rel=1e-4)
 
 
 def write_records(directory: Path, rain: dict[int, Array], hours: int) -> Path:
