@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from datetime import datetime
 from pathlib import Path
@@ -152,18 +152,27 @@ def _of_member_0(draft: _Draft, quantity: str) -> NDArray[np.float64] | None:
     return np.array([hour[quantity] for hour in hours]) if quantity in hours[0] else None
 
 
-def write_forecasts(issues: Iterable[Issue]) -> str:
+def write_forecasts(issues: Sequence[Issue]) -> str:
     """Return issues as a file of this form, which :func:`read_forecasts` reads bit for bit.
 
+    The temperature, of which nothing that reads such a file makes use, is left out.
+
     Args:
-        issues: with as many members each, in the order of time, and rain alone.
+        issues: an archive's, in the order of time.
     """
-    lines = [f"issued,time,member,{_COLUMNS[PRECIPITATION]}"]
+    columns = ["issued", "time", "member", _COLUMNS[PRECIPITATION]]
+    if issues[0].evapotranspiration is not None:
+        columns.append(_COLUMNS[EVAPOTRANSPIRATION])
+    lines = [",".join(columns)]
     for issue in issues:
         issued = issue.issued.isoformat()
+        times = [(issue.issued + hour * HOUR).isoformat() for hour in range(issue.hours)]
+        dry = [""] * issue.hours
+        if issue.evapotranspiration is not None:
+            dry = [f",{value!r}" for value in issue.evapotranspiration.tolist()]
         lines += [
-            f"{issued},{(issue.issued + hour * HOUR).isoformat()},{member},{rain!r}"
+            f"{issued},{time},{member},{rain!r}{evapotranspiration}"
             for member, series in enumerate(issue.rain.tolist())
-            for hour, rain in enumerate(series)
+            for time, rain, evapotranspiration in zip(times, series, dry, strict=True)
         ]
     return "\n".join([*lines, ""])
