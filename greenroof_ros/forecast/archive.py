@@ -68,11 +68,14 @@ class Archive:
     def known_from(self, weather: Weather) -> list[int]:
         """Return the hour of the records from whose start on each issue is known.
 
+        Where their rain is late, so is what is known of it: the controller would otherwise know of
+        rain that fell an hour ago that it is to come.
+
         Raises:
             ConfigurationError: an issue is not whole hours from where the records begin.
         """
         refuse_between_hours(self.issues, weather)
-        delay = timedelta(hours=self.delay)
+        delay = timedelta(hours=self.delay + weather.records.rain_late)
         return [-((weather.first - issue.issued - delay) // HOUR) for issue in self.issues]
 
 
@@ -90,7 +93,7 @@ def read_archive(source: Path, site: Site, delay: float | None = None) -> Archiv
 
     Raises:
         ConfigurationError: a file is not as its format must be, two have the same issue, or issues
-            have different members.
+            have different members, or evapotranspiration in some of them only.
     """
     files = [source]
     if source.is_dir():
@@ -117,6 +120,11 @@ def read_archive(source: Path, site: Site, delay: float | None = None) -> Archiv
             raise ConfigurationError(
                 f"the issue of {to_minutes(other.issued)} must have as many members as that before "
                 f"it in {one.file.name}, {len(one.rain)}, not {len(other.rain)}",
+                file=other.file, line=other.line,
+            )
+        if (one.evapotranspiration is None) != (other.evapotranspiration is None):
+            raise ConfigurationError(
+                f"must have a column of evapotranspiration, or have none, as {one.file.name}",
                 file=other.file, line=other.line,
             )
     return Archive(

@@ -129,7 +129,8 @@ class FileModel:
     """Forecasts of an archive; see :func:`greenroof_ros.forecast.archive.read_archive`.
 
     The newest is the last that was available by the start of the hour. Past its end its last hour
-    is repeated. Without a column of evapotranspiration that of the records counts as known.
+    is repeated. Without a column of evapotranspiration that of the records counts as known. Where
+    the records' rain is late (``rain_late``), forecasts of rain are as late.
     """
 
     def __init__(self, archive: Archive, weather: Weather, all_members: bool) -> None:
@@ -146,23 +147,25 @@ class FileModel:
         self._archive = archive
         self._weather = weather
         self._known_from = archive.known_from(weather)
+        self._late = weather.records.rain_late
         self.members = archive.members if all_members else 1
 
     def known(self, hour: int, hours: int) -> tuple[Array, Array]:
         """Return the forecast; see :class:`ForecastModel`."""
         issue, lead = self._newest(hour)
-        index = np.minimum(np.arange(lead, lead + hours), issue.hours - 1)
-        rain = issue.rain[: self.members, index]
+        index = np.arange(lead, lead + hours)
+        rain = issue.rain[: self.members, np.minimum(index - self._late, issue.hours - 1)]
         if issue.evapotranspiration is not None:
-            return rain, issue.evapotranspiration[index]
+            return rain, issue.evapotranspiration[np.minimum(index, issue.hours - 1)]
         return rain, records_at(self._weather, EVAPOTRANSPIRATION, np.arange(hour, hour + hours))
 
     def repeats_from(self, hour: int, hours: int) -> datetime | None:
         """Return the end of the issue, or of records that it needs, if the hours are past it."""
         issue, lead = self._newest(hour)
-        if lead + hours > issue.hours:
-            return issue.issued + issue.hours * HOUR
         needed = issue.evapotranspiration is None
+        end = issue.hours + self._late * needed  # evapotranspiration is not late
+        if lead + hours > end:
+            return issue.issued + end * HOUR
         past = needed and hour + hours > len(self._weather.precipitation)
         return self._weather.end if past else None
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from datetime import datetime
 from typing import NamedTuple, Protocol
 
 import numpy as np
@@ -61,7 +62,10 @@ class IssuedForecasts(Protocol):
 
 @dataclass
 class ArchivedForecasts:
-    """Those of an archive that begin before the records end and end after they begin."""
+    """Those of an archive that begin before the records end and end after they begin.
+
+    They are held against rain by when it fell, also where it stands later in the records.
+    """
 
     name: str
     members: int
@@ -78,14 +82,20 @@ class ArchivedForecasts:
     def __iter__(self) -> Iterator[Issued]:
         """Yield them in the order of time."""
         for issue in self.issues:
-            yield Issued((issue.issued - self.weather.first) // HOUR, issue.rain)
+            yield Issued((issue.issued - _fell_from(self.weather)) // HOUR, issue.rain)
+
+
+def _fell_from(weather: Weather) -> datetime:
+    """Return when the hour began in which the first record's rain fell."""
+    return weather.first - weather.records.rain_late * HOUR
 
 
 @dataclass
 class ModelledForecasts:
     """Those that a model makes of the records, of every hour in which one is issued.
 
-    An hour that the records lack is dry for the model.
+    They are known at once, since leads count from the time of issue. An hour that the records lack
+    is dry for the model.
     """
 
     name: str
@@ -113,7 +123,8 @@ class ModelledForecasts:
         weather = replace(
             self.weather, precipitation=rain, evapotranspiration=np.zeros_like(rain)
         )
-        model = make_model(self.choice, weather, self.site, all_members=True)
+        choice = replace(self.choice, delay=0.0)
+        model = make_model(choice, weather, self.site, all_members=True)
         for hour in self._starts:
             yield Issued(hour, model.known(hour, min(self.hours, len(rain) - hour))[0])
 
@@ -140,9 +151,11 @@ def issued_forecasts(
         )
     archive = read_archive(choice.file, site, choice.delay)
     refuse_between_hours(archive.verified, weather)
+    first = _fell_from(weather)
+    end = first + len(weather.precipitation) * HOUR
     within = tuple(
         issue for issue in archive.verified
-        if issue.issued < weather.end and issue.issued + issue.hours * HOUR > weather.first
+        if issue.issued < end and issue.issued + issue.hours * HOUR > first
     )
     return ArchivedForecasts(
         f"{archive.source} ({archive.kind})", archive.members,

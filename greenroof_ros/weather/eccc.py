@@ -39,10 +39,14 @@ def recognises(text: str, /) -> bool:
 def parse(file: Path, text: str, site: Site, /) -> Records:
     """Parse a bulk file; times are local standard time, at the site's offset from UTC.
 
-    A record is taken as of the hour that starts at its time, as in the paper. Flags ``M`` (missing)
-    and ``NA`` make a value missing even where one is given. Other flags, such as ``E`` (estimated
-    by the service), do not. A row that ends before the first observation, as the service writes
-    them for hours of which it has nothing, is an hour in which all are missing.
+    A record is taken as of the hour that starts at its time, as in the paper. Rain is of the hour
+    before: the service's current observations call it ``pcpn_amt_pst1hr``, and by the column
+    ``Weather`` it rains at a wet row's time and an hour before about as often, and less often an
+    hour after. So rain stands an hour late, ``rain_late`` of the records, which is what forecasts
+    are held against. Flags ``M`` (missing) and ``NA`` make a value missing even where one is given.
+    Other flags, such as ``E`` (estimated by the service), do not. A row that ends before the first
+    observation, as the service writes them for hours of which it has nothing, is an hour in which
+    all are missing.
 
     Args:
         file: for messages.
@@ -70,7 +74,7 @@ def parse(file: Path, text: str, site: Site, /) -> Records:
         lambda row: row.local_time(_TIME, zone, "2021-07-01 0:00"),
         {quantity: partial(_value, quantity=quantity) for quantity in _COLUMNS},
     )
-    return Records((file,), first, values)
+    return Records((file,), first, values, rain_late=1)
 
 
 def _value(row: Row, quantity: str) -> float:

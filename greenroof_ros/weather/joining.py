@@ -86,6 +86,7 @@ def _check_alike(one: Records, other: Records) -> None:
         ("quantities", sorted(one.values), sorted(other.values)),
         ("method of evapotranspiration", [one.method], [other.method]),
         ("quantities of the hour before their time", one.shifted, other.shifted),
+        ("hours by which rain is late", [str(one.rain_late)], [str(other.rain_late)]),
     ):
         if ours != theirs:
             raise ConfigurationError(

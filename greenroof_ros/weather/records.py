@@ -45,6 +45,8 @@ class Records:
             shape (hours,); NaN where missing.
         method: of the evapotranspiration among them; empty if there is none.
         shifted: quantities that the files have at the end of their hour, moved to its start.
+        rain_late: h by which rain stands later than it fell: 1 where the files have it at the end
+            of its hour, and it was not moved.
         filled: for each quantity, whether an hour was missing and filled, shape (hours,).
     """
 
@@ -53,6 +55,7 @@ class Records:
     values: dict[str, NDArray[np.float64]]
     method: str = ""
     shifted: tuple[str, ...] = ()
+    rain_late: int = 0
     filled: dict[str, NDArray[np.bool_]] = field(default_factory=dict)
 
     @property

@@ -76,15 +76,64 @@ def test_before_the_first_is_known(tmp_path: Path) -> None:
     assert model.known(6, 1)[0].shape == (1, 1)
 
 
-def test_own_form_bit_for_bit(tmp_path: Path) -> None:
-    """Issues that are written are read as they were."""
+def test_late_rain(tmp_path: Path) -> None:
+    """Beside records whose rain is an hour late an issue is, too, but for evapotranspiration.
+
+    Run n has n.LL mm/h of rain and 10 + n.LL mm/day of evapotranspiration at its lead LL.
+    """
+    first = datetime.fromisoformat("2021-07-07T06:00+00:00")
+    runs = read_archive(write_runs(tmp_path / "runs"), PAPER_SITE, 2.0)
+    archive = replace(
+        runs, issues=tuple(replace(run, evapotranspiration=10 + run.rain[0]) for run in runs.issues)
+    )
+    weather = weather_from(first, 100)
+    late = replace(weather, records=replace(weather.records, rain_late=1))
+    model = FileModel(archive, late, False)
+    for hour in range(24):
+        since = hour + 12 - 3  # as of runs that are known after three hours, not two
+        number, lead = since // 6, since % 6 + 3
+        rain, evapotranspiration = model.known(hour, 3)
+        expected = np.array([number + (lead + ahead) / 100 for ahead in range(3)])
+        assert rain[0] == pytest.approx(expected - 0.01, abs=1e-12)
+        assert evapotranspiration == pytest.approx(expected + 10, abs=1e-12)
+    # The last run is of 12:00 of the 8th, 30 h after the first hour, and has 48 h.
+    assert FileModel(runs, late, False).repeats_from(33, 46) is None
+    end = datetime.fromisoformat("2021-07-10T13:00+00:00")
+    assert FileModel(runs, late, False).repeats_from(33, 47) == end
+
+
+@pytest.mark.parametrize("dry", [False, True])
+def test_own_form_bit_for_bit(tmp_path: Path, dry: bool) -> None:
+    """Issues that are written are read as they were, evapotranspiration, too."""
     issues = read_archive(write_runs(tmp_path / "runs"), PAPER_SITE).issues
+    if dry:
+        issues = tuple(replace(one, evapotranspiration=one.rain[0] / 3) for one in issues)
     file = tmp_path / "own.csv"
     file.write_text(write_forecasts(issues))
     again = read_forecasts(file)
     assert [issue.issued for issue in again] == [issue.issued for issue in issues]
     for one, other in zip(again, issues, strict=True):
         assert one.rain.tobytes() == other.rain.tobytes()
+        if other.evapotranspiration is None:
+            assert one.evapotranspiration is None
+        else:
+            assert one.evapotranspiration is not None
+            assert one.evapotranspiration.tobytes() == other.evapotranspiration.tobytes()
+
+
+def test_evapotranspiration_in_a_part(tmp_path: Path) -> None:
+    """A file of an archive without the column that the others have is named."""
+    for day, column in ((7, ""), (8, ",evapotranspiration [mm/day]")):
+        (tmp_path / f"{day}.csv").write_text(
+            f"issued,time,precipitation [mm/h]{column}\n"
+            f"2021-07-0{day}T00:00Z,2021-07-0{day}T00:00Z,0.0{',2.5' if column else ''}\n"
+        )
+    with pytest.raises(ConfigurationError) as caught:
+        read_archive(tmp_path, PAPER_SITE)
+    assert str(caught.value) == (
+        f"{tmp_path / '8.csv'}, line 2: must have a column of evapotranspiration, or have none, as "
+        "7.csv"
+    )
 
 
 def test_choices(tmp_path: Path) -> None:

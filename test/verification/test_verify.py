@@ -151,6 +151,31 @@ def test_runs_by_lead(tmp_path: Path) -> None:
     assert [float(row["crps_mm"]) for row in rows] == [3.75, 3.75]
 
 
+def test_rain_that_is_an_hour_late(tmp_path: Path) -> None:
+    """A service's rain is of the hour before its time: right forecasts of it are right."""
+    with JULY.open(encoding="utf-8-sig") as stream:
+        rows = list(csv.DictReader(stream))
+    lines = ["issued,time,precipitation [mm/h]"]
+    for begin in range(1, len(rows), 24):
+        day = rows[begin : begin + 24]
+        times = [
+            datetime.strptime(f"{row['Date/Time (LST)']} -0500", "%Y-%m-%d %H:%M %z") - HOUR
+            for row in day
+        ]
+        lines += [
+            f"{times[0].isoformat()},{time.isoformat()},{row['Precip. Amount (mm)']}"
+            for time, row in zip(times, day, strict=True)
+        ]
+    (tmp_path / "right.csv").write_text("\n".join([*lines, ""]))
+    (hourly,) = scores(
+        tmp_path, "right.csv", "--weather", str(JULY), "--sums", "1", "--events", "1",
+        "--horizon", "24",
+    )
+    assert int(hourly["n"]) == len(rows) - 1  # the first row's hour was before the records
+    found = [float(hourly[name]) for name in ("r", "bias", "pod", "far")]
+    assert found == pytest.approx([1.0, 1.0, 1.0, 0.0])
+
+
 def previous_runs(directory: Path, hours: int, shares: tuple[float, ...]) -> Path:
     """Write an archive of previous runs in which each day has its share of the water."""
     path = directory / "previous_runs.csv"
@@ -267,7 +292,10 @@ WRONG = {
         ["perfect", "--forecast-seed", "3"],
         "--forecast-seed: is an option of errors and ensemble; the forecast is perfect",
     ),
-    "delay": (["errors", "--forecast-delay", "3"], "--forecast-delay: is an option of a file; the"),
+    "delay": (
+        ["perfect", "--forecast-delay", "3"],
+        "--forecast-delay: is an option of errors and ensemble and a file; the forecast is perfect",
+    ),
     "output": (["errors", "-o", "page.pdf"], "--output = 'page.pdf': must end in .html or .csv"),
     "directory": (
         ["errors", "-o", "no/page.html"],

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import csv
 import subprocess
 import sys
 from collections.abc import Callable
@@ -255,6 +256,26 @@ def test_july_2021() -> None:
     )
     # Toronto's July has some 4 to 5 mm of reference evapotranspiration a day.
     assert 3.5 < weather.evapotranspiration.mean() < 5.5
+
+
+def test_rain_is_of_the_hour_before_its_time() -> None:
+    """By the service's own weather at each full hour, in two Julys.
+
+    It is raining oftenest at both ends of an hour with rain: at a wet row's time and an hour before
+    it, and less often an hour further off on either side.
+    """
+    raining = np.zeros(4)  # from two hours before a wet row to one after it
+    for year in (2021, 2022):
+        file = REAL / f"en_climate_hourly_07-{year}.csv"
+        assert read_weather([file], TORONTO).records.rain_late == 1
+        with file.open(encoding="utf-8-sig") as stream:
+            rows = list(csv.DictReader(stream))
+        said = [row["Weather"] or "" for row in rows]
+        rains = np.array(["Rain" in text or "Drizzle" in text for text in said])
+        for hour in range(2, len(rows) - 1):
+            if float(rows[hour]["Precip. Amount (mm)"] or 0) > 0:
+                raining += rains[hour - 2 : hour + 2]
+    assert min(raining[1:3]) > 1.2 * max(raining[[0, 3]]) > 20
 
 
 def test_march_2021() -> None:
