@@ -19,9 +19,11 @@ from greenroof_ros.controllers.registry import (
 )
 from greenroof_ros.experiment.run import Run, build_run, count_ticks
 from greenroof_ros.forecast.choice import (
+    FILE,
     MODELS,
     NUMBERS,
     OPTIONS,
+    SERVICE_DELAY_H,
     ForecastChoice,
     check_skill,
     choose,
@@ -187,8 +189,9 @@ def add_forecast_options(group: argparse._ArgumentGroup) -> None:
     )
     group.add_argument(
         "--forecast-delay", type=within(*NUMBERS["delay"]), metavar="H",
-        help="a file: hours after its nominal time from which an issue is known (default: what is "
-        "usual of its kind; 0 in this project's form, which says when it was known)",
+        help="errors, ensemble, a file: hours after its nominal time from which an issue is known "
+        f"(default: of errors and ensemble {SERVICE_DELAY_H:g}, of a file what is usual of its "
+        "kind; 0 in this project's form, which says when it was known)",
     )
 
 
@@ -376,7 +379,10 @@ def forecast_from_arguments(
     given = {option: value for option, value in given.items() if value is not None}
     for option in given:
         if option not in choice.takes:
-            owners = [name for name in MODELS if option in MODELS[name]] or ["a file"]
+            owners = [
+                "a file" if name == FILE else name
+                for name in (*MODELS, FILE) if option in ForecastChoice(name).takes
+            ]
             raise ConfigurationError(
                 f"is an option of {' and '.join(owners)}; the forecast is {choice}",
                 key=f"--forecast-{option}",

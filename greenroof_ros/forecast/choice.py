@@ -18,8 +18,8 @@ SUFFIXES = (".csv", ".json", ".nc")
 MODELS: dict[str, tuple[str, ...]] = {
     PERFECT: (),
     "persistence": (),
-    "errors": ("skill", "seed"),
-    "ensemble": ("skill", "seed", "members"),
+    "errors": ("skill", "seed", "delay"),
+    "ensemble": ("skill", "seed", "members", "delay"),
 }
 
 _OPTIONS_OF = {**MODELS, FILE: ("delay",)}
@@ -28,6 +28,10 @@ _OPTIONS_OF = {**MODELS, FILE: ("delay",)}
 NUMBERS = {"seed": (0, 2**31 - 1), "members": (1, MOST_MEMBERS), "delay": (0.0, 48.0)}
 
 OPTIONS = ("skill", *NUMBERS)
+
+SERVICE_DELAY_H = 6.0
+"""After its nominal time a service has a run in so many hours. Open-Meteo, Single Runs API:
+"typically 4-6 hours for global models"."""
 
 
 @dataclass(frozen=True)
@@ -41,8 +45,8 @@ class ForecastChoice:
         seed: of the errors.
         members: of the ensemble.
         file: with the forecasts, or directory of such; None where there is none.
-        delay: h after its nominal time from which an issue of the file is known; None for what is
-            usual of the file's kind.
+        delay: h after its nominal time from which an issue is known; None for what is usual of the
+            file's kind, and of a model with errors what is of weather services.
     """
 
     model: str = PERFECT

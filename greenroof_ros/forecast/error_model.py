@@ -35,7 +35,7 @@ Array = NDArray[np.float64]
 # A filter reaches as many times the longest of memory and error of timing: exp(-6) is left then.
 _REACH = 6
 
-# The leads (h) of a forecast of ten days, the latest issue of which is up to 6 h old.
+# The leads (h) of a forecast of ten days, the latest issue of which is up to 12 h old.
 _LEADS = 256
 
 # So many times the persistence ago, an issue is forgotten; exp(-3) of it is left then.
@@ -57,12 +57,23 @@ class ErrorModel:
     More than :data:`greenroof_ros.weather.records.QUANTITIES` believes is never forecast.
     """
 
-    def __init__(self, weather: Weather, seed: int, skill: Skill, members: int = 1) -> None:
-        """Take the records, the seed, the skill and the number of members.
+    def __init__(
+        self, weather: Weather, seed: int, skill: Skill, members: int = 1, delay: float = 0.0
+    ) -> None:
+        """Take what the forecasts are made of.
 
         Missing records are refused only when a forecast needs them.
+
+        Args:
+            weather: the records.
+            seed: of the errors.
+            skill: how good the forecasts are; its leads count from the time of issue.
+            members: how many an issue has.
+            delay: h after its time from which an issue is known, while a service's would be
+                computed: the newest is then as much older.
         """
         self._weather = weather
+        self._delay = math.ceil(delay)  # what is known within an hour counts from the next on
         self._skill = skill
         self.members = members
         self._normal = NormalRecords(
@@ -75,11 +86,11 @@ class ErrorModel:
 
     def known(self, hour: int, hours: int) -> tuple[Array, Array]:
         """Return the forecast; see :class:`greenroof_ros.forecast.models.ForecastModel`."""
-        issue, issued = newest_issue(self._weather.first, hour)
+        issue, issued = newest_issue(self._weather.first, hour - self._delay)
         records = np.arange(hour, hour + hours)
         records_at(self._weather, PRECIPITATION, records)  # refuses missing ones
         evapotranspiration = records_at(self._weather, EVAPOTRANSPIRATION, records)
-        leads = ISSUE_HOURS - 1 + hours
+        leads = ISSUE_HOURS - 1 + self._delay + hours
         if self._issue != (issue, leads):
             self._forecast = self._make(issue, issued, leads)
             self._issue = (issue, leads)

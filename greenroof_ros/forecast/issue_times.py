@@ -1,10 +1,10 @@
 """When a model's forecasts are issued, and which records it may use.
 
-A forecast is issued every 6 hours, at 00, 06, 12 and 18 UTC. It is known from its time of issue on
-and is the newest until the next. Where records do not begin on a whole hour of UTC, an issue counts
-from the first hour of the records that begins after it. The issue that is the newest where the
-records begin was made before them: it keeps its own time, and the first record stands for the hours
-before it.
+A forecast is issued every 6 hours, at 00, 06, 12 and 18 UTC. It is known from its time of issue on,
+or so many hours later as a service takes to compute it, and is the newest until the next is. Where
+records do not begin on a whole hour of UTC, an issue counts from the first hour of the records that
+begins after it. The issue that is the newest where the records begin was made before them: it keeps
+its own time, and the first record stands for the hours before it.
 """
 
 from __future__ import annotations

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.times import to_minutes
 from greenroof_ros.forecast.archive import Archive, read_archive
-from greenroof_ros.forecast.choice import PERFECT, ForecastChoice
+from greenroof_ros.forecast.choice import PERFECT, SERVICE_DELAY_H, ForecastChoice
 from greenroof_ros.forecast.error_model import ErrorModel
 from greenroof_ros.forecast.issue import Issue
 from greenroof_ros.forecast.issue_times import newest_issue, records_at
@@ -73,7 +73,8 @@ def make_model(
     members = choice.members if all_members and choice.model == "ensemble" else 1
     if choice.model == PERFECT:
         return PerfectModel(weather)
-    return ErrorModel(weather, choice.seed, read_skill(choice.skill), members)
+    delay = SERVICE_DELAY_H if choice.delay is None else choice.delay
+    return ErrorModel(weather, choice.seed, read_skill(choice.skill), members, delay)
 
 
 class PerfectModel:

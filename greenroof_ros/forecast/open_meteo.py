@@ -40,6 +40,7 @@ from numpy.typing import NDArray
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.files import read_text
 from greenroof_ros.common.times import parse_local_time, parse_time, to_minutes
+from greenroof_ros.forecast.choice import SERVICE_DELAY_H
 from greenroof_ros.forecast.issue import Contents, Issue
 from greenroof_ros.forecast.previous_runs import DAY_HOURS, PreviousRuns, join
 from greenroof_ros.model.look_ahead import MOST_MEMBERS
@@ -56,9 +57,6 @@ from greenroof_ros.weather.open_meteo import (
 )
 from greenroof_ros.weather.records import HOUR, PRECIPITATION, QUANTITIES
 from greenroof_ros.weather.table import Row, Table, Unit, numbered_lines, read_hours
-
-# The service: "typically 4-6 hours for global models" after a run's nominal time (Single Runs API).
-DELAY_H = 6.0
 
 _SAVED_TIMES = ("time", "datetime", "date")
 _PREVIOUS = re.compile(r"precipitation_previous_day([1-9])")
@@ -105,7 +103,7 @@ def read(files: Sequence[Path], site: Site, /) -> Contents:
     read_files = [_read(file, site) for file in files]
     previous = [_previous_runs(hours) for hours in read_files if _days(hours)]
     if not previous:
-        return Contents("Open-Meteo, runs", [_run(hours) for hours in read_files], DELAY_H)
+        return Contents("Open-Meteo, runs", [_run(hours) for hours in read_files], SERVICE_DELAY_H)
     for hours in read_files:
         if not _days(hours):
             raise ConfigurationError(
@@ -113,7 +111,7 @@ def read(files: Sequence[Path], site: Site, /) -> Contents:
             )
     whole = join(previous)
     return Contents(
-        "Open-Meteo, previous runs", whole.issues(), DELAY_H, whole.daily(), DAY_HOURS
+        "Open-Meteo, previous runs", whole.issues(), SERVICE_DELAY_H, whole.daily(), DAY_HOURS
     )
 
 

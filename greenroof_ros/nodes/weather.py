@@ -24,6 +24,7 @@ from greenroof_ros.forecast.choice import (
     MODELS,
     NUMBERS,
     OPTIONS,
+    SERVICE_DELAY_H,
     ForecastChoice,
     check_skill,
     choose,
@@ -101,8 +102,9 @@ def parameters(site: Site) -> list[NodeParameter]:
             *NUMBERS["members"],
         ),
         NodeParameter(
-            "forecast_delay", _USUAL, "a file: h after its nominal time from which an issue is "
-            f"known; {_USUAL:g}: what is usual of its kind", _USUAL, NUMBERS["delay"][1],
+            "forecast_delay", _USUAL, "errors, ensemble, a file: h after its nominal time from "
+            f"which an issue is known; {_USUAL:g}: {SERVICE_DELAY_H:g} of the first two, and what "
+            "is usual of a file's kind", _USUAL, NUMBERS["delay"][1],
         ),
         NodeParameter(
             "issue_limit", 7200.0, "live: how long ago the newest forecast of the file may have "

@@ -27,6 +27,7 @@ from greenroof_ros.forecast.choice import ForecastChoice, choose
 from greenroof_ros.forecast.error_model import ErrorModel
 from greenroof_ros.forecast.models import (
     FileModel,
+    ForecastModel,
     PerfectModel,
     PersistenceModel,
     make_model,
@@ -159,6 +160,23 @@ def test_issued_every_six_hours(first: str, issues: list[int]) -> None:
             assert not np.isclose(before, now)[1:].any()  # none of it was known before
             changed.append(hour)
     assert changed == issues
+
+
+def test_errors_are_known_as_late_as_a_services() -> None:
+    """Six hours after the issue, as the figures of services have it, or as asked for."""
+    weather = weather_of(np.random.default_rng(4).uniform(0, 9, 90))
+
+    def model(delay: float | None) -> ForecastModel:
+        choice = ForecastChoice("ensemble", members=2, delay=delay)
+        return make_model(choice, weather, PAPER_SITE, True)
+
+    at_once = model(0.0)
+    for late, delayed in ((6, model(None)), (3, model(2.25)), (0, at_once)):
+        for hour in (11, 12, 14, 17, 40):
+            # Known since: the hour late, of which that is the newest, and its leads go on.
+            known = at_once.known(hour - late, 24 + late)
+            for one, other in zip(known, delayed.known(hour, 24), strict=True):
+                assert one[..., late:].tobytes() == other.tobytes()
 
 
 def test_persistence_by_hand() -> None:
