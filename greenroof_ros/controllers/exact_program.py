@@ -43,7 +43,10 @@ class ExactProgram:
     Of water that does not stay, the share l_i of what is pumped now being left in step i, the roof
     has l_i V_i of all that is pumped, where V_i - V_{i-1} = (P_i - P_{i-1}) / l_i: what is pumped
     later has faded less. It is the same program in V, with l_i h_i, m_i / l_i and limits over l_i.
-    Members in one group have one share, the mean of theirs.
+    Members in one group have one share, the mean of theirs. But what the cistern has is a limit of
+    P_i, which is no limit of V_i alone. The minima know it as one of what is left, l_i V_i <= P_i;
+    the volumes that follow them forwards keep it: when the cistern is empty nothing is pumped. So
+    where the cistern runs empty the answer is a plan that can be followed, and not quite the best.
 
     Attributes:
         status: 1, as OSQP says of a program that is solved; 0 before the first.
@@ -62,6 +65,7 @@ class ExactProgram:
     def solve(
         self, mean: Array, most: Array, full: float, flow: float, guess: Array | None,
         groups: Groups, ahead: CisternAhead | None = None, lasting: Array | None = None,
+        there: Array | None = None,
     ) -> Array:
         """Solve it; see :class:`greenroof_ros.controllers.objective.Program`.
 
@@ -83,27 +87,51 @@ class ExactProgram:
         least = self._minima(
             (-mean).T.tolist(), most.T.tolist(), lengths.T.tolist(), rises, labels
         )
-        now, volumes = [0.0] * len(mean), []
-        for places, rise, group in zip(least, rises, labels, strict=True):
-            now = [
-                min(max(places[label], before), before + more)
-                for label, before, more in zip(group, now, rise, strict=True)
-            ]
-            volumes.append(now)
-        pumped = np.array(volumes).T
+        if there is not None:
+            there = least_of_groups(there, groups)
+        pumped = self._followed(least, rises, labels, lasting, there)
         self.status = 1
         self.cost = float((lengths * np.abs(mean + pumped)).sum(axis=1).mean())
         self.cost /= float(self._edges[-1])
         if lasting is not None:
             pumped = np.cumsum(np.diff(pumped, prepend=0.0) * lasting, axis=1)
         at_ends = [np.interp(self._edges[1:], self._middles, [0.0, *each]) for each in pumped]
-        ends = np.minimum(at_ends, most)
+        ends = np.minimum(at_ends, most if there is None else np.minimum(most, there))
         # What a bound has cut cannot be made up for faster than the pumps can.
         flowing = self._lengths * (full * self._max_command if full else 0.0)
         reach = np.cumsum(flowing)
         behind = np.minimum.accumulate(ends - reach, axis=1)
         caught_up = np.hstack((np.zeros((len(ends), 1)), np.minimum(behind, 0.0)[:, :-1])) + reach
         return np.asarray(np.minimum(ends, caught_up))
+
+    def _followed(
+        self, least: list[list[float]], rises: list[list[float]], labels: list[list[int]],
+        lasting: Array | None, there: Array | None,
+    ) -> Array:
+        """Return V_i of each member, as near to the least as V_{i-1} and the cistern allow.
+
+        Args:
+            least: where f_i of each group is least; see :meth:`_minima`, as for the next two.
+            rises: what may be pumped from the step before.
+            labels: of the members' groups.
+            lasting: l_i, alike within a group, shape (members, n).
+            there: what the cistern has for P_i (m3), likewise; None where it is in ``least``.
+        """
+        now, volumes = [0.0] * len(labels[0]), []
+        pumped = np.zeros(len(now))
+        for step, (places, rise, group) in enumerate(zip(least, rises, labels, strict=True)):
+            before = now
+            if lasting is not None and there is not None:
+                left = np.maximum(there[:, step] - pumped, 0.0) / lasting[:, step]
+                rise = np.minimum(rise, left).tolist()
+            now = [
+                min(max(places[label], volume), volume + more)
+                for label, volume, more in zip(group, before, rise, strict=True)
+            ]
+            if lasting is not None:
+                pumped = pumped + lasting[:, step] * np.subtract(now, before)
+            volumes.append(now)
+        return np.array(volumes).T
 
     def _minima(
         self, places: list[list[float]], most: list[list[float]], lengths: list[list[float]],

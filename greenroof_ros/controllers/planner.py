@@ -385,21 +385,22 @@ class Planner:
             given = site.mains_flow * self._edges[1:]
             there = np.maximum(there, np.minimum(x1 + collected, filled) + given)
         slack = max(_BEYOND_S, site.tau) * full
-        above = np.maximum(there - site.a1 * site.suction_level + slack, 0.0)
         kept = self._kept(x2)
+        there = kept * np.maximum(there - site.a1 * site.suction_level + slack, 0.0)
         ahead = None
         if site.low_outlet_level is not None:
             ahead = cistern_ahead(site, x1, rain, self._lengths, slack, kept)
         self.solves += 1
         pumped = self._program.solve(
             (before[:, :-1] + before[:, 1:]) / 2,
-            np.minimum(missing, kept * above),
+            np.minimum(missing, there),
             kept * full,
             kept * self._flow,
             self._moved_on(),
             halved_by_rain(rain, self._edges, self._recourse or math.inf),
             ahead,
             lasting,
+            None if lasting is None else there,
         )
         if pumped is None:
             self.fallbacks += 1

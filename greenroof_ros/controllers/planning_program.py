@@ -148,6 +148,7 @@ class PlanningProgram:
         groups: Groups,
         ahead: CisternAhead | None = None,
         lasting: Array | None = None,
+        there: Array | None = None,
     ) -> Array | None:
         """Solve it; see :class:`greenroof_ros.controllers.objective.Program`.
 

@@ -5,7 +5,13 @@ from __future__ import annotations
 import logging
 
 from greenroof_ros.common.parameter import Parameter
-from greenroof_ros.model.plant import maximum_pump_flow, pump_flow, soil_losses
+from greenroof_ros.model.plant import (
+    mains_flow,
+    maximum_pump_flow,
+    outlet_flow,
+    pump_flow,
+    soil_losses,
+)
 from greenroof_ros.model.site import Site
 from greenroof_ros.model.soil import kept_share
 
@@ -31,8 +37,8 @@ class RegretBudget:
     A controller that leaves room for rain which does not come is worse off than the on/off
     controller, which has filled the roof. No rule can avoid that: while it waits, the true forecast
     and the false one are the same. What can be had is a limit. This class follows what on/off, Eq.
-    (12), would have on the roof now - only the difference, so that errors of model and sensor are
-    in both - and adds up
+    (12), would have on the roof and in the cistern now - only the difference, so that errors of
+    model and sensor are in both - and adds up
 
         L = sum of tau (|x2 - x2*| - |x2_onoff - x2*|),   D = sum of tau |x2_onoff - x2*|.
 
@@ -53,6 +59,11 @@ class RegretBudget:
     predictions; that a good forecast is not harmed is its consistency (Lykouris and Vassilvitskii
     2021, Competitive Caching with Machine Learned Advice, J. ACM 68(4), doi:10.1145/3447579). In
     frost nothing may be pumped, and the loss goes on.
+
+    A cistern that overflows while the controller waits loses what on/off has pumped by then. That
+    is no loss until a drought empties the cistern: then it is missing as long as the drought goes
+    on, L with it, whatever the limit. It is counted as it comes, and forecasts do not count until D
+    has made up for it, so that it happens once and not in each drought.
 
     While a controller waits, a low outlet of the cistern may take what it would fill the roof with.
     What on/off has on the roof beyond all that stays in the cistern costs as much as if it were
@@ -81,6 +92,7 @@ class RegretBudget:
         self._budget = waiting_budget * 3600 * site.x2_star  # m3 s
         self._share = waiting_share
         self._more = 0.0  # what on/off would have on the roof beside what is there (m3)
+        self._stored = 0.0  # and in the cistern (m3)
         self._unseen = 0
         self._warned = False
         self.loss = 0.0
@@ -137,17 +149,24 @@ class RegretBudget:
             x2: on the roof (m3).
             fraction: as for :meth:`judge`.
             pumped: what is pumped in truth (m3/s).
-            precipitation: rain in the tick (m/s); only of a measured roof it matters.
+            precipitation: rain in the tick (m/s); it matters on a measured or an empty roof.
             evapotranspiration: off the whole bed (m3/s), likewise.
         """
         site = self._site
-        onoff = x2 + self._more
+        cistern, onoff = x1 + self._stored, x2 + self._more
         rain = precipitation * site.a2
-        flow = pump_flow(site, x1, onoff, fraction)
-        theirs = soil_losses(site, onoff, rain + flow, evapotranspiration)
-        ours = soil_losses(site, x2, rain + pumped, evapotranspiration)
-        drained = theirs.drained - ours.drained + (theirs.evaporated - ours.evaporated)
-        self._more += site.tau * (flow - pumped - drained)
+        flow = pump_flow(site, cistern, onoff, fraction)
+        theirs = self._left(onoff, rain + flow, evapotranspiration)
+        self._more = theirs - self._left(x2, rain + pumped, evapotranspiration)
+        overflowed = outlet_flow(site, cistern) - outlet_flow(site, x1)
+        given = mains_flow(site, cistern) - mains_flow(site, x1)
+        self._stored += site.tau * (pumped - flow - overflowed + given)
+
+    def _left(self, x2: float, arriving: float, evapotranspiration: float) -> float:
+        """Return what a roof of x2 (m3) has at the end of a tick; flows are in m3/s."""
+        losses = soil_losses(self._site, x2, arriving, evapotranspiration)
+        lost = losses.drained + losses.evaporated
+        return max(0.0, x2 + self._site.tau * (arriving - lost))
 
     def _filling(self, x2: float, behind: float, flow: float) -> float:
         """Return what it costs (m3 s) to follow on/off to the target, behind it all the way."""

@@ -114,9 +114,7 @@ def table(summary: Mapping[str, Any]) -> Table:
         )
     repeats_from = summary["forecast_repeats_last_record_from"]
     if repeats_from:
-        rows.append(
-            ("forecast", "repeats", f"its last record from {repeats_from}")
-        )
+        rows.append(("forecast", "ends", f"at {repeats_from}; what follows is assumed"))
     if not SensorPumpErrors(**summary["sensor_pump_errors"]).none:
         rows.append(
             (

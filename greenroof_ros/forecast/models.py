@@ -48,7 +48,7 @@ class ForecastModel(Protocol):
         ...
 
     def repeats_from(self, hour: int, hours: int) -> datetime | None:
-        """Return from when on these hours are only the last one repeated; None if none are."""
+        """Return from when on these hours are not known but assumed; None if none are."""
         ...
 
 
@@ -129,9 +129,10 @@ class PersistenceModel:
 class FileModel:
     """Forecasts of an archive; see :func:`greenroof_ros.forecast.archive.read_archive`.
 
-    The newest is the last that was available by the start of the hour. Past its end its last hour
-    is repeated. Without a column of evapotranspiration that of the records counts as known. Where
-    the records' rain is late (``rain_late``), forecasts of rain are as late.
+    The newest is the last that was available by the start of the hour. Past its end there is no
+    rain, as after all forecasts, and the evapotranspiration of its last day, or of its last hour
+    where it is shorter than a day. Without a column of evapotranspiration that of the records
+    counts as known. Where the records' rain is late (``rain_late``), forecasts of rain are as late.
     """
 
     def __init__(self, archive: Archive, weather: Weather, all_members: bool) -> None:
@@ -154,10 +155,15 @@ class FileModel:
     def known(self, hour: int, hours: int) -> tuple[Array, Array]:
         """Return the forecast; see :class:`ForecastModel`."""
         issue, lead = self._newest(hour)
-        index = np.arange(lead, lead + hours)
-        rain = issue.rain[: self.members, np.minimum(index - self._late, issue.hours - 1)]
+        ahead = np.arange(lead, lead + hours)
+        of_rain = ahead - self._late
+        there = of_rain < issue.hours
+        rain = np.zeros((self.members, hours))
+        rain[:, there] = issue.rain[: self.members, of_rain[there]]
         if issue.evapotranspiration is not None:
-            return rain, issue.evapotranspiration[np.minimum(index, issue.hours - 1)]
+            last = issue.hours - 1
+            index = ahead - 24 * np.maximum(-((last - ahead) // 24), 0)
+            return rain, issue.evapotranspiration[np.where(index < 0, last, index)]
         return rain, records_at(self._weather, EVAPOTRANSPIRATION, np.arange(hour, hour + hours))
 
     def repeats_from(self, hour: int, hours: int) -> datetime | None:

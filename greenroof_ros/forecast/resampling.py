@@ -30,7 +30,7 @@ class Forecast(Protocol):
 
     @property
     def repeats_from(self) -> datetime | None:
-        """The earliest time from which on a forecast only repeats its last hour, if one does."""
+        """The earliest time from which on a forecast knows nothing, and what it says is assumed."""
         ...
 
     def precipitation(self, tick: int) -> Rain:

@@ -258,14 +258,14 @@ def run_notes(fallbacks: float, repeats_from: str | None, limited: float) -> lis
 
     Args:
         fallbacks: ticks in which the controller's solver found no answer.
-        repeats_from: time from which on the forecast repeats its last record.
+        repeats_from: time from which on the forecast knows nothing, and what it says is assumed.
         limited: ticks in which a tank held less than was asked of it.
     """
     notes: list[Note] = []
     if fallbacks:
         notes.append(Note("the controller's solver found no answer in {count} ticks", fallbacks))
     if repeats_from:
-        notes.append(Note(f"the forecast repeats its last record from {repeats_from} on"))
+        notes.append(Note(f"a forecast ends at {repeats_from}, and what follows is assumed"))
     if limited:
         notes.append(
             Note("a tank ran empty in {count} ticks, and what left it was limited", limited)

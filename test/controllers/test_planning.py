@@ -180,6 +180,67 @@ def test_exact_program_against_a_solver(
     assert (np.diff(plan, prepend=0.0) <= rises * (1 + 1e-9) + 1e-12).all()
 
 
+@given(st.floats(0.02, 3.0), st.floats(0.0, 0.3), st.integers(0, 2**32))
+def test_water_that_fades_is_pumped_once(cistern: float, fading: float, seed: int) -> None:
+    """No plan has more than the cistern, and none is better than HiGHS's with the same limit.
+
+    A cistern that has all that it could ever lack limits nothing, bit for bit.
+    """
+    edges = growing_steps(240)
+    lengths, steps = np.diff(edges), len(edges) - 1
+    chance = np.random.default_rng(seed)
+    changes = lengths * chance.choice([-4e-6, -1e-6, 3e-5], steps, p=[0.5, 0.45, 0.05])
+    course = np.cumsum(changes) - changes / 2 - 1.0
+    most = np.maximum.accumulate(np.maximum(-course, 0.0))
+    lasting = np.exp(-np.cumsum(chance.uniform(0, 2 * fading, steps)))
+    there = cistern + np.cumsum(chance.choice([0.0, 0.2], steps, p=[0.9, 0.1]))
+
+    def solved(there: Array | None, bound: Array) -> tuple[Array, float]:
+        one = ExactProgram(edges, 1.0)
+        (plan,) = one.solve(
+            course[None], bound[None], FULL, 0.0, None, alone(steps), lasting=lasting[None],
+            there=None if there is None else there[None],
+        )
+        return plan, one.cost
+
+    plan, cost = solved(there, np.minimum(most, there))
+    assert (plan <= there).all()
+    assert (np.diff(plan, prepend=0.0) >= 0).all()
+    total = np.tril(np.ones((steps, steps)))
+    counted = lasting[:, None] * total / lasting
+    eye, none = np.eye(steps), np.zeros((steps, steps))
+    best = linprog(
+        np.concatenate([np.zeros(steps), lengths]),
+        A_ub=scipy.sparse.csr_matrix(
+            np.block([[counted, -eye], [-counted, -eye], [counted, none], [total, none]])
+        ),
+        b_ub=np.concatenate([-course, course, most, there]),
+        bounds=[(0, FULL * length) for length in np.diff(edges[:-1] + lengths / 2, prepend=0.0)]
+        + [(0, None)] * steps,
+        method="highs",
+    )
+    assert best.status == 0
+    assert cost >= best.fun / edges[-1] * (1 - 1e-7)
+    unlimited = np.full(steps, 1e9)
+    assert solved(unlimited, most)[0].tobytes() == solved(None, most)[0].tobytes()
+
+
+def test_a_cistern_of_half_a_cubic_metre_waters_a_fading_roof_once() -> None:
+    """It lacks 2 m3 for ten days: all that is there is pumped at once, and no more after it.
+
+    Of 0.5 m3 that are pumped in half a day 2 - 0.5 l are missing in each day.
+    """
+    lasting = np.linspace(1, 0.1, 10)
+    one = ExactProgram(np.arange(11) * 86_400.0, 1.0)
+    there = np.full((1, 10), 0.5)
+    (plan,) = one.solve(
+        np.full((1, 10), -2.0), there, 1e-2, 0.0, None, alone(10), lasting=lasting[None],
+        there=there,
+    )
+    assert plan == pytest.approx([0.5] * 10)
+    assert one.cost == pytest.approx(np.mean(2 - 0.5 * lasting))
+
+
 def test_exact_program_without_limits_is_isotonic_regression() -> None:
     """Three steps that lack 1, 3 and 2 m3: first 1, then anything from 2 to 3; the least is taken.
 

@@ -332,7 +332,7 @@ FORECASTS = (
 
 
 def test_read_back(tmp_path: Path) -> None:
-    """The numbers as written; each issue from its time on, and its last hour repeated."""
+    """The numbers as written; each issue from its time on, and past its end no rain."""
     file = write(tmp_path, *FORECASTS)
     first, second = read_forecasts(file)
     assert first.rain.tolist() == [[0.5, 2.5], [1.5, 3.5]]
@@ -342,10 +342,10 @@ def test_read_back(tmp_path: Path) -> None:
     model, all_of_them = FileModel(own, weather, False), FileModel(own, weather, True)
     assert (model.members, all_of_them.members) == (1, 2)
     for hour, rain, evapotranspiration in (
-        (2, [0.5, 2.5, 2.5], [1.0, 2.0, 2.0]),
-        (3, [2.5, 2.5, 2.5], [2.0, 2.0, 2.0]),
-        (4, [2.5, 2.5, 2.5], [2.0, 2.0, 2.0]),
-        (5, [6.0, 6.0, 6.0], [4.0, 4.0, 4.0]),
+        (2, [0.5, 2.5, 0.0], [1.0, 2.0, 2.0]),
+        (3, [2.5, 0.0, 0.0], [2.0, 2.0, 2.0]),
+        (4, [0.0, 0.0, 0.0], [2.0, 2.0, 2.0]),
+        (5, [6.0, 0.0, 0.0], [4.0, 4.0, 4.0]),
     ):
         got = model.known(hour, 3)
         assert (got[0].tolist(), got[1].tolist()) == ([rain], evapotranspiration)
@@ -354,6 +354,21 @@ def test_read_back(tmp_path: Path) -> None:
     assert model.repeats_from(2, 3) == MIDNIGHT.replace(hour=4)
     assert model.repeats_from(4, 1) == MIDNIGHT.replace(hour=4)
     assert model.repeats_from(6, 1) == MIDNIGHT.replace(hour=6)
+
+
+def test_past_its_end_a_day_is_like_the_last(tmp_path: Path) -> None:
+    """No rain, and each hour has the evapotranspiration of that hour in the issue's last day."""
+    lines = ["issued,time,precipitation [mm/h],evapotranspiration [mm/day]"]
+    start = MIDNIGHT.replace(hour=5)
+    lines += [
+        f"{start.isoformat()},{(start + timedelta(hours=hour)).isoformat()},3.0,{hour / 10}"
+        for hour in range(30)
+    ]
+    archive_ = read_archive(write(tmp_path, *lines), PAPER_SITE)
+    rain, evapotranspiration = FileModel(archive_, weather_of([0.0] * 40), False).known(25, 64)
+    assert rain.tolist() == [[3.0] * 10 + [0.0] * 54]
+    day = [hour / 10 for hour in range(6, 30)]
+    assert evapotranspiration.tolist() == (day[14:] + day * 3)[:64]
 
 
 def test_file_without_evapotranspiration(tmp_path: Path) -> None:

@@ -440,7 +440,7 @@ def test_a_studys_notes_name_the_hours(tmp_path: Path, simulated: list[Simulated
     assert "Samples every 60 s were kept, of ticks of 1 s: its sums, counts and times" in text
     assert f"16 hours of its weather were missing and filled in: {named}." in text
     assert "The controller&#39;s solver found no answer in 2 ticks." in text
-    assert "The forecast repeats its last record from 2021-07-31T23:00-05:00 on." in text
+    assert "A forecast ends at 2021-07-31T23:00-05:00, and what follows is assumed." in text
 
 
 def test_the_least_possible(tmp_path: Path, simulated: list[Simulated]) -> None:
@@ -997,7 +997,7 @@ def test_a_run_directorys_notes_and_bound(tmp_path: Path, simulated: list[Simula
     report = report_of(own_run(tmp_path / "run", one))
     for note in (
         "the controller's solver found no answer in 3 ticks",
-        "the forecast repeats its last record from 2021-07-31T23:00-05:00 on",
+        "a forecast ends at 2021-07-31T23:00-05:00, and what follows is assumed",
         "a tank ran empty in 4 ticks, and what left it was limited",
         "rain was moved an hour back",
         "dew point was missing and filled in: 2021-07-20T13:00-05:00",
