@@ -284,6 +284,9 @@ class Lockstep:
                 self._node.take_again(name, first)
                 self._arrivals[name].next = max(first, self._arrivals[name].next or 0)
             self._arrivals[name].first = first
+            if role == PLANT and len(self._node.interface[name].publishers) > 1:
+                # It may be that of a pump node whose report is yet to come.
+                self._without_report.add(name)
 
     def _join(self) -> None:
         """Act on what came while the node was joining, and take part from then on."""
