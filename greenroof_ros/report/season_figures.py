@@ -8,10 +8,11 @@ from typing import Any
 
 import altair as alt
 
+from greenroof_ros.forecast.choice import PERFECT
 from greenroof_ros.recording.results_table import differing
 from greenroof_ros.report.drawing import COLOURS, Figure, Panel, Rows, cycle, distinct, short
 from greenroof_ros.report.results import Report
-from greenroof_ros.report.seasons import Place, Seasons, differences, seasons
+from greenroof_ros.report.seasons import PLAIN, Place, Seasons, differences, seasons
 from greenroof_ros.report.settings import controller_name
 from greenroof_ros.report.sizing import is_sizing, size_of
 
@@ -61,8 +62,8 @@ def by_year(found: Sequence[Seasons]) -> Figure:
     kinds: dict[str, set[str]] = {}
     for one in found:
         kinds.setdefault(one.controller, set()).add(one.forecast)
-    # A controller that looks at no forecast stands beside all that do.
-    looking = {controller for controller, theirs in kinds.items() if len(theirs) > 1}
+    # One that ran with perfect forecasts alone may look at none: it stands beside all others.
+    looking = {controller for controller, theirs in kinds.items() if theirs != {PERFECT}}
     usual = list(dict.fromkeys(one.forecast for one in found if one.controller in looking))
     for place in dict.fromkeys(one.place for one in found):
         here = [one for one in found if one.place == place]
@@ -132,7 +133,7 @@ def difference_figure(report: Report, found: Sequence[Seasons]) -> Figure:
             Panel(alt.layer(line, intervals, marks), _title(place, found), height=_HEIGHT)
         )
     return Figure(
-        "season-differences", "Differences from on/off",
+        "season-differences", f"Differences from on/off, {PLAIN}",
         "Mean difference in the deviation of a season, paired year by year, and its 95 % interval. "
         "An interval across the line at 0 may be luck.", tuple(panels), min(len(panels), 2), data,
     )

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from greenroof_ros.recording.results_table import differing
 from greenroof_ros.report.cells import Cell, Table, number, share, word
 from greenroof_ros.report.results import Report, heading
-from greenroof_ros.report.seasons import Interval, Seasons, differences, seasons
+from greenroof_ros.report.seasons import PLAIN, Interval, Seasons, differences, seasons
 from greenroof_ros.report.settings import controller_name
 from greenroof_ros.report.sizing import is_sizing, size_of
 
@@ -49,7 +49,7 @@ def season_tables(report: Report) -> list[Table]:
     less = list(differences(found))
     if less:
         tables.append(Table(
-            "Differences from on/off, and how sure they are",
+            f"Differences from on/off, {PLAIN}, and how sure they are",
             [
                 *_named_header(where), "years with less deviation", "verdict",
                 "deviation of a season (m³)", "95 % from", "to", "(%)", "verdict of worst weeks",

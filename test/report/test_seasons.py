@@ -2,27 +2,40 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 import scipy.stats
+from places import CONFIG
 from studies import grid, record, study
 from test_report import write_study
 
+from greenroof_ros.model.site import read_site
 from greenroof_ros.report.assessment import Assumptions
+from greenroof_ros.report.entries import Season
 from greenroof_ros.report.figures import make_figures
 from greenroof_ros.report.page import render
 from greenroof_ros.report.results import Report
 from greenroof_ros.report.runs import find_runs
-from greenroof_ros.report.seasons import Difference, differences, seasons, split_by_years
+from greenroof_ros.report.season_figures import by_year
+from greenroof_ros.report.season_tables import season_tables
+from greenroof_ros.report.seasons import (
+    Difference,
+    Place,
+    Seasons,
+    differences,
+    seasons,
+    split_by_years,
+)
 
 HEADER = [
     "run", "site", "weather", "start", "hours", "evapotranspiration", "forecast", "forecast_skill",
-    "forecast_seed", "controller", "parameter:fraction", "initial", "cistern_m3", "roof_m3",
-    "status", "error", "total_deviation_m3", "weekly_deviation_m3", "near_target_hours", "saved_m3",
-    "outflow_m3", "bound_m3",
+    "forecast_seed", "controller", "parameter:fraction", "parameter:level", "initial",
+    "cistern_m3", "roof_m3", "status", "error", "total_deviation_m3", "weekly_deviation_m3",
+    "near_target_hours", "saved_m3", "outflow_m3", "bound_m3",
 ]
 YEARS = range(2015, 2026)
 
@@ -95,17 +108,107 @@ def test_differences_and_luck(tmp_path: Path) -> None:
     assert found.mean.verdict == "may be luck" and found.better == 6  # the odd years
 
 
-def test_interval_of_another_library(tmp_path: Path) -> None:
+# Student's interval of a mean of eleven over the bootstrap's; t and z from tables.
+WIDER = 2.22814 / 1.95996 * np.sqrt(11 / 10)
+
+
+def test_intervals_of_another_library(tmp_path: Path) -> None:
     """With one seed the two stages are one: scipy's percentile bootstrap of the years."""
     random = np.random.default_rng(7)
-    less = dict(zip(YEARS, random.normal(-10, 20, 11).tolist(), strict=True))
-    found = difference(tmp_path, {year: ONOFF[year] + less[year] for year in YEARS}).mean
-    scipys = scipy.stats.bootstrap(
-        ([*less.values()],), np.mean, method="percentile", n_resamples=20_000, random_state=1,
-    ).confidence_interval
-    assert found.value == pytest.approx(np.mean([*less.values()]))
-    width = scipys.high - scipys.low
-    assert (found.low, found.high) == pytest.approx(tuple(scipys), abs=0.05 * width)
+    own = {year: total + random.normal(-10, 20) for year, total in ONOFF.items()}
+    found = difference(tmp_path, own)
+
+    def worst(years: Any) -> float:
+        """Return by how much the worst two of 22 weeks are worse than on/off's."""
+        weeks = [
+            [week for year in years for week in (one[2015 + year] / 8, one[2015 + year] * 3 / 8)]
+            for one in (own, ONOFF)
+        ]
+        return float(np.subtract(*np.sort(weeks)[:, -2:].mean(axis=1)))
+
+    def mean(years: Any) -> float:
+        return float(np.mean([own[2015 + year] - ONOFF[2015 + year] for year in years]))
+
+    for interval, statistic in ((found.mean, mean), (found.worst_weeks, worst)):
+        resampled = scipy.stats.bootstrap(
+            (range(11),), statistic, method="percentile", vectorized=False, n_resamples=10_000,
+            random_state=1,
+        ).bootstrap_distribution
+        value = statistic(range(11))
+        assert interval.value == pytest.approx(value)
+        for end, level in ((interval.low, 2.5), (interval.high, 97.5)):
+            # Of 2000 resamples a percentile is sure to 0.35.
+            near = np.percentile(resampled, [level - 1, level + 1])
+            low, high = value + WIDER * (near - value)
+            assert low - 0.001 <= end <= high + 0.001
+
+
+def of_totals(controller: str, setting: str, totals: Sequence[float]) -> Seasons:
+    """Return seasons of a week with these deviations."""
+    return Seasons(
+        Place("site.yaml", "fao56", "01 May 00:00", 168.0, "", "low-low"),
+        read_site(CONFIG / "site.yaml"), controller, setting, {}, "perfect",
+        {
+            year: (Season(
+                year, "01 May 00:00", 168.0, {"total_deviation_m3": total}, (total,), "perfect",
+                "", None,
+            ),)
+            for year, total in enumerate(totals, 2015)
+        },
+    )
+
+
+@pytest.mark.parametrize("years", [4, 11])
+def test_luck_is_called_so(years: int) -> None:
+    """Of differences that are luck alone, one in twenty is called better or worse."""
+    count = 500
+    random = np.random.default_rng(3)
+    lucky = [
+        of_totals("mpc", str(number), 100 + random.normal(0, 10, years)) for number in range(count)
+    ]
+    found = [
+        one.mean.verdict for one in differences([of_totals("onoff", "", [100.0] * years), *lucky])
+    ]
+    missed = count - found.count("may be luck")
+    # Of so many the binomial distribution has 99 % between these.
+    low, high = scipy.stats.binom.interval(0.99, count, 0.05)
+    assert len(found) == count and low <= missed <= high
+
+
+def test_reference_is_plain_onoff(tmp_path: Path) -> None:
+    """On/off at a lower level, which comes first, is held against that at the target, too."""
+    lower, usual, above = (
+        [{**row, "parameter:fraction": 1.0, "parameter:level": level}
+         for row in rows("onoff", None, {year: total + more for year, total in ONOFF.items()})]
+        for level, more in ((0.9, 50), (1.0, 0), (0.95, 20))
+    )
+    report = report_of(tmp_path / "a", *lower, *usual, *above, *rows("mpc", None, ONOFF))
+    found = {
+        one.of.setting or one.of.controller: one.mean.value for one in differences(seasons(report))
+    }
+    assert found == pytest.approx({"level 0.9": 50, "level 0.95": 20, "mpc": 0})
+    (*_, table) = season_tables(report)
+    assert table.name == "Differences from on/off, fraction 1, level 1, and how sure they are"
+    report = report_of(tmp_path / "b", *lower, *rows("mpc", None, ONOFF))
+    assert not [*differences(seasons(report))]
+
+
+def test_a_panel_for_each_kind_of_forecasts(tmp_path: Path) -> None:
+    """One that has been given perfect ones alone stands in each; one with real ones, in its own."""
+    real = [{**row, "forecast": "ensemble"} for row in rows("scenario_mpc", 1, ONOFF)]
+    planning = [{**row, "forecast": "ensemble"} for row in rows("planning_mpc", 1, ONOFF)]
+    report = report_of(
+        tmp_path, *rows("onoff", None, ONOFF), *real, *planning, *rows("planning_mpc", None, ONOFF),
+    )
+    figure = by_year(seasons(report))
+    shown = {
+        panel.title[-1]: {row["series"] for row in figure.data[name]}
+        for panel, name in zip(figure.panels, figure.data, strict=True)
+    }
+    assert shown == {
+        "forecasts: ensemble skill real": {"on/off", "planning MPC", "scenario MPC"},
+        "forecasts: perfect": {"on/off", "planning MPC"},
+    }
 
 
 def test_seeds_widen_the_interval(tmp_path: Path) -> None:
@@ -115,7 +218,8 @@ def test_seeds_widen_the_interval(tmp_path: Path) -> None:
     # A year's mean of two seeds is -40, 0, 0 or 40; that of eleven has a deviation of 8.5.
     deviation = 40 / np.sqrt(2 * 11)
     assert found.value == pytest.approx(0)
-    assert (found.low, found.high) == pytest.approx((-1.96 * deviation, 1.96 * deviation), rel=0.15)
+    end = WIDER * 1.96 * deviation
+    assert (found.low, found.high) == pytest.approx((-end, end), rel=0.15)
 
 
 SEASONS = """
