@@ -130,7 +130,8 @@ class RegretBudget:
                     "used up, and forecasts of rain count only as it grows; further times are not "
                     "reported", self.loss,
                 )
-        elif behind <= site.tau * flow:
+        # Who follows on/off is a tick behind it until both are filled.
+        elif behind <= site.tau * flow / 2:
             self.exhausted = False
         return self.exhausted
 
