@@ -369,7 +369,8 @@ def test_a_drive_in_the_loop(domain: int, tmp_path: Path) -> None:
     assert 1 < summary_of(tmp_path / "early")["last_tick"] < 60
 
 
-# What the pump node says of itself comes to plant and recorder late, as on a busy machine.
+# What the pump node says of itself, and the plant of it, comes to the recorder late, as on a busy
+# machine.
 LATE_REPORT = """
 import sys
 if any(word.endswith("nodes.recorder") for word in sys.orig_argv):
