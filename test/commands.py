@@ -52,8 +52,9 @@ def _server() -> subprocess.Popen[str]:
 def _serve() -> None:
     """Fork for each request, and answer with the exit code."""
     sys.path[0] = str(Path(__file__).resolve().parent.parent)
-    without_ros = importlib.util.find_spec("rclpy") is None
-    for room in _ROOMS[:-1] if without_ros else _ROOMS:
+    for room in _ROOMS:
+        if room == "graph" and importlib.util.find_spec("rclpy") is None:
+            continue
         package = importlib.import_module(f"greenroof_ros.{room}")
         for module in pkgutil.iter_modules(package.__path__, f"{package.__name__}."):
             if not module.name.endswith(".__main__"):
