@@ -48,10 +48,10 @@ def site_with(**changes: float) -> Site:
     return replace(site, x2_star=site.a2 * site.z_veg, z_cap=site.a2 * site.z_soil)
 
 
-def site_file(directory: Path, **changes: float) -> Path:
-    """Write the packaged site file with other values, and with more."""
+def site_file(directory: Path, *, base: str = "site.yaml", **changes: float) -> Path:
+    """Write a packaged site file with other values, and with more."""
     path = directory / "site.yaml"
-    lines = (CONFIG / "site.yaml").read_text(encoding="utf-8").splitlines()
+    lines = (CONFIG / base).read_text(encoding="utf-8").splitlines()
     kept = [line for line in lines if line.partition(":")[0] not in changes]
     given = [f"{key}: {value!r}" for key, value in changes.items()]
     path.write_text("\n".join([*kept, *given]) + "\n", encoding="utf-8")

@@ -13,6 +13,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import pytest
+from adversaries.forecasts import ADVERSARIES, told
 from hypothesis import Phase, given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
@@ -26,11 +27,10 @@ from greenroof_ros.controllers.regret_budget import RegretBudget
 from greenroof_ros.controllers.roof_observer import RoofObserver
 from greenroof_ros.experiment.closed_loop import closed_loop
 from greenroof_ros.experiment.run import Run
-from greenroof_ros.forecast.resampling import SteppedForecast
 from greenroof_ros.model.look_ahead import growing_steps
 from greenroof_ros.model.metrics import Metrics
 from greenroof_ros.model.plant import Plant, maximum_pump_flow
-from greenroof_ros.weather.series import Weather, WeatherSeries
+from greenroof_ros.weather.series import WeatherSeries
 
 Array = NDArray[np.float64]
 
@@ -218,49 +218,16 @@ class Lie:
         return self._truth.evapotranspiration(tick)
 
 
-class Adversary:
-    """Hourly forecasts that were made to do harm; the first hour is not forecast but observed."""
-
-    def __init__(self, kind: str, weather: Weather) -> None:
-        self._kind = kind
-        self._weather = weather
-
-    def known(self, hour: int, hours: int) -> tuple[Array, Array]:
-        """Return rain (mm/h) and the true evapotranspiration (mm/day)."""
-        last = len(self._weather.precipitation) - 1
-        ahead = hour + np.arange(hours)
-        now = np.minimum(ahead, last)
-        records = self._weather.precipitation
-        tomorrow = (ahead - hour >= 24) & (ahead - hour < 30)
-        rain = {
-            "always dry": np.zeros(hours),
-            "always rain": np.full(hours, 2.0),
-            "a storm that is always tomorrow": np.where(tomorrow, 8.0, 0.0),
-            "inverted": np.where(records[now] > 0, 0.0, 0.7),
-            "a day early": records[np.minimum(ahead + 24, last)],
-            "a day late": records[np.maximum(now - 24, 0)],
-            "a false alarm each week": records[now] + np.where(ahead % 168 < 6, 8.0, 0.0),
-        }[self._kind]
-        return rain[None], self._weather.evapotranspiration[now]
-
-    def repeats_from(self, hour: int, hours: int) -> None:
-        """It is no record."""
-
-
-ADVERSARIES = (
-    "always dry", "always rain", "a storm that is always tomorrow", "inverted", "a day early",
-    "a day late", "a false alarm each week",
-)
 BUDGET_H, SHARE = 6.0, 0.05
 
 
 def two_weeks(directory: Path, *options: str) -> Run:
-    """Build a run of two weeks with a tenth of July 2021's rain, in ticks of 30 s.
+    """Build a run of two weeks with a tenth of July 2021's rain, in ticks of a minute.
 
-    Its pumps are to have a tenth of the flow: with all of it on/off would overshoot by 4 mm.
+    Its pumps are to have a twentieth of the flow: with all of it on/off would overshoot by 7 mm.
     """
     run = paper_run(
-        *options, "--site", str(site_file(directory, tau=30.0)),
+        *options, "--site", str(site_file(directory, tau=60.0)),
         "--weather", str(DATA / "en_climate_hourly_07-2021.csv"), "--start", "2021-07-01T00:00",
         "--hours", "336", "--evapotranspiration", "fao56",
     )
@@ -280,7 +247,7 @@ def deviation_of(run: Run, controller: Any) -> float:
 @pytest.fixture(scope="module")
 def plain_two_weeks(tmp_path_factory: pytest.TempPathFactory) -> float:
     """Return the result of plain on/off in these weeks (m3 s)."""
-    run = two_weeks(tmp_path_factory.mktemp("plain"), "--controller", "onoff", "--fraction", "0.1")
+    run = two_weeks(tmp_path_factory.mktemp("plain"), "--controller", "onoff", "--fraction", "0.05")
     return deviation_of(run, run.make_controller())
 
 
@@ -291,15 +258,12 @@ def test_an_adversary_costs_at_most_the_budget(
 ) -> None:
     """On/off and its share, the budget, and at most what is lost until the pumps may start."""
     strength = "--fraction" if controller == "anticipating_onoff" else "--max-command"
-    run = two_weeks(tmp_path, "--controller", controller, strength, "0.1", "--horizon", "48")
-    false = SteppedForecast(
-        Adversary(kind, run.weather), run.weather, run.site, run.start, growing_steps(48),
-        run.steps, run.controller.ensemble,
-    )
+    run = two_weeks(tmp_path, "--controller", controller, strength, "0.05", "--horizon", "48")
+    false = told(run, kind, 48)
 
     def reached(budget: float) -> float:
         given = {**run.parameters, "waiting_budget": budget, "waiting_share": SHARE}
-        return deviation_of(replace(run, forecast=false), run.controller.make(run.site, given))
+        return deviation_of(false, run.controller.make(run.site, given))
 
     limit = (1 + SHARE) * plain_two_weeks + BUDGET_H * EMPTY_HOUR
     assert reached(BUDGET_H) <= limit + 0.1 * EMPTY_HOUR

@@ -207,8 +207,8 @@ def test_grids_that_come_with_it(tmp_path: Path, file: str) -> None:
 
 
 @pytest.mark.parametrize(("file", "sites", "forecasts"), [
-    # Of each year and site: 2 controllers that look at none, 2 that do at 10 + 1, and one with 10.
-    ("study_seasons.yaml", 2, 2 + 2 * 11 + 10),
+    # Of each year and site: mpc and 4 on/off that look at none, 2 that do at 10 + 1, one with 10.
+    ("study_seasons.yaml", 2, 5 + 2 * 11 + 10),
     ("study_sizing.yaml", 18, 1 + 2),
 ])
 def test_grids_of_years(tmp_path: Path, file: str, sites: int, forecasts: int) -> None:

@@ -1,0 +1,58 @@
+"""Forecasts of rain that were made to do harm."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from greenroof_ros.experiment.run import Run
+from greenroof_ros.forecast.resampling import SteppedForecast
+from greenroof_ros.model.look_ahead import growing_steps
+from greenroof_ros.weather.series import Weather
+
+Array = NDArray[np.float64]
+
+ADVERSARIES = (
+    "always dry", "always rain", "a storm that is always tomorrow", "inverted", "a day early",
+    "a day late", "a false alarm each week",
+)
+
+
+class Adversary:
+    """Hourly forecasts that were made to do harm; the first hour is not forecast but observed."""
+
+    def __init__(self, kind: str, weather: Weather) -> None:
+        """Take one of :data:`ADVERSARIES`, and the records."""
+        self._kind = kind
+        self._weather = weather
+
+    def known(self, hour: int, hours: int) -> tuple[Array, Array]:
+        """Return rain (mm/h) and the true evapotranspiration (mm/day)."""
+        last = len(self._weather.precipitation) - 1
+        ahead = hour + np.arange(hours)
+        now = np.minimum(ahead, last)
+        records = self._weather.precipitation
+        tomorrow = (ahead - hour >= 24) & (ahead - hour < 30)
+        rain = {
+            "always dry": np.zeros(hours),
+            "always rain": np.full(hours, 2.0),
+            "a storm that is always tomorrow": np.where(tomorrow, 8.0, 0.0),
+            "inverted": np.where(records[now] > 0, 0.0, 0.7),
+            "a day early": records[np.minimum(ahead + 24, last)],
+            "a day late": records[np.maximum(now - 24, 0)],
+            "a false alarm each week": records[now] + np.where(ahead % 168 < 6, 8.0, 0.0),
+        }[self._kind]
+        return rain[None], self._weather.evapotranspiration[now]
+
+    def repeats_from(self, hour: int, hours: int) -> None:
+        """It is no record."""
+
+
+def told(run: Run, kind: str, horizon: float) -> Run:
+    """Return a run whose controller, which looks ahead so far (h), is told one of them."""
+    return replace(run, forecast=SteppedForecast(
+        Adversary(kind, run.weather), run.weather, run.site, run.start, growing_steps(horizon),
+        run.steps, run.controller.ensemble,
+    ))
