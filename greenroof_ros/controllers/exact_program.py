@@ -72,8 +72,8 @@ class ExactProgram:
         There always is a solution; flow and guess do not matter. It is not for low outlets.
         """
         # Where the pumps cannot lift, no bound on their commands makes them.
-        able = np.diff(self._middles) * (full * self._max_command if full else 0.0)
-        able = np.broadcast_to(able, mean.shape)
+        largest = full * self._max_command if full else 0.0
+        able = np.broadcast_to(np.diff(self._middles) * largest, mean.shape)
         lengths = np.broadcast_to(self._lengths, mean.shape)
         if lasting is not None:
             lasting = means_of_groups(lasting, groups)
@@ -97,9 +97,10 @@ class ExactProgram:
             pumped = np.cumsum(np.diff(pumped, prepend=0.0) * lasting, axis=1)
         at_ends = [np.interp(self._edges[1:], self._middles, [0.0, *each]) for each in pumped]
         ends = np.minimum(at_ends, most if there is None else np.minimum(most, there))
+        if math.isinf(largest):
+            return np.asarray(ends)
         # What a bound has cut cannot be made up for faster than the pumps can.
-        flowing = self._lengths * (full * self._max_command if full else 0.0)
-        reach = np.cumsum(flowing)
+        reach = np.cumsum(self._lengths * largest)
         behind = np.minimum.accumulate(ends - reach, axis=1)
         caught_up = np.hstack((np.zeros((len(ends), 1)), np.minimum(behind, 0.0)[:, :-1])) + reach
         return np.asarray(np.minimum(ends, caught_up))
