@@ -118,19 +118,29 @@ class ExactProgram:
             lasting: l_i, alike within a group, shape (members, n).
             there: what the cistern has for P_i (m3), likewise; None where it is in ``least``.
         """
-        now, volumes = [0.0] * len(labels[0]), []
-        pumped = np.zeros(len(now))
+        now = pumped = [0.0] * len(labels[0])
+        shares = has = None
+        if lasting is not None and there is not None:
+            shares, has = lasting.T.tolist(), there.T.tolist()
+        volumes = []
         for step, (places, rise, group) in enumerate(zip(least, rises, labels, strict=True)):
             before = now
-            if lasting is not None and there is not None:
-                left = np.maximum(there[:, step] - pumped, 0.0) / lasting[:, step]
-                rise = np.minimum(rise, left).tolist()
+            if shares is not None and has is not None:
+                rise = [
+                    min(more, max(most - so_far, 0.0) / share)
+                    for more, most, so_far, share
+                    in zip(rise, has[step], pumped, shares[step], strict=True)
+                ]
             now = [
                 min(max(places[label], volume), volume + more)
                 for label, volume, more in zip(group, before, rise, strict=True)
             ]
-            if lasting is not None:
-                pumped = pumped + lasting[:, step] * np.subtract(now, before)
+            if shares is not None:
+                pumped = [
+                    so_far + share * (volume - earlier)
+                    for so_far, share, volume, earlier
+                    in zip(pumped, shares[step], now, before, strict=True)
+                ]
             volumes.append(now)
         return np.array(volumes).T
 
