@@ -206,12 +206,14 @@ def test_grids_that_come_with_it(tmp_path: Path, file: str) -> None:
     assert case.weather[0].content == WEATHER.read_bytes()
 
 
-@pytest.mark.parametrize(("file", "sites", "forecasts"), [
+@pytest.mark.parametrize(("file", "sites", "tick", "forecasts"), [
     # Of each year and site: mpc and 4 on/off that look at none, 2 that do at 10 + 1, one with 10.
-    ("study_seasons.yaml", 2, 5 + 2 * 11 + 10),
-    ("study_sizing.yaml", 18, 1 + 2),
+    ("study_seasons.yaml", 2, 10, 5 + 2 * 11 + 10),
+    ("study_sizing.yaml", 18, 60, 2),
 ])
-def test_grids_of_years(tmp_path: Path, file: str, sites: int, forecasts: int) -> None:
+def test_grids_of_years(
+    tmp_path: Path, file: str, sites: int, tick: int, forecasts: int
+) -> None:
     """Those that come with it, cut to the first days of two of their eleven years."""
     record(tmp_path / "record", (2015, 2016))
     text = (CONFIG / file).read_text()
@@ -226,7 +228,7 @@ def test_grids_of_years(tmp_path: Path, file: str, sites: int, forecasts: int) -
     cases = read_grid(name, tmp_path / "record")
     assert len(cases) == 2 * sites * forecasts
     assert len({case.site.content for case in cases}) == sites
-    assert {yaml.safe_load(case.site.content)["tau"] for case in cases} == {10}
+    assert {yaml.safe_load(case.site.content)["tau"] for case in cases} == {tick}
 
 
 def test_sites_with_other_values(tmp_path: Path) -> None:
