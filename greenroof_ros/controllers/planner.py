@@ -104,8 +104,8 @@ class Planner:
     which was good for the whole horizon, is followed on; ``fallbacks`` counts it.
 
     From one start of the pumps to the next it waits 3600 s / ``starts_per_hour`` of the site. The
-    program does not know of starts, and without this rule it would follow evapotranspiration with
-    up to 121 of them an hour. What evaporates meanwhile is little: 0.05 mm at 1 mm/h and 20 starts.
+    program does not know of starts, and would have up to seven times as many (doc/results.md). What
+    evaporates meanwhile is little: 0.05 mm at 1 mm/h and 20 starts.
 
     The roof's level is not taken as read, and forecasts of rain not for ever: see
     :class:`~greenroof_ros.controllers.roof_observer.RoofObserver` and
