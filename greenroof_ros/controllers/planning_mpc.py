@@ -25,7 +25,7 @@ class PlanningMpc(Planner):
                   "squares it"),
         Parameter("energy_weight", 0.0, "m3 s/kWh", 0.0, 1e9, "what a kWh of hydraulic energy "
                   "counts as deviation; with power 2 as its square (m6 s/kWh)"),
-        Parameter("start_weight", 0.0, "m3 s", 0.0, 1e5, "what a pump start at full flow counts, "
+        Parameter("start_weight", 0.0, "m3 s", 0.0, 1e4, "what a pump start at full flow counts, "
                   "likewise"),
         OBSERVER_TIME_CONSTANT,
         WAITING_BUDGET,
