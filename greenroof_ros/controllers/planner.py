@@ -96,9 +96,9 @@ class Planner:
     one decision now - and from then on for those that newer forecasts have not told apart
     (:func:`~greenroof_ros.controllers.scenario_tree.halved_by_rain`).
 
-    It decides again when there is no plan, the plan is 600 s old, the roof has come 2 litres off
-    it, or the forecast has changed, which it looks for once a minute. Without prices and without a
-    low outlet the program is solved exactly
+    It decides again when there is no plan, the plan is 600 s old or in its last step, the roof has
+    come 2 litres off it, or the forecast has changed, which it looks for once a minute. Without
+    prices and without a low outlet the program is solved exactly
     (:class:`~greenroof_ros.controllers.exact_program.ExactProgram`). The others are solved by OSQP,
     whose first guess is the last solution, moved on. Where it finds no solution the last plan,
     which was good for the whole horizon, is followed on; ``fallbacks`` counts it.
@@ -168,6 +168,8 @@ class Planner:
         self._after = AfterForecast(site, horizon, days_after)
         self._edges = self._after.edges
         self._lengths = np.diff(self._edges)
+        # The plan's last step is its end, for which nothing more is worth pumping.
+        self._longest = min(_LONGEST_PLAN_S, float(self._edges[-2]))
         self._power = power
         self._prices = prices
         self._recourse = recourse
@@ -344,7 +346,7 @@ class Planner:
     def _must_decide(self, rain: Array, evaporated: Array, rain_counts: bool) -> bool:
         """Whether plan, state or forecast has changed."""
         changed = self._unlooked >= _LOOK_S and self._forecast_changed(rain, evaporated)
-        if changed or self._pumped is None or self._age >= _LONGEST_PLAN_S:
+        if changed or self._pumped is None or self._age >= self._longest:
             return True
         return rain_counts != self._rain_counts or not abs(self._off_plan) <= _OFF_PLAN_M3
 

@@ -29,7 +29,7 @@ import json
 import math
 import re
 from collections.abc import Callable, Sequence
-from datetime import datetime, timedelta, timezone
+from datetime import datetime, timezone
 from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -375,7 +375,7 @@ def _named_run(file: Path) -> datetime | None:
         return None
     year, month, day, hour = map(int, match.groups())
     try:
-        return datetime(year, month, day, tzinfo=_UTC) + timedelta(hours=hour)
+        return datetime(year, month, day, hour, tzinfo=_UTC)
     except ValueError:
         raise ConfigurationError(
             "its name must end in a run such as 2024060112, year, month, day and hour in UTC",

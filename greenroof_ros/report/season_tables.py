@@ -58,7 +58,8 @@ def season_tables(report: Report) -> list[Table]:
             [
                 [
                     *_named(one.of, where), Cell(f"{one.better} of {one.years}", one.better),
-                    word(one.mean.verdict), *_interval(one.mean), number(100 * one.share, "+.1f"),
+                    word(one.mean.verdict), *_interval(one.mean),
+                    share(None) if one.share is None else number(100 * one.share, "+.1f"),
                     word(one.worst_weeks.verdict), *_interval(one.worst_weeks),
                 ]
                 for one in less

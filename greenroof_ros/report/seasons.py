@@ -211,7 +211,7 @@ class Difference:
     Attributes:
         of: the controller.
         mean: of the total deviation of a season (m3).
-        share: the same as a share of that of on/off (1).
+        share: the same as a share of that of on/off (1); None where that has none.
         worst_weeks: of the mean deviation of the worst tenth of weeks (m3).
         better: in how many years it had less.
         years: in how many both ran.
@@ -219,7 +219,7 @@ class Difference:
 
     of: Seasons
     mean: Interval
-    share: float
+    share: float | None
     worst_weeks: Interval
     better: int
     years: int
@@ -247,6 +247,7 @@ def differences(found: Sequence[Seasons]) -> Iterator[Difference]:
         theirs = {year: reference.totals(year).mean() for year in years}
         less = [one.totals(year) - theirs[year] for year in years]
         mean = float(np.mean([each.mean() for each in less]))
+        usual = float(np.mean(list(theirs.values())))
         own_weeks = [one.weeks(year) for year in years]
         their_weeks = [reference.weeks(year) for year in years]
         worst = [
@@ -258,7 +259,7 @@ def differences(found: Sequence[Seasons]) -> Iterator[Difference]:
         yield Difference(
             of=one,
             mean=_interval(mean, by_run @ share_of_mean, len(years)),
-            share=mean / float(np.mean(list(theirs.values()))),
+            share=mean / usual if usual else None,
             worst_weeks=_interval(
                 worst[0] - worst[1],
                 _worst_tenths(by_run, np.concatenate(own_weeks))

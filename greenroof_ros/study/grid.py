@@ -467,7 +467,8 @@ class _Grid:
     ) -> tuple[ForecastChoice, InputFile | None, InputFile | None]:
         """Return a choice of forecasts as the study carries it along, its file, and its skill's.
 
-        A directory is one file there, in the project's own form.
+        A directory is one file there, in the project's own form, and so is NetCDF, whose name has
+        to say its issue alone.
         """
         skill_file = None if choice.skill_file is None else self._input(choice.skill_file)
         if skill_file is not None:
@@ -475,7 +476,7 @@ class _Grid:
         if choice.file is None:
             return choice, None, skill_file
         path = choice.file.resolve()
-        if path.is_dir():
+        if path.is_dir() or path.suffix.lower() == ".nc":
             archive = read_archive(path, site, choice.delay)
             choice = replace(choice, delay=archive.delay)
             if path not in self._files:
@@ -565,7 +566,7 @@ class _Grid:
                 self._mapping, "bound_block",
                 f"must be a whole number of ticks of {site.tau:g} s, or 0 for no bound",
             )
-        return seconds
+        return seconds if ticks else 0.0
 
     def _controllers(self) -> Iterator[_Setting]:
         """Yield each controller with each combination of its parameters."""

@@ -107,7 +107,8 @@ def fit_climate(spells: Sequence[Array], tip: float) -> Climate:
         tip: of the gauge (mm): what is less than half of it away is the same reading.
 
     Raises:
-        ConfigurationError: there is no correlation at all.
+        ConfigurationError: there is no correlation at all, or rain in more or fewer hours than a
+            climate may have.
     """
     rain = np.concatenate(spells)
     amounts = rain[rain > 0]
@@ -125,6 +126,12 @@ def fit_climate(spells: Sequence[Array], tip: float) -> Climate:
         return -float((counts * np.log(np.maximum(low - more(tips + tip / 2), 1e-300))).sum())
 
     limits = {key.name: (key.entry.low, key.entry.high) for key in keys(Climate)}
+    driest, wettest = limits["wet_share"]
+    if not driest <= share <= wettest:
+        raise ConfigurationError(
+            f"needs records with rain in {driest:.2%} to {wettest:.0%} of their hours, not in "
+            f"{share:.3%}", key="--fit",
+        )
     likeliest = minimize(
         unlikely, [0.0, 0.4], method="Nelder-Mead",
         bounds=np.log([limits["scale"], limits["growth"]]),

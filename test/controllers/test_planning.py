@@ -702,6 +702,16 @@ def test_pumps_start_as_often_as_they_may(starts_per_hour: int) -> None:
     assert 1 < starts(starts_per_hour) <= starts_per_hour
 
 
+def test_a_plan_that_ends_sooner_than_it_is_old() -> None:
+    """Six minutes of forecast and none after it: pumps that are needed for longer go on."""
+    run = paper_run(
+        "--controller", "planning_mpc", "--horizon", "0.1", "--days-after", "0",
+        "--max-command", "0.05", "--hours", "0.25",
+    )
+    commands = [tick.command for tick in closed_loop(run, run.make_controller(), Metrics())]
+    assert commands == pytest.approx([0.05] * 901)
+
+
 def test_long_ticks(tmp_path: Path) -> None:
     """A tick of five minutes pumps what the plan has for all of it, and not beyond the target."""
     site = (shared_directory() / "config" / "site.yaml").read_text()

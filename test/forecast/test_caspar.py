@@ -16,9 +16,11 @@ import netCDF4
 import numpy as np
 import pytest
 from paper import PAPER_SITE
+from studies import edited, grid
 
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.forecast.archive import read_archive
+from greenroof_ros.study.grid import read_grid
 
 TORONTO = replace(PAPER_SITE, latitude=43.63, longitude=-79.40)
 REMARKS = (
@@ -77,6 +79,27 @@ def write(
         rain[:] = np.ma.masked_invalid(everywhere)
         edit(dataset)
     return file
+
+
+def test_a_study_carries_the_same_issue_of_two_products(tmp_path: Path) -> None:
+    """Under names of their own, of which neither is one that CaSPAr gives."""
+    for product in ("HRDPS", "REPS"):
+        (tmp_path / product).mkdir()
+        write(tmp_path / product / "2021070706.nc", product=product)
+    both = "forecast: [HRDPS/2021070706.nc, REPS/2021070706.nc]\n"
+    text = edited("T02:00", "T10:00").replace("published, ", "")
+    cases = read_grid(tmp_path / grid(tmp_path, text + both))
+    files = {case.forecast_file for case in cases}
+    assert {case.forecast.delay for case in cases} == {5.0, 7.0}
+    rains = []
+    for number, file in enumerate(files):
+        assert file is not None
+        carried = tmp_path / str(number) / file.name
+        carried.parent.mkdir()
+        carried.write_bytes(file.content)
+        (issue,) = read_archive(carried, TORONTO).issues
+        rains.append(issue.rain[0].tolist())
+    assert rains == [pytest.approx([0.0, 1.0, 0.5, 0.0, 2.5], abs=1e-6)] * 2
 
 
 def test_hours_are_differences_of_the_nearest_points_sums(tmp_path: Path) -> None:

@@ -310,6 +310,9 @@ WRONG = {
         edited(), ": must have the hour after its run, 2024-06-01T18:00+00:00; its first time is ",
     ),
     "none_2024063112.json": (edited(), ": its name must end in a run such as 2024060112, year, mo"),
+    # No hour of a day; and the 99th after the last day that a calendar has.
+    "none_2024053136.json": (edited(), ": its name must end in a run such as 2024060112, year, mo"),
+    "none_9999123199.json": (edited(), ": its name must end in a run such as 2024060112, year, mo"),
     "history.csv": (
         "\n".join(["time,precipitation", *(
             f"{parse_time('2024-01-01T00:00Z') + hour * HOUR},0.0" for hour in range(37 * 24)

@@ -211,6 +211,17 @@ def test_a_panel_for_each_kind_of_forecasts(tmp_path: Path) -> None:
     }
 
 
+def test_no_share_of_nothing(tmp_path: Path) -> None:
+    """A target that dry weather and on/off never leave: what is more has no percentage."""
+    report = report_of(
+        tmp_path, *rows("onoff", None, dict.fromkeys(YEARS, 0.0)), *rows("mpc", None, ONOFF)
+    )
+    (found,) = differences(seasons(report))
+    assert (found.mean.value, found.share) == (pytest.approx(150.0), None)
+    (row,) = season_tables(report)[1].rows
+    assert "unknown" in [cell.text for cell in row]
+
+
 def test_seeds_widen_the_interval(tmp_path: Path) -> None:
     """Where years are alike and seeds are not, what is unsure are the seeds."""
     apart = [{year: total + each for year, total in ONOFF.items()} for each in (-40, 40)]

@@ -261,6 +261,8 @@ def test_seconds_of_the_bound(tmp_path: Path) -> None:
     assert usual.identity == ten.identity and usual.problem != ten.problem
     # Of larger blocks that are whole multiples it is never above (Jensen's inequality).
     assert 0 < bound_case(ten) <= bound_case(usual)
+    # What is no tick is none, and no division by it.
+    assert read_grid(tmp_path / grid(tmp_path, GRID + "bound_block: 1.0e-10\n"))[0].bound_block == 0
 
 
 def test_a_sites_own_state_beside_one_of_the_papers(tmp_path: Path) -> None:

@@ -97,6 +97,15 @@ def test_a_spring_gives_a_file_that_is_read(tmp_path: Path, rain: dict[int, Arra
     assert read_skill(str(file)).climate.growth == pytest.approx(climate.growth, rel=1e-4)
 
 
+@pytest.mark.parametrize("dry_hours", [50, 0, 1000])
+def test_rain_in_more_or_fewer_hours_than_a_file_may_have(dry_hours: int) -> None:
+    """In 95 %, in all and in none of the hours: refused, as the file would be."""
+    hours = np.arange(1000)
+    rain = np.where(hours % (1000 // dry_hours) == 0, 0.0, 1.0) if dry_hours else np.ones(1000)
+    with pytest.raises(ConfigurationError, match=r"^--fit: needs records with rain in 0.01% to"):
+        fit_climate([rain], TIP)
+
+
 def write_records(directory: Path, rain: dict[int, Array], hours: int) -> Path:
     """Write the beginning of a season as a weather file."""
     path = directory / "records.csv"
