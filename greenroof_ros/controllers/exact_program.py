@@ -69,7 +69,10 @@ class ExactProgram:
     ) -> Array:
         """Solve it; see :class:`greenroof_ros.controllers.objective.Program`.
 
-        There always is a solution; flow and guess do not matter. It is not for low outlets.
+        There always is a solution; flow, guess and a low outlet do not matter. ``lasting`` is the
+        share of what is pumped now that is still on the roof in each step (1), shape (members, n);
+        None where it is all of it. ``most`` is of what is left then, and ``there`` the upper bound
+        of the volumes pumped (m3), not falling, shape (members, n).
         """
         # Where the pumps cannot lift, no bound on their commands makes them.
         largest = full * self._max_command if full else 0.0

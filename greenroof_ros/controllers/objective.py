@@ -42,8 +42,6 @@ class Program(Protocol):
         guess: Array | None,
         groups: Groups,
         ahead: CisternAhead | None = None,
-        lasting: Array | None = None,
-        there: Array | None = None,
     ) -> Array | None:
         """Return the volumes pumped, and kept, until each step's end (m3), shape (members, n).
 
@@ -56,10 +54,6 @@ class Program(Protocol):
             groups: of the members for which the volumes of a step are the same, by the least index
                 of a member; a group is part of one of the step before; shape (members, n).
             ahead: the cistern, volumes and flows likewise; None where it has no low outlet.
-            lasting: share of what is pumped now that is still on the roof in each step (1), shape
-                (members, n); None where it is all of it. ``most`` is of what is left then.
-            there: upper bound of the volumes pumped (m3), not falling, shape (members, n); None
-                where what is pumped is what is left.
 
         Returns:
             None where there is no solution; ``status`` says why.

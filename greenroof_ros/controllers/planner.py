@@ -100,8 +100,9 @@ class Planner:
     come 2 litres off it, or the forecast has changed, which it looks for once a minute. Without
     prices and without a low outlet the program is solved exactly
     (:class:`~greenroof_ros.controllers.exact_program.ExactProgram`). The others are solved by OSQP,
-    whose first guess is the last solution, moved on. Where it finds no solution the last plan,
-    which was good for the whole horizon, is followed on; ``fallbacks`` counts it.
+    whose first guess is the last solution, moved on. Where it finds no solution the
+    plan is the exact one, as if there were no prices, no squares and no low outlet; ``fallbacks``
+    counts it.
 
     From one start of the pumps to the next it waits 3600 s / ``starts_per_hour`` of the site. The
     program does not know of starts, and would have up to seven times as many (doc/results.md). What
@@ -119,8 +120,8 @@ class Planner:
             roof that the program expects at its end (m), at least 0; what would drain off a roof
             that is too full is still on it. With an ensemble flow and level are the means over the
             members: until ``recourse`` the flow is that of all, from then on that of none. Shape
-            (0, 3) where the last plan is followed on, also because the new program had no solution;
-            one row of NaN where the controller did not decide.
+            (0, 3) where the last plan is followed on; one row of NaN where the controller did not
+            decide.
         solves: how many programs were solved, or tried.
         fallbacks: how many of them had no solution.
         solve_seconds: wall time of each :meth:`command` (s), most of which solve nothing.
@@ -173,6 +174,7 @@ class Planner:
         self._power = power
         self._prices = prices
         self._recourse = recourse
+        self._exact = ExactProgram(self._edges, max_command)
         self._program = self._make_program(max_iterations)
         self._members = 1
         self._pumped: Array | None = None  # P at the edges, shape (members, steps + 1)
@@ -194,7 +196,7 @@ class Planner:
     def _make_program(self, max_iterations: int) -> Program:
         plain = self._power == 1 and self._prices == NO_PRICES
         if plain and self._site.low_outlet_level is None:
-            return ExactProgram(self._edges, self._max_command)
+            return self._exact
         # Its solver takes half a second to import, which those who do not need it are spared.
         from greenroof_ros.controllers.planning_program import PlanningProgram
 
@@ -367,15 +369,12 @@ class Planner:
         return float((end - begin) / tau)
 
     def _decide(self, x1: float, x2: float, rain: Array, evaporated: Array) -> None:
-        """Make a new plan; keep the old one where the solver finds none."""
+        """Make a new plan; where the solver finds none, the exact one without prices."""
         site = self._site
         start = np.zeros((self._members, 1))
         weather = rain, evaporated, self._lengths
         changes = free_changes(site, x2, *weather)
         inflow = np.cumsum(changes, axis=1)
-        lasting = None
-        if isinstance(self._program, ExactProgram):
-            lasting = lasting_share(site, x2, changes, *weather)
         before = x2 - site.x2_star + np.hstack([start, inflow])
         missing = np.maximum.accumulate(np.maximum(-before, 0.0), axis=1)[:, 1:]
         # What will be above the suction level by then, and below the outlet.
@@ -393,25 +392,29 @@ class Planner:
         if site.low_outlet_level is not None:
             ahead = cistern_ahead(site, x1, rain, self._lengths, slack, kept)
         self.solves += 1
-        pumped = self._program.solve(
+        weather_and_pumps = (
             (before[:, :-1] + before[:, 1:]) / 2,
             np.minimum(missing, there),
             kept * full,
             kept * self._flow,
             self._moved_on(),
             halved_by_rain(rain, self._edges, self._recourse or math.inf),
-            ahead,
-            lasting,
-            None if lasting is None else there,
         )
+        pumped, lasting = None, None
+        if self._program is not self._exact:
+            pumped = self._program.solve(*weather_and_pumps, ahead)
+            if pumped is None:
+                self.fallbacks += 1
+                if self.fallbacks == 1:
+                    _log.warning(
+                        "OSQP's status is %d; planning without prices, squares and low outlet "
+                        "instead; further ones are only counted", self.status,
+                    )
         if pumped is None:
-            self.fallbacks += 1
-            if self.fallbacks == 1:
-                _log.warning(
-                    "OSQP's status is %d; following the last plan; further ones are only counted",
-                    self.status,
-                )
-            return
+            lasting = lasting_share(site, x2, changes, *weather)
+            pumped = self._exact.solve(
+                *weather_and_pumps, None, lasting, None if lasting is None else there
+            )
         self._pumped = np.hstack([start, pumped])
         self._age = self._off_plan = 0.0
         flows = np.diff(self._pumped) / self._lengths / kept

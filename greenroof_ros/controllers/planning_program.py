@@ -147,13 +147,8 @@ class PlanningProgram:
         guess: Array | None,
         groups: Groups,
         ahead: CisternAhead | None = None,
-        lasting: Array | None = None,
-        there: Array | None = None,
     ) -> Array | None:
-        """Solve it; see :class:`greenroof_ros.controllers.objective.Program`.
-
-        What is pumped counts as lasting.
-        """
+        """Solve it; see :class:`greenroof_ros.controllers.objective.Program`."""
         if not np.array_equal(groups, self._groups):
             self._set_up(groups)
         lower, upper = self._bounds(mean, most, full, flow, ahead)
