@@ -19,8 +19,8 @@ from greenroof_ros.common.times import to_people
 from greenroof_ros.experiment.options import add_forecast_options, forecast_from_arguments
 from greenroof_ros.forecast.choice import MODELS
 from greenroof_ros.model.site import read_site
+from greenroof_ros.verification.archive_faults import odd_leads, unrelated
 from greenroof_ros.verification.issued import IssuedForecasts, issued_forecasts
-from greenroof_ros.verification.odd_leads import odd_leads
 from greenroof_ros.verification.pairs import Class, Sum, tally
 from greenroof_ros.verification.scores import Tally
 from greenroof_ros.verification.table import csv_text, terminal_table
@@ -147,6 +147,11 @@ def main() -> int:
                 f"warning: {lead} has {ratio:.2f} times the water of the other leads, most likely "
                 "by an error of the archive; --horizon leaves late leads out", file=sys.stderr,
             )
+    if unrelated(tallies):
+        print(
+            "warning: these forecasts know nothing of these records, no correlation reaches 0.1: "
+            "are both of the same place, and the hours of both right?", file=sys.stderr,
+        )
     if arguments.fit is not None:
         # Its parts of scipy take half a second, which those who do not fit are spared.
         from greenroof_ros.verification.fitting import MOST_TRIALS, fit_skill, skill_text

@@ -105,8 +105,8 @@ class Planner:
     counts it.
 
     From one start of the pumps to the next it waits 3600 s / ``starts_per_hour`` of the site. The
-    program does not know of starts, and would have up to seven times as many (doc/results.md). What
-    evaporates meanwhile is little: 0.05 mm at 1 mm/h and 20 starts.
+    program does not know of starts, and would have more. What evaporates meanwhile is little:
+    0.05 mm at 1 mm/h and 20 starts.
 
     The roof's level is not taken as read, and forecasts of rain not for ever: see
     :class:`~greenroof_ros.controllers.roof_observer.RoofObserver` and
@@ -392,7 +392,7 @@ class Planner:
         if site.low_outlet_level is not None:
             ahead = cistern_ahead(site, x1, rain, self._lengths, slack, kept)
         self.solves += 1
-        weather_and_pumps = (
+        problem = (
             (before[:, :-1] + before[:, 1:]) / 2,
             np.minimum(missing, there),
             kept * full,
@@ -402,7 +402,7 @@ class Planner:
         )
         pumped, lasting = None, None
         if self._program is not self._exact:
-            pumped = self._program.solve(*weather_and_pumps, ahead)
+            pumped = self._program.solve(*problem, ahead)
             if pumped is None:
                 self.fallbacks += 1
                 if self.fallbacks == 1:
@@ -413,7 +413,7 @@ class Planner:
         if pumped is None:
             lasting = lasting_share(site, x2, changes, *weather)
             pumped = self._exact.solve(
-                *weather_and_pumps, None, lasting, None if lasting is None else there
+                *problem, None, lasting, None if lasting is None else there
             )
         self._pumped = np.hstack([start, pumped])
         self._age = self._off_plan = 0.0

@@ -216,6 +216,18 @@ def test_a_day_without_half_of_its_water(
         assert ratio == pytest.approx(totals[4] / np.median(totals[:4]), abs=0.01)
 
 
+def test_forecasts_of_another_place(tmp_path: Path) -> None:
+    """Rain that is independent of the records is named; less than 1000 pairs tell nothing."""
+    for hours, warned in ((1300, True), (900, False)):
+        file = previous_runs(tmp_path, hours, (1.0, 1.0))
+        weather = str(records(tmp_path, file, 1))
+        rows = [line.split(",") for line in file.read_text().splitlines()]
+        file.write_text("".join(f"{row[0]},{row[2]}\n" for row in rows))  # the second day alone
+        done = verify(tmp_path, str(file), "--weather", weather)
+        assert (done.returncode, "day 2" in done.stdout) == (0, True)
+        assert ("these forecasts know nothing of these records" in done.stderr) == warned
+
+
 def test_models_of_the_package(tmp_path: Path) -> None:
     """Perfect forecasts are perfect, those without errors, too; persistence is as it counts."""
     common = ("--weather", str(JULY), "--horizon", "48")
