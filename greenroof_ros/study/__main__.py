@@ -108,6 +108,10 @@ def main() -> int:
         raise ConfigurationError(
             "is not an option with --scheduler: the cluster knows how many", key="--jobs"
         )
+    if arguments.weather is not None and not arguments.weather.is_dir():
+        raise ConfigurationError(
+            "must be a directory with weather files", key="--weather", value=str(arguments.weather)
+        )
     grid: Path = arguments.grid or shared_directory() / "config" / "study.yaml"
     name = "paper" if arguments.grid is None else grid.stem
     cases = read_grid(grid, arguments.weather)

@@ -157,6 +157,7 @@ def test_wrong_grid(tmp_path: Path, name: str) -> None:
         (["--jobs", "0"], "argument --jobs: invalid whole number from 1 to 1024 value: '0'"),
         (["--engine", "gazebo"], "argument --engine: invalid choice: 'gazebo'"),
         (["--scheduler", "tcp://127.0.0.1:9", "--jobs", "2"], "--jobs: is not an option with"),
+        (["--weather", "absent"], "--weather = 'absent': must be a directory with weather files"),
         (["--output", "/proc/study"], "--output = '/proc/study': cannot be written"),
     ],
 )
