@@ -4,8 +4,8 @@ Each controller that plans, with its default budget, from May to October, is tol
 such forecasts, ten days long. Printed is its deviation over that of plain on/off, and the stated
 bound likewise, for Table I's roof and for a measured one with a catchment. RECORDS has the hourly
 bulk files of Toronto City Centre. Ticks are of a minute, and the pumps have a twentieth of their
-flow, or on/off would lift 7 mm in one. Half an hour on two cores. Exits with 1 where a bound does
-not hold.
+flow, or on/off would lift 7 mm in one. A quarter of an hour on two cores. Exits with 1 where a
+bound does not hold.
 """
 
 from __future__ import annotations
