@@ -462,6 +462,7 @@ def arrays_of(run: Path, topic: str, length: int) -> list[bytes]:
         "--controller planning_mpc --forecast ensemble --forecast-members 3",
         "--controller mpc --forecast archive.csv",
         "--controller planning_mpc --forecast runs --forecast-delay 0",
+        "--controller onoff --forecast persistence",
     ],
 )
 def test_graph_and_simulate_are_given_the_same(

@@ -208,8 +208,8 @@ def test_grids_that_come_with_it(tmp_path: Path, file: str) -> None:
 
 
 @pytest.mark.parametrize(("file", "sites", "tick", "forecasts"), [
-    # Of each year and site: mpc and 4 on/off that look at none, 3 that do at 10 + 1, one with 10.
-    ("study_seasons.yaml", 2, 10, 5 + 3 * 11 + 10),
+    # Of each year and site: mpc and 4 on/off that look at none, 2 that do at 10 + 1, one with 10.
+    ("study_seasons.yaml", 2, 10, 5 + 2 * 11 + 10),
     ("study_sizing.yaml", 18, 60, 2),
 ])
 def test_grids_of_years(
