@@ -587,26 +587,33 @@ class _Grid:
                     "class",
                 )
             references[controller.name] = reference
-            given = section[reference]
-            if given is None:
+            if section[reference] is None:
                 yield _Setting(controller, defaults, None)
                 continue
-            if not isinstance(given, YamlMapping):
-                raise self._refuse(section, reference, "must hold parameters, or nothing")
-            forecasts = list(self._forecasts(given)) if "forecast" in given else None
-            keys = [key for key in given if key != "forecast"]
-            choices = []
-            for key in keys:
-                controller.check_name(key, self._path, given.lines[key])
-                parameter = controller.parameters[key]
-                values = self._list(given, key, float)
-                for value in values:
-                    if not parameter.accepts(value):
-                        raise self._refuse(given, key, f"{value:g} {parameter.expected}")
-                choices.append([int(value) if parameter.whole else value for value in values])
-            for combination in itertools.product(*choices):
-                parameters = {**defaults, **dict(zip(keys, combination, strict=True))}
-                yield _Setting(controller, parameters, forecasts)
+            given = section[reference]
+            for one in given if isinstance(given, list) and given else [given]:
+                if not isinstance(one, YamlMapping):
+                    raise self._refuse(
+                        section, reference, "must hold parameters, a list of such, or nothing"
+                    )
+                yield from self._settings(controller, one)
+
+    def _settings(self, controller: ControllerChoice, given: YamlMapping) -> Iterator[_Setting]:
+        """Yield a controller with each combination of its parameters, the others by default."""
+        forecasts = list(self._forecasts(given)) if "forecast" in given else None
+        keys = [key for key in given if key != "forecast"]
+        choices = []
+        for key in keys:
+            controller.check_name(key, self._path, given.lines[key])
+            parameter = controller.parameters[key]
+            values = self._list(given, key, float)
+            for value in values:
+                if not parameter.accepts(value):
+                    raise self._refuse(given, key, f"{value:g} {parameter.expected}")
+            choices.append([int(value) if parameter.whole else value for value in values])
+        for combination in itertools.product(*choices):
+            parameters = {**controller.defaults(), **dict(zip(keys, combination, strict=True))}
+            yield _Setting(controller, parameters, forecasts)
 
     @contextmanager
     def _at(self, mapping: YamlMapping, key: str) -> Iterator[None]:

@@ -37,6 +37,10 @@ WRONG = {
         GRID + "bound_block: 0.5\n",
         "line 14: bound_block = 0.5: must be a whole number of ticks of 1 s, or 0 for no bound",
     ),
+    "parameters": (edited("onoff:", "onoff: fast"), "must hold parameters, a list of such, or n"),
+    "settings": (edited("onoff:", "onoff: [{level: 1}, 2]"), "must hold parameters, a list"),
+    "no-settings": (edited("onoff:", "onoff: []"), "onoff: must hold parameters, a list of such"),
+    "settings-twice": (edited("onoff:", "onoff: [{level: 1}, {level: 1}]"), "the same run twice"),
     "own-forecast": (
         edited("onoff:", "onoff: {forecast: perfekt}"), "forecast = 'perfekt': 'perfekt' must be",
     ),
@@ -192,7 +196,9 @@ def test_window_of_several_files(tmp_path: Path) -> None:
 
 
 # Those that need years of weather, which the package has not.
-YEARS = ("study_seasons.yaml", "study_sizing.yaml", "study_ticks.yaml")
+YEARS = (
+    "study_horizons.yaml", "study_seasons.yaml", "study_sizing.yaml", "study_ticks.yaml",
+)
 
 
 @pytest.mark.parametrize(
@@ -208,8 +214,10 @@ def test_grids_that_come_with_it(tmp_path: Path, file: str) -> None:
 
 
 @pytest.mark.parametrize(("file", "sites", "tick", "forecasts"), [
-    # Of each year and site: mpc and 4 on/off that look at none, 2 that do at 10 + 1, one with 10.
-    ("study_seasons.yaml", 2, 10, 5 + 2 * 11 + 10),
+    # Of each year and site: mpc and 4 on/off that look at none, 2 that do at 10 + 1, one with 10,
+    # and one more planner with 3.
+    ("study_seasons.yaml", 2, 10, 5 + 2 * 11 + 10 + 3),
+    ("study_horizons.yaml", 1, 10, 5),
     ("study_sizing.yaml", 18, 60, 2),
 ])
 def test_grids_of_years(
@@ -230,6 +238,23 @@ def test_grids_of_years(
     assert len(cases) == 2 * sites * forecasts
     assert len({case.site.content for case in cases}) == sites
     assert {yaml.safe_load(case.site.content)["tau"] for case in cases} == {tick}
+
+
+def test_settings_of_one_controller(tmp_path: Path) -> None:
+    """A list is of settings, each with combinations and forecasts of its own."""
+    text = GRID[: GRID.index("    weight:")] + """
+    - {weight: [0.001, 0.01], forecast: perfect}
+    - weight: 0.1
+      forecast: {model: errors, skill: real, seed: [1, 2]}
+"""
+    cases = read_grid(tmp_path / grid(tmp_path, text))
+    found = sorted(
+        (case.parameters["weight"], str(case.forecast), case.forecast.options().get("seed"))
+        for case in cases if (case.initial, case.evapotranspiration) == ("dry", "fao56")
+    )
+    assert found == [
+        (0.001, "perfect", None), (0.01, "perfect", None), (0.1, "errors", 1), (0.1, "errors", 2),
+    ]
 
 
 def test_sites_with_other_values(tmp_path: Path) -> None:
