@@ -8,11 +8,18 @@ from typing import Any
 
 import altair as alt
 
-from greenroof_ros.forecast.choice import PERFECT
 from greenroof_ros.recording.results_table import differing
 from greenroof_ros.report.drawing import COLOURS, Figure, Panel, Rows, cycle, distinct, short
 from greenroof_ros.report.results import Report
-from greenroof_ros.report.seasons import PLAIN, Place, Seasons, differences, seasons
+from greenroof_ros.report.seasons import (
+    PLAIN,
+    Place,
+    Seasons,
+    differences,
+    given_errors,
+    plain_onoff,
+    seasons,
+)
 from greenroof_ros.report.settings import controller_name
 from greenroof_ros.report.sizing import is_sizing, size_of
 
@@ -28,7 +35,7 @@ def season_figures(report: Report) -> list[Callable[[], Figure]]:
     if is_sizing(found):
         return [partial(sizing, found)]
     makers: list[Callable[[], Figure]] = [partial(by_year, found)]
-    if any(True for _ in differences(found)):
+    if any(True for _ in differences(found, plain_onoff(found))):
         makers.append(partial(difference_figure, report, found))
     return makers
 
@@ -59,11 +66,7 @@ def by_year(found: Sequence[Seasons]) -> Figure:
     """Return the deviation of each year: a panel for each place and kind of forecasts."""
     panels: list[Panel] = []
     data: dict[str, Rows] = {}
-    kinds: dict[str, set[str]] = {}
-    for one in found:
-        kinds.setdefault(one.controller, set()).add(one.forecast)
-    # One that ran with perfect forecasts alone may look at none: it stands beside all others.
-    looking = {controller for controller, theirs in kinds.items() if theirs != {PERFECT}}
+    looking = given_errors(found)
     usual = list(dict.fromkeys(one.forecast for one in found if one.controller in looking))
     for place in dict.fromkeys(one.place for one in found):
         here = [one for one in found if one.place == place]
@@ -102,7 +105,7 @@ def _rows_by_year(shown: Sequence[Seasons]) -> Rows:
 
 def difference_figure(report: Report, found: Sequence[Seasons]) -> Figure:
     """Return the differences from on/off with their intervals, a panel for each place."""
-    less = list(differences(found))
+    less = list(differences(found, plain_onoff(found)))
     colours = dict(zip(report.controllers, cycle(COLOURS, report.controllers), strict=True))
     panels: list[Panel] = []
     data: dict[str, Rows] = {}

@@ -7,7 +7,16 @@ from collections.abc import Sequence
 from greenroof_ros.recording.results_table import differing
 from greenroof_ros.report.cells import Cell, Table, number, share, word
 from greenroof_ros.report.results import Report, heading
-from greenroof_ros.report.seasons import PLAIN, Interval, Seasons, differences, seasons
+from greenroof_ros.report.seasons import (
+    PLAIN,
+    Difference,
+    Interval,
+    Seasons,
+    differences,
+    least_deviation,
+    plain_onoff,
+    seasons,
+)
 from greenroof_ros.report.settings import controller_name
 from greenroof_ros.report.sizing import is_sizing, size_of
 
@@ -46,26 +55,43 @@ def season_tables(report: Report) -> list[Table]:
         return []
     where = differing([one.place.facts for one in found])
     tables = [_means(found, where)]
-    less = list(differences(found))
+    plain, least = plain_onoff(found), least_deviation(found)
+    less = list(differences(found, plain))
     if less:
-        tables.append(Table(
-            f"Differences from on/off, {PLAIN}, and how sure they are",
-            [
-                *_named_header(where), "years with less deviation", "verdict",
-                "deviation of a season (m³)", "95 % from", "to", "(%)", "verdict of worst weeks",
-                "worst tenth of weeks (m³)", "95 % from", "to",
-            ],
-            [
-                [
-                    *_named(one.of, where), Cell(f"{one.better} of {one.years}", one.better),
-                    word(one.mean.verdict), *_interval(one.mean),
-                    share(None) if one.share is None else number(100 * one.share, "+.1f"),
-                    word(one.worst_weeks.verdict), *_interval(one.worst_weeks),
-                ]
-                for one in less
-            ],
+        tables.append(_differences(f"Differences from on/off, {PLAIN}", less, where))
+    others = {place: one for place, one in least.items() if one is not plain.get(place)}
+    more = list(differences(found, others))
+    if more and not is_sizing(found):
+        tables.append(_differences(
+            "Differences from the least deviation that forecasts with errors, or none, gave", more,
+            where, than=True,
         ))
     return tables
+
+
+def _differences(
+    title: str, less: Sequence[Difference], where: Sequence[str], *, than: bool = False
+) -> Table:
+    """Return a table of differences, if asked with what each is a difference from."""
+    return Table(
+        f"{title}, and how sure they are",
+        [
+            *_named_header(where), *(["than"] if than else []), "years with less deviation",
+            "verdict", "deviation of a season (m³)", "95 % from", "to", "(%)",
+            "verdict of worst weeks", "worst tenth of weeks (m³)", "95 % from", "to",
+        ],
+        [
+            [
+                *_named(one.of, where),
+                *([word(" ".join(cell.text for cell in _named(one.than, [])))] if than else []),
+                Cell(f"{one.better} of {one.years}", one.better),
+                word(one.mean.verdict), *_interval(one.mean),
+                share(None) if one.share is None else number(100 * one.share, "+.1f"),
+                word(one.worst_weeks.verdict), *_interval(one.worst_weeks),
+            ]
+            for one in less
+        ],
+    )
 
 
 def _named_header(where: Sequence[str]) -> list[str]:

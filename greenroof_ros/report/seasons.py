@@ -5,7 +5,7 @@ They are judged by the study's table alone, as runs of many seeds are.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
 from typing import NamedTuple
@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from scipy.special import ndtri, stdtrit
 
 from greenroof_ros.controllers.onoff import OnOff
+from greenroof_ros.forecast.choice import PERFECT
 from greenroof_ros.forecast.skill import SKILLS
 from greenroof_ros.model.site import Site
 from greenroof_ros.recording.results_table import shortest
@@ -24,8 +25,6 @@ from greenroof_ros.report.results import NO_ERRORS, Facts, Report
 RESAMPLES = 2000
 """of the bootstrap: the ends of its intervals are then sure to some hundredths of their width"""
 
-# What all others are held against: the paper's, with the values that it has unless told otherwise.
-_REFERENCE = "onoff"
 PLAIN = ", ".join(f"{each.name} {parameter_text(each.default)}" for each in OnOff.parameters)
 """the parameters of plain on/off, for people"""
 _SEED = 1
@@ -206,18 +205,20 @@ class Interval(NamedTuple):
 
 @dataclass(frozen=True)
 class Difference:
-    """What a controller has less (negative) or more than plain on/off in the same years.
+    """What a controller has less (negative) or more than another in the same years.
 
     Attributes:
         of: the controller.
+        than: the other.
         mean: of the total deviation of a season (m3).
-        share: the same as a share of that of on/off (1); None where that has none.
+        share: the same as a share of that of the other (1); None where that has none.
         worst_weeks: of the mean deviation of the worst tenth of weeks (m3).
         better: in how many years it had less.
         years: in how many both ran.
     """
 
     of: Seasons
+    than: Seasons
     mean: Interval
     share: float | None
     worst_weeks: Interval
@@ -225,18 +226,51 @@ class Difference:
     years: int
 
 
-def _is_plain_onoff(one: Seasons) -> bool:
-    return one.controller == _REFERENCE and all(
-        one.parameters.get(each.name, each.default) == each.default for each in OnOff.parameters
-    )
-
-
-def differences(found: Sequence[Seasons]) -> Iterator[Difference]:
-    """Yield the difference of each to plain on/off in its place; none where that did not run."""
+def plain_onoff(found: Sequence[Seasons]) -> dict[Place, Seasons]:
+    """Return in each place the paper's on/off, its parameters at their defaults."""
     references: dict[Place, Seasons] = {}
     for one in found:
-        if _is_plain_onoff(one):
+        if one.controller == "onoff" and all(
+            one.parameters.get(each.name, each.default) == each.default
+            for each in OnOff.parameters
+        ):
             references.setdefault(one.place, one)
+    return references
+
+
+def least_deviation(found: Sequence[Seasons]) -> dict[Place, Seasons]:
+    """Return in each place the controller with the least mean deviation that a site could have.
+
+    One that was given perfect forecasts is none, unless no forecasts in the report have errors.
+    """
+    looking = given_errors(found)
+    references: dict[Place, Seasons] = {}
+    for one in found:
+        if one.forecast == PERFECT and one.controller in looking:
+            continue
+        metric = "total_deviation_m3"
+        if one.place not in references or one.mean(metric) < references[one.place].mean(metric):
+            references[one.place] = one
+    return references
+
+
+def given_errors(found: Sequence[Seasons]) -> set[str]:
+    """Return the controllers that ran with forecasts that are not perfect.
+
+    Another beside them may look at none, as on/off does: it stands for itself with all of them.
+    """
+    return {one.controller for one in found if one.forecast != PERFECT}
+
+
+def differences(
+    found: Sequence[Seasons], references: Mapping[Place, Seasons]
+) -> Iterator[Difference]:
+    """Yield the difference of each to another in its place.
+
+    Args:
+        found: the seasons.
+        references: the other, in each place; where there is none, there are no differences.
+    """
     for one in found:
         reference = references.get(one.place)
         if reference is None or one is reference:
@@ -244,61 +278,69 @@ def differences(found: Sequence[Seasons]) -> Iterator[Difference]:
         years = [year for year in one.years if year in reference.years]
         if len(years) < 2:
             continue
-        theirs = {year: reference.totals(year).mean() for year in years}
-        less = [one.totals(year) - theirs[year] for year in years]
-        mean = float(np.mean([each.mean() for each in less]))
-        usual = float(np.mean(list(theirs.values())))
-        own_weeks = [one.weeks(year) for year in years]
-        their_weeks = [reference.weeks(year) for year in years]
-        worst = [
-            worst_tenth(np.concatenate(weeks).ravel()) for weeks in (own_weeks, their_weeks)
-        ]
-        by_run, by_year = _draws(tuple(len(each) for each in less))
-        by_reference = np.repeat(by_year, [len(each) for each in their_weeks], axis=1)
-        share_of_mean = np.concatenate([each / len(each) for each in less]) / len(years)
+        own, other = _resampled(one, years), _resampled(reference, years)
+        mean = own.mean - other.mean
         yield Difference(
             of=one,
-            mean=_interval(mean, by_run @ share_of_mean, len(years)),
-            share=mean / usual if usual else None,
+            than=reference,
+            mean=_interval(mean, own.means - other.means, len(years)),
+            share=mean / other.mean if other.mean else None,
             worst_weeks=_interval(
-                worst[0] - worst[1],
-                _worst_tenths(by_run, np.concatenate(own_weeks))
-                - _worst_tenths(by_reference, np.concatenate(their_weeks)),
-                len(years),
+                own.worst_weeks - other.worst_weeks, own.worst - other.worst, len(years)
             ),
-            better=sum(each.mean() < 0 for each in less),
+            better=sum(one.totals(year).mean() < reference.totals(year).mean() for year in years),
             years=len(years),
         )
 
 
+class _Resampled(NamedTuple):
+    """Mean deviation of years and of their worst tenth of weeks (m3), and in each resample."""
+
+    mean: float
+    worst_weeks: float
+    means: Array
+    worst: Array
+
+
+def _resampled(one: Seasons, years: Sequence[int]) -> _Resampled:
+    totals = [one.totals(year) for year in years]
+    weeks = np.concatenate([one.weeks(year) for year in years])
+    runs = _draws(tuple(len(each) for each in totals))
+    share_of_mean = np.concatenate([each / len(each) for each in totals]) / len(years)
+    return _Resampled(
+        float(np.mean([each.mean() for each in totals])), worst_tenth(weeks.ravel()),
+        runs @ share_of_mean, _worst_tenths(runs, weeks),
+    )
+
+
 @cache
-def _draws(seeds: tuple[int, ...]) -> tuple[Counts, Counts]:
+def _draws(seeds: tuple[int, ...]) -> Counts:
     """Draw years with replacement, and for each year drawn as many of its seeds as it has.
 
     A bootstrap in two stages: Davison and Hinkley, Bootstrap Methods and their Application (1997),
     section 3.8. The draws begin anew each time, so that a report is the same each time it is made.
+    The years drawn are the same for all; so are the seeds for two that have as many, which
+    were given the same forecasts by them. Others' are drawn each for itself.
 
     Args:
         seeds: how many each year has.
 
     Returns:
         How often each run, in the order of years and seeds, is in each resample, shape
-        (RESAMPLES, runs); and how often each year is, shape (RESAMPLES, years).
+        (RESAMPLES, runs).
     """
-    random = np.random.default_rng(_SEED)
+    years = np.random.default_rng(_SEED).integers(len(seeds), size=(len(seeds), RESAMPLES))
+    random = np.random.default_rng([_SEED, *seeds])
     counts = np.array(seeds)
     first = np.cumsum(counts) - counts
     resample = np.arange(RESAMPLES)
     runs = np.zeros((RESAMPLES, counts.sum()), dtype=np.int32)
-    years = np.zeros((RESAMPLES, len(counts)), dtype=np.int32)
-    for _ in seeds:
-        year = random.integers(len(counts), size=RESAMPLES)
-        years[resample, year] += 1
+    for year in years:
         for seed in range(max(seeds)):
             run = first[year] + random.integers(counts[year])
             drawn = seed < counts[year]
             runs[resample[drawn], run[drawn]] += 1
-    return runs, years
+    return runs
 
 
 def _worst_tenths(runs: Counts, weeks: Array) -> Array:

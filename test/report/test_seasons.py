@@ -27,6 +27,8 @@ from greenroof_ros.report.seasons import (
     Place,
     Seasons,
     differences,
+    least_deviation,
+    plain_onoff,
     seasons,
     split_by_years,
 )
@@ -72,8 +74,13 @@ ONOFF = {year: 100.0 + 10 * (year - 2015) for year in YEARS}
 def difference(directory: Path, *others: dict[int, float]) -> Difference:
     """Return the difference from on/off of a controller with a seed for each of these totals."""
     own = [row for seed, totals in enumerate(others, 1) for row in rows("mpc", seed, totals)]
-    (found,) = differences(seasons(report_of(directory, *rows("onoff", None, ONOFF), *own)))
+    (found,) = from_onoff(seasons(report_of(directory, *rows("onoff", None, ONOFF), *own)))
     return found
+
+
+def from_onoff(found: Sequence[Seasons]) -> list[Difference]:
+    """Return the differences from plain on/off."""
+    return list(differences(found, plain_onoff(found)))
 
 
 def test_means_by_hand(tmp_path: Path) -> None:
@@ -167,7 +174,7 @@ def test_luck_is_called_so(years: int) -> None:
         of_totals("mpc", str(number), 100 + random.normal(0, 10, years)) for number in range(count)
     ]
     found = [
-        one.mean.verdict for one in differences([of_totals("onoff", "", [100.0] * years), *lucky])
+        one.mean.verdict for one in from_onoff([of_totals("onoff", "", [100.0] * years), *lucky])
     ]
     missed = count - found.count("may be luck")
     # Of so many the binomial distribution has 99 % between these.
@@ -184,13 +191,13 @@ def test_reference_is_plain_onoff(tmp_path: Path) -> None:
     )
     report = report_of(tmp_path / "a", *lower, *usual, *above, *rows("mpc", None, ONOFF))
     found = {
-        one.of.setting or one.of.controller: one.mean.value for one in differences(seasons(report))
+        one.of.setting or one.of.controller: one.mean.value for one in from_onoff(seasons(report))
     }
     assert found == pytest.approx({"level 0.9": 50, "level 0.95": 20, "mpc": 0})
-    (*_, table) = season_tables(report)
+    table = season_tables(report)[1]
     assert table.name == "Differences from on/off, fraction 1, level 1, and how sure they are"
     report = report_of(tmp_path / "b", *lower, *rows("mpc", None, ONOFF))
-    assert not [*differences(seasons(report))]
+    assert not from_onoff(seasons(report))
 
 
 def test_a_panel_for_each_kind_of_forecasts(tmp_path: Path) -> None:
@@ -216,7 +223,7 @@ def test_no_share_of_nothing(tmp_path: Path) -> None:
     report = report_of(
         tmp_path, *rows("onoff", None, dict.fromkeys(YEARS, 0.0)), *rows("mpc", None, ONOFF)
     )
-    (found,) = differences(seasons(report))
+    (found,) = from_onoff(seasons(report))
     assert (found.mean.value, found.share) == (pytest.approx(150.0), None)
     (row,) = season_tables(report)[1].rows
     assert "unknown" in [cell.text for cell in row]
@@ -231,6 +238,56 @@ def test_seeds_widen_the_interval(tmp_path: Path) -> None:
     assert found.value == pytest.approx(0)
     end = WIDER * 1.96 * deviation
     assert (found.low, found.high) == pytest.approx((-end, end), rel=0.15)
+
+
+def test_seeds_of_the_other_widen_it_too(tmp_path: Path) -> None:
+    """Forecasts of a seed are the same for both; where one has more seeds, each is drawn alone."""
+    apart = [{year: total + each for year, total in ONOFF.items()} for each in (-40, 40)]
+    runs = [row for seed, totals in enumerate(apart, 1) for row in rows("mpc", seed, totals)]
+    for totals in apart:
+        runs += rows("planning_mpc", apart.index(totals) + 1, totals)
+    for seed in (1, 2, 3, 4):
+        runs += rows("scenario_mpc", seed, apart[seed % 2])
+    found = seasons(report_of(tmp_path, *rows("onoff", None, ONOFF), *runs))
+    reference = next(one for one in found if one.controller == "mpc")
+    less = {
+        one.of.controller: one.mean
+        for one in differences(found, {reference.place: reference})
+    }
+    assert less["planning_mpc"] == pytest.approx((0, 0, 0))
+    # As above for two seeds; for four half its variance, and the two together.
+    end = WIDER * 1.96 * 40 * np.sqrt(1 / (2 * 11) + 1 / (4 * 11))
+    assert less["scenario_mpc"].value == pytest.approx(0)
+    assert less["scenario_mpc"][1:] == pytest.approx((-end, end), rel=0.15)
+    assert less["onoff"].high == pytest.approx(WIDER * 1.96 * 40 / np.sqrt(2 * 11), rel=0.15)
+
+
+def test_the_least_that_a_site_could_have(tmp_path: Path) -> None:
+    """The best with forecasts that have errors or with none; a table holds the others to it."""
+    lower, lowest = (
+        {year: total - each for year, total in ONOFF.items()} for each in (20, 30)
+    )
+    report = report_of(
+        tmp_path / "a", *rows("onoff", None, ONOFF), *rows("mpc", None, ONOFF),
+        *rows("planning_mpc", 1, lower), *rows("planning_mpc", None, lowest),
+    )
+    ((_, least),) = least_deviation(seasons(report)).items()
+    assert (least.controller, least.forecast) == ("planning_mpc", "errors skill real")
+    (*_, table) = season_tables(report)
+    assert table.name.startswith("Differences from the least deviation that forecasts with errors")
+    texts = [[cell.text for cell in row] for row in table.rows]
+    at = table.header.index("verdict") + 1
+    assert [(row[0], row[2], row[at - 1], row[at]) for row in texts] == [
+        ("MPC", "perfect", "worse", "+20"), ("on/off", "perfect", "worse", "+20"),
+        ("planning MPC", "perfect", "better", "-10"),
+    ]
+    assert all("planning MPC" in row[3] and "skill real" in row[3] for row in texts)
+    # All perfect: the least of all; and where it is plain on/off itself no table says it again.
+    report = report_of(tmp_path / "b", *rows("onoff", None, ONOFF), *rows("mpc", None, lower))
+    ((_, least),) = least_deviation(seasons(report)).items()
+    assert least.controller == "mpc"
+    report = report_of(tmp_path / "c", *rows("onoff", None, lower), *rows("mpc", None, ONOFF))
+    assert len(season_tables(report)) == 2
 
 
 SEASONS = """
