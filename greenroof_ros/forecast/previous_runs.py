@@ -53,7 +53,7 @@ class PreviousRuns:
         24 N >= l that is not missing. An issue ends before the first hour of which none is known.
 
         Raises:
-            ConfigurationError: nothing is known at all.
+            ConfigurationError: nothing is known at all, or at none of these times.
         """
         leads = np.arange(DAY_HOURS * max(self.days))
         issues = []
@@ -68,8 +68,13 @@ class PreviousRuns:
                 rain = rain[: missing[0]]
             if rain.size:
                 issues.append(self._issue(start, rain))
-        if not issues:
+        if not issues and all(np.isnan(series).all() for series in self.days.values()):
             raise ConfigurationError("has no precipitation: every value is missing", file=self.file)
+        if not issues:
+            raise ConfigurationError(
+                "must have a value for an hour from 00, 06, 12 or 18 UTC on, when issues begin",
+                file=self.file, line=self.line,
+            )
         return issues
 
     def daily(self) -> list[Issue]:

@@ -342,6 +342,10 @@ WRONG = {
         "\n".join([HEAD, "2024-03-01 00:00:00,,,,,"]),
         ": has no precipitation: every value is missing",
     ),
+    "hours.csv": (
+        "\n".join([HEAD, *(f"2024-03-01 {hour:02}:00:00,0,0,0,0,0" for hour in range(2, 7))]),
+        ", line 2: must have a value for an hour from 00, 06, 12 or 18 UTC on",
+    ),
     "twice.csv": (
         "\n".join([HEAD.replace("day2", "day1"), *ROWS]),
         ", line 1: 'precipitation_previous_day1': is the name of two columns",
