@@ -35,20 +35,23 @@ def halved_by_rain(rain: Array, edges: Array, recourse: float) -> Groups:
     members, n = rain.shape
     groups = np.zeros((members, n), dtype=np.intp)
     fallen = np.cumsum(rain * np.diff(edges), axis=1)
-    stages = edges[:-1] // recourse
-    for step in range(1, n):
-        groups[:, step] = groups[:, step - 1]
-        for _ in range(int(stages[step] - stages[step - 1])):
-            order = np.lexsort(fallen[:, step - 1 :].T[::-1])
-            for label in np.unique(groups[:, step]):
-                together = order[groups[order, step] == label]
-                for half in np.split(together, [len(together) // 2]):
-                    groups[half, step] = half.min(initial=members)
+    halvings = np.diff(edges[:-1] // recourse)
+    for step in np.repeat(np.arange(1, n), halvings.astype(int)):
+        labels = np.unique(groups[:, step])
+        if len(labels) == members:
+            break
+        order = np.lexsort(fallen[:, step - 1 :].T[::-1])
+        for label in labels:
+            together = order[groups[order, step] == label]
+            for half in np.split(together, [len(together) // 2]):
+                groups[half, step:] = half.min(initial=members)
     return groups
 
 
 def least_of_groups(values: Array, groups: Groups) -> Array:
     """Return for each member the least of its group in each step, shape (members, n)."""
+    if len(values) == 1:
+        return values
     steps = np.arange(groups.shape[1])
     least = np.full_like(values, np.inf)
     np.minimum.at(least, (groups, steps), values)
@@ -60,6 +63,8 @@ def means_of_groups(values: Array, groups: Groups) -> Array:
 
     In which order the members are given changes no bit of it, and that of equal values is theirs.
     """
+    if len(values) == 1:
+        return values
     steps = np.arange(groups.shape[1])
     least = least_of_groups(values, groups)
     over, size = np.zeros_like(values), np.zeros_like(values)
