@@ -163,12 +163,13 @@ def seasons(report: Report) -> list[Seasons]:
         groups.setdefault(key, []).append(entry)
     places = list(dict.fromkeys(map(_place, report.seasons)))
 
-    def order(key: tuple[Place, str, str, str]) -> tuple[int, int, str, int]:
-        place, controller, setting, forecast = key
+    def order(key: tuple[Place, str, str, str]) -> tuple[int, int, int, int]:
+        place, controller, _, forecast = key
+        settings = report.settings[controller]
         known = [number for number, skill in enumerate(SKILLS) if skill in forecast.split()]
         return (
-            places.index(place), report.controllers.index(controller), setting,
-            known[0] if known else -1,
+            places.index(place), report.controllers.index(controller),
+            settings.labels.index(settings.label(groups[key][0])), known[0] if known else -1,
         )
 
     found = []

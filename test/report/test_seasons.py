@@ -200,6 +200,16 @@ def test_reference_is_plain_onoff(tmp_path: Path) -> None:
     assert not from_onoff(seasons(report))
 
 
+def test_settings_in_the_order_of_their_values(tmp_path: Path) -> None:
+    """Numbers, not texts: 12 before 48 before 120."""
+    runs = [
+        {**row, "parameter:fraction": value}
+        for value in (120.0, 12.0, 48.0) for row in rows("mpc", None, ONOFF)
+    ]
+    found = seasons(report_of(tmp_path, *runs))
+    assert [one.setting for one in found] == ["fraction 12", "fraction 48", "fraction 120"]
+
+
 def test_a_panel_for_each_kind_of_forecasts(tmp_path: Path) -> None:
     """One that has been given perfect ones alone stands in each; one with real ones, in its own."""
     real = [{**row, "forecast": "ensemble"} for row in rows("scenario_mpc", 1, ONOFF)]
