@@ -63,8 +63,7 @@ def season_tables(report: Report) -> list[Table]:
     more = list(differences(found, others))
     if more and not is_sizing(found):
         tables.append(_differences(
-            "Differences from the least deviation that forecasts with errors, or none, gave", more,
-            where, than=True,
+            "Differences from the controller with the least deviation", more, where, than=True
         ))
     return tables
 

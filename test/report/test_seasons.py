@@ -284,7 +284,7 @@ def test_the_least_that_a_site_could_have(tmp_path: Path) -> None:
     ((_, least),) = least_deviation(seasons(report)).items()
     assert (least.controller, least.forecast) == ("planning_mpc", "errors skill real")
     (*_, table) = season_tables(report)
-    assert table.name.startswith("Differences from the least deviation that forecasts with errors")
+    assert table.name.startswith("Differences from the controller with the least deviation")
     texts = [[cell.text for cell in row] for row in table.rows]
     at = table.header.index("verdict") + 1
     assert [(row[0], row[2], row[at - 1], row[at]) for row in texts] == [
