@@ -130,12 +130,16 @@ def cluster(address: str) -> Iterator[Workers]:
         except (OSError, CancelledError) as error:
             raise gone from error
         executor = client.get_executor(pure=False, retries=0)
-        pending: list[Future[Any]] = []
+        pending: set[Future[Any]] = set()
         asked = seen = time.monotonic()
 
         def submit(function: Callable[..., Any], *arguments: Any) -> Future[Any]:
-            pending.append(executor.submit(function, *arguments))
-            return pending[-1]
+            future: Future[Any] = executor.submit(function, *arguments)
+            pending.add(future)
+            # One that were kept would keep its result on its worker, to be made again when that is
+            # killed.
+            future.add_done_callback(pending.discard)
+            return future
 
         def check() -> None:
             nonlocal asked, seen
@@ -160,7 +164,7 @@ def cluster(address: str) -> Iterator[Workers]:
             raise gone from error
         finally:
             # Interrupted, no one waits for the results of what is under way.
-            for future in pending:
+            for future in list(pending):
                 future.cancel()
             executor.shutdown(wait=False)
 

@@ -339,7 +339,11 @@ class DaskCluster:
         )
         wait_for(lambda: file.is_file() and file.read_text().endswith("}"), 60, "a scheduler")
         self.address = json.loads(file.read_text())["address"]
-        self.worker = self._start(
+        self.worker = self.start_worker()
+
+    def start_worker(self) -> subprocess.Popen[str]:
+        """Start one more."""
+        return self._start(
             "worker", self.address, "--nthreads", "1", "--no-nanny", "--no-dashboard",
             "--host", "127.0.0.1",
         )
@@ -417,6 +421,29 @@ def test_dask_scheduler_killed(tmp_path: Path) -> None:
     assert {row["status"] for row in rows_of(tmp_path / "out" / "results.csv")} == {"done"}
     for run, outcome in before.items():
         assert (run / "outcome.json").read_bytes() == outcome
+
+
+def test_dask_one_of_two_workers_killed(tmp_path: Path) -> None:
+    """The other goes on, and makes again what the first had under way, no more; the same table."""
+    cluster = DaskCluster(tmp_path)
+    second = cluster.start_worker()
+    try:
+        process = study_on(cluster, tmp_path, stored=6)
+        cluster.worker.kill()
+        _, errors = process.communicate(timeout=300)
+    finally:
+        second.kill()
+        second.wait()
+        cluster.end()
+    assert process.returncode == 0, errors
+    log = (tmp_path / "dask.log").read_text()
+    assert "Remove worker" in log
+    # What was stored is not made again; one result may have been on its way.
+    lost = [line for line in log.splitlines() if "lose already computed" in line]
+    assert sum(line.count("run_case") for line in lost) <= 1
+    assert study(tmp_path, "grid.yaml", "--output", "here").returncode == 0
+    here, there = (tmp_path / each / "results.csv" for each in ("here", "out"))
+    assert here.read_bytes() == there.read_bytes()
 
 
 def test_dask_workers_killed(tmp_path: Path) -> None:
