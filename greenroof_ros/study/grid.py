@@ -587,18 +587,17 @@ class _Grid:
                     "class",
                 )
             references[controller.name] = reference
-            if section[reference] is None:
-                yield _Setting(controller, defaults, None)
-                continue
-            given = section[reference]
+            given = YamlMapping() if section[reference] is None else section[reference]
             for one in given if isinstance(given, list) and given else [given]:
                 if not isinstance(one, YamlMapping):
                     raise self._refuse(
                         section, reference, "must hold parameters, a list of such, or nothing"
                     )
-                yield from self._settings(controller, one)
+                yield from self._settings(controller, defaults, one)
 
-    def _settings(self, controller: ControllerChoice, given: YamlMapping) -> Iterator[_Setting]:
+    def _settings(
+        self, controller: ControllerChoice, defaults: dict[str, float], given: YamlMapping
+    ) -> Iterator[_Setting]:
         """Yield a controller with each combination of its parameters, the others by default."""
         forecasts = list(self._forecasts(given)) if "forecast" in given else None
         keys = [key for key in given if key != "forecast"]
@@ -612,7 +611,7 @@ class _Grid:
                     raise self._refuse(given, key, f"{value:g} {parameter.expected}")
             choices.append([int(value) if parameter.whole else value for value in values])
         for combination in itertools.product(*choices):
-            parameters = {**controller.defaults(), **dict(zip(keys, combination, strict=True))}
+            parameters = {**defaults, **dict(zip(keys, combination, strict=True))}
             yield _Setting(controller, parameters, forecasts)
 
     @contextmanager
