@@ -168,7 +168,7 @@ def _understand(content: dict[str, Any]) -> About:
     initial, forecast = content.get("initial"), content.get("forecast") or {}
     notes = [Note(text) for text in content.get("weather_notes") or []]
     notes += [
-        Note(f"{quantity} was missing and filled in: {', '.join(hours)}")
+        Note(f"{quantity} was missing and filled in", listed=", ".join(hours))
         for quantity, hours in (content.get("filled") or {}).items()
     ]
     notes += [suspicion(text) for text in content.get("suspicious") or []]

@@ -24,10 +24,12 @@ class Note:
     Attributes:
         text: of the note, with ``{count}`` where it counts something.
         count: how many; None where nothing is counted.
+        listed: what it is about, one by one; the page folds it away.
     """
 
     text: str
     count: float | None = None
+    listed: str = ""
 
     def __str__(self) -> str:
         """As it is of one run."""

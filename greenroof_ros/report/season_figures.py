@@ -121,7 +121,7 @@ def difference_figure(report: Report, found: Sequence[Seasons]) -> Figure:
         ]
         order = [str(row["series"]) for row in data[name]]
         base = alt.Chart(alt.NamedData(name)).encode(
-            y=alt.Y("series:N", sort=order, title=None, axis=alt.Axis(labelLimit=260)),
+            y=alt.Y("series:N", sort=order, title=None, axis=alt.Axis(labelLimit=400)),
             color=alt.Color("controller:N", title=None, scale=alt.Scale(
                 domain=[controller_name(each) for each in colours], range=list(colours.values()),
             )),
@@ -138,7 +138,7 @@ def difference_figure(report: Report, found: Sequence[Seasons]) -> Figure:
     return Figure(
         "season-differences", f"Differences from on/off, {PLAIN}",
         "Mean difference in the deviation of a season, paired year by year, and its 95 % interval. "
-        "An interval across the line at 0 may be luck.", tuple(panels), min(len(panels), 2), data,
+        "An interval across the line at 0 may be luck.", tuple(panels), 1, data,
     )
 
 

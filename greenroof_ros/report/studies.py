@@ -221,10 +221,11 @@ def _study_notes(file: Path, line: int, row: Mapping[str, str]) -> tuple[Note, .
     notes = []
     hours = _cell(file, line, row, "filled_hours")
     if hours:
-        named = f": {row['filled']}" if row.get("filled") else ""
-        notes.append(
-            Note(f"{{count}} hours of its weather were missing and filled in{named}", hours)
-        )
+        since = _start(row.get("start", "its start"))
+        notes.append(Note(
+            f"{hours:g} hours of the weather from {since} were missing and filled in",
+            listed=row.get("filled", ""),
+        ))
     if row.get("weather_notes"):
         notes.append(Note(row["weather_notes"]))
     if row.get("suspicious"):

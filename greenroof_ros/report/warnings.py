@@ -9,19 +9,20 @@ from greenroof_ros.report.results import Report
 
 
 class RunWarning(NamedTuple):
-    """A sentence, and the names of the runs that it is about."""
+    """A sentence, what it lists, and the names of the runs that it is about."""
 
     text: str
+    listed: str
     runs: list[str]
 
 
 def make_warnings(report: Report) -> list[RunWarning]:
     """Return what a reader should know, each with the runs that it is about."""
-    found: dict[str, list[str]] = {}
+    found: dict[tuple[str, str], list[str]] = {}
 
-    def warn(text: str, entry: RunEntry) -> None:
+    def warn(text: str, entry: RunEntry, listed: str = "") -> None:
         sentence = f"{text[0].upper()}{text[1:].removesuffix('.')}."
-        found.setdefault(sentence, []).append(entry.name)
+        found.setdefault((sentence, listed), []).append(entry.name)
 
     for one in report.results:
         if one.assessment.metrics["beyond_hours"] > 0:
@@ -40,7 +41,7 @@ def make_warnings(report: Report) -> list[RunWarning]:
             warn("there was frost, and in it something was pumped" if pumped
                  else "there was frost; nothing was pumped in it", one.entry)
         for note in one.notes:
-            warn(str(note), one.entry)
+            warn(str(note), one.entry, note.listed)
     for entry in report.seeded:
         warn(
             "these runs differ only in the seed of their forecasts' errors from others. They are "
@@ -49,12 +50,12 @@ def make_warnings(report: Report) -> list[RunWarning]:
             "out, and these warnings say nothing of their commands and frost", entry,
         )
         for note in entry.notes:
-            warn(note.of_many(), entry)
+            warn(note.of_many(), entry, note.listed)
     for entry in report.seasons:
         warn(
             "these runs are the same season of several years. They are judged together, by "
             "results.csv; what follows says nothing of their commands and frost", entry,
         )
         for note in entry.notes:
-            warn(note.of_many(), entry)
-    return [RunWarning(text, runs) for text, runs in found.items()]
+            warn(note.of_many(), entry, note.listed)
+    return [RunWarning(text, listed, runs) for (text, listed), runs in found.items()]

@@ -438,7 +438,8 @@ def test_a_studys_notes_name_the_hours(tmp_path: Path, simulated: list[Simulated
     )
     assert "Suspicious, and taken as it is: 79.2 mm." in text
     assert "Samples every 60 s were kept, of ticks of 1 s: its sums, counts and times" in text
-    assert f"16 hours of its weather were missing and filled in: {named}." in text
+    assert "16 hours of the weather from 2021-07-07 02:00-05:00 were missing and filled" in text
+    assert f"<details><summary>which</summary>{named}</details>" in text
     assert "The controller&#39;s solver found no answer in 2 ticks." in text
     assert "A forecast ends at 2021-07-31T23:00-05:00, and what follows is assumed." in text
 
@@ -1000,10 +1001,11 @@ def test_a_run_directorys_notes_and_bound(tmp_path: Path, simulated: list[Simula
         "a forecast ends at 2021-07-31T23:00-05:00, and what follows is assumed",
         "a tank ran empty in 4 ticks, and what left it was limited",
         "rain was moved an hour back",
-        "dew point was missing and filled in: 2021-07-20T13:00-05:00",
+        "dew point was missing and filled in",
         "suspicious, and taken as it is: 79.2 mm at 2015-12-29T02:00-05:00",
     ):
         assert note in map(str, report.results[0].notes)
+    assert "2021-07-20T13:00-05:00" in [note.listed for note in report.results[0].notes]
     expected = clairvoyant_bound(paper_run("--initial", "low-low", "--hours", "0.2")).bound_m3
     assert report.results[0].bound_m3 == pytest.approx(expected, rel=1e-9)
     assert report.results[0].ratio_to_bound == pytest.approx(
