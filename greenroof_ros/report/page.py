@@ -18,7 +18,7 @@ from greenroof_ros.report.drawing import CONFIG, Figure, Rows
 from greenroof_ros.report.entries import Sources
 from greenroof_ros.report.results import Report, heading
 from greenroof_ros.report.season_tables import season_windows
-from greenroof_ros.report.seasons import PLAIN, RESAMPLES
+from greenroof_ros.report.seasons import RESAMPLES
 from greenroof_ros.report.seeds import place, spreads
 from greenroof_ros.report.settings import controller_name
 from greenroof_ros.report.tables import make_tables, shown_metrics, unit
@@ -56,7 +56,6 @@ def render(
         or any(entry.season.bound_m3 for entry in report.seasons if entry.season),
         assumptions=assumptions,
         resamples=RESAMPLES,
-        plain_onoff=PLAIN,
         windows=[
             *map(report.heading, report.windows), *_seeded_windows(report), *season_windows(report),
         ],

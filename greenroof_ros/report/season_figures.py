@@ -12,10 +12,9 @@ from greenroof_ros.recording.results_table import differing
 from greenroof_ros.report.drawing import COLOURS, Figure, Panel, Rows, cycle, distinct, short
 from greenroof_ros.report.results import Report
 from greenroof_ros.report.seasons import (
-    PLAIN,
     Place,
     Seasons,
-    differences,
+    comparisons,
     given_errors,
     plain_onoff,
     seasons,
@@ -23,7 +22,7 @@ from greenroof_ros.report.seasons import (
 from greenroof_ros.report.settings import controller_name
 from greenroof_ros.report.sizing import is_sizing, size_of
 
-SEASON_FIGURES = ("seasons", "season-differences", "sizing")
+SEASON_FIGURES = ("seasons", "season-comparisons", "sizing")
 """the names of these figures begin with them"""
 
 _HEIGHT = 260
@@ -35,8 +34,8 @@ def season_figures(report: Report) -> list[Callable[[], Figure]]:
     if is_sizing(found):
         return [partial(sizing, found)]
     makers: list[Callable[[], Figure]] = [partial(by_year, found)]
-    if any(True for _ in differences(found, plain_onoff(found))):
-        makers.append(partial(difference_figure, report, found))
+    if any(True for _ in comparisons(found, plain_onoff(found))):
+        makers.append(partial(comparison_figure, report, found))
     return makers
 
 
@@ -103,14 +102,14 @@ def _rows_by_year(shown: Sequence[Seasons]) -> Rows:
     ]
 
 
-def difference_figure(report: Report, found: Sequence[Seasons]) -> Figure:
-    """Return the differences from on/off with their intervals, a panel for each place."""
-    less = list(differences(found, plain_onoff(found)))
+def comparison_figure(report: Report, found: Sequence[Seasons]) -> Figure:
+    """Return the deviations over that of on/off with their intervals, a panel for each place."""
+    less = list(comparisons(found, plain_onoff(found)))
     colours = dict(zip(report.controllers, cycle(COLOURS, report.controllers), strict=True))
     panels: list[Panel] = []
     data: dict[str, Rows] = {}
     for place in dict.fromkeys(one.of.place for one in less):
-        name = f"season-differences-{len(data) + 1}"
+        name = f"season-comparisons-{len(data) + 1}"
         data[name] = [
             {
                 "series": _series(one.of, found), "controller": controller_name(one.of.controller),
@@ -128,17 +127,18 @@ def difference_figure(report: Report, found: Sequence[Seasons]) -> Figure:
             tooltip=["series:N", "v:Q", "low:Q", "high:Q", "verdict:N"],
         )
         intervals = base.mark_rule(strokeWidth=2).encode(
-            x=alt.X("low:Q", title="less or more deviation than on/off (m³ a season)"), x2="high:Q",
+            x=alt.X(**_scale("low"), title="deviation of a season over that of on/off (1)"),
+            x2="high:Q",
         )
         marks = base.mark_point(filled=True, size=70, opacity=1).encode(x="v:Q")
-        line = alt.Chart(alt.InlineData(values=[{"x": 0}])).mark_rule().encode(x="x:Q")
+        line = alt.Chart(alt.InlineData(values=[{"x": 1}])).mark_rule().encode(x="x:Q")
         panels.append(
             Panel(alt.layer(line, intervals, marks), _title(place, found), height=_HEIGHT)
         )
     return Figure(
-        "season-differences", f"Differences from on/off, {PLAIN}",
-        "Mean difference in the deviation of a season, paired year by year, and its 95 % interval. "
-        "An interval across the line at 0 may be luck.", tuple(panels), 1, data,
+        "season-comparisons", "Deviation over that of on/off",
+        "Total deviation of all seasons over that of on/off in the same ones, and its 95 % "
+        "interval. An interval across the line at 1 may be luck.", tuple(panels), 1, data,
     )
 
 

@@ -8,11 +8,10 @@ from greenroof_ros.recording.results_table import differing
 from greenroof_ros.report.cells import Cell, Table, number, share, word
 from greenroof_ros.report.results import Report, heading
 from greenroof_ros.report.seasons import (
-    PLAIN,
-    Difference,
+    Comparison,
     Interval,
     Seasons,
-    differences,
+    comparisons,
     least_deviation,
     plain_onoff,
     seasons,
@@ -49,46 +48,44 @@ def _span(years: Sequence[int]) -> str:
 
 
 def season_tables(report: Report) -> list[Table]:
-    """Return means, differences and, of several cisterns or roofs, sizes; none without seasons."""
+    """Return means and comparisons, or of several cisterns or roofs sizes; none without seasons."""
     found = seasons(report)
     if not found:
         return []
     where = differing([one.place.facts for one in found])
     tables = [_means(found, where)]
+    if is_sizing(found):
+        return tables
     plain, least = plain_onoff(found), least_deviation(found)
-    less = list(differences(found, plain))
-    if less:
-        tables.append(_differences(f"Differences from on/off, {PLAIN}", less, where))
     others = {place: one for place, one in least.items() if one is not plain.get(place)}
-    more = list(differences(found, others))
-    if more and not is_sizing(found):
-        tables.append(_differences(
-            "Differences from the controller with the least deviation", more, where, than=True
-        ))
+    for other, references in (
+        ("on/off", plain), ("the controller with the least deviation", others)
+    ):
+        compared = list(comparisons(found, references))
+        if compared:
+            tables.append(_comparisons(other, compared, where))
     return tables
 
 
-def _differences(
-    title: str, less: Sequence[Difference], where: Sequence[str], *, than: bool = False
-) -> Table:
-    """Return a table of differences, if asked with what each is a difference from."""
+def _comparisons(other: str, compared: Sequence[Comparison], where: Sequence[str]) -> Table:
+    """Return what each has over another."""
     return Table(
-        f"{title}, and how sure they are",
+        f"Deviation over that of {other}, and how sure that is",
         [
-            *_named_header(where), *(["than"] if than else []), "years with less deviation",
-            "verdict", "deviation of a season (m³)", "95 % from", "to", "(%)",
-            "verdict of worst weeks", "worst tenth of weeks (m³)", "95 % from", "to",
+            *_named_header(where), "over", "years with less deviation", "more or less (m³)",
+            "verdict", "deviation of a season, over (1)", "95 % from", "to",
+            "verdict of worst weeks", "worst tenth of weeks, over (1)", "95 % from", "to",
         ],
         [
             [
                 *_named(one.of, where),
-                *([word(" ".join(cell.text for cell in _named(one.than, [])))] if than else []),
+                word(" ".join(cell.text for cell in _named(one.than, []))),
                 Cell(f"{one.better} of {one.years}", one.better),
+                number(one.difference, "+.0f"),
                 word(one.mean.verdict), *_interval(one.mean),
-                share(None) if one.share is None else number(100 * one.share, "+.1f"),
                 word(one.worst_weeks.verdict), *_interval(one.worst_weeks),
             ]
-            for one in less
+            for one in compared
         ],
     )
 
@@ -146,4 +143,4 @@ def _means(found: Sequence[Seasons], where: Sequence[str]) -> Table:
 
 
 def _interval(interval: Interval) -> list[Cell]:
-    return [number(value, "+.0f") for value in interval]
+    return [number(value, ".3f") for value in interval]

@@ -1,11 +1,11 @@
-"""The same season in several years: means, the worst of them, and differences that are no luck.
+"""The same season in several years: means, the worst of them, and ratios that are no luck.
 
 They are judged by the study's table alone, as runs of many seeds are.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
 from typing import NamedTuple
@@ -19,14 +19,12 @@ from greenroof_ros.forecast.choice import PERFECT
 from greenroof_ros.forecast.skill import SKILLS
 from greenroof_ros.model.site import Site
 from greenroof_ros.recording.results_table import shortest
-from greenroof_ros.report.entries import Parameters, RunEntry, Season, parameter_text
+from greenroof_ros.report.entries import Parameters, RunEntry, Season
 from greenroof_ros.report.results import NO_ERRORS, Facts, Report
 
 RESAMPLES = 2000
 """of the bootstrap: the ends of its intervals are then sure to some hundredths of their width"""
 
-PLAIN = ", ".join(f"{each.name} {parameter_text(each.default)}" for each in OnOff.parameters)
-"""the parameters of plain on/off, for people"""
 _SEED = 1
 
 Array = NDArray[np.float64]
@@ -149,9 +147,13 @@ class Seasons:
 
 
 def worst_tenth(values: Array) -> float:
-    """Return the mean of the largest tenth, rounded down to whole values, at least one."""
-    count = max(1, len(values) // 10)
-    return float(np.partition(values, -count)[-count:].mean())
+    """Return the mean of the largest tenth; of the value at its edge counts the part within.
+
+    Of fewer than ten values it is the largest. Rounded to whole values, a tenth of one year's
+    weeks would be less than a tenth of those of ten seeds.
+    """
+    one_run = np.ones((1, 1), dtype=np.int32)
+    return float(_worst_tenths(one_run, values[None, :])[0])
 
 
 def seasons(report: Report) -> list[Seasons]:
@@ -198,45 +200,46 @@ class Interval(NamedTuple):
 
     @property
     def verdict(self) -> str:
-        """Whether less is no luck."""
-        if self.low <= 0 <= self.high:
+        """Whether a ratio below 1 is no luck."""
+        if self.low <= 1 <= self.high:
             return "may be luck"
-        return "better" if self.high < 0 else "worse"
+        return "better" if self.high < 1 else "worse"
 
 
 @dataclass(frozen=True)
-class Difference:
-    """What a controller has less (negative) or more than another in the same years.
+class Comparison:
+    """What a controller has over another in the same years.
 
     Attributes:
         of: the controller.
         than: the other.
-        mean: of the total deviation of a season (m3).
-        share: the same as a share of that of the other (1); None where that has none.
-        worst_weeks: of the mean deviation of the worst tenth of weeks (m3).
+        difference: in the total deviation of a season (m3), negative where it has less.
+        mean: the total deviation of all seasons over that of the other (1).
+        worst_weeks: the mean deviation of the worst tenth of weeks over that of the other (1).
         better: in how many years it had less.
         years: in how many both ran.
     """
 
     of: Seasons
     than: Seasons
+    difference: float
     mean: Interval
-    share: float | None
     worst_weeks: Interval
     better: int
     years: int
 
 
 def plain_onoff(found: Sequence[Seasons]) -> dict[Place, Seasons]:
-    """Return in each place the paper's on/off, its parameters at their defaults."""
-    references: dict[Place, Seasons] = {}
-    for one in found:
-        if one.controller == "onoff" and all(
-            one.parameters.get(each.name, each.default) == each.default
-            for each in OnOff.parameters
-        ):
-            references.setdefault(one.place, one)
-    return references
+    """Return in each place the on/off that fills to the target, as the paper's does.
+
+    Of several with a share of the flow each, it is the one with the least mean deviation: in ticks
+    of some seconds full flow goes beyond the target, which no site would have.
+    """
+    (level,) = (each.default for each in OnOff.parameters if each.name == "level")
+    return _least(
+        one for one in found
+        if one.controller == "onoff" and one.parameters.get("level", level) == level
+    )
 
 
 def least_deviation(found: Sequence[Seasons]) -> dict[Place, Seasons]:
@@ -245,14 +248,19 @@ def least_deviation(found: Sequence[Seasons]) -> dict[Place, Seasons]:
     One that was given perfect forecasts is none, unless no forecasts in the report have errors.
     """
     looking = given_errors(found)
-    references: dict[Place, Seasons] = {}
+    return _least(
+        one for one in found if one.forecast != PERFECT or one.controller not in looking
+    )
+
+
+def _least(found: Iterable[Seasons]) -> dict[Place, Seasons]:
+    """Return in each place the one with the least mean deviation."""
+    least: dict[Place, Seasons] = {}
     for one in found:
-        if one.forecast == PERFECT and one.controller in looking:
-            continue
         metric = "total_deviation_m3"
-        if one.place not in references or one.mean(metric) < references[one.place].mean(metric):
-            references[one.place] = one
-    return references
+        if one.place not in least or one.mean(metric) < least[one.place].mean(metric):
+            least[one.place] = one
+    return least
 
 
 def given_errors(found: Sequence[Seasons]) -> set[str]:
@@ -263,14 +271,15 @@ def given_errors(found: Sequence[Seasons]) -> set[str]:
     return {one.controller for one in found if one.forecast != PERFECT}
 
 
-def differences(
+def comparisons(
     found: Sequence[Seasons], references: Mapping[Place, Seasons]
-) -> Iterator[Difference]:
-    """Yield the difference of each to another in its place.
+) -> Iterator[Comparison]:
+    """Yield what each has over another in its place.
 
     Args:
         found: the seasons.
-        references: the other, in each place; where there is none, there are no differences.
+        references: the other, in each place; where there is none, or none of the years has any
+            deviation, nothing is compared.
     """
     for one in found:
         reference = references.get(one.place)
@@ -280,14 +289,15 @@ def differences(
         if len(years) < 2:
             continue
         own, other = _resampled(one, years), _resampled(reference, years)
-        mean = own.mean - other.mean
-        yield Difference(
+        if not (other.means.all() and other.worst.all()):
+            continue
+        yield Comparison(
             of=one,
             than=reference,
-            mean=_interval(mean, own.means - other.means, len(years)),
-            share=mean / other.mean if other.mean else None,
+            difference=own.mean - other.mean,
+            mean=_interval(own.mean / other.mean, own.means / other.means, len(years)),
             worst_weeks=_interval(
-                own.worst_weeks - other.worst_weeks, own.worst - other.worst, len(years)
+                own.worst_weeks / other.worst_weeks, own.worst / other.worst, len(years)
             ),
             better=sum(one.totals(year).mean() < reference.totals(year).mean() for year in years),
             years=len(years),
@@ -345,7 +355,7 @@ def _draws(seeds: tuple[int, ...]) -> Counts:
 
 
 def _worst_tenths(runs: Counts, weeks: Array) -> Array:
-    """Return :func:`worst_tenth` of the weeks of each resample.
+    """Return the mean of the worst tenth of the weeks of each resample.
 
     Args:
         runs: how often each is in each resample, shape (resamples, runs).
@@ -353,7 +363,7 @@ def _worst_tenths(runs: Counts, weeks: Array) -> Array:
     """
     order = np.argsort(-weeks, axis=None)
     often = runs[:, order // weeks.shape[1]]
-    count = np.maximum(1, often.sum(axis=1) // 10)
+    count = np.maximum(1.0, often.sum(axis=1) / 10)
     worse = np.cumsum(often, axis=1, dtype=np.int32) - often
     taken = np.clip(count[:, None] - worse, 0, often)
     means: Array = taken @ weeks.ravel()[order] / count

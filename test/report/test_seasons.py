@@ -1,4 +1,4 @@
-"""The same season in several years: means and differences by hand, intervals by another library."""
+"""The same season in several years: means and ratios by hand, intervals by another library."""
 
 from __future__ import annotations
 
@@ -23,14 +23,15 @@ from greenroof_ros.report.runs import find_runs
 from greenroof_ros.report.season_figures import by_year
 from greenroof_ros.report.season_tables import season_tables
 from greenroof_ros.report.seasons import (
-    Difference,
+    Comparison,
     Place,
     Seasons,
-    differences,
+    comparisons,
     least_deviation,
     plain_onoff,
     seasons,
     split_by_years,
+    worst_tenth,
 )
 
 HEADER = [
@@ -71,16 +72,16 @@ def report_of(directory: Path, *runs: dict[str, Any]) -> Report:
 ONOFF = {year: 100.0 + 10 * (year - 2015) for year in YEARS}
 
 
-def difference(directory: Path, *others: dict[int, float]) -> Difference:
-    """Return the difference from on/off of a controller with a seed for each of these totals."""
+def comparison(directory: Path, *others: dict[int, float]) -> Comparison:
+    """Return what a controller with a seed for each of these totals has over on/off."""
     own = [row for seed, totals in enumerate(others, 1) for row in rows("mpc", seed, totals)]
-    (found,) = from_onoff(seasons(report_of(directory, *rows("onoff", None, ONOFF), *own)))
+    (found,) = over_onoff(seasons(report_of(directory, *rows("onoff", None, ONOFF), *own)))
     return found
 
 
-def from_onoff(found: Sequence[Seasons]) -> list[Difference]:
-    """Return the differences from plain on/off."""
-    return list(differences(found, plain_onoff(found)))
+def over_onoff(found: Sequence[Seasons]) -> list[Comparison]:
+    """Return what each has over plain on/off."""
+    return list(comparisons(found, plain_onoff(found)))
 
 
 def test_means_by_hand(tmp_path: Path) -> None:
@@ -94,24 +95,36 @@ def test_means_by_hand(tmp_path: Path) -> None:
     assert (one.worst_year, one.seeds, one.forecast) == (2025, 2, "errors skill real")
     assert one.mean("saved_m3") == pytest.approx(3.5)
     assert one.ratio_to_bound == pytest.approx(140 / 50)
-    # 44 whole weeks: the worst four are the second weeks of 2025, 2024, 2025 less 20, 2023.
-    assert one.worst_weeks == pytest.approx(3 / 8 * (200 + 190 + 180 + 180) / 4)
+    # 44 whole weeks: the worst 4.4 are the second weeks of 2025, 2024, 2025 less 20, 2023, and
+    # of the next, 2024 less 20 or 2022, four tenths.
+    assert one.worst_weeks == pytest.approx(3 / 8 * (200 + 190 + 180 + 180 + 0.4 * 170) / 4.4)
     text = render(report, [], find_runs([tmp_path / "study"], None), Assumptions())
     for expected in ("Means of a season", "2015 to 2025", "11 of 11", "errors skill real"):
         assert expected in text
 
 
-def test_differences_and_luck(tmp_path: Path) -> None:
+def test_a_tenth_whatever_the_number_of_values() -> None:
+    """Of 26 weeks 2.6, of 260 the same as 26; of five the largest."""
+    weeks = np.arange(26.0)
+    assert worst_tenth(weeks) == pytest.approx((25 + 24 + 0.6 * 23) / 2.6)
+    assert worst_tenth(np.repeat(weeks, 10)) == pytest.approx(worst_tenth(weeks))
+    assert worst_tenth(np.arange(5.0)) == 4
+
+
+def test_ratios_and_luck(tmp_path: Path) -> None:
     """The same in all years is no luck; to and fro may be."""
-    found = difference(tmp_path / "a", {year: total - 30 for year, total in ONOFF.items()})
-    assert found.mean == pytest.approx((-30, -30, -30))
+    found = comparison(tmp_path / "a", {year: total * 0.8 for year, total in ONOFF.items()})
+    assert found.mean == pytest.approx((0.8, 0.8, 0.8))
+    assert found.worst_weeks == pytest.approx((0.8, 0.8, 0.8))
     assert found.mean.verdict == "better" and (found.better, found.years) == (11, 11)
-    assert found.share == pytest.approx(-30 / 150)
-    found = difference(tmp_path / "b", {year: total + 30 for year, total in ONOFF.items()})
+    assert found.difference == pytest.approx(-30)
+    found = comparison(tmp_path / "b", {year: total + 30 for year, total in ONOFF.items()})
     assert found.mean.verdict == "worse" and found.better == 0
-    assert found.worst_weeks.value == pytest.approx(30 * 3 / 8)
+    assert (found.mean.value, found.difference) == pytest.approx((180 / 150, 30))
+    # Of 22 whole weeks the worst 2.2: the second weeks of 2025, 2024 and a fifth of 2023.
+    assert found.worst_weeks.value == pytest.approx(1 + 30 * 2.2 / (200 + 190 + 0.2 * 180))
     uneven = {year: total + (-1) ** year * 30 for year, total in ONOFF.items()}
-    found = difference(tmp_path / "c", uneven)
+    found = comparison(tmp_path / "c", uneven)
     assert found.mean.verdict == "may be luck" and found.better == 6  # the odd years
 
 
@@ -123,18 +136,18 @@ def test_intervals_of_another_library(tmp_path: Path) -> None:
     """With one seed the two stages are one: scipy's percentile bootstrap of the years."""
     random = np.random.default_rng(7)
     own = {year: total + random.normal(-10, 20) for year, total in ONOFF.items()}
-    found = difference(tmp_path, own)
+    found = comparison(tmp_path, own)
 
     def worst(years: Any) -> float:
-        """Return by how much the worst two of 22 weeks are worse than on/off's."""
+        """Return what the worst 2.2 of 22 weeks have over on/off's."""
         weeks = [
             [week for year in years for week in (one[2015 + year] / 8, one[2015 + year] * 3 / 8)]
             for one in (own, ONOFF)
         ]
-        return float(np.subtract(*np.sort(weeks)[:, -2:].mean(axis=1)))
+        return float(np.divide(*(np.sort(weeks)[:, -3:] @ (0.2, 1, 1))))
 
     def mean(years: Any) -> float:
-        return float(np.mean([own[2015 + year] - ONOFF[2015 + year] for year in years]))
+        return float(np.divide(*(sum(one[2015 + year] for year in years) for one in (own, ONOFF))))
 
     for interval, statistic in ((found.mean, mean), (found.worst_weeks, worst)):
         resampled = scipy.stats.bootstrap(
@@ -147,7 +160,7 @@ def test_intervals_of_another_library(tmp_path: Path) -> None:
             # Of 2000 resamples a percentile is sure to 0.35.
             near = np.percentile(resampled, [level - 1, level + 1])
             low, high = value + WIDER * (near - value)
-            assert low - 0.001 <= end <= high + 0.001
+            assert low - 1e-5 <= end <= high + 1e-5
 
 
 def of_totals(controller: str, setting: str, totals: Sequence[float]) -> Seasons:
@@ -174,7 +187,7 @@ def test_luck_is_called_so(years: int) -> None:
         of_totals("mpc", str(number), 100 + random.normal(0, 10, years)) for number in range(count)
     ]
     found = [
-        one.mean.verdict for one in from_onoff([of_totals("onoff", "", [100.0] * years), *lucky])
+        one.mean.verdict for one in over_onoff([of_totals("onoff", "", [100.0] * years), *lucky])
     ]
     missed = count - found.count("may be luck")
     # Of so many the binomial distribution has 99 % between these.
@@ -183,21 +196,26 @@ def test_luck_is_called_so(years: int) -> None:
 
 
 def test_reference_is_plain_onoff(tmp_path: Path) -> None:
-    """On/off at a lower level, which comes first, is held against that at the target, too."""
-    lower, usual, above = (
-        [{**row, "parameter:fraction": 1.0, "parameter:level": level}
+    """On/off to a lower level is held against that to the target, of those with the least."""
+    lower, full, tenth = (
+        [{**row, "parameter:fraction": fraction, "parameter:level": level}
          for row in rows("onoff", None, {year: total + more for year, total in ONOFF.items()})]
-        for level, more in ((0.9, 50), (1.0, 0), (0.95, 20))
+        for fraction, level, more in ((0.1, 0.9, -30), (1.0, 1.0, 15), (0.1, 1.0, 0))
     )
-    report = report_of(tmp_path / "a", *lower, *usual, *above, *rows("mpc", None, ONOFF))
+    report = report_of(tmp_path / "a", *lower, *full, *tenth, *rows("mpc", None, ONOFF))
     found = {
-        one.of.setting or one.of.controller: one.mean.value for one in from_onoff(seasons(report))
+        one.of.setting or one.of.controller: one.mean.value for one in over_onoff(seasons(report))
     }
-    assert found == pytest.approx({"level 0.9": 50, "level 0.95": 20, "mpc": 0})
+    assert found == pytest.approx(
+        {"fraction 0.1, level 0.9": 0.8, "fraction 1, level 1": 1.1, "mpc": 1}
+    )
     table = season_tables(report)[1]
-    assert table.name == "Differences from on/off, fraction 1, level 1, and how sure they are"
+    assert table.name == "Deviation over that of on/off, and how sure that is"
+    assert {row[table.header.index("over")].text for row in table.rows} == {
+        "on/off fraction 0.1, level 1 perfect"
+    }
     report = report_of(tmp_path / "b", *lower, *rows("mpc", None, ONOFF))
-    assert not from_onoff(seasons(report))
+    assert not over_onoff(seasons(report))
 
 
 def test_settings_in_the_order_of_their_values(tmp_path: Path) -> None:
@@ -228,26 +246,24 @@ def test_a_panel_for_each_kind_of_forecasts(tmp_path: Path) -> None:
     }
 
 
-def test_no_share_of_nothing(tmp_path: Path) -> None:
-    """A target that dry weather and on/off never leave: what is more has no percentage."""
+def test_nothing_is_over_nothing(tmp_path: Path) -> None:
+    """A target that dry weather and on/off never leave: no ratio, and a table of means."""
     report = report_of(
         tmp_path, *rows("onoff", None, dict.fromkeys(YEARS, 0.0)), *rows("mpc", None, ONOFF)
     )
-    (found,) = from_onoff(seasons(report))
-    assert (found.mean.value, found.share) == (pytest.approx(150.0), None)
-    (row,) = season_tables(report)[1].rows
-    assert "unknown" in [cell.text for cell in row]
+    assert not over_onoff(seasons(report))
+    assert [table.name for table in season_tables(report)] == ["Means of a season"]
 
 
 def test_seeds_widen_the_interval(tmp_path: Path) -> None:
     """Where years are alike and seeds are not, what is unsure are the seeds."""
     apart = [{year: total + each for year, total in ONOFF.items()} for each in (-40, 40)]
-    found = difference(tmp_path, *apart).mean
-    # A year's mean of two seeds is -40, 0, 0 or 40; that of eleven has a deviation of 8.5.
-    deviation = 40 / np.sqrt(2 * 11)
-    assert found.value == pytest.approx(0)
+    found = comparison(tmp_path, *apart).mean
+    # A year's mean of two seeds is -40, 0, 0 or 40; that of eleven has a deviation of 8.5, of 150.
+    deviation = 40 / np.sqrt(2 * 11) / 150
+    assert found.value == pytest.approx(1)
     end = WIDER * 1.96 * deviation
-    assert (found.low, found.high) == pytest.approx((-end, end), rel=0.15)
+    assert (found.low - 1, found.high - 1) == pytest.approx((-end, end), rel=0.15)
 
 
 def test_seeds_of_the_other_widen_it_too(tmp_path: Path) -> None:
@@ -262,14 +278,16 @@ def test_seeds_of_the_other_widen_it_too(tmp_path: Path) -> None:
     reference = next(one for one in found if one.controller == "mpc")
     less = {
         one.of.controller: one.mean
-        for one in differences(found, {reference.place: reference})
+        for one in comparisons(found, {reference.place: reference})
     }
-    assert less["planning_mpc"] == pytest.approx((0, 0, 0))
+    assert less["planning_mpc"] == pytest.approx((1, 1, 1))
     # As above for two seeds; for four half its variance, and the two together.
-    end = WIDER * 1.96 * 40 * np.sqrt(1 / (2 * 11) + 1 / (4 * 11))
-    assert less["scenario_mpc"].value == pytest.approx(0)
-    assert less["scenario_mpc"][1:] == pytest.approx((-end, end), rel=0.15)
-    assert less["onoff"].high == pytest.approx(WIDER * 1.96 * 40 / np.sqrt(2 * 11), rel=0.15)
+    end = WIDER * 1.96 * 40 / 150 * np.sqrt(1 / (2 * 11) + 1 / (4 * 11))
+    assert less["scenario_mpc"].value == pytest.approx(1)
+    assert np.subtract(less["scenario_mpc"][1:], 1) == pytest.approx((-end, end), rel=0.15)
+    assert less["onoff"].high - 1 == pytest.approx(
+        WIDER * 1.96 * 40 / 150 / np.sqrt(2 * 11), rel=0.15
+    )
 
 
 def test_the_least_that_a_site_could_have(tmp_path: Path) -> None:
@@ -284,12 +302,13 @@ def test_the_least_that_a_site_could_have(tmp_path: Path) -> None:
     ((_, least),) = least_deviation(seasons(report)).items()
     assert (least.controller, least.forecast) == ("planning_mpc", "errors skill real")
     (*_, table) = season_tables(report)
-    assert table.name.startswith("Differences from the controller with the least deviation")
+    assert table.name.startswith("Deviation over that of the controller with the least deviation")
     texts = [[cell.text for cell in row] for row in table.rows]
-    at = table.header.index("verdict") + 1
-    assert [(row[0], row[2], row[at - 1], row[at]) for row in texts] == [
-        ("MPC", "perfect", "worse", "+20"), ("on/off", "perfect", "worse", "+20"),
-        ("planning MPC", "perfect", "better", "-10"),
+    at = table.header.index("verdict")
+    assert [(row[0], row[2], *row[at - 1 : at + 2]) for row in texts] == [
+        ("MPC", "perfect", "+20", "worse", "1.154"),
+        ("on/off", "perfect", "+20", "worse", "1.154"),
+        ("planning MPC", "perfect", "-10", "better", "0.923"),
     ]
     assert all("planning MPC" in row[3] and "skill real" in row[3] for row in texts)
     # All perfect: the least of all; and where it is plain on/off itself no table says it again.
@@ -355,7 +374,7 @@ def test_a_study_of_seasons(tmp_path: Path, text: str) -> None:
                 one.mean("pumped_m3") - one.mean("mains_m3")
             )
         return
-    assert names == ["seasons", "season-differences"]
+    assert names == ["seasons", "season-comparisons"]
     for one in found:
         ratio = one.ratio_to_bound
         assert ratio is not None and ratio > 1
