@@ -18,24 +18,26 @@ ADVERSARIES = (
     "always dry", "always rain", "a storm that is always tomorrow", "inverted", "a day early",
     "a day late", "a false alarm each week",
 )
+TOGETHER = "all of them, a member each"
+"""an ensemble for a controller that takes one"""
 
 
 class Adversary:
     """Hourly forecasts that were made to do harm; the first hour is not forecast but observed."""
 
     def __init__(self, kind: str, weather: Weather) -> None:
-        """Take one of :data:`ADVERSARIES`, and the records."""
+        """Take one of :data:`ADVERSARIES` or :data:`TOGETHER`, and the records."""
         self._kind = kind
         self._weather = weather
 
     def known(self, hour: int, hours: int) -> tuple[Array, Array]:
-        """Return rain (mm/h) and the true evapotranspiration (mm/day)."""
+        """Return rain (mm/h), shape (members, hours), and the true evapotranspiration (mm/day)."""
         last = len(self._weather.precipitation) - 1
         ahead = hour + np.arange(hours)
         now = np.minimum(ahead, last)
         records = self._weather.precipitation
         tomorrow = (ahead - hour >= 24) & (ahead - hour < 30)
-        rain = {
+        kinds = {
             "always dry": np.zeros(hours),
             "always rain": np.full(hours, 2.0),
             "a storm that is always tomorrow": np.where(tomorrow, 8.0, 0.0),
@@ -43,8 +45,9 @@ class Adversary:
             "a day early": records[np.minimum(ahead + 24, last)],
             "a day late": records[np.maximum(now - 24, 0)],
             "a false alarm each week": records[now] + np.where(ahead % 168 < 6, 8.0, 0.0),
-        }[self._kind]
-        return rain[None], self._weather.evapotranspiration[now]
+        }
+        members = kinds.values() if self._kind == TOGETHER else [kinds[self._kind]]
+        return np.stack([*members]), self._weather.evapotranspiration[now]
 
     def repeats_from(self, hour: int, hours: int) -> None:
         """It is no record."""

@@ -8,12 +8,13 @@ from array import array
 from collections.abc import Callable
 from dataclasses import replace
 from datetime import datetime
+from itertools import product
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 import pytest
-from adversaries.forecasts import ADVERSARIES, told
+from adversaries.forecasts import ADVERSARIES, TOGETHER, told
 from hypothesis import Phase, given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
@@ -251,8 +252,10 @@ def plain_two_weeks(tmp_path_factory: pytest.TempPathFactory) -> float:
     return deviation_of(run, run.make_controller())
 
 
-@pytest.mark.parametrize("kind", ADVERSARIES)
-@pytest.mark.parametrize("controller", ["anticipating_onoff", "planning_mpc", "scenario_mpc"])
+@pytest.mark.parametrize(("controller", "kind"), [
+    *product(("anticipating_onoff", "planning_mpc", "scenario_mpc"), ADVERSARIES),
+    ("scenario_mpc", TOGETHER),
+])
 def test_an_adversary_costs_at_most_the_budget(
     controller: str, kind: str, tmp_path: Path, plain_two_weeks: float
 ) -> None:
