@@ -38,6 +38,13 @@ _DELAYS_H = {"HRDPS": 5.0, "REPS": 7.0, "GEPS": 7.0, "GEPS_NA": 7.0}
 _MAGIC = (b"\x89HDF\r\n\x1a\n", b"CDF\x01", b"CDF\x02", b"CDF\x05")
 _NAME = re.compile(r"(\d{4})(\d\d)(\d\d)(\d\d)(?:_(\d{3}))?")
 _VARIABLE = re.compile(r"(\w+)_P_PR0?_SFC")
+# What CaSPAr's numbers, which have 32 bits, can be.
+_LARGEST = float(np.finfo(np.float32).max)
+# By what values of NetCDF are unpacked and masked; where one is no number, the library leaves that
+# out, or fails.
+_PACKING = ("scale_factor", "add_offset", "valid_min", "valid_max")
+# To where a coordinate can go (degrees); longitudes are to the east or to the west.
+_ENDS = {"latitude": 90.0, "longitude": 360.0}
 # How far the nearest point may be from the site: the coarsest of these grids has half a degree.
 _FURTHEST_DEG = 0.5
 # Sums are at most so far apart (h), in GEPS beyond eight days.
@@ -131,7 +138,7 @@ def _read(file: Path, latitude: float, longitude: float) -> _Member:
             name, product = _variable(file, dataset)
             hours = _hours(file, dataset, issued)
             point = _nearest(file, dataset, dataset[name], latitude, longitude)
-            sums = np.ma.filled(dataset[name][(slice(None), *point)].astype(np.float64), np.nan)
+            sums = _numbers(file, dataset[name], *point)
     except (OSError, RuntimeError) as error:  # of the library; a damaged file opens, too
         raise ConfigurationError(f"is not NetCDF that can be read: {error}", file=file) from error
     return _Member(file, issued, number, _rain(file, name, hours, 1000 * sums), product)
@@ -166,7 +173,7 @@ def _variable(file: Path, dataset: Dataset) -> tuple[str, str]:
         raise ConfigurationError(
             f"must be of {', '.join(_DELAYS_H)}", file=file, value=found[0]
         )
-    units = getattr(dataset[found[0]], "units", None)
+    units = _attribute(dataset[found[0]], "units")
     if units != "m":
         raise ConfigurationError(
             "must be 'm', of the sum since the issue", file=file, key=f"{found[0]}:units",
@@ -179,13 +186,19 @@ def _hours(file: Path, dataset: Dataset, issued: datetime) -> NDArray[np.int64]:
     """Return the leads of a file's times (h)."""
     if "time" not in dataset.variables:
         raise ConfigurationError("must have a variable 'time'", file=file)
-    units = getattr(dataset["time"], "units", None)
+    time = dataset["time"]
+    if time.dimensions != ("time",):  # sums without a time, or times without a sum
+        raise ConfigurationError(
+            f"must have the dimension time, not ({', '.join(time.dimensions)})",
+            file=file, key="time",
+        )
+    units = _attribute(time, "units")
     due = f"hours since {issued:%Y-%m-%d %H:%M:%S}"
     if units != due:
         raise ConfigurationError(
             f"must be '{due}', by the file's name", file=file, key="time:units", value=units
         )
-    times = np.ma.filled(dataset["time"][:].astype(np.float64), np.nan)
+    times = _numbers(file, time)
     leads = np.concatenate(([0.0], times if times.size and times[0] else times[1:]))
     steps = np.diff(leads)
     wrong = np.flatnonzero(~((steps >= 1) & (steps <= _LONGEST_STEP) & (steps % 1 == 0)))
@@ -205,16 +218,18 @@ def _nearest(
 
     Nearest is the least angle between both on the sphere, by the haversine.
     """
-    latitudes, longitudes = (
-        _coordinate(file, dataset, name) for name in ("latitude", "longitude")
+    (north, latitudes), (east, longitudes) = (
+        _coordinate(file, dataset, name) for name in _ENDS
     )
-    if latitudes.ndim == 1:
-        latitudes, longitudes = np.meshgrid(latitudes, longitudes, indexing="ij")
-    if variable.dimensions[:1] != ("time",) or variable.shape[1:] != latitudes.shape:
+    places = north if north == east else (*north, *east)
+    if len(places) != 2 or variable.dimensions != ("time", *places):
         raise ConfigurationError(
-            f"must have the dimensions time and those of the places, not "
+            f"must have the dimensions time and two of the places, as latitude ({', '.join(north)})"
+            f" and longitude ({', '.join(east)}) have them, not "
             f"({', '.join(variable.dimensions)})", file=file, value=variable.name,
         )
+    if latitudes.ndim == 1:  # an axis; against the other it is the grid
+        latitudes = latitudes[:, np.newaxis]
     here, there = np.radians(latitude), np.radians(latitudes)
     apart = np.radians(longitudes - longitude)
     haversine = (
@@ -227,17 +242,57 @@ def _nearest(
             f"has no point within {_FURTHEST_DEG:g} degrees of the site's place, {latitude:g}, "
             f"{longitude:g}; the nearest is {degrees:.3g} away", file=file,
         )
-    row, column = np.unravel_index(nearest, latitudes.shape)
+    row, column = np.unravel_index(nearest, haversine.shape)
     return int(row), int(column)
 
 
-def _coordinate(file: Path, dataset: Dataset, name: str) -> NDArray[np.float64]:
-    """Return the degrees of the variable of a standard name."""
+def _coordinate(
+    file: Path, dataset: Dataset, name: str
+) -> tuple[tuple[str, ...], NDArray[np.float64]]:
+    """Return the dimensions and degrees of the variable of a standard name."""
     for variable in dataset.variables.values():
-        if getattr(variable, "standard_name", "") == name:
-            degrees: NDArray[np.float64] = np.ma.filled(variable[:].astype(np.float64), np.nan)
-            return degrees
+        if _attribute(variable, "standard_name") == name:
+            degrees, end = _numbers(file, variable), _ENDS[name]
+            if not (degrees.size and (np.abs(degrees) <= end).all()):
+                raise ConfigurationError(
+                    f"must have degrees from {-end:g} to {end:g} for every point of the grid, and "
+                    "one point or more", file=file, key=variable.name,
+                )
+            return variable.dimensions, degrees
     raise ConfigurationError(f"must have a variable of standard_name '{name}'", file=file)
+
+
+def _attribute(variable: Variable[Any], name: str) -> str:
+    """Return an attribute, which may be there as an array of numbers, as text; or none, empty."""
+    return str(getattr(variable, name, ""))
+
+
+def _numbers(file: Path, variable: Variable[Any], *point: int) -> NDArray[np.float64]:
+    """Return the values of a variable, at one point where its last dimensions are the places'.
+
+    NaN is a missing value. NetCDF also has types of text, lists and records, and text of digits
+    would become numbers.
+    """
+    kind = variable.datatype
+    if not (isinstance(kind, np.dtype) and kind.kind in "iuf"):
+        raise ConfigurationError(
+            "must be of a type of numbers, such as float or int", file=file, key=variable.name
+        )
+    for name in _PACKING:
+        number = getattr(variable, name, np.float64(0.0))
+        if not isinstance(number, np.number):
+            raise ConfigurationError(
+                "must be a number", file=file, key=f"{variable.name}:{name}", value=str(number)
+            )
+    values: NDArray[np.float64] = np.ma.filled(variable[(..., *point)].astype(np.float64), np.nan)
+    beyond = np.argwhere(np.abs(values) > _LARGEST)
+    if beyond.size:
+        index = tuple(beyond[0].tolist())
+        raise ConfigurationError(
+            "must be finite, and a number of 32 bits", file=file,
+            key=f"{variable.name}[{', '.join(map(str, index))}]", value=float(values[index]),
+        )
+    return values
 
 
 def _rain(

@@ -172,7 +172,7 @@ def _read_table(
 def _read_json(file: Path, text: str, site: Site) -> _Hours:
     """Read the hours of a JSON answer."""
     try:
-        content = json.loads(text)
+        content = json.loads(text, parse_int=_whole)
     except json.JSONDecodeError as error:
         raise ConfigurationError(
             f"is not valid JSON: {error}", file=file, line=error.lineno
@@ -204,6 +204,15 @@ def _read_json(file: Path, text: str, site: Site) -> _Hours:
             values[_known(file, None, name)] = _series(file, name, series, count, unit)
     _refuse_without_rain(file, None, values)
     return _Hours(file, None, first - HOUR, values)
+
+
+def _whole(digits: str) -> float:
+    """Return an integer of JSON; one that is beyond every float is infinite, as a decimal is.
+
+    Python would read it exactly, and then fail to make it a float, or refuse its many digits.
+    """
+    number = float(digits)
+    return int(digits) if math.isfinite(number) else number
 
 
 def _mapping(file: Path, content: dict[str, Any], key: str) -> dict[str, Any]:

@@ -244,6 +244,10 @@ FORECASTS: dict[str, tuple[bytes, tuple[str, ...]]] = {
         forecasts("2021-07-07T00:00-05:00,-1,0.0", header=MEMBERS),
         ("line 2", "member = '-1'", "whole number from 0 to 99"),
     ),
+    "member-of-many-digits": (
+        forecasts(f"2021-07-07T00:00-05:00,{'9' * 5000},0.0", header=MEMBERS),
+        ("line 2", "member = '99", "whole number from 0 to 99"),
+    ),
     "member-left-out": (
         forecasts(
             "2021-07-07T00:00-05:00,0,0.0", "2021-07-07T00:00-05:00,2,0.0", header=MEMBERS

@@ -153,6 +153,36 @@ def attribute(variable: str, name: str, value: str) -> Callable[[netCDF4.Dataset
     return lambda dataset: dataset[variable].setncattr(name, value)
 
 
+def instead(
+    variable: str, values: Any, dimensions: Sequence[str] | None = None, datatype: Any = "f8",
+) -> Callable[[netCDF4.Dataset], None]:
+    """Return what puts a variable of other values, dimensions or type in another's place.
+
+    A dimension that is not there is made, and the first is as long as the values.
+    """
+    def edit(dataset: netCDF4.Dataset) -> None:
+        old = dataset[variable]
+        attributes = {name: old.getncattr(name) for name in old.ncattrs()}
+        for name in attributes:
+            old.delncattr(name)
+        dataset.renameVariable(variable, f"{variable}_before")
+        own = old.dimensions if dimensions is None else tuple(dimensions)
+        for dimension in own:
+            if dimension not in dataset.dimensions:
+                dataset.createDimension(dimension, len(values))
+        new = dataset.createVariable(variable, datatype, own)
+        new.setncatts(attributes)
+        new[...] = values
+    return edit
+
+
+def of_every_point(values: Sequence[float]) -> np.ndarray[Any, Any]:
+    """Return values of each hour for every point."""
+    return np.ones((1, 3, 4)) * np.array(values)[:, None, None]
+
+
+RAIN = "HRDPS_P_PR_SFC"
+PLACES = "must have the dimensions time and two of the places, as latitude "
 WRONG: dict[str, tuple[dict[str, Any], str]] = {
     "units": (
         {"edit": attribute("HRDPS_P_PR_SFC", "units", "kg m**-2 s**-1")},
@@ -196,12 +226,84 @@ WRONG: dict[str, tuple[dict[str, Any], str]] = {
         {"hours": [0, 1, 2, 2, 4, 5]},
         "time: must have further hours, 1 to 6 from each to the next after 2",
     ),
+    "longer time": (  # of a dimension of its own: the last sums would be those of the first hours
+        {"edit": instead("time", range(9), ["later"])},
+        "time: must have the dimension time, not (later)",
+    ),
+    "one time": (
+        {"edit": instead("time", 1, [])}, "time: must have the dimension time, not ()",
+    ),
+    "infinite time": (
+        {"edit": instead("time", [0, 1, 2, 3, np.inf, np.inf])},
+        "time[4] = inf: must be finite, and a number of 32 bits",
+    ),
+    "text of time": (
+        {"edit": instead("time", np.array([*"012345"], dtype=object), datatype=str)},
+        "time: must be of a type of numbers, such as float or int",
+    ),
+    "text of places": (
+        {"edit": instead("lat", LATITUDES.astype(str).astype(object), datatype=str)},
+        "lat: must be of a type of numbers, such as float or int",
+    ),
+    "text of sums": (
+        {"edit": instead(RAIN, np.full((6, 3, 4), "0", dtype=object), datatype=str)},
+        f"{RAIN}: must be of a type of numbers, such as float or int",
+    ),
+    "letters of sums": (
+        {"edit": instead(RAIN, np.full((6, 3, 4), b"0"), datatype="S1")},
+        f"{RAIN}: must be of a type of numbers, such as float or int",
+    ),
+    "infinite": (
+        {"edit": instead(RAIN, of_every_point([0.0, 0.001, np.inf, np.inf, np.inf, np.inf]))},
+        f"{RAIN}[2] = inf: must be finite, and a number of 32 bits",
+    ),
+    "huge": (  # more than the largest in mm
+        {"edit": instead(RAIN, of_every_point([0.0, 1e306, 1e306, 1e306, 1e306, 1e306]))},
+        f"{RAIN}[1] = 1e+306: must be finite, and a number of 32 bits",
+    ),
+    "no points": (
+        {"edit": instead("lat", np.empty((0, 4)), ["none", "rlon"])},
+        "lat: must have degrees from -90 to 90 for every point of the grid, and one point or more",
+    ),
+    "place unknown": (
+        {"edit": instead("lat", np.where(LATITUDES < 43.65, LATITUDES, np.nan))},
+        "lat: must have degrees from -90 to 90 for every point of the grid, and one point or more",
+    ),
+    "no longitude": (
+        {"edit": instead("lon", LONGITUDES - 360)},
+        "lon: must have degrees from -360 to 360 for every point of the grid, and one point or m",
+    ),
+    "places turned": (  # as many points, in another order
+        {"edit": instead("lat", np.tile([43.62, 43.63, 43.64, 43.65], (3, 1)).T, ["rlon", "rlat"])},
+        f"{RAIN!r}: {PLACES}(rlon, rlat) and longitude (rlat, rlon) have them, not (time, rlat, rl",
+    ),
+    "places in a row": (
+        {"edit": instead("lat", LATITUDES[0], ["rlon"])},
+        f"{RAIN!r}: {PLACES}(rlon) and longitude (rlat, rlon) have them, not (time, rlat, rlon)",
+    ),
+    "sums without places": (
+        {"edit": instead(RAIN, SUMS, ["time"])},
+        f"{RAIN!r}: {PLACES}(rlat, rlon) and longitude (rlat, rlon) have them, not (time)",
+    ),
+    "packed": (
+        {"edit": attribute(RAIN, "scale_factor", "a tenth")},
+        f"{RAIN}:scale_factor = 'a tenth': must be a number",
+    ),
+    "two offsets": (
+        {"edit": lambda dataset: dataset["time"].setncattr("add_offset", [0.0, 1.0])},
+        "time:add_offset = '[0. 1.]': must be a number",
+    ),
+    "units in numbers": (
+        {"edit": lambda dataset: dataset[RAIN].setncattr("units", [1, 2])},
+        f"{RAIN}:units = '[1 2]': must be 'm', of the sum since the issue",
+    ),
 }
 
 
+@pytest.mark.filterwarnings("error::RuntimeWarning")
 @pytest.mark.parametrize("name", WRONG)
 def test_wrong_files(tmp_path: Path, name: str) -> None:
-    """Refused with the file, variable or attribute, and what would be right."""
+    """Refused with the file, variable or attribute, and what would be right, before any warning."""
     changes, reason = WRONG[name]
     file = write(tmp_path / "2021070800.nc", **changes)
     with pytest.raises(ConfigurationError) as caught:

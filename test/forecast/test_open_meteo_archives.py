@@ -275,6 +275,18 @@ WRONG = {
         edited(hourly__precipitation=[0.0, 0.0, 0.0, 501, 0.0, 0.0]),
         ": hourly.precipitation[3] = 501: must be a number from 0 to 500 mm, or null",
     ),
+    "huge.json": (  # too large for a float, as an integer and as a decimal alike
+        edited(hourly__precipitation=[0.0, 0.0, 10**400, 0.0, 0.0, 0.0]),
+        ": hourly.precipitation[2] = inf: must be a number from 0 to 500 mm, or null",
+    ),
+    "digits.json": (  # more than Python takes for an integer
+        edited().replace("2.5", "9" * 5000),
+        ": hourly.precipitation[4] = inf: must be a number from 0 to 500 mm, or null",
+    ),
+    "long offset.json": (
+        edited().replace('"utc_offset_seconds": 0', '"utc_offset_seconds": ' + "9" * 5000),
+        ": utc_offset_seconds = 'inf': must be a whole number of seconds from -43200 to 50400",
+    ),
     "gap.json": (
         edited(hourly__time=[*TIMES[:3], TIMES[4], *TIMES[4:]][:6]),
         ": hourly.time[3] = '2024-06-01T16:00': must be 2024-06-01T15:00+00:00: hour after hour",
