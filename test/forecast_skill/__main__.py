@@ -19,7 +19,7 @@ import numpy as np
 HERE = Path(__file__).resolve().parent
 sys.path[:0] = [str(HERE.parent), str(HERE.parent.parent)]
 
-from forecast_skill.agreement import Agreement, of_members, of_services  # noqa: E402
+from forecast_skill.agreement import of_members, of_services  # noqa: E402
 from forecast_skill.figures import (  # noqa: E402
     DAYS,
     NAMES,
@@ -86,7 +86,8 @@ def table(
 def ensembles(rain: dict[int, np.ndarray], name: str, seeds: int) -> None:
     """Print how alike services are, and members of a skill's ensembles, and what their mean gains.
 
-    All is the mean over seeds. Ensembles have as many members as there are services, and five.
+    Cells are services / members, r and ratios of r; of members the mean over seeds. There are as
+    many members as services, or five; five services are taken to be as alike as these.
     """
     skill, observed = read_skill(name), np.concatenate(list(rain.values()))
     issued = []
@@ -97,9 +98,8 @@ def ensembles(rain: dict[int, np.ndarray], name: str, seeds: int) -> None:
         })
     print(f"\n{name}, ensembles, mean of {seeds} seeds\n")
     heads = [
-        "days ahead", "sums over", "services: r of each", "of two", "of the mean",
-        "members: r of one", "of two", "of the mean of as many", "of five",
-        "gain of as many: services", "members", "gain of five: services", "members",
+        "days ahead", "sums over", "each with what fell", "two with each other",
+        "the mean with what fell", "gain of the mean", "gain of five", "mean of five members",
     ]
     print("| " + " | ".join(heads) + " |")
     print("|---" * len(heads) + "|")
@@ -111,22 +111,19 @@ def ensembles(rain: dict[int, np.ndarray], name: str, seeds: int) -> None:
                 for count in (len(services.alone), 5)
             )
             cells = [
-                f"{day}", f"{hours} h", _listed(services.alone), _listed(services.pairs),
-                f"{services.mean:.2f}", f"{np.mean([each.alone for each in few]):.2f}",
-                f"{np.mean([each.pairs for each in few]):.2f}",
-                f"{np.mean([each.mean for each in few]):.2f}",
+                f"{day}", f"{hours} h",
+                f"{_listed(services.alone)} / {np.mean([each.alone for each in few]):.2f}",
+                f"{_listed(services.pairs)} / {np.mean([each.pairs for each in few]):.2f}",
+                f"{services.mean:.2f} / {np.mean([each.mean for each in few]):.2f}",
+                f"{services.gain:.2f} / {np.mean([each.gain for each in few]):.2f}",
+                f"{services.gain_of(5):.2f} / {np.mean([each.gain for each in five]):.2f}",
                 f"{np.mean([each.mean for each in five]):.2f}",
-                f"{services.gain:.2f}", _gain(few), f"{services.gain_of(5):.2f}", _gain(five),
             ]
             print("| " + " | ".join(cells) + " |", flush=True)
 
 
 def _listed(values: np.ndarray) -> str:
     return ", ".join(f"{value:.2f}" for value in values)
-
-
-def _gain(of_seeds: list[Agreement]) -> str:
-    return f"{np.mean([each.gain for each in of_seeds]):.2f}"
 
 
 def main() -> None:
