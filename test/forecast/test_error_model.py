@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from forecast_skill.agreement import agreement, of_members
 from forecast_skill.figures import (
     SUMS,
     TIP,
@@ -272,6 +273,22 @@ def test_issues_agree_as_real_ones_do(ahead: dict[int, Array]) -> None:
         both = ~np.isnan(sums[day]) & ~np.isnan(sums[other])
         agreement = np.corrcoef(sums[day][both], sums[other][both])[0, 1]
         assert min(found) - 0.1 < agreement < max(found) + 0.1, (day, other)
+
+
+def test_r_of_a_mean_without_the_records() -> None:
+    """From each one's r and their covariances, as of the services: it is that of the means."""
+    chance = np.random.default_rng(3)
+    rain = chance.gamma(0.3, size=(4, 240))
+    rain[1:] = rain[0] + np.array([[0.5], [1.0], [3.0]]) * rain[1:]
+    directly = of_members(rain[1:], rain[0], 12, 3)
+    covariance = np.cov(rain[1:].reshape(3, -1, 12).sum(axis=2))
+    found = agreement(directly.alone, covariance)
+    assert found.mean == pytest.approx(directly.mean, rel=1e-12)
+    assert found.pairs == pytest.approx(directly.pairs, rel=1e-12)
+    # Two that have 0.5 with each other: a mean varies by sqrt(3) / 2 of one.
+    alike = agreement(np.array([0.4, 0.4]), np.array([[4.0, 2.0], [2.0, 4.0]]))
+    assert alike.gain == pytest.approx(2 / math.sqrt(3))
+    assert alike.gain_of(2) == pytest.approx(2 / math.sqrt(3))
 
 
 def test_a_false_alarm_stays_one(rain: dict[int, Array]) -> None:

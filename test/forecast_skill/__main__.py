@@ -3,7 +3,8 @@
 Each skill's forecasts of Toronto's rain, May to October 2015 to 2025, are held against the records:
 r, POD, FAR and bias of sums over 1, 6, 12 and 24 h, one, two, three and five days ahead, beside the
 least and the greatest of the services'. With ``--fit`` the climate and the errors of
-config/forecasts/skill.yaml are fitted first, and printed.
+config/forecasts/skill.yaml are fitted first, and printed. With ``--ensembles`` the tables are of
+how alike an ensemble's members are, and what their mean gains, beside those of three services.
 """
 
 from __future__ import annotations
@@ -18,6 +19,7 @@ import numpy as np
 HERE = Path(__file__).resolve().parent
 sys.path[:0] = [str(HERE.parent), str(HERE.parent.parent)]
 
+from forecast_skill.agreement import of_members, of_services  # noqa: E402
 from forecast_skill.figures import (  # noqa: E402
     DAYS,
     NAMES,
@@ -63,25 +65,72 @@ def table(
     print(f"\n{name}, mean of {seeds} seeds\n")
     print("| days ahead | sums over | " + " | ".join(NAMES) + " |")
     print("|---" * (2 + len(NAMES)) + "|")
-    beyond = 0
+    inside = dict.fromkeys((0.0, 0.005, 0.05), 0)
     for day, of_day in zip(DAYS, np.mean(found, axis=0), strict=True):
         for hours, row in zip(SUMS, of_day, strict=True):
             cells = []
             low, high = spread[day, hours].min(axis=0), spread[day, hours].max(axis=0)
             for value, least, most in zip(row, low, high, strict=True):
-                out = not least - 0.005 <= value <= most + 0.005
-                beyond += out and len(cells) < 3
-                text = f"**{value:.2f}**" if out else f"{value:.2f}"
+                beyond = max(least - value, value - most)
+                if len(cells) < NAMES.index("bias"):
+                    for margin in inside:
+                        inside[margin] += bool(beyond <= margin)
+                text = f"**{value:.2f}**" if beyond > 0 else f"{value:.2f}"
                 cells.append(f"{text} ({least:.2f} - {most:.2f})")
             print(f"| {day} | {hours} h | " + " | ".join(cells) + " |")
-    count = 3 * len(DAYS) * len(SUMS)
-    print(f"\nr, POD, FAR beyond the services': {beyond} of {count}", flush=True)
+    print(f"\nr, POD, FAR within the services' spread, of {3 * len(DAYS) * len(SUMS)}:")
+    for margin, number in inside.items():
+        print(f"{number}, if {margin:g} beyond it counts as within", flush=True)
+
+
+def ensembles(rain: dict[int, np.ndarray], name: str, seeds: int) -> None:
+    """Print how alike services are, and members of a skill's ensembles, and what their mean gains.
+
+    Cells are services / members, r and ratios of r; of members the mean over seeds. There are as
+    many members as services, or five; five services are taken to be as alike as these.
+    """
+    skill, observed = read_skill(name), np.concatenate(list(rain.values()))
+    issued = []
+    for seed in range(1, seeds + 1):
+        ahead = [days_ahead(year, season, skill, seed, DAYS, 5) for year, season in rain.items()]
+        issued.append({
+            day: np.concatenate([season[day] for season in ahead], axis=1) for day in DAYS
+        })
+    print(f"\n{name}, ensembles, mean of {seeds} seeds\n")
+    heads = [
+        "days ahead", "sums over", "each with what fell", "two with each other",
+        "the mean with what fell", "gain of the mean", "gain of five", "mean of five members",
+    ]
+    print("| " + " | ".join(heads) + " |")
+    print("|---" * len(heads) + "|")
+    for day in DAYS:
+        for hours in (12, 24):
+            services = of_services(day, hours)
+            few, five = (
+                [of_members(each[day], observed, hours, count) for each in issued]
+                for count in (len(services.alone), 5)
+            )
+            cells = [
+                f"{day}", f"{hours} h",
+                f"{_listed(services.alone)} / {np.mean([each.alone for each in few]):.2f}",
+                f"{_listed(services.pairs)} / {np.mean([each.pairs for each in few]):.2f}",
+                f"{services.mean:.2f} / {np.mean([each.mean for each in few]):.2f}",
+                f"{services.gain:.2f} / {np.mean([each.gain for each in few]):.2f}",
+                f"{services.gain_of(5):.2f} / {np.mean([each.gain for each in five]):.2f}",
+                f"{np.mean([each.mean for each in five]):.2f}",
+            ]
+            print("| " + " | ".join(cells) + " |", flush=True)
+
+
+def _listed(values: np.ndarray) -> str:
+    return ", ".join(f"{value:.2f}" for value in values)
 
 
 def main() -> None:
     """Fit if asked to, and print the tables."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--fit", action="store_true")
+    parser.add_argument("--ensembles", action="store_true")
     parser.add_argument("--skills", nargs="*", default=[REAL], choices=list(SKILLS))
     parser.add_argument("--seeds", type=int, default=3)
     arguments = parser.parse_args()
@@ -89,7 +138,10 @@ def main() -> None:
     if arguments.fit:
         fit(rain, spread)
     for name in arguments.skills:
-        table(rain, spread, name, arguments.seeds)
+        if arguments.ensembles:
+            ensembles(rain, name, arguments.seeds)
+        else:
+            table(rain, spread, name, arguments.seeds)
 
 
 if __name__ == "__main__":
