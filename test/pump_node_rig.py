@@ -17,6 +17,7 @@ from graphs import environment, wait_for
 from lifecycle_msgs.srv import ChangeState, GetState
 from places import CONFIG, guarding
 from rosgraph_msgs.msg import Clock
+from simulators import PATIENCE_S
 from std_msgs.msg import Float64, String
 from test_nodes import Observer, qos
 
@@ -56,7 +57,7 @@ class SimulatedDrive:
         """Do something at the workbench."""
 
         async def asked() -> Any:
-            workbench = Workbench(parse_address(self._workbench))
+            workbench = Workbench(parse_address(self._workbench), timeout_s=PATIENCE_S)
             try:
                 return await question(workbench)
             finally:

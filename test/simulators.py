@@ -20,6 +20,9 @@ from greenroof_ros.drives.address import Address
 from greenroof_ros.drives.faults import DEFAULT, DRIVE_FAULTS, SITE_FAULTS
 from greenroof_ros.drives.workbench import Workbench
 
+# How long a workbench is waited for (s): as long as a loaded machine needs.
+PATIENCE_S = 30.0
+
 _PLACE = re.compile(r"(?:tcp|gateway)://127\.0\.0\.1:(\d+), device")
 
 
@@ -63,7 +66,7 @@ class Simulator:
     def _on_workbench(self, task: Callable[[Workbench], Coroutine[Any, Any, None]]) -> None:
         async def go() -> None:
             known = SITE_FAULTS if len(self.ports) == 3 else DRIVE_FAULTS
-            bench = Workbench(Address("127.0.0.1", self.ports[-1]), known)
+            bench = Workbench(Address("127.0.0.1", self.ports[-1]), known, PATIENCE_S)
             await task(bench)
             bench.close()
 

@@ -18,6 +18,7 @@ pytest.importorskip("pymodbus", reason="sensors are on Modbus")
 from diagnostic_msgs.msg import DiagnosticArray  # noqa: E402
 from graphs import environment  # noqa: E402
 from places import CONFIG  # noqa: E402
+from simulators import PATIENCE_S  # noqa: E402
 from std_msgs.msg import Float64  # noqa: E402
 from test_nodes import Observer, observer, qos  # noqa: E402, F401
 
@@ -28,7 +29,7 @@ from greenroof_ros.drives.workbench import Workbench  # noqa: E402
 
 def inject(address: str, fault: str) -> None:
     async def injected() -> None:
-        workbench = Workbench(parse_address(address), SITE_FAULTS)
+        workbench = Workbench(parse_address(address), SITE_FAULTS, PATIENCE_S)
         await workbench.inject(fault)
         workbench.close()
 

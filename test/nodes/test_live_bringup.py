@@ -25,6 +25,7 @@ from graphs import Process, alive, bring_up, environment, free_ports, summary_of
 from modbus_wire import Wire, acs880
 from places import CHECKOUT, CONFIG, guarding
 from rosbags.highlevel import AnyReader
+from simulators import PATIENCE_S
 
 rclpy = pytest.importorskip("rclpy", reason="nodes need ROS 2")
 
@@ -191,7 +192,7 @@ class Hardware:
         """Return the pump's true speed, share of the rated one; each call takes 0.1 s."""
 
         async def asked() -> float:
-            bench = Workbench(parse_address(self._bench))
+            bench = Workbench(parse_address(self._bench), timeout_s=PATIENCE_S)
             try:
                 return await bench.speed()
             finally:
@@ -204,7 +205,7 @@ class Hardware:
         """Let something go wrong at the drive."""
 
         async def asked() -> None:
-            bench = Workbench(parse_address(self._bench))
+            bench = Workbench(parse_address(self._bench), timeout_s=PATIENCE_S)
             try:
                 await bench.inject(fault)
             finally:

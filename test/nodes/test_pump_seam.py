@@ -86,9 +86,10 @@ def test_example_driver(domain: int, tmp_path: Path) -> None:
     assert constants
     maximum, lag, tick = map(float, constants[1].split(","))
     flow = 0.0
-    # It is off until levels and frost have come, which may be behind the first commands.
+    # It is off until levels and frost have come, behind the first commands: how many pass until
+    # they are discovered is a matter of the machine, and 300 ticks are a second.
     told = next(tick for tick, measured in enumerate(flows) if measured)
-    assert told < 10
+    assert told < 500
     for command, measured in zip(commands[told:], flows[told:], strict=True):
         flow += (min(command, 1.0) * maximum - flow) * (1 - math.exp(-tick / lag))
         assert measured == pytest.approx(flow, rel=1e-12, abs=1e-300)
