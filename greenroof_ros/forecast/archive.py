@@ -18,6 +18,8 @@ from greenroof_ros.weather.records import HOUR
 from greenroof_ros.weather.series import Weather
 
 _HEAD_BYTES = 4096
+# Of the files in a directory; what is in one says which format it has.
+_SUFFIXES = (".csv", ".json", ".nc")
 
 
 class Format(Protocol):
@@ -102,6 +104,12 @@ def read_archive(source: Path, site: Site, delay: float | None = None) -> Archiv
         )
         if not files:
             raise ConfigurationError("must have files of forecasts in it", file=source)
+        for file in files:
+            if file.suffix not in _SUFFIXES:
+                raise ConfigurationError(
+                    f"must end in {', '.join(_SUFFIXES[:-1])} or {_SUFFIXES[-1]}, as all files in "
+                    "a directory of forecasts", file=file,
+                )
     form = _form(files[0])
     for file in files[1:]:
         if _form(file) is not form:

@@ -18,9 +18,9 @@ Parameter Definition: "Preceding hour sum"), so it is moved an hour back.
 
 ``precipitation_previous_day1`` is of :mod:`greenroof_ros.forecast.previous_runs`. ``precipitation``
 and ``precipitation_member01`` ... are one run a file, the first being the control run. Which run it
-is, the answer does not say: the answer to ``run=`` begins at the run, so that the first time is it,
-unless the file's name ends in another, as in ``gem_2024060112.json``. An answer of the ensemble
-service without ``run=`` begins at midnight, before the run; so a file with members must say it.
+is, the answer does not say, so the file's name must end in it, as in ``gem_2024060112.json``. The
+first time is no sign of it: an answer to ``run=`` begins at the run, but one without begins at
+midnight, or days before with ``past_days=``, and what fell until the download would be foreseen.
 """
 
 from __future__ import annotations
@@ -29,6 +29,7 @@ import json
 import math
 import re
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from datetime import datetime, timezone
 from functools import partial
 from pathlib import Path
@@ -320,12 +321,6 @@ def _run(hours: _Hours) -> Issue:
     """Return the run of a file."""
     numbers = _members(hours)
     run = _named_run(hours.file)
-    if run is None and len(numbers) > 1:
-        raise ConfigurationError(
-            "must say in its name which run of the ensemble it holds, as in gem_2024060112.json",
-            file=hours.file,
-        )
-    run = run or hours.first + HOUR
     start, rest = divmod(run - hours.first, HOUR)
     rain = np.stack(list(numbers.values()))
     if rest or not 0 <= start < rain.shape[1]:
@@ -377,16 +372,14 @@ def _members(hours: _Hours) -> dict[int, NDArray[np.float64]]:
     return {number: found[number] for number in numbers}
 
 
-def _named_run(file: Path) -> datetime | None:
-    """Return the run that a file's name ends in; None where it does not."""
-    match = _RUN_IN_NAME.search(file.stem)
-    if match is None:
-        return None
-    year, month, day, hour = map(int, match.groups())
-    try:
-        return datetime(year, month, day, hour, tzinfo=_UTC)
-    except ValueError:
-        raise ConfigurationError(
-            "its name must end in a run such as 2024060112, year, month, day and hour in UTC",
-            file=file,
-        ) from None
+def _named_run(file: Path) -> datetime:
+    """Return the run that a file's name ends in."""
+    with suppress(ValueError):
+        if match := _RUN_IN_NAME.search(file.stem):
+            year, month, day, hour = map(int, match.groups())
+            return datetime(year, month, day, hour, tzinfo=_UTC)
+    raise ConfigurationError(
+        "its name must end in the run that it holds, such as 2024060112: year, month, day and hour "
+        "in UTC; nothing in the file says it. Of more than one run there are previous runs, "
+        "precipitation_previous_day1 and so on", file=file,
+    )

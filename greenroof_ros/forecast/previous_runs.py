@@ -132,10 +132,15 @@ def join(parts: Sequence[PreviousRuns]) -> PreviousRuns:
             )
         for day, series in part.days.items():
             joined = days[day][begin : begin + part.hours]
-            if np.any(joined != series, where=~(np.isnan(joined) | np.isnan(series))):
+            both = ~(np.isnan(joined) | np.isnan(series))
+            differing = np.flatnonzero(both & (joined != series))
+            if differing.size:
+                hour = int(differing[0])
                 raise ConfigurationError(
-                    f"must not have other values of day {day} than the files before it",
-                    file=part.file, line=part.line,
+                    f"must be {joined[hour]:g} mm/h, as in {first.file.name} or a file after it: "
+                    "files of an archive are of one model",
+                    file=part.file, line=None if part.line is None else part.line + hour,
+                    key=f"precipitation_previous_day{day}", value=float(series[hour]),
                 )
             np.copyto(joined, series, where=~np.isnan(series))
     return PreviousRuns(first.file, None, first.first, days)

@@ -162,9 +162,10 @@ def test_several_files_are_one(tmp_path: Path) -> None:
     for one, other in zip(joined.verified, whole.verified, strict=True):
         assert one.issued == other.issued and one.rain.tobytes() == other.rain.tobytes()
     (tmp_path / "a.csv").write_text("\n".join([
-        header, lines[280].replace(",0.0", ",7.0"), *lines[281:552], "",
+        header, lines[280], lines[281].replace(",0.0", ",7.0"), *lines[282:552], "",
     ]))
-    with pytest.raises(ConfigurationError, match=r"a.csv, line 2: must not have other values of d"):
+    conflict = r"a.csv, line 3: precipitation_previous_day1 = 7.0: must be 0 mm/h, as in b.csv or"
+    with pytest.raises(ConfigurationError, match=conflict):
         read_archive(tmp_path, BUDVA)
     (tmp_path / "a.csv").write_text(json.dumps(answer(
         ["2024-03-01T00:00"], precipitation_previous_day1=[0.0]
@@ -193,14 +194,22 @@ TIMES = [f"2024-06-01T{hour:02}:00" for hour in range(12, 18)]
 
 
 def test_single_run(tmp_path: Path) -> None:
-    """It begins at its run; the rain at that time fell before it, and is left out."""
-    file = tmp_path / "run.json"
+    """It begins at its run; the rain at that time fell before it, and is left out.
+
+    So are the days before it, which an answer has that was asked for them.
+    """
+    file = tmp_path / "gem_2024060112.json"
     file.write_text(json.dumps(answer(TIMES, precipitation=[None, 0.5, 1.5, 0.0, 2.5, None])))
     archive = read_archive(file, BUDVA)
     assert (archive.kind, archive.delay, archive.members) == ("Open-Meteo, runs", 6.0, 1)
     (issue,) = archive.issues
     assert issue.issued.isoformat() == "2024-06-01T12:00:00+00:00"
     assert issue.rain.tolist() == [[0.5, 1.5, 0.0, 2.5]]  # beyond its horizon there is nothing
+    later = tmp_path / "gem_2024060113.json"
+    file.rename(later)
+    (issue,) = read_archive(later, BUDVA).issues
+    assert issue.issued.isoformat() == "2024-06-01T13:00:00+00:00"
+    assert issue.rain.tolist() == [[1.5, 0.0, 2.5]]
 
 
 def test_ensemble_of_runs(tmp_path: Path) -> None:
@@ -295,11 +304,11 @@ WRONG = {
         edited(hourly__time=["noon", *TIMES[1:]]),
         ": hourly.time[0] = 'noon': must be a time such as 2024-06-01T12:00",
     ),
-    "hole.json": (
+    "hole_2024060112.json": (
         edited(hourly__precipitation=[0.0, 0.0, None, 1.0, 1.0, 1.0]),
         ": precipitation: is missing at 2024-06-01T14:00+00:00, within the run",
     ),
-    "empty.json": (
+    "empty_2024060112.json": (
         edited(hourly__precipitation=[None] * 6),
         ": has no precipitation after its run, 2024-06-01T12:00+00:00",
     ),
@@ -312,7 +321,7 @@ WRONG = {
     ),
     "members.json": (
         edited(hourly__precipitation_member01=[0.0] * 6, hourly_units__precipitation_member01="mm"),
-        ": must say in its name which run of the ensemble it holds, as in gem_2024060112.json",
+        ": its name must end in the run that it holds, such as 2024060112: year, month, day and",
     ),
     "gap_2024060112.json": (
         edited(hourly__precipitation_member02=[0.0] * 6, hourly_units__precipitation_member02="mm"),
@@ -321,11 +330,11 @@ WRONG = {
     "other_2024060118.json": (
         edited(), ": must have the hour after its run, 2024-06-01T18:00+00:00; its first time is ",
     ),
-    "none_2024063112.json": (edited(), ": its name must end in a run such as 2024060112, year, mo"),
+    "none_2024063112.json": (edited(), ": its name must end in the run that it holds, such as 20"),
     # No hour of a day; and the 99th after the last day that a calendar has.
-    "none_2024053136.json": (edited(), ": its name must end in a run such as 2024060112, year, mo"),
-    "none_9999123199.json": (edited(), ": its name must end in a run such as 2024060112, year, mo"),
-    "history.csv": (
+    "none_2024053136.json": (edited(), ": its name must end in the run that it holds, such as 20"),
+    "none_9999123199.json": (edited(), ": its name must end in the run that it holds, such as 20"),
+    "history_2024010100.csv": (
         "\n".join(["time,precipitation", *(
             f"{parse_time('2024-01-01T00:00Z') + hour * HOUR},0.0" for hour in range(37 * 24)
         )]),
@@ -385,15 +394,21 @@ def test_wrong_directories(tmp_path: Path) -> None:
     """An archive has one format, one kind, each issue once, and as many members in each."""
     with pytest.raises(ConfigurationError, match="must have files of forecasts in it"):
         read_archive(tmp_path, BUDVA)
+    (tmp_path / "README.md").write_text("# Forecasts")
+    with pytest.raises(ConfigurationError, match=r"README.md: must end in .csv, .json or .nc, as "):
+        read_archive(tmp_path, BUDVA)
+    (tmp_path / "README.md").unlink()
     run = edited()
-    (tmp_path / "a.json").write_text(run)
-    (tmp_path / "b.json").write_text(run)
+    (tmp_path / "a_2024060112.json").write_text(run)
+    (tmp_path / "b_2024060112.json").write_text(run)
     with pytest.raises(ConfigurationError) as caught:
         read_archive(tmp_path, BUDVA)
     assert str(caught.value) == (
-        f"{tmp_path / 'b.json'}: has the issue of 2024-06-01T12:00+00:00, which a.json has already"
+        f"{tmp_path / 'b_2024060112.json'}: has the issue of 2024-06-01T12:00+00:00, which "
+        "a_2024060112.json has already"
     )
-    (tmp_path / "b.json").write_text(json.dumps(answer(
+    (tmp_path / "b_2024060112.json").unlink()
+    (tmp_path / "b_2024060212.json").write_text(json.dumps(answer(
         [time.replace("06-01", "06-02") for time in TIMES], precipitation=[0.0] * 6
     )))
     assert len(read_archive(tmp_path, BUDVA).issues) == 2
@@ -404,8 +419,8 @@ def test_wrong_directories(tmp_path: Path) -> None:
     with pytest.raises(ConfigurationError, match="must have as many members as that befor"):
         read_archive(tmp_path, BUDVA)
     (tmp_path / "c_2024060312.json").write_text(in_service_json(saved(GEM)))
-    with pytest.raises(ConfigurationError, match=r"a.json: must be of previous runs, as c_2024060"):
+    with pytest.raises(ConfigurationError, match=r"a_2024060112.json: must be of previous runs, "):
         read_archive(tmp_path, BUDVA)
     (tmp_path / "c_2024060312.json").write_text("issued,time,precipitation [mm/h]\n")
-    with pytest.raises(ConfigurationError, match=r"must be of the format of a.json: an archive ha"):
+    with pytest.raises(ConfigurationError, match=r"must be of the format of a_2024060112.json: an"):
         read_archive(tmp_path, BUDVA)

@@ -322,8 +322,8 @@ WRONG = {
         [str(GEM)], f"{GEM}: FORECASTS = '{GEM}': have no whole sum in common with the records, "
     ),
     "between": (
-        ["half.json"],
-        "half.json: issued = '2021-07-07T01:00+05:30': must be a whole number of hours from ",
+        ["half.csv"],
+        "half.csv, line 2: issued = '2021-07-07T01:30+00:00': must be a whole number of hours fr",
     ),
 }
 
@@ -332,13 +332,9 @@ WRONG = {
 def test_wrong_use(tmp_path: Path, name: str) -> None:
     """One line that says what would be right, exit code 2, and nothing written."""
     (tmp_path / "there.csv").write_text("mine")
-    (tmp_path / "half.json").write_text(json.dumps({
-        "latitude": 43.63, "longitude": -79.4, "elevation": 77.0, "utc_offset_seconds": 19800,
-        "hourly_units": {"time": "iso8601", "precipitation": "mm"},
-        "hourly": {
-            "time": ["2021-07-07T01:00", "2021-07-07T02:00"], "precipitation": [None, 1.0],
-        },
-    }))
+    (tmp_path / "half.csv").write_text(
+        "issued,time,precipitation [mm/h]\n2021-07-07T01:30Z,2021-07-07T01:30Z,1.0\n"
+    )
     arguments, reason = WRONG[name]
     done = verify(tmp_path, *arguments, "--weather", str(JULY))
     assert (done.returncode, done.stdout) == (2, "")
