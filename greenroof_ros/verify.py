@@ -132,11 +132,20 @@ def main() -> int:
             file=choice.file, key="FORECASTS", value=arguments.forecasts,
         )
     records = f"{weather.source}, {to_people(weather.first)} to {to_people(weather.end)}"
+    texts: dict[Path, str] = {}
+    if arguments.fit is not None:  # first, as it may refuse what the scores need no more of
+        # Its parts of scipy take half a second, which those who do not fit are spared.
+        from greenroof_ros.verification.fitting import MOST_TRIALS, fit_skill, skill_text
+
+        with _bar("fitting", MOST_TRIALS, "trials") as done:
+            skill = fit_skill(tallies, forecasts.older, weather.precipitation, done)
+        texts[arguments.fit] = skill_text(skill, f"{forecasts.name}, against {records}")
     for file in arguments.output:
-        text = (
+        texts[file] = (
             csv_text(tallies) if file.suffix == ".csv"
             else render(forecasts.name, records, len(forecasts), tallies)
         )
+    for file, text in texts.items():
         file.write_text(text, encoding="utf-8")
     console = Console()
     title = f"{forecasts.name}: {len(forecasts)} issues, against {weather.source}"
@@ -152,17 +161,8 @@ def main() -> int:
             "warning: these forecasts know nothing of these records, no correlation reaches 0.1: "
             "are both of the same place, and the hours of both right?", file=sys.stderr,
         )
-    if arguments.fit is not None:
-        # Its parts of scipy take half a second, which those who do not fit are spared.
-        from greenroof_ros.verification.fitting import MOST_TRIALS, fit_skill, skill_text
-
-        with _bar("fitting", MOST_TRIALS, "trials") as done:
-            skill = fit_skill(tallies, forecasts.older, weather.precipitation, done)
-        source = f"{forecasts.name}, against {records}"
-        arguments.fit.write_text(skill_text(skill, source), encoding="utf-8")
-    files = [*arguments.output, *([arguments.fit] if arguments.fit is not None else [])]
-    if files:
-        written = ", ".join(map(str, files))
+    if texts:
+        written = ", ".join(map(str, texts))
         console.print(f"written: {written}", soft_wrap=True, highlight=False)
     return EXIT_DONE
 

@@ -248,9 +248,12 @@ def least_deviation(found: Sequence[Seasons]) -> dict[Place, Seasons]:
     One that was given perfect forecasts is none, unless no forecasts in the report have errors.
     """
     looking = given_errors(found)
-    return _least(
-        one for one in found if one.forecast != PERFECT or one.controller not in looking
-    )
+
+    def foreseeing(one: Seasons) -> bool:
+        looks = one.controller in looking or "horizon" in one.parameters
+        return bool(looking) and one.forecast == PERFECT and looks
+
+    return _least(one for one in found if not foreseeing(one))
 
 
 def _least(found: Iterable[Seasons]) -> dict[Place, Seasons]:

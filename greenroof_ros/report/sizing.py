@@ -3,10 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
+from dataclasses import asdict
 from typing import NamedTuple
 
 from greenroof_ros.model.site import Site
 from greenroof_ros.report.seasons import Seasons
+
+# What follows a site's size: areas, the cistern's depth, and the volumes in them.
+_BY_SIZE = {"a1", "a2", "z_o", "x2_star", "initial_cistern", "initial_roof", "initial_layer"}
 
 
 class Size(NamedTuple):
@@ -24,5 +28,10 @@ def size_of(site: Site) -> Size:
 
 
 def is_sizing(found: Iterable[Seasons]) -> bool:
-    """Whether the sites of some seasons differ in size."""
-    return len({size_of(one.site) for one in found}) > 1
+    """Whether the sites of some seasons differ in size, and in nothing else."""
+    sites = {one.site for one in found}
+    others = {
+        tuple(value for name, value in asdict(site).items() if name not in _BY_SIZE)
+        for site in sites
+    }
+    return len({size_of(site) for site in sites}) > 1 and len(others) == 1

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -33,6 +34,7 @@ from greenroof_ros.report.seasons import (
     split_by_years,
     worst_tenth,
 )
+from greenroof_ros.report.sizing import is_sizing
 
 HEADER = [
     "run", "site", "weather", "start", "hours", "evapotranspiration", "forecast", "forecast_skill",
@@ -311,6 +313,20 @@ def test_the_least_that_a_site_could_have(tmp_path: Path) -> None:
         ("planning MPC", "perfect", "-10", "better", "0.923"),
     ]
     assert all("planning MPC" in row[3] and "skill real" in row[3] for row in texts)
+    # One that has no forecasts with errors beside it is known by its horizon.
+    report = report_of(
+        tmp_path / "d", *rows("onoff", None, ONOFF), *rows("mpc", None, lowest),
+        *rows("planning_mpc", 1, lower),
+    )
+    found = seasons(report)
+    ((_, least),) = least_deviation(found).items()
+    assert least.controller == "mpc"
+    found = [
+        replace(one, parameters={"horizon": 48.0}) if one.controller == "mpc" else one
+        for one in found
+    ]
+    ((_, least),) = least_deviation(found).items()
+    assert least.controller == "planning_mpc"
     # All perfect: the least of all; and where it is plain on/off itself no table says it again.
     report = report_of(tmp_path / "b", *rows("onoff", None, ONOFF), *rows("mpc", None, lower))
     ((_, least),) = least_deviation(seasons(report)).items()
@@ -373,6 +389,8 @@ def test_a_study_of_seasons(tmp_path: Path, text: str) -> None:
             assert one.mean("saved_m3") == pytest.approx(
                 one.mean("pumped_m3") - one.mean("mains_m3")
             )
+        another = replace(large, site=replace(large.site, pump_efficiency=0.7))
+        assert is_sizing([small, large]) and not is_sizing([small, another])
         return
     assert names == ["seasons", "season-comparisons"]
     for one in found:

@@ -163,8 +163,9 @@ def test_wrong_use(tmp_path: Path, rain: dict[int, Array], name: str) -> None:
 
 
 def test_too_few_records(tmp_path: Path) -> None:
-    """A month is not enough for a climate."""
+    """A month is not enough for a climate; nothing is written."""
     weather = str(DATA / "en_climate_hourly_07-2021.csv")
-    done = verify(tmp_path, "errors", "--weather", weather, "--fit", "mine.yaml")
+    done = verify(tmp_path, "errors", "--weather", weather, "--fit", "mine.yaml", "-o", "mine.csv")
     assert done.returncode == 2
     assert done.stderr.startswith("error: --fit: needs at least 1000 h of records")
+    assert not list(tmp_path.iterdir())
