@@ -69,6 +69,9 @@ class RegretBudget:
     What on/off has on the roof beyond all that stays in the cistern costs as much as if it were
     missing for a week.
 
+    Where the mains fill the cistern more slowly than the pumps empty it, and it holds less than
+    the roof lacks, filling takes longer than is counted, and L may go beyond the limit.
+
     The budget is that of a controller's life: a controller that is started again has all of it.
 
     The difference rests on pumps that do what is commanded. With minimum times on and off, or

@@ -198,7 +198,8 @@ def test_window_of_several_files(tmp_path: Path) -> None:
 # Those that need years of weather, which the package has not.
 YEARS = (
     "study_horizons.yaml", "study_horizons_real.yaml", "study_seasons.yaml",
-    "study_seasons_measured.yaml", "study_sizing.yaml", "study_ticks.yaml",
+    "study_seasons_measured.yaml", "study_sizing.yaml", "study_sizing_full.yaml",
+    "study_skills.yaml", "study_skills_measured.yaml", "study_ticks.yaml",
 )
 
 
@@ -216,12 +217,15 @@ def test_grids_that_come_with_it(tmp_path: Path, file: str) -> None:
 
 @pytest.mark.parametrize(("file", "sites", "tick", "forecasts"), [
     # Of each year: mpc and 4 on/off that look at none, 2 that do at 10 + 1, one with 10, and two
-    # more planners with 3; and on the paper's roof 3 more skills with 3.
-    ("study_seasons.yaml", 1, 10, 5 + 2 * 11 + 10 + 2 * 3 + 3 * 3),
+    # more planners with 3.
+    ("study_seasons.yaml", 1, 10, 5 + 2 * 11 + 10 + 2 * 3),
     ("study_seasons_measured.yaml", 1, 10, 5 + 2 * 11 + 10 + 2 * 3),
     ("study_horizons.yaml", 1, 10, 5),
     ("study_horizons_real.yaml", 2, 60, 1 + 5 * (3 + 1)),
     ("study_sizing.yaml", 18, 60, 2),
+    ("study_sizing_full.yaml", 18, 60, 1),
+    ("study_skills.yaml", 1, 60, 1 + 4 * 3),
+    ("study_skills_measured.yaml", 1, 60, 1 + 4 * 3),
 ])
 def test_grids_of_years(
     tmp_path: Path, file: str, sites: int, tick: int, forecasts: int
