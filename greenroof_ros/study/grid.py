@@ -258,8 +258,13 @@ class _Grid:
                     path = Path(self._scratch.name, str(number), f"{file.stem}_{label}.yaml")
                     path.parent.mkdir(exist_ok=True)
                     path.write_text(edited(read_text(file), own), encoding="utf-8")
-                    with self._at(each, next(iter(own), "file")):
+                    try:
                         read_site(path)
+                    except ConfigurationError as error:  # it names the copy
+                        raise ConfigurationError(
+                            f"{name} with these values: {error.wrong}", file=self._path,
+                            line=each.lines[next(iter(own), "file")],
+                        ) from error
                     yield path
 
     def _runs(

@@ -311,6 +311,17 @@ def test_a_sites_own_state_beside_one_of_the_papers(tmp_path: Path) -> None:
     }
 
 
+def test_a_site_with_a_wrong_value(tmp_path: Path) -> None:
+    """The grid is at fault, not the copy of the site file that has the value."""
+    text = GRID.replace(str(CONFIG / "site.yaml"), "{file: site.yaml, tau: [1.0, 0.0]}")
+    with pytest.raises(ConfigurationError) as refused:
+        read_grid(tmp_path / grid(tmp_path, text))
+    assert str(refused.value) == (
+        f"{tmp_path / 'grid.yaml'}, line 2: site.yaml with these values: tau = 0.0: must be "
+        "greater than 0"
+    )
+
+
 def test_names_of_files(tmp_path: Path) -> None:
     """Beside the grid first, then the package's config/; an error names both places."""
     text = GRID.replace(str(CONFIG / "site.yaml"), "site.yaml")
