@@ -77,13 +77,12 @@ def _parser() -> argparse.ArgumentParser:
     )
     whole = within(1, _MOST_HOURS, int)
     parser.add_argument(
-        "--sums", type=whole, nargs="+", metavar="H", default=[hours for hours, _ in _SUMS],
-        help="hours over which is summed (default: 1 6 12 24)",
+        "--sums", type=whole, nargs="+", metavar="H",
+        help="hours over which is summed (default: those of 1, 6, 12 and 24 that divide --lead)",
     )
     parser.add_argument(
         "--events", type=within(1e-3, 1e3), nargs="+", metavar="MM",
-        default=[event for _, event in _SUMS],
-        help="for each sum, from how many mm on there is an event (default: 1 2 3 5)",
+        help="for each of --sums, from how many mm on there is an event (default: 1, 2, 3 and 5)",
     )
     parser.add_argument(
         "--lead", type=whole, default=24, metavar="H",
@@ -169,6 +168,10 @@ def main() -> int:
 
 def _sums(arguments: argparse.Namespace) -> list[Sum]:
     """Return the sums and events that a command line asks for."""
+    if arguments.sums is None and arguments.events is None:
+        return [Sum(*one) for one in _SUMS if arguments.lead % one[0] == 0]
+    if arguments.sums is None or arguments.events is None:
+        raise ConfigurationError("must be given together", key="--sums and --events")
     if len(arguments.sums) != len(arguments.events):
         raise ConfigurationError(
             f"must be as many as --sums, {len(arguments.sums)}, not {len(arguments.events)}",

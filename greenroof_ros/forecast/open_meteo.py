@@ -60,7 +60,8 @@ from greenroof_ros.weather.records import HOUR, PRECIPITATION, QUANTITIES
 from greenroof_ros.weather.table import Row, Table, Unit, numbered_lines, read_hours
 
 _SAVED_TIMES = ("time", "datetime", "date")
-_PREVIOUS = re.compile(r"precipitation_previous_day([1-9])")
+# Those that the service has (Previous Runs API).
+_PREVIOUS = re.compile(r"precipitation_previous_day([1-7])")
 _MEMBER = re.compile(r"precipitation(?:_member(\d{2,3}))?")
 _RUN_IN_NAME = re.compile(r"(\d{4})-?(\d\d)-?(\d\d)T?(\d\d)(?:-?00)?$")
 # The service's longest forecasts, of ensembles, reach 36 days (h).
@@ -81,11 +82,12 @@ class _Hours(NamedTuple):
 
 
 def recognises(_file: Path, head: bytes, /) -> bool:
-    """Whether a file is JSON, or its first line that of the service or a time's and rain's."""
+    """Whether a file is JSON, or its first line that of the service or of hours of a forecast."""
     first = head.decode("utf-8", "replace").removeprefix("\ufeff").lstrip().split("\n", 1)[0]
     cells = [cell.strip() for cell in first.split(",")]
     saved = cells[0] in _SAVED_TIMES and any(
-        cell.startswith(PRECIPITATION) and "[" not in cell for cell in cells
+        (cell.startswith(PRECIPITATION) and "[" not in cell) or "_previous_day" in cell
+        for cell in cells
     )
     return first.startswith(("{", "[")) or has_place(first) or saved
 
@@ -280,7 +282,7 @@ def _known(file: Path, line: int | None, name: str) -> str:
     """Return a column's name, or refuse one that nothing is known of, as that of a model."""
     if not (_PREVIOUS.fullmatch(name) or _MEMBER.fullmatch(name)):
         raise ConfigurationError(
-            "must be precipitation, precipitation_previous_day1 to 9 or precipitation_member01, "
+            "must be precipitation, precipitation_previous_day1 to 7 or precipitation_member01, "
             "02 and so on; download each model by itself", file=file, line=line, value=name,
         )
     return name

@@ -6,11 +6,14 @@ import asyncio
 import logging
 import multiprocessing
 import os
+import signal
 import tempfile
 import time
 from collections.abc import Callable, Iterator, Mapping
-from concurrent.futures import CancelledError, Future
+from concurrent.futures import CancelledError, Future, ThreadPoolExecutor
 from contextlib import contextmanager
+from multiprocessing import forkserver
+from multiprocessing.synchronize import Semaphore
 from typing import Any, NamedTuple
 
 from greenroof_ros.common.errors import ConfigurationError
@@ -22,6 +25,7 @@ _PRELOADED = [
     "greenroof_ros.study.case_run", "greenroof_ros.controllers.mpc",
     "greenroof_ros.controllers.planner", "osqp", "polars", "scipy.optimize",
 ]
+_START_S = 60
 _CONNECT_S = 10
 # A worker that its nanny starts again is back sooner.
 _NO_WORKER_S = 15.0
@@ -58,13 +62,31 @@ def processes(jobs: int) -> Iterator[Workers]:
         raise ConfigurationError("needs pebble: pip install 'greenroof_ros[study]'") from error
     context = multiprocessing.get_context("forkserver")
     context.set_forkserver_preload(_PRELOADED)
+    # A terminal's Ctrl-C goes to the fork server, too, which would say where in its imports it was.
+    # It, and with it the workers, ignores it from the start and leaves it to this process.
+    before = signal.signal(signal.SIGINT, signal.SIG_IGN)
+    try:
+        forkserver.ensure_running()
+    finally:
+        signal.signal(signal.SIGINT, before)
     # A worker that is stopped does not clear up after itself.
     with tempfile.TemporaryDirectory(prefix="greenroof_ros-") as scratch:
+        started = context.Semaphore(0)
         pool = ProcessPool(
             max_workers=jobs, context=context, initializer=_prepare,
-            initargs=(scratch, os.getpid()),
+            initargs=(scratch, os.getpid(), started),
         )
+
+        def start() -> None:
+            pool.schedule(os.getpid)  # the first task starts all workers
+            for _ in range(jobs):
+                started.acquire(timeout=_START_S)
+
         try:
+            # In a thread, as that is not interrupted: a worker that is ended before it is ready
+            # fails with a traceback, or is unknown to the pool, which cannot end it.
+            with ThreadPoolExecutor(1) as starter:
+                starter.submit(start).result()
             yield Workers(
                 submit=lambda function, *arguments: pool.schedule(function, args=arguments),
                 check=lambda: None,
@@ -74,7 +96,7 @@ def processes(jobs: int) -> Iterator[Workers]:
             pool.join()
 
 
-def _prepare(scratch: str, study: int) -> None:
+def _prepare(scratch: str, study: int, started: Semaphore) -> None:
     """Have a worker make its temporary files where they are cleared away, and be quiet.
 
     What a single run warns of would tear the bar of hundreds. It ends with the study: the fork
@@ -83,10 +105,12 @@ def _prepare(scratch: str, study: int) -> None:
     Args:
         scratch: directory of its temporary files.
         study: the process that hands out the runs.
+        started: counts the workers that are ready.
     """
     end_with(study)
     tempfile.tempdir = scratch
     logging.getLogger("greenroof_ros").setLevel(logging.ERROR)
+    started.release()
 
 
 @contextmanager

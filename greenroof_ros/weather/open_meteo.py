@@ -84,7 +84,7 @@ class Place:
     def refuse(self, expected: str, name: str) -> ConfigurationError:
         """Return an error that names file, line, and one of the values."""
         return ConfigurationError(
-            expected, file=self.file, line=self.line, key=name, value=self.values.get(name, "")
+            expected, file=self.file, line=self.line, key=name, value=self.values.get(name)
         )
 
 

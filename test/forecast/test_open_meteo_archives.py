@@ -317,7 +317,18 @@ WRONG = {
             hourly__precipitation_gem_global=[0.0] * 6,
             hourly_units__precipitation_gem_global="mm",
         ),
-        ": 'precipitation_gem_global': must be precipitation, precipitation_previous_day1 to 9 or",
+        ": 'precipitation_gem_global': must be precipitation, precipitation_previous_day1 to 7 or",
+    ),
+    "eight_days.csv": (
+        "\n".join([HEAD.replace("day5", "day8"), *ROWS, ""]),
+        ", line 1: 'precipitation_previous_day8': must be precipitation, precipitation",
+    ),
+    "temperature.csv": (
+        "\n".join([HEAD.replace("precipitation", "temperature_2m"), *ROWS, ""]),
+        ", line 1: must have precipitation, precipitation_member01 or precipitation_previous_day1",
+    ),
+    "nothing.json": (
+        "{}", ": utc_offset_seconds: must be a whole number of seconds from -43200 to 50400",
     ),
     "members.json": (
         edited(hourly__precipitation_member01=[0.0] * 6, hourly_units__precipitation_member01="mm"),

@@ -11,6 +11,7 @@ import sys
 import tempfile
 import time
 from collections.abc import Iterator
+from contextlib import suppress
 from pathlib import Path
 
 import pytest
@@ -105,6 +106,33 @@ def test_interrupted(tmp_path: Path) -> None:
     status = [row["status"] for row in rows_of(runs.parent / "results.csv")]
     assert status.count("done") >= 2  # what each of two workers has just stored may be missing
     assert status.count("done") + status.count("not run") == 12
+
+
+def test_interrupted_while_workers_start(tmp_path: Path) -> None:
+    """Ctrl-C while the fork server imports: it says nothing of where it was."""
+    text = edited("0.25", "3")
+    process = subprocess.Popen(
+        [sys.executable, "-m", "greenroof_ros.study", grid(tmp_path, text), "--output", "out"],
+        cwd=tmp_path, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True,
+        start_new_session=True, preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),
+    )
+    server = wait_for(lambda: fork_server(process.pid), 120, "a fork server")
+    # Among its imports, which take half a second or more.
+    wait_for(lambda: processor_s(server) > 0.2, 60, "imports of the fork server")
+    os.killpg(process.pid, signal.SIGINT)
+    _, errors = process.communicate(timeout=60)
+    assert process.returncode == 130
+    assert "Traceback" not in errors
+    assert ended([server], 60)
+
+
+def fork_server(process: int) -> int:
+    """Return the fork server among the processes under one, 0 where there is none."""
+    for child in children(process):
+        with suppress(OSError):
+            if b"forkserver" in Path(f"/proc/{child}/cmdline").read_bytes():
+                return child
+    return 0
 
 
 def ended(processes: list[int], seconds: float) -> bool:

@@ -112,6 +112,12 @@ def test_previous_runs_by_their_definition(tmp_path: Path, file: Path) -> None:
                 assert float(row[name]) == pytest.approx(value, rel=1e-5, abs=1e-9), (day, name)
 
 
+def test_sums_that_divide_the_lead(tmp_path: Path) -> None:
+    """Of the usual sums only those that fit are scored, each with its event."""
+    rows = scores(tmp_path, "perfect", "--weather", str(JULY), "--lead", "6", "--horizon", "6")
+    assert [(row["sum_hours"], row["event_mm"]) for row in rows] == [("1", "1"), ("6", "2")]
+
+
 def test_runs_by_lead(tmp_path: Path) -> None:
     """An ensemble of two runs: each hour's lead counts from its run, and all of its members."""
     (tmp_path / "runs").mkdir()
@@ -292,9 +298,14 @@ def test_the_page_draws_everything_and_asks_for_nothing(page: Path) -> None:
 WRONG = {
     "model": (["forecasts"], "FORECASTS = 'forecasts': must be one of perfect, persistence, er"),
     "file": (["nowhere.csv"], "nowhere.csv: cannot be read: No such file or directory"),
-    "events": (["errors", "--events", "1", "2"], "--events: must be as many as --sums, 4, not 2"),
+    "events": (
+        ["errors", "--sums", "1", "--events", "1", "2"],
+        "--events: must be as many as --sums, 1, not 2",
+    ),
+    "alone": (["errors", "--events", "1", "2"], "--sums and --events: must be given together"),
     "sums": (
-        ["errors", "--lead", "6"], "--sums = 12: must each divide --lead, 6 h, and be given once",
+        ["errors", "--lead", "6", "--sums", "12", "--events", "3"],
+        "--sums = 12: must each divide --lead, 6 h, and be given once",
     ),
     "twice": (
         ["errors", "--sums", "6", "6", "--events", "1", "2"],
