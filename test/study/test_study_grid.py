@@ -217,7 +217,7 @@ def test_grids_that_come_with_it(tmp_path: Path, file: str) -> None:
 
 @pytest.mark.parametrize(("file", "sites", "tick", "forecasts"), [
     # Of each year: mpc and 4 on/off that look at none, 2 that do at 10 + 1, one with 10, and two
-    # more planners with 3.
+    # more planners with 3. On the measured roof these are 3 + 1, 1 + 1, 10 and twice 1.
     ("study_seasons.yaml", 1, 10, 5 + 2 * 11 + 10 + 2 * 3),
     ("study_seasons_measured.yaml", 1, 10, 5 + (3 + 1) + (1 + 1) + 10 + 2),
     ("study_horizons.yaml", 1, 10, 5),
