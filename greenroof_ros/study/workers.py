@@ -25,7 +25,7 @@ _PRELOADED = [
     "greenroof_ros.study.case_run", "greenroof_ros.controllers.mpc",
     "greenroof_ros.controllers.planner", "osqp", "polars", "scipy.optimize",
 ]
-# For how long it is waited that a worker is ready.
+# How long a worker may take to be ready.
 _START_S = 60
 _CONNECT_S = 10
 # A worker that its nanny starts again is back sooner.
