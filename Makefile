@@ -42,9 +42,10 @@ FOR_TEST := $(VENV)/.for-test
 FOR_BENCH := $(VENV)/.for-bench
 FOR_DOCS := $(VENV)/.for-docs
 
-PIP_INSTALL = $(BIN)/python -m pip --disable-pip-version-check install --quiet --editable
+# It says what it installs: the first time it takes a minute or two.
+PIP_INSTALL = $(BIN)/python -m pip --disable-pip-version-check install --editable
 
-.PHONY: help run study test lint docs bench faults clean
+.PHONY: help run study test lint docs bench doc-commands faults clean
 
 help:
 	@echo "make run    the 12 h of the paper with the predictive controller, as a node graph"
@@ -53,6 +54,7 @@ help:
 	@echo "make lint   ruff, mypy, and which room imports from which"
 	@echo "make docs   the documentation, doc/_build/index.html"
 	@echo "make bench  the speed of graph and controller, as ratios"
+	@echo "make doc-commands  every block of commands in README and doc/, as written: half an hour"
 	@echo "make faults every process, cable and message made to fail, 1,400 times: over an hour"
 	@echo "make clean  remove .venv and all else that can be made again; runs/ stays"
 
@@ -86,6 +88,9 @@ docs: $(FOR_DOCS)
 
 bench: $(FOR_BENCH)
 	@$(BIN)/python test/bench.py
+
+doc-commands: $(FOR_TEST)
+	@$(BIN)/python test/doc_commands $(ARGS)
 
 # Goes on where it was ended; when all is done, the table of the documentation is made again.
 faults: $(FOR_TEST)

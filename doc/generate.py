@@ -11,6 +11,7 @@ from __future__ import annotations
 import argparse
 import importlib
 import importlib.util
+import itertools
 import math
 import os
 import re
@@ -363,12 +364,12 @@ def commands() -> str:
 
 
 def _command(name: str, parser: argparse.ArgumentParser) -> str:
-    parts = [f"## {name}\n", f"{cell(parser.description or '')}\n"]
+    parts = [f"## {name}\n", _prose(parser.description or "")]
     positionals = " ".join(
         str(action.metavar or action.dest) + (" ..." if action.nargs == "+" else "")
         for action in parser._get_positional_actions()
     )
-    parts.append(f"```\npython -m greenroof_ros.{name} {positionals}".rstrip() + "\n```\n")
+    parts.append(f"```text\npython -m greenroof_ros.{name} {positionals}".rstrip() + "\n```\n")
     for group in parser._action_groups:
         actions = [
             action for action in group._group_actions
@@ -390,6 +391,24 @@ def _command(name: str, parser: argparse.ArgumentParser) -> str:
                 )
                 for action in actions
             ),
+        ))
+    return "\n".join(parts)
+
+
+def _prose(text: str) -> str:
+    """Return what a command says of itself: its paragraphs, and its indented lines as a list."""
+    parts = []
+    for indented, lines in itertools.groupby(
+        text.strip().splitlines(), lambda line: line.startswith("  ") if line.strip() else None
+    ):
+        if indented is None:
+            continue
+        if not indented:
+            parts.append(f"{cell(' '.join(lines))}\n")
+            continue
+        items = (re.split(r" {2,}", line.strip(), maxsplit=1) for line in lines)
+        parts.append("".join(
+            f"- {': '.join([f'**{cell(term)}**', *map(cell, about)])}\n" for term, *about in items
         ))
     return "\n".join(parts)
 

@@ -23,6 +23,7 @@ from greenroof_ros.common.namespace import namespace
 from greenroof_ros.common.signals import InterruptedRun, Signals
 from greenroof_ros.controllers.registry import ControllerChoice, controller_names
 from greenroof_ros.experiment import summary, summary_table
+from greenroof_ros.experiment.incidents import INCIDENTS, IncidentLog
 from greenroof_ros.experiment.options import (
     add_output_arguments,
     add_run_arguments,
@@ -80,8 +81,9 @@ def _parser() -> argparse.ArgumentParser:
         "  python -m greenroof_ros.bringup --drive danfoss_fc202 --drive-at gateway://127.0.0.1:5020\n"
         "  python -m greenroof_ros.bringup --plant external --sensors sensors.yaml \\\n"
         "    --forecast forecast.csv --drive danfoss_fc202 --drive-at /dev/ttyUSB0\n\n"
-        "exit codes: 0 done, or live and asked to stop, 1 a node failed, or the pump may run on,\n"
-        "2 bad usage or configuration, 3 a graph is there already, 130 interrupted",
+        "exit codes: 0 done, or live and asked to stop, 1 a node failed, the pump may run on, or\n"
+        "done with incidents: a drive or a sensor was lost for a while, 2 bad usage or\n"
+        "configuration, 3 a graph is there already, 130 interrupted",
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     add_run_arguments(parser)
@@ -123,7 +125,8 @@ def _parser() -> argparse.ArgumentParser:
 
 
 def _watch(
-    run: Run, limit: float, supervisor: Supervisor, signals: Signals, restarts: Restarts | None
+    run: Run, limit: float, supervisor: Supervisor, signals: Signals, restarts: Restarts | None,
+    log: IncidentLog, progress: RunProgress,
 ) -> None:
     """Watch the nodes until all have reported the end of the run.
 
@@ -133,6 +136,8 @@ def _watch(
         supervisor: has started the nodes.
         signals: looked at ten times a second.
         restarts: starts nodes again that fail; None where their failure ends the run.
+        log: finds what is lost in the run.
+        progress: the bar.
 
     Raises:
         NodeFailed: one ended, hangs, or is not ready in time.
@@ -140,31 +145,37 @@ def _watch(
     """
     waiting = set(supervisor.nodes)
     running = set(supervisor.nodes)
-    with RunProgress(run.steps, run.site.tau) as progress:
-        while running:
-            signals.check()
-            supervisor.permit.tell("waiting for nodes" if waiting - {RECORDER} else "")
-            for node, report in supervisor.reports():
-                progress.warn(report["warnings"])
-                if restarts is not None:
-                    restarts.hear(node, report)
-                if report["state"] in (READY, FINISHED):
-                    waiting.discard(node)
-                if report["state"] == FINISHED:
-                    running.discard(node)
-                if node == "plant" and not waiting:
-                    progress.update(
-                        report["tick"], report["cistern_level"], report["roof_level"],
-                        report["command"],
-                    )
-            if waiting:
-                progress.waiting(f"waiting for {', '.join(_missing(run, waiting, supervisor))}")
-            try:
-                supervisor.check(_START_LIMIT_S if waiting else limit)
-            except NodeFailed as failure:
-                if restarts is None:
-                    raise
-                waiting |= restarts.start_again(failure)
+    while running:
+        signals.check()
+        supervisor.permit.tell("waiting for nodes" if waiting - {RECORDER} else "")
+        for node, report in supervisor.reports():
+            progress.warn(report["warnings"])
+            if restarts is not None:
+                restarts.hear(node, report)
+            if report["state"] in (READY, FINISHED):
+                waiting.discard(node)
+            if report["state"] == FINISHED:
+                running.discard(node)
+            if node == "plant" and not waiting:
+                progress.update(
+                    report["tick"], report["cistern_level"], report["roof_level"],
+                    report["command"],
+                )
+        if not waiting:
+            log.look(supervisor.last, _tick(supervisor))
+        if waiting:
+            progress.waiting(f"waiting for {', '.join(_missing(run, waiting, supervisor))}")
+        try:
+            supervisor.check(_START_LIMIT_S if waiting else limit)
+        except NodeFailed as failure:
+            if restarts is None:
+                raise
+            waiting |= restarts.start_again(failure)
+
+
+def _tick(supervisor: Supervisor) -> int:
+    """Return the tick that the plant has reached."""
+    return int(supervisor.last["plant"]["tick"])
 
 
 def _missing(run: Run, waiting: set[str], supervisor: Supervisor) -> list[str]:
@@ -226,6 +237,8 @@ def _run_graph(run: Run, arguments: argparse.Namespace, signals: Signals) -> int
             directory / "log", [parameters, *([] if own is None else [own])], namespace, stop_drive
         )
         restarts = Restarts(supervisor) if restart else None
+        progress = RunProgress(run.steps, run.site.tau)
+        log = IncidentLog(progress.say, directory / INCIDENTS)
         try:
             with supervisor:
                 if drive is not None:
@@ -236,25 +249,33 @@ def _run_graph(run: Run, arguments: argparse.Namespace, signals: Signals) -> int
                     )
                     if speed != 1:
                         print(_NOT_AT_REAL_TIME, file=sys.stderr)
-                    _wait_for_drive(run, supervisor, signals, of_drive["state_file"])
-                for name, module in nodes.items():
-                    if name == controller.name:
-                        supervisor.add(name, module, "--controller", controller.reference)
-                    elif name != PUMP:
-                        supervisor.add(name, module)
-                _watch(run, arguments.peer_limit, supervisor, signals, restarts)
+                with progress:
+                    if drive is not None:
+                        _wait_for_drive(supervisor, signals, of_drive["state_file"], progress)
+                    for name, module in nodes.items():
+                        if name == controller.name:
+                            supervisor.add(name, module, "--controller", controller.reference)
+                        elif name != PUMP:
+                            supervisor.add(name, module)
+                    _watch(
+                        run, arguments.peer_limit, supervisor, signals, restarts, log, progress
+                    )
         except InterruptedRun as error:
             signals.ignore()
             print(error, file=sys.stderr)
-            _end_early(run, directory, supervisor, restarts, summary.INTERRUPTED, str(error))
+            _end_early(
+                run, directory, supervisor, restarts, log, summary.INTERRUPTED, str(error)
+            )
             return EXIT_FAILED if supervisor.may_run else EXIT_INTERRUPTED
         except NodeFailed as error:
             signals.ignore()
             print(f"error: {error}", file=sys.stderr)
-            _end_early(run, directory, supervisor, restarts, summary.FAILED, error.reason)
+            _end_early(
+                run, directory, supervisor, restarts, log, summary.FAILED, error.reason
+            )
             return EXIT_FAILED if supervisor.may_run else error.code
-        _end_whole(run, directory, supervisor, restarts, as_json=arguments.json)
-        return EXIT_FAILED if supervisor.may_run else EXIT_DONE
+        _end_whole(run, directory, supervisor, restarts, log, as_json=arguments.json)
+        return EXIT_FAILED if supervisor.may_run or log.count else EXIT_DONE
 
 
 def _refuse_unknown(
@@ -282,7 +303,7 @@ def _refuse_unknown(
 
 
 def _wait_for_drive(
-    run: Run, supervisor: Supervisor, signals: Signals, state_file: str
+    supervisor: Supervisor, signals: Signals, state_file: str, progress: RunProgress
 ) -> None:
     """Wait until the pump node may run its drive: no run begins that could not pump.
 
@@ -293,21 +314,23 @@ def _wait_for_drive(
         InterruptedRun: a signal came.
     """
     until = time.monotonic() + _DRIVE_LIMIT_S
-    with RunProgress(run.steps, run.site.tau) as progress:
-        while not supervisor.last.get(PUMP, {}).get("active"):
-            signals.check()
-            supervisor.permit.tell("waiting for nodes")
-            supervisor.reports()
-            said = supervisor.last.get(PUMP, {}).get("diagnoses", {})
-            trouble = "; ".join(
-                message for part in ("drive", "drive timeout", "state file")
-                for level, message in [said.get(part, ("OK", ""))] if level != "OK"
+    while not supervisor.last.get(PUMP, {}).get("active"):
+        signals.check()
+        supervisor.permit.tell("waiting for nodes")
+        supervisor.reports()
+        said = supervisor.last.get(PUMP, {}).get("diagnoses", {})
+        trouble = "; ".join(
+            message for part in ("drive", "drive timeout", "state file")
+            for level, message in [said.get(part, ("OK", ""))] if level != "OK"
+        )
+        progress.waiting(f"waiting for the drive: {trouble or 'the pump node starts'}")
+        supervisor.check(_START_LIMIT_S)
+        if time.monotonic() > until:
+            reason = (
+                f"the drive cannot be run, after {_DRIVE_LIMIT_S:g} s: {trouble}; check its power "
+                "and cable, and the address of --drive-at"
             )
-            progress.waiting(f"waiting for the drive: {trouble or 'the pump node starts'}")
-            supervisor.check(_START_LIMIT_S)
-            if time.monotonic() > until:
-                reason = f"the drive cannot be run, after {_DRIVE_LIMIT_S:g} s: {trouble}"
-                raise NodeFailed(reason, supervisor.quoted(PUMP), EXIT_FAILED, [PUMP], "no drive")
+            raise NodeFailed(reason, "", EXIT_FAILED, [PUMP], "no drive")
     said = supervisor.last[PUMP]
     latched = said["fault"] or said["held"]
     if latched:
@@ -348,8 +371,14 @@ def _parameter_changes(
     return [*before, *last.get("parameter_changes", [])]
 
 
+def _incidents(restarts: Restarts | None, log: IncidentLog) -> list[dict[str, Any]]:
+    """Return what was lost in the run: nodes that were started again, then drives and sensors."""
+    return [*([] if restarts is None else restarts.incidents), *log.as_dicts()]
+
+
 def _end_whole(
-    run: Run, directory: Path, supervisor: Supervisor, restarts: Restarts | None, *, as_json: bool
+    run: Run, directory: Path, supervisor: Supervisor, restarts: Restarts | None,
+    log: IncidentLog, *, as_json: bool,
 ) -> None:
     """Write and print the summary of a run that is done."""
     plant, controller = supervisor.last["plant"], supervisor.last[run.controller.name]
@@ -362,15 +391,15 @@ def _end_whole(
         messages=supervisor.last.get(RECORDER, {}).get("messages"),
         refused=_refused(supervisor, restarts),
         parameter_changes=_parameter_changes(run, supervisor, restarts),
-        incidents=None if restarts is None else restarts.incidents,
+        incidents=_incidents(restarts, log),
     )
     summary.write(result, directory)
     summary_table.show(result, directory, as_json=as_json)
 
 
 def _end_early(
-    run: Run, directory: Path, supervisor: Supervisor, restarts: Restarts | None, status: str,
-    reason: str,
+    run: Run, directory: Path, supervisor: Supervisor, restarts: Restarts | None,
+    log: IncidentLog, status: str, reason: str,
 ) -> None:
     """Write how far a run came that is not done, and say how its bag is opened."""
     bag = directory / "bag"
@@ -385,7 +414,7 @@ def _end_early(
             run, status, reason=reason, last_tick=reached if reached >= 0 else None,
             refused=_refused(supervisor, restarts),
             parameter_changes=_parameter_changes(run, supervisor, restarts),
-            incidents=None if restarts is None else restarts.incidents,
+            incidents=_incidents(restarts, log),
         ),
         directory,
     )

@@ -20,7 +20,7 @@ from greenroof_ros.calibration.csv_record import read_csv_record
 from greenroof_ros.calibration.dry_nights import dry_nights
 from greenroof_ros.calibration.fit import Fit, fit, measured_roof
 from greenroof_ros.calibration.halves import Halves, halve
-from greenroof_ros.calibration.months import Months
+from greenroof_ros.calibration.months import Months, counted
 from greenroof_ros.calibration.pump import fit_pump
 from greenroof_ros.calibration.record import Record
 from greenroof_ros.calibration.scores import ScoreRow, Scores, score, time_name
@@ -46,6 +46,7 @@ from greenroof_ros.calibration.verdict import refuse_hopeless, warning
 from greenroof_ros.common.command_line import EXIT_DONE, command
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.files import read_text, shared_directory
+from greenroof_ros.common.progress_lines import ProgressLines
 from greenroof_ros.model.pump_curve import PumpCurve, fit_pump_curve
 from greenroof_ros.model.site import Site, read_site
 
@@ -211,16 +212,20 @@ def _fit(
         from greenroof_ros.calibration import figures, page
     except ModuleNotFoundError as error:
         raise _missing(error) from error
-    read = read_bag_record if measured.is_dir() else read_csv_record
-    record = read(measured, site)
-    counted = np.full(record.steps, True) if months is None else months.steps(record)
-    pump = fit_pump(site, record.only(counted))
+    def read(site: Site) -> Record:
+        if measured.is_dir():
+            return read_bag_record(measured, site)
+        return read_csv_record(measured, site, months)
+
+    record = read(site)
+    counts = counted(record, months)
+    pump = fit_pump(site, record.only(counts))
     if pump is not None:
         site = pump.site
-        record = read(measured, site)  # the pumps' state is now another flow
-    seen = record.only(counted)
+        record = read(site)  # the pumps' state is now another flow
+    seen = record.only(counts)
     refuse_wrong(seen, site)
-    halves = halve(record, comparable(record) & counted)
+    halves = halve(record, comparable(record) & counts)
     _refuse_dry(record, halves)
     with _Bar() as bar:
         fitted = fit(site, record, halves.earlier, bar.tell)
@@ -334,7 +339,7 @@ def _print_notes(notes: Sequence[str]) -> None:
 
 
 class _Bar:
-    """The bar of a fit on standard error, where that is a terminal."""
+    """The bar of a fit on standard error; a line every ten seconds where that is no terminal."""
 
     def __init__(self) -> None:
         console = Console(stderr=True)
@@ -345,6 +350,7 @@ class _Bar:
             refresh_per_second=2,  # a thread that takes its share of two cores
         )
         self._task = self._progress.add_task("", total=1.0)
+        self._lines = None if console.is_terminal else ProgressLines()
 
     def __enter__(self) -> _Bar:
         self._progress.start()
@@ -356,6 +362,8 @@ class _Bar:
     def tell(self, text: str, share: float) -> None:
         """Show how far it is: see :data:`greenroof_ros.calibration.stages.Tell`."""
         self._progress.update(self._task, description=text, completed=share)
+        if self._lines is not None:
+            self._lines.tell(f"{text}: {share:.0%}")
 
 
 if __name__ == "__main__":

@@ -54,7 +54,7 @@ def _parser() -> argparse.ArgumentParser:
     place.add_argument(
         "--drive-at", metavar="ADDRESS",
         help="the drive simulator's workbench, such as tcp://127.0.0.1:5021; without it the pump "
-        "never runs",
+        "never runs, and it says so",
     )
     place.add_argument(
         "--workbench", type=within(0, 65535, int), default=_WORKBENCH, metavar="PORT",
@@ -88,8 +88,8 @@ def _parser() -> argparse.ArgumentParser:
     return parser
 
 
-async def serve(bench: SiteBench, fault: tuple[str, int], names: str) -> None:
-    """Run a site until Ctrl-C or SIGTERM."""
+async def serve(bench: SiteBench, fault: tuple[str, int], names: str, driven: bool) -> None:
+    """Run a site, whose pump a drive turns or nothing does, until Ctrl-C or SIGTERM."""
     ended = asyncio.Event()
     for number in (signal.SIGINT, signal.SIGTERM):
         asyncio.get_running_loop().add_signal_handler(number, ended.set)
@@ -98,6 +98,12 @@ async def serve(bench: SiteBench, fault: tuple[str, int], names: str) -> None:
         f"ready: {names}; workbench {bench.workbench_address}, device {faults.DEVICE_ID}",
         flush=True,
     )
+    if not driven:
+        print(
+            "no drive is connected: the pump never runs, no water reaches the roof; with a drive "
+            "simulator that runs, add --drive-at and its workbench, such as tcp://127.0.0.1:5021",
+            flush=True,
+        )
     if fault[0] != faults.NONE:
         bench.inject(*fault)
     await bench.run(ended)
@@ -138,7 +144,7 @@ def main() -> int:
             f"{tank} sensor {sensor.address}, device {sensor.device_id}"
             for tank, sensor in (("cistern", sensors.cistern), ("roof", sensors.roof))
         )
-        asyncio.run(serve(bench, fault, names))
+        asyncio.run(serve(bench, fault, names, drive is not None))
     return EXIT_DONE
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 import os
 import sys
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -15,11 +15,12 @@ from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 from greenroof_ros.common.command_line import EXIT_DONE, command, within
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.files import shared_directory
+from greenroof_ros.common.progress_lines import ProgressLines
 from greenroof_ros.common.times import to_people
 from greenroof_ros.experiment.options import add_forecast_options, forecast_from_arguments
 from greenroof_ros.forecast.choice import MODELS
 from greenroof_ros.model.site import read_site
-from greenroof_ros.verification.archive_faults import odd_leads, unrelated
+from greenroof_ros.verification.archive_faults import archive_faults
 from greenroof_ros.verification.issued import IssuedForecasts, issued_forecasts
 from greenroof_ros.verification.pairs import Class, Sum, tally
 from greenroof_ros.verification.scores import Tally
@@ -116,7 +117,7 @@ def main() -> int:
         _refuse_unwritable(arguments.fit, (".yaml",), "--fit")
     choice = forecast_from_arguments(arguments, arguments.forecasts, "FORECASTS")
     site = read_site(arguments.site or shared_directory() / "config" / "site.yaml")
-    weather = read_weather(find_files(arguments.weather, "--weather"), site)
+    weather = read_weather(find_files(arguments.weather, "--weather"), site, rain_only=True)
     forecasts = issued_forecasts(choice, weather, site, arguments.horizon)
     if arguments.lead % forecasts.finest_lead:
         raise ConfigurationError(
@@ -126,11 +127,13 @@ def main() -> int:
     tallies = _tally(forecasts, weather, arguments.lead, sums)
     if not any(tally.scores().n for tally in tallies.values()):
         raise ConfigurationError(
-            "have no whole sum in common with the records, which are of "
-            f"{to_people(weather.first)} to {to_people(weather.end)}",
+            f"have no whole sum in common with the records: these are of {forecasts.span}, the "
+            f"records of {to_people(weather.first)} to {to_people(weather.end)}",
             file=choice.file, key="FORECASTS", value=arguments.forecasts,
         )
     records = f"{weather.source}, {to_people(weather.first)} to {to_people(weather.end)}"
+    # Previous runs are those of whose leads only days are said: a service puts these together.
+    faults = archive_faults(tallies, previous_runs=forecasts.finest_lead > 1)
     texts: dict[Path, str] = {}
     if arguments.fit is not None:  # first, as it may refuse what the scores need no more of
         # Its parts of scipy take half a second, which those who do not fit are spared.
@@ -142,24 +145,15 @@ def main() -> int:
     for file in arguments.output:
         texts[file] = (
             csv_text(tallies) if file.suffix == ".csv"
-            else render(forecasts.name, records, len(forecasts), tallies)
+            else render(forecasts.name, records, len(forecasts), tallies, faults)
         )
     for file, text in texts.items():
         file.write_text(text, encoding="utf-8")
     console = Console()
     title = f"{forecasts.name}: {len(forecasts)} issues, against {weather.source}"
     console.print(terminal_table(title, tallies))
-    if forecasts.finest_lead > 1:  # previous runs, whose leads a service puts together
-        for lead, ratio in odd_leads(tallies).items():
-            print(
-                f"warning: {lead} has {ratio:.2f} times the water of the other leads, most likely "
-                "by an error of the archive; --horizon leaves late leads out", file=sys.stderr,
-            )
-    if unrelated(tallies):
-        print(
-            "warning: these forecasts know nothing of these records, no correlation reaches 0.1: "
-            "are both of the same place, and the hours of both right?", file=sys.stderr,
-        )
+    for fault in faults:
+        print(f"warning: {fault}", file=sys.stderr)
     if texts:
         written = ", ".join(map(str, texts))
         console.print(f"written: {written}", soft_wrap=True, highlight=False)
@@ -186,7 +180,9 @@ def _sums(arguments: argparse.Namespace) -> list[Sum]:
     return [Sum(*one) for one in zip(arguments.sums, arguments.events, strict=True)]
 
 
-def _page(output: list[Path]) -> Callable[[str, str, int, Mapping[Class, Tally]], str]:
+def _page(
+    output: list[Path],
+) -> Callable[[str, str, int, Mapping[Class, Tally], Sequence[str]], str]:
     """Return what makes the page; refuse, before it is needed, where files cannot be written."""
     for file in output:
         _refuse_unwritable(file, (".html", ".csv"), "--output")
@@ -225,7 +221,7 @@ def _tally(
 
 @contextmanager
 def _bar(what: str, total: int, unit: str) -> Iterator[Callable[[int], None]]:
-    """Show a progress bar on standard error, where that is a terminal.
+    """Show a progress bar on standard error; where that is no terminal, a line now and then.
 
     Yields:
         What is called with how many more are done.
@@ -236,7 +232,17 @@ def _bar(what: str, total: int, unit: str) -> Iterator[Callable[[int], None]]:
         TimeRemainingColumn(), console=console, transient=True, disable=not console.is_terminal,
     ) as progress:
         task = progress.add_task(what, total=total)
-        yield lambda more: progress.advance(task, more)
+        lines = ProgressLines()
+        done = 0
+
+        def advance(more: int) -> None:
+            nonlocal done
+            done += more
+            progress.advance(task, more)
+            if not console.is_terminal:
+                lines.tell(f"{what}: {done} of {total} {unit}")
+
+        yield advance
 
 
 if __name__ == "__main__":

@@ -31,6 +31,12 @@ os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
 signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
+def pytest_configure(config: pytest.Config) -> None:
+    """Let Ctrl-C be for the first process alone: it ends the workers, which print nothing of it."""
+    if hasattr(config, "workerinput"):
+        signal.signal(signal.SIGINT, lambda *_: None)  # what they start has its own again
+
+
 @pytest.hookimpl(tryfirst=True)  # before pytest-xdist looks at the groups
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """Say what may run side by side: graphs and studies one by one, the rest by file.

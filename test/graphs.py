@@ -158,7 +158,7 @@ class Process:
             print(f"{process.process.args}: {process._last_said()}")
             if process.process.poll() is None:
                 process.process.send_signal(signal.SIGINT)
-                process.wait(60)
+                process.wait(300)
         cls.started.clear()
 
     def nodes(self) -> dict[str, int]:

@@ -75,7 +75,7 @@ class SimulatedDrive:
     def end(self) -> None:
         if self.process.poll() is None:
             self.process.terminate()
-            self.process.wait(10)
+            self.process.wait(120)
 
 
 class PumpRig:
@@ -147,7 +147,7 @@ class PumpRig:
             if process.poll() is None:
                 process.send_signal(signal.SIGCONT)
                 process.terminate()
-                process.wait(10)
+                process.wait(120)
 
     @property
     def state(self) -> str:

@@ -38,7 +38,7 @@ class Simulator:
         assert self.process.stdout is not None
         self.ready = self.process.stdout.readline()
         if not self.ready.startswith("ready: "):
-            self.process.wait(10)
+            self.process.wait(120)
             raise AssertionError(f"{self.ready}{self.process.communicate()[1]}")
         self.ports = [int(port) for port in _PLACE.findall(self.ready)]
         self.said, self.complained = "", ""
@@ -75,7 +75,7 @@ class Simulator:
     def end(self) -> int:
         """End it by Ctrl-C and return its exit code."""
         self.process.send_signal(signal.SIGINT)
-        self.said, self.complained = self.process.communicate(timeout=5)
+        self.said, self.complained = self.process.communicate(timeout=120)
         return self.process.returncode
 
     def __enter__(self) -> Simulator:

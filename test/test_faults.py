@@ -16,7 +16,7 @@ pytest.importorskip("pymodbus", reason="drives are on Modbus")
 
 # Each with what must be said of its cause, and what must come after.
 SAMPLE = {
-    "site:danfoss_fc202/kill/pump/0": ("pump ended (SIGKILL)", "ran again"),
+    "site:danfoss_fc202/kill/pump/0": ("pump: ended (SIGKILL)", "ran again"),
     "site:danfoss_fc202/drive/drive_fault/0": ("the drive reports", "~/reset (cleared:"),
     "site:danfoss_fc202/sensor/roof_silent/0": ("/roof/level", "ran again"),
     "site:danfoss_fc202/intruder/pump.command/0": ("publishers", "ran again"),

@@ -16,6 +16,7 @@ from pathlib import Path
 
 import pytest
 import yaml
+from doc_commands.blocks import fences
 from places import CHECKOUT
 
 import greenroof_ros
@@ -45,7 +46,7 @@ ROSDEP_KEYS = {
 EXTRA_KEYS = {"aiohttp": "python3-aiohttp"}
 
 
-def run(*command, cwd, env, timeout=110):
+def run(*command, cwd, env, timeout=1800):
     """Run a command; what it printed comes with the failure."""
     done = subprocess.run(
         [str(part) for part in command],
@@ -128,7 +129,7 @@ def package_index(tmp_path_factory):
     probe = subprocess.run(
         [sys.executable, "-m", "pip", "--no-cache-dir", "--retries", "1", "--timeout", "20",
          "download", "--no-deps", "--dest", directory, "iniconfig"],
-        text=True, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, cwd=directory, timeout=110,
+        text=True, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, cwd=directory, timeout=1800,
     )
     if probe.returncode:
         pytest.skip(f"pip reaches no package index: {probe.stdout.strip().splitlines()[-1]}")
@@ -225,7 +226,7 @@ ROS2_PRINTS = {
 
 def blocks(page):
     """Return the blocks of shell lines of a page."""
-    return re.findall(r"^```\n(.*?)^```$", (CHECKOUT / page).read_text(), re.DOTALL | re.MULTILINE)
+    return [text for _, language, text in fences(page) if language == "sh"]
 
 
 @pytest.fixture(scope="module")
@@ -241,7 +242,7 @@ def ros2_checkout(package_index, tmp_path_factory):
     # Where pip's cache is.
     environment = bare_environment(os.environ.get("HOME", checkout), Path(sys.executable).parent)
     for command in (["make", ".venv/.for-run"], ["bash", "-e", "-c", lines]):
-        run(*command, cwd=checkout, env=environment, timeout=600)
+        run(*command, cwd=checkout, env=environment)
     return checkout
 
 

@@ -13,6 +13,7 @@ from typing import NamedTuple
 import numpy as np
 
 from greenroof_ros.calibration.daily import reference_from_temperatures
+from greenroof_ros.calibration.months import Months, counted
 from greenroof_ros.calibration.record import Record, Values
 from greenroof_ros.calibration.reference_column import refuse_wrong_unit, through_short_gaps
 from greenroof_ros.calibration.row_steps import means_of_steps, steps_of_rows, sums_of_steps
@@ -62,7 +63,7 @@ class _Column(NamedTuple):
     """of its row, so that those of two rows add up"""
 
 
-def read_csv_record(file: Path, site: Site) -> Record:
+def read_csv_record(file: Path, site: Site, months: Months | None = None) -> Record:
     """Read a measured record from CSV.
 
     The first column is ``time``: ISO 8601, on the clock of the site's ``utc_offset`` where it says
@@ -79,6 +80,12 @@ def read_csv_record(file: Path, site: Site) -> Record:
     day of its own time, whatever its step. What was pumped onto the
     roof is ``pumped``, or ``pump state`` (share of the maximum flow) with ``cistern level``;
     without either nothing.
+
+    Args:
+        file: the record.
+        site: its place, and its pumps.
+        months: those that count; in the others evapotranspiration may have longer gaps, over which
+            it takes the straight line.
 
     Raises:
         ConfigurationError: the file breaks any of this; the message names line, column and value.
@@ -121,11 +128,15 @@ def read_csv_record(file: Path, site: Site) -> Record:
     )
     if REFERENCE in columns:
         name = columns[REFERENCE].name
-        reference = through_short_gaps(record, name, series[REFERENCE], times, rows, slots)
+        reference = through_short_gaps(
+            record, name, series[REFERENCE], times, rows, slots, counts=counted(record, months)
+        )
         refuse_wrong_unit(record, site, name, reference)
     else:
         days = np.array([time.date() for time in times], dtype="datetime64[D]")
-        reference = reference_from_temperatures(record, site, days, temperatures)
+        reference = reference_from_temperatures(
+            record, site, days, temperatures, counts=counted(record, months)
+        )
     return replace(record, reference=reference)
 
 

@@ -21,14 +21,16 @@ _LONGEST_GAP = 3
 
 
 def reference_from_temperatures(
-    record: Record, site: Site, days: Days, temperatures: dict[str, Values]
+    record: Record, site: Site, days: Days, temperatures: dict[str, Values], *,
+    counts: NDArray[np.bool_],
 ) -> Values:
     """Return Hargreaves' reference evapotranspiration of each step (mm), shape (steps,).
 
     A temperature is of its row's day, not of its step's: the step that a row of 0:00 lies in can
     have begun the day before, where the logger's clock was set. A step has the evapotranspiration
     of the day that it begins in on the record's own clock. A day without temperatures, or with
-    those of part of it, takes the line between its neighbours', over three days at most.
+    those of part of it, takes the line between its neighbours', where it counts over three days at
+    most.
 
     Args:
         record: its times.
@@ -36,6 +38,7 @@ def reference_from_temperatures(
         days: of each row, on the clock of its time, shape (rows,).
         temperatures: ``temperature``, or ``least temperature`` and ``greatest temperature`` in any
             row of their day (degC), NaN where a row has none, shape (rows,).
+        counts: whether a step is fitted or judged, shape (steps,).
 
     Raises:
         ConfigurationError: the site has no place, temperatures are too far apart to show a day's
@@ -73,7 +76,10 @@ def reference_from_temperatures(
     of_steps = numbers.astype("datetime64[D]")
     daily = hargreaves(
         site.latitude, of_steps,
-        *(_filled(record, of_steps, dates, one) for one in (least, greatest)),
+        *(
+            _filled(record, of_steps, dates, one, np.unique(day_of_step[counts]))
+            for one in (least, greatest)
+        ),
     )
     east = site.longitude - offset.total_seconds() / 240
     return over_the_day(daily, site.latitude, seconds, day_of_step, record.step_s, east)
@@ -92,18 +98,31 @@ def _extremes(
     return least, greatest
 
 
-def _filled(record: Record, days: Days, dates: Days, values: Values) -> Values:
-    """Return the value of each day; of one without, that between its neighbours."""
+def _filled(
+    record: Record, days: Days, dates: Days, values: Values, counts: NDArray[np.int64]
+) -> Values:
+    """Return the value of each day; of one without, that between its neighbours.
+
+    Args:
+        record: for messages.
+        days: wanted.
+        dates: of the values.
+        values: NaN where there is none.
+        counts: index of each day that is fitted or judged, and must not be far from a value.
+
+    Raises:
+        ConfigurationError: one is.
+    """
     there = ~np.isnan(values)
     if not there.any():
         raise ConfigurationError("no day has its temperatures", file=record.source)
     number, known = days.astype(np.int64), dates[there].astype(np.int64)
-    nearest = np.abs(number[:, None] - known[None, :]).min(axis=1)
+    nearest = np.abs(number[counts, None] - known[None, :]).min(axis=1)
     if nearest.max() > _LONGEST_GAP:
-        worst = int(np.argmax(nearest > _LONGEST_GAP))
+        worst = days[counts][int(np.argmax(nearest > _LONGEST_GAP))]
         raise ConfigurationError(
-            f"has no temperature within {_LONGEST_GAP} days of {days[worst]}, from which "
+            f"has no temperature within {_LONGEST_GAP} days of {worst}, from which "
             "evapotranspiration is computed; add a row of each day without, its temperatures in it "
-            "and the other cells empty", file=record.source,
+            "and the other cells empty, or leave its month out with --months", file=record.source,
         )
     return np.interp(number, known, values[there])

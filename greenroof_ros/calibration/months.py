@@ -49,3 +49,12 @@ class Months:
                 f"{str(record.times[0])[:10]} to {str(record.times[-1])[:10]}", file=record.source,
             )
         return within
+
+
+def counted(record: Record, months: Months | None) -> Steps:
+    """Return which steps of a record count: those of some months, or all.
+
+    Raises:
+        ConfigurationError: none does.
+    """
+    return np.full(record.steps, True) if months is None else months.steps(record)

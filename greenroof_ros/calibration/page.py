@@ -11,7 +11,7 @@ from greenroof_ros.calibration.fit import FILLED, Fit
 from greenroof_ros.calibration.record import Record
 from greenroof_ros.calibration.scores import ScoreRow, time_name
 from greenroof_ros.calibration.site_file import CROP_NOTE, INTERVAL_NOTE
-from greenroof_ros.common.versions import versions
+from greenroof_ros.common.versions import versions, versions_text
 from greenroof_ros.model.site import site_parameters
 from greenroof_ros.report.drawing import Figure
 from greenroof_ros.report.page import library, payload
@@ -62,7 +62,7 @@ def render(
         spans=spans, notes=notes, crop_note=CROP_NOTE,
         interval_note=INTERVAL_NOTE, warning=warning,
         rain=f"{float(np.nansum(record.rain)):.4g}",
-        step=time_name(round(record.step_s)), versions=versions(),
+        step=time_name(round(record.step_s)), versions=versions_text(versions()),
         library=library(), payload=payload(figures),
     )
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from datetime import datetime
 
 import numpy as np
+from numpy.typing import NDArray
 
 from greenroof_ros.calibration.record import Record, Values
 from greenroof_ros.calibration.row_steps import Slots
@@ -29,7 +30,7 @@ _LEAST_SHARE, _FEWEST_DAYS = 0.06, 30
 
 def through_short_gaps(
     record: Record, column: str, values: Values, times: list[datetime], lines: list[int],
-    slots: Slots,
+    slots: Slots, *, counts: NDArray[np.bool_],
 ) -> Values:
     """Return reference evapotranspiration that is there in every step (mm), shape (steps,).
 
@@ -44,9 +45,11 @@ def through_short_gaps(
         times: of the rows.
         lines: of the rows in the file.
         slots: step of each row.
+        counts: whether a step is fitted or judged, shape (steps,); a gap in which none is may be of
+            any length.
 
     Raises:
-        ConfigurationError: a gap is longer.
+        ConfigurationError: another gap is longer.
     """
     missing = np.isnan(values)
     since = np.array([time.timestamp() for time in times])
@@ -55,7 +58,7 @@ def through_short_gaps(
     for low, high in gaps(missing):
         row, after = (int(one) for one in np.searchsorted(slots, (low, high)))
         gap_s = float(since[after + 1] - since[row]) - record.step_s
-        if gap_s > _LONGEST_GAP_S:
+        if gap_s > _LONGEST_GAP_S and counts[low:high].any():
             what = "is empty" if slots[row] == low else f"there is no row of {record.times[low]}"
             raise ConfigurationError(
                 f"{what}, and none has a value for {time_name(round(gap_s))}: it may be missing "

@@ -31,9 +31,11 @@ _UNITS = {one.symbol: one.unit for one in site_parameters()}
 _FROM_SHEET = "fitted to points of the data sheet"
 # Written in this order where the file has none of them.
 _ROOF = (
-    "field_capacity", "wilting_point", "z_cap", "depletion_fraction", "drainage_storage",
-    "drainage_time", "crop_coefficient",
+    "field_capacity", "wilting_point", "depletion_fraction", "drainage_storage", "drainage_time",
+    "crop_coefficient",
 )
+# Lines that are left away: what follows from the roof is computed.
+_COMPUTED = {"x2_star": "", "z_cap": ""}
 
 
 def fitted_site_file(
@@ -52,12 +54,9 @@ def fitted_site_file(
         sheet: what was fitted to the pumps' data sheet before.
     """
     told = {one.name: one for one in fit.parameters}
-    lines = _roof_lines(fit) | ({} if sheet is None else _sheet_lines(sheet))
+    lines = _COMPUTED | _roof_lines(fit) | ({} if sheet is None else _sheet_lines(sheet))
     if fit.site.z_veg != site.z_veg:
-        lines |= {
-            "z_veg": _line("z_veg", f"{fit.site.z_veg:.6g}", "choose your own"),
-            "x2_star": _line("x2_star", f"{fit.site.x2_star:.10g}", "a2 z_veg"),
-        }
+        lines["z_veg"] = _line("z_veg", f"{fit.site.z_veg:.6g}", "choose your own")
     for name in PumpCurve._fields:
         if name in told:
             comment = _comment(told[name])
@@ -136,7 +135,7 @@ def _replaced(text: str, lines: Mapping[str, str], heading: Sequence[str]) -> st
     for line in text.splitlines():
         key = re.match(r"(\w+)\s*:", line)
         if key and key[1] in lines:
-            kept.append(lines[key[1]])
+            kept += [lines[key[1]]] if lines[key[1]] else []
             written.add(key[1])
             continued = True
         elif not (continued and re.match(r"\s+#", line)):
@@ -160,17 +159,10 @@ def _roof_lines(fit: Fit) -> dict[str, str]:
     told = {one.name: one for one in fit.parameters if one.name != FILLED}
     lines = {}
     for name in _ROOF:
-        value = getattr(fit.site, name)
-        if name == "z_cap":
-            capacity = float(f"{fit.site.field_capacity:.6g}")
-            value = fit.site.a2 * fit.site.z_soil * capacity
-            number, comment = f"{value:.10g}", "a2 z_soil field_capacity"
-        else:
-            number = f"{value:.6g}"
-            comment = _comment(told[name]) if name in told else "as it was, not fitted"
-            if name == "crop_coefficient":
-                comment += f"; {CROP_NOTE}"
-        lines[name] = _line(name, number, comment)
+        comment = _comment(told[name]) if name in told else "as it was, not fitted"
+        if name == "crop_coefficient":
+            comment += f"; {CROP_NOTE}"
+        lines[name] = _line(name, f"{getattr(fit.site, name):.6g}", comment)
     return lines
 
 

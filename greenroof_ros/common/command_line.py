@@ -6,6 +6,7 @@ import argparse
 import errno
 import functools
 import io
+import math
 import os
 import sys
 from collections.abc import Callable
@@ -18,6 +19,8 @@ EXIT_FAILED = 1
 EXIT_USAGE = 2
 EXIT_OCCUPIED = 3
 EXIT_INTERRUPTED = 130
+# The least number of an option that must be greater than 0, as far as people are concerned.
+_TINY = 1e-9
 
 
 def exit_code(error: Exception) -> int:
@@ -140,16 +143,19 @@ def within(
     low: float, high: float, kind: Callable[[str], float] = float
 ) -> Callable[[str], float]:
     """Return what parses an option that must be a number, with ``int`` a whole one, in a range."""
+    what = "a whole number" if kind is int else "a number"
+    limits = f"from {low} to {high}" if kind is int else f"from {low:g} to {high:g}"
 
     def parse(text: str) -> float:
-        value = kind(text)
+        try:
+            value = kind(text)
+        except ValueError:
+            value = math.nan
         if not low <= value <= high:
-            raise ValueError
+            expected = "greater than 0" if 0 < low <= _TINY and not value > 0 else limits
+            raise argparse.ArgumentTypeError(f"must be {what} {expected}, is {text}")
         return value
 
-    # argparse puts it into its message
-    parse.__name__ = (
-        f"whole number from {low} to {high}" if kind is int
-        else f"number from {low:g} to {high:g}"
-    )
+    # What the option takes, where it is documented.
+    parse.__name__ = f"{what.removeprefix('a ')} {limits}"
     return parse

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection
+from difflib import get_close_matches
 from pathlib import Path
 
 
@@ -35,3 +37,13 @@ class ConfigurationError(Exception):
 
 class OccupiedError(ConfigurationError):
     """Another graph is where this one was to run; commands end with exit code 3."""
+
+
+def did_you_mean(name: str, known: Collection[str]) -> str:
+    """Return what a mistyped name may stand for, or all that there are: a clause of a message."""
+    close = get_close_matches(name, known, 1) or [
+        one for one in known if one.casefold() == name.casefold()
+    ]
+    if close:
+        return f"did you mean {close[0]}?"
+    return f"they are {', '.join(known)}"

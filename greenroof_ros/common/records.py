@@ -14,7 +14,7 @@ from dataclasses import MISSING, dataclass, fields, is_dataclass
 from pathlib import Path
 from typing import Annotated, Any, NewType, TypeVar, Union, get_args, get_origin, get_type_hints
 
-from greenroof_ros.common.errors import ConfigurationError
+from greenroof_ros.common.errors import ConfigurationError, did_you_mean
 from greenroof_ros.common.files import YamlMapping
 
 Record = TypeVar("Record")
@@ -107,7 +107,7 @@ def _record(kind: Any, value: Any, place: _Place) -> Any:
     for name in value:
         if name not in known:
             raise place.below(name, value).error(
-                f"is unknown here; known are {', '.join(known)}", value[name]
+                f"is no key here; {did_you_mean(str(name), known)}", value[name]
             )
     made = {}
     for name, key in known.items():

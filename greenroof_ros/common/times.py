@@ -50,8 +50,7 @@ def to_minutes(time: datetime) -> str:
 
 def to_people(time: datetime) -> str:
     """Write a time as headings have it, ``2021-07-07 02:00-05:00``; seconds where there are any."""
-    whole = time.second == 0 and time.microsecond == 0
-    return time.isoformat(" ", "minutes" if whole else "auto")
+    return time.isoformat(" ", "seconds" if time.second else "minutes")
 
 
 def hours_minutes(seconds: float) -> str:

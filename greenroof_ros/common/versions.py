@@ -5,6 +5,7 @@ from __future__ import annotations
 import functools
 import hashlib
 import platform
+from collections.abc import Mapping
 from importlib import metadata
 from pathlib import Path
 
@@ -12,7 +13,11 @@ from greenroof_ros import __version__
 
 
 def versions() -> dict[str, str]:
-    """Return the versions of what computes a run's numbers."""
+    """Return the versions of what computes a run's numbers.
+
+    ``source`` is a hash of this package's source files: no commit, since an installed package knows
+    none, and a file that was changed has none.
+    """
     found = {
         "greenroof_ros": __version__,
         "source": _source(),
@@ -24,6 +29,12 @@ def versions() -> dict[str, str]:
         except metadata.PackageNotFoundError:
             continue  # rclpy, where there is no ROS
     return found
+
+
+def versions_text(found: Mapping[str, str]) -> str:
+    """Write versions for people, who know no hash of ours by its name."""
+    names = {"source": "hash of its source files"}
+    return ", ".join(f"{names.get(name, name)} {version}" for name, version in found.items())
 
 
 @functools.cache

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import cast
 
-from greenroof_ros.common.errors import ConfigurationError
+from greenroof_ros.common.errors import ConfigurationError, did_you_mean
 from greenroof_ros.common.files import YamlMapping, number, read_yaml, shared_directory
 from greenroof_ros.common.parameter import Parameter
 from greenroof_ros.controllers.protocol import (
@@ -144,13 +144,15 @@ class ControllerChoice:
     def read_parameters(self, path: Path) -> dict[str, float]:
         """Read its parameters from a ROS 2 parameter file; those that are not there are default.
 
-        The section is named ``/**/NAME``, which holds in any namespace, or ``NAME``.
+        The section is named ``/**/NAME``, which holds in any namespace, ``NAME``, or ``/**``, which
+        is for every node.
 
         Raises:
             ConfigurationError: the file or a value in it is wrong.
         """
         mapping = read_yaml(path)
-        keys = [key for key in (f"/**/{self.name}", self.name, f"/{self.name}") if key in mapping]
+        names = (f"/**/{self.name}", self.name, f"/{self.name}", "/**")
+        keys = [key for key in names if key in mapping]
         section = mapping[keys[0]] if keys else None
         given = section.get("ros__parameters") if isinstance(section, YamlMapping) else None
         if not isinstance(given, YamlMapping):
@@ -177,7 +179,7 @@ class ControllerChoice:
         """
         if key not in self.parameters:
             raise ConfigurationError(
-                f"is not a parameter of {self.name}; they are {', '.join(self.parameters)}",
+                f"is not a parameter of {self.name}; {did_you_mean(key, self.parameters)}",
                 file=path, line=line, key=key,
             )
 

@@ -239,7 +239,8 @@ def _speed(text: str) -> float:
     return 0.0 if text == "max" else within(1e-9, 1e9)(text)
 
 
-_speed.__name__ = "speed: max, or a factor from 1e-9 to 1e9"
+# What it takes, where it is documented.
+_speed.__name__ = "max, or a number from 1e-09 to 1e+09"
 
 
 def add_output_arguments(parser: argparse.ArgumentParser) -> argparse._ArgumentGroup:

@@ -52,9 +52,11 @@ class RunProgress:
         for text in warnings:
             if text not in self._warned:
                 self._warned.add(text)
-                self._progress.console.print(
-                    f"warning: {text}", markup=False, highlight=False, soft_wrap=True
-                )
+                self.say(f"warning: {text}")
+
+    def say(self, text: str) -> None:
+        """Print a line above the bar."""
+        self._progress.console.print(text, markup=False, highlight=False, soft_wrap=True)
 
     def waiting(self, for_what: str) -> None:
         """Say what the run waits for before its first tick."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterator, Mapping
+from itertools import repeat
 from pathlib import Path
 from typing import Any
 
@@ -12,6 +13,7 @@ from rich.table import Table
 
 from greenroof_ros.common.command_line import flush_output
 from greenroof_ros.common.times import hours_minutes
+from greenroof_ros.experiment.incidents import Incident, with_incidents
 from greenroof_ros.experiment.summary import SUMMARY
 from greenroof_ros.forecast.choice import PERFECT
 from greenroof_ros.model.metrics import METRICS
@@ -81,16 +83,7 @@ def table(summary: Mapping[str, Any]) -> Table:
                 f"{hours_minutes(tick * summary['tau_s'])} (tick {tick})",
             )
         )
-    for incident in summary["incidents"]:
-        after = "another process ended before it went on"
-        if incident["tick"] is not None:
-            after = (
-                f"another went on from tick {incident['tick']}, after "
-                f"{incident['restarted_after_s']:g} s"
-            )
-        if incident["lost"]:
-            after += f"; {len(incident['lost'])} messages are lost"
-        rows.append(("RESTARTED", incident["node"], f"it ended ({incident['how']}); {after}"))
+    rows += map(_incident_row, summary["incidents"], repeat(summary["tau_s"]))
     if summary["frost_hours"]:
         rows.append(
             (
@@ -140,6 +133,32 @@ def table(summary: Mapping[str, Any]) -> Table:
     return grid
 
 
+def _incident_row(incident: Mapping[str, Any], tau: float) -> tuple[str, str, str]:
+    """Return the row of something that was lost in the run, or of a node that was started again.
+
+    Args:
+        incident: of the summary.
+        tau: duration of a tick (s).
+    """
+    if "part" in incident:
+        lost = Incident(**incident)
+        assert lost.began_tick is not None
+        until = "to the end"
+        if lost.ended_tick is not None:
+            until = f"to {hours_minutes(lost.ended_tick * tau)}, {lost.seconds:.1f} s of wall time"
+        began = hours_minutes(lost.began_tick * tau)
+        return ("INCIDENT", lost.node, f"from {began} {until}: {lost.cause}")
+    after = "another process ended before it went on"
+    if incident["tick"] is not None:
+        after = (
+            f"another went on from tick {incident['tick']}, after "
+            f"{incident['restarted_after_s']:g} s"
+        )
+    if incident["lost"]:
+        after += f"; {len(incident['lost'])} messages are lost"
+    return ("RESTARTED", incident["node"], f"it ended ({incident['how']}); {after}")
+
+
 def show(summary: Mapping[str, Any], directory: Path, *, as_json: bool) -> None:
     """Print a summary: as a table with the directory of the run, or as JSON alone.
 
@@ -151,5 +170,8 @@ def show(summary: Mapping[str, Any], directory: Path, *, as_json: bool) -> None:
     else:
         console = Console()
         console.print(table(summary))
-        console.print(f"written to {directory}", soft_wrap=True, highlight=False)
+        # Nodes that were started again were so by request.
+        count = sum("part" in incident for incident in summary["incidents"])
+        done = with_incidents(summary["status"], count)
+        console.print(f"{done}; written to {directory}", soft_wrap=True, highlight=False)
     flush_output(f"; the summary is in {directory / SUMMARY}")

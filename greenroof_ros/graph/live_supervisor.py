@@ -8,7 +8,6 @@ from collections import deque
 from collections.abc import Callable, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass, field
-from datetime import datetime, timezone
 from pathlib import Path
 
 from greenroof_ros.common.command_line import (
@@ -36,24 +35,22 @@ _WINDOW_S = 600.0
 
 
 @dataclass(frozen=True)
-class Incident:
-    """Something that went wrong and was met.
+class Failure:
+    """A node that failed, and what was done about it.
 
     Attributes:
-        time: of the system clock, UTC.
-        node: with which.
+        node: which.
         what: happened to it.
         done: about it.
     """
 
-    time: str
     node: str
     what: str
     done: str
 
     def __str__(self) -> str:
-        """Return it as a line."""
-        return f"{self.node} {self.what}; {self.done}"
+        """Return it without the node's name."""
+        return f"{self.what}; {self.done}"
 
 
 @dataclass
@@ -91,7 +88,7 @@ class LiveSupervisor(NodeProcesses):
         silence_s: float,
         restarts: int,
         stop_drive: Callable[[int], tuple[bool, str]] | None,
-        on_incident: Callable[[Incident], None],
+        on_failure: Callable[[Failure], None],
     ) -> None:
         """Start nothing yet.
 
@@ -104,7 +101,7 @@ class LiveSupervisor(NodeProcesses):
             stop_drive: stops the drive without the pump node, whose process it is told, and returns
                 whether it stands and what came of it, in words; None where the pump is somebody
                 else's.
-            on_incident: called with each.
+            on_failure: called with each.
         """
         super().__init__(logs, parameters, namespace)
         # Files of rcl's own, besides what a node prints, would grow for months.
@@ -119,7 +116,7 @@ class LiveSupervisor(NodeProcesses):
         self._stop_drive = stop_drive
         self._stopper = ThreadPoolExecutor(1)
         self._stopping: Future[tuple[bool, str]] | None = None
-        self._on_incident = on_incident
+        self._on_failure = on_failure
         self._permit = Permit()
 
     def __enter__(self) -> LiveSupervisor:
@@ -234,6 +231,14 @@ class LiveSupervisor(NodeProcesses):
             if name != RECORDER or not known.restarts
         )
 
+    @property
+    def ready(self) -> set[str]:
+        """The nodes that run and have all that they need."""
+        return {
+            name for name, known in self._known.items()
+            if known.starts_again is None and self._is_ready(name)
+        }
+
     def _is_ready(self, name: str) -> bool:
         return self.last.get(name, {}).get("state") == READY
 
@@ -269,8 +274,7 @@ class LiveSupervisor(NodeProcesses):
             self._stopping = self._stopper.submit(self._stop_drive, self.nodes[name].process.pid)
 
     def _note(self, node: str, what: str, done: str) -> None:
-        time_utc = datetime.now(timezone.utc).isoformat(timespec="milliseconds")
-        self._on_incident(Incident(time_utc, node, what, done))
+        self._on_failure(Failure(node, what, done))
 
     def _reason_to_hold(self, now: float) -> str:
         """Return why the pump may not run; empty where it may."""

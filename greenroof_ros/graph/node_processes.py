@@ -37,7 +37,7 @@ class NodeFailed(Exception):
 
     Attributes:
         reason: the message without these lines.
-        last_lines: these.
+        last_lines: these; empty where the reason says all.
         code: what the exit code should be.
         nodes: which; of those that hang the ones that were stopped, where any was.
         how: they ended, in a few words.
@@ -46,7 +46,7 @@ class NodeFailed(Exception):
     def __init__(
         self, reason: str, last_lines: str, code: int, nodes: Sequence[str], how: str
     ) -> None:
-        super().__init__(f"{reason}\n{last_lines}")
+        super().__init__("\n".join(filter(None, (reason, last_lines))))
         self.reason = reason
         self.last_lines = last_lines
         self.code = code

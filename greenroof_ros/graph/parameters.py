@@ -12,6 +12,7 @@ from typing import Any
 from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor
 from rclpy.exceptions import InvalidParameterTypeException, InvalidParameterValueException
 from rclpy.node import Node
+from rclpy.parameter import Parameter as RosParameter
 
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.files import shared_directory
@@ -107,22 +108,50 @@ def site_file() -> NodeParameter:
 def declare(node: Node, parameters: Iterable[NodeParameter]) -> dict[str, Any]:
     """Declare parameters, and return their values by name.
 
+    A whole number does for a double, as in ``weight: 5``, in a file, on the command line and in
+    ``ros2 param set``; rclpy alone refuses it.
+
     Raises:
         ConfigurationError: a value given on the command line or in a file is of the wrong type or
             out of range.
     """
-    return {one.name: _declare(node, one) for one in parameters}
+    declared = list(parameters)
+    doubles = {one.name for one in declared if isinstance(one.default, float) and one.may_change}
+    if doubles:
+        node.add_pre_set_parameters_callback(lambda given: [
+            RosParameter(one.name, value=float(one.value))
+            if one.name in doubles and one.type_ is RosParameter.Type.INTEGER else one
+            for one in given
+        ])
+    return {one.name: _declare(node, one) for one in declared}
 
 
 def _declare(node: Node, one: NodeParameter) -> Any:
     key = f"parameter {one.name} of {node.get_name()}"
     try:
-        value = node.declare_parameter(one.name, one.default, one.descriptor()).value
+        value = _declare_as_given(node, one)
     except (InvalidParameterTypeException, InvalidParameterValueException) as error:
         raise ConfigurationError(f"{one.expected} ({error})", key=key) from error
     if one.among and value not in one.among:
         raise ConfigurationError(one.expected, key=key, value=value)
     return value
+
+
+def _declare_as_given(node: Node, one: NodeParameter) -> Any:
+    """Declare it with the value that is given; a whole number becomes a double where one is due."""
+    try:
+        return node.declare_parameter(one.name, one.default, one.descriptor()).value
+    except InvalidParameterTypeException:
+        if not isinstance(one.default, float):
+            raise
+        anything = ParameterDescriptor(dynamic_typing=True)
+        given = node.declare_parameter(one.name, one.default, anything).value
+        node.undeclare_parameter(one.name)
+        if type(given) is not int:
+            raise
+    return node.declare_parameter(
+        one.name, float(given), one.descriptor(), ignore_override=True
+    ).value
 
 
 def refuse_unknown(node: Node, arguments: Sequence[str]) -> None:

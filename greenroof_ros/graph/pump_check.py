@@ -22,6 +22,7 @@ from std_msgs.msg import Float64, String
 from greenroof_ros.common.errors import ConfigurationError, OccupiedError
 from greenroof_ros.common.findings import Finding
 from greenroof_ros.common.interface import read_topics
+from greenroof_ros.common.progress_lines import ProgressLines
 from greenroof_ros.graph.executors import make_executor
 from greenroof_ros.graph.publishers import call_node
 from greenroof_ros.graph.qos import message_class, qos_profile
@@ -121,6 +122,8 @@ class PumpCheck:
         self._steady = 0.0
         self._lockstep_problem = ""
         self._state = ""
+        self._trying = "waiting for the driver"
+        self._lines = ProgressLines()
         self._publish: dict[str, Callable[[Any], None]] = {}
 
     def run(self) -> list[Finding]:
@@ -136,7 +139,9 @@ class PumpCheck:
             return findings
         self._join()
         hindered = ""
-        for title, check in self._checks().items():
+        checks = self._checks()
+        for number, (title, check) in enumerate(checks.items(), start=1):
+            self._trying = f"check {number} of {len(checks)}: {title}"
             problem, came = hindered, ""
             if not hindered:
                 try:
@@ -274,6 +279,7 @@ class PumpCheck:
         until = time.monotonic() + seconds
         while (left := until - time.monotonic()) > 0:
             self._executor.spin_once(timeout_sec=left)
+        self._lines.tell(self._trying)
 
     # --- ticks ----------------------------------------------------------------------------------
 

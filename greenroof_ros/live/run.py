@@ -8,10 +8,9 @@ import os
 import shutil
 import tempfile
 import time
-from collections import deque
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
-from dataclasses import asdict, replace
+from dataclasses import replace
 from datetime import datetime, timezone
 from pathlib import Path
 from typing import Any
@@ -24,21 +23,21 @@ from greenroof_ros.common.signals import InterruptedRun, Signals
 from greenroof_ros.common.systemd import notify
 from greenroof_ros.common.versions import versions
 from greenroof_ros.controllers.registry import controller_names
+from greenroof_ros.drives.sensor_file import read_sensors
 from greenroof_ros.experiment import summary
+from greenroof_ros.experiment.incidents import PROCESS, IncidentLog, with_incidents
 from greenroof_ros.graph.domain import only_bringup, refuse_other_nodes
-from greenroof_ros.graph.live_supervisor import Incident, LiveSupervisor
+from greenroof_ros.graph.live_supervisor import Failure, LiveSupervisor
 from greenroof_ros.graph.node_processes import NodeFailed
 from greenroof_ros.graph.states import PUMP, RECORDER
 from greenroof_ros.live.site import EXTERNAL, LiveSite
-from greenroof_ros.live.status import Status, values_of
+from greenroof_ros.live.status import Expected, Status, values_of
 
 _NODES = "greenroof_ros.nodes"
 _TANKS = ("cistern", "roof")
 # How often systemd is told (s), and how long the start may then still take (microseconds).
 _NOTIFY_S = 1.0
 _STILL_STARTING = "EXTEND_TIMEOUT_USEC=30000000"
-# How many incidents are kept; all are counted.
-_INCIDENTS = 200
 # Size of one file of the bag (MB), where the whole may be ten times that.
 _BAG_FILE_MB = 100.0
 # Files that are in memory (Linux).
@@ -49,44 +48,50 @@ def run_live(site: LiveSite, signals: Signals) -> int:
     """Start the nodes of a live site and keep them up until a signal comes.
 
     Returns:
-        The exit code: 0 where it was asked to stop, and the pump stands.
+        The exit code: 0 where it was asked to stop, the pump stands, and there was no incident.
 
     Raises:
         ConfigurationError: there is a graph already, no ROS 2, or the directory cannot be made.
         OSError: the summary cannot be written.
     """
-    with only_bringup(site.namespace), _state_directory(site.state) as state:
-        names = {name for name, *_ in nodes_of(site)} | {"plant", *controller_names()}
+    names = {name for name, *_ in nodes_of(site)} | {"plant", *controller_names()}
+    with (
+        only_bringup(site.namespace),
+        _state_directory(site.state) as state,
+        Status(_expected(site)) as status,
+        tempfile.TemporaryDirectory(dir=_IN_MEMORY) as memory,
+    ):
+        record = _Record(site, state, status)
+        record.say_last_end()
+        status.update({}, "starting", record.log)
         refuse_other_nodes(site.namespace, names, signals.check)
-        with Status() as status, tempfile.TemporaryDirectory(dir=_IN_MEMORY) as memory:
-            record = _Record(site, state, status)
-            record.say_last_end()
-            supervisor = LiveSupervisor(
-                state / "log", _configuration(site, state, Path(memory), status), site.namespace,
-                silence_s=site.silence_s,
-                restarts=site.restarts,
-                stop_drive=site.drive.stopper() if site.drive is not None else None,
-                on_incident=record.add,
-            )
-            try:
-                record.write(summary.RUNNING)
-                with supervisor:
-                    for node in nodes_of(site):
-                        supervisor.add(*node)
-                    _keep_up(supervisor, status, signals, pump=site.drive is not None)
-            except InterruptedRun as error:
-                signals.ignore()
-                if not supervisor.may_run:
-                    record.write(summary.DONE, str(error))
-                    status.say(f"{error}: the pump and the nodes are stopped")
-                    return EXIT_DONE
-                _fail(record, status, f"{error}; {supervisor.may_run}")
-                return EXIT_FAILED
-            except NodeFailed as error:
-                signals.ignore()
-                reason = "; ".join(filter(None, (error.reason, supervisor.may_run)))
-                _fail(record, status, reason, error.last_lines)
-                return EXIT_FAILED if supervisor.may_run else error.code
+        supervisor = LiveSupervisor(
+            state / "log", _configuration(site, state, Path(memory), status), site.namespace,
+            silence_s=site.silence_s,
+            restarts=site.restarts,
+            stop_drive=site.drive.stopper() if site.drive is not None else None,
+            on_failure=record.add,
+        )
+        try:
+            record.write(summary.RUNNING)
+            with supervisor:
+                for node in nodes_of(site):
+                    supervisor.add(*node)
+                _keep_up(supervisor, record, status, signals, pump=site.drive is not None)
+        except InterruptedRun as error:
+            signals.ignore()
+            if not supervisor.may_run:
+                record.write(summary.DONE, str(error))
+                status.say(f"{error}: the pump and the nodes are stopped")
+                status.say(with_incidents("done", record.log.count))
+                return EXIT_FAILED if record.log.count else EXIT_DONE
+            _fail(record, status, f"{error}; {supervisor.may_run}")
+            return EXIT_FAILED
+        except NodeFailed as error:
+            signals.ignore()
+            reason = "; ".join(filter(None, (error.reason, supervisor.may_run)))
+            _fail(record, status, reason, error.last_lines)
+            return EXIT_FAILED if supervisor.may_run else error.code
     raise AssertionError("a live site ends by a signal or a failure")
 
 
@@ -98,14 +103,18 @@ def _fail(record: _Record, status: Status, reason: str, *last_lines: str) -> Non
 
 
 class _Record:
-    """What is kept of a site since its start, ``summary.json``; a full disk stops nobody."""
+    """What is kept of a site since its start, ``summary.json``; a full disk stops nobody.
+
+    Attributes:
+        log: of the incidents.
+    """
 
     def __init__(self, site: LiveSite, state: Path, status: Status) -> None:
+        self.log = IncidentLog(status.say)
         self._state = state
         self._status = status
         self._began = _now()
-        self._incidents: deque[Incident] = deque(maxlen=_INCIDENTS)
-        self._count = 0
+        self._written = 0
         self._what = summary.RUNNING
         self._reason: str | None = None
         self._last_time = _last_time(state)
@@ -131,12 +140,18 @@ class _Record:
             how = f"bringup ended at {before['ended']}: {before['reason']}"
         self._status.say(f"the last time, since {before['began']}, {how}")
 
-    def add(self, incident: Incident) -> None:
-        """Say and keep that something went wrong."""
-        self._status.say(f"{incident.time} {incident}")
-        self._incidents.append(incident)
-        self._count += 1
+    def add(self, failure: Failure) -> None:
+        """Say and keep that a node failed."""
+        self.log.begin(failure.node, PROCESS, str(failure))
         self._write()
+
+    def look(self, supervisor: LiveSupervisor, *, starting: bool) -> None:
+        """Find what was lost, or has come back, since the last call; keep it."""
+        for node in supervisor.ready:
+            self.log.end(node, PROCESS)
+        self.log.look(supervisor.last, starting=starting)
+        if self.log.changes != self._written:
+            self._write()
 
     def write(self, what: str, reason: str | None = None) -> None:
         """Keep how the site is: one of those of :mod:`greenroof_ros.experiment.summary`."""
@@ -144,14 +159,15 @@ class _Record:
         self._write()
 
     def _write(self) -> None:
+        self._written = self.log.changes
         content = {
             "status": self._what,
             "reason": self._reason,
             "began": self._began,
             "ended": None if self._what == summary.RUNNING else _now(),
             "last_time": self._last_time,
-            "incident_count": self._count,
-            "incidents": [asdict(incident) for incident in self._incidents],
+            "incident_count": self.log.count,
+            "incidents": self.log.as_dicts(),
             **self._setting,
         }
         try:
@@ -173,7 +189,7 @@ def _now() -> str:
 
 
 def _keep_up(
-    supervisor: LiveSupervisor, status: Status, signals: Signals, *, pump: bool
+    supervisor: LiveSupervisor, record: _Record, status: Status, signals: Signals, *, pump: bool
 ) -> None:
     """Watch the nodes for ever.
 
@@ -188,10 +204,11 @@ def _keep_up(
             supervisor.reports()
             signals.check()  # a service manager signals the nodes, too: their end is no failure
             supervisor.look()
-            status.update(supervisor.last, supervisor.hold)
+            record.look(supervisor, starting=status.late)
+            status.update(supervisor.last, supervisor.hold, record.log)
             if not ready and supervisor.all_ready:
                 ready = True
-                status.all_are_here()
+                status.say("all nodes are here")
                 notify("READY=1")
             now = time.monotonic()
             if now - notified >= _NOTIFY_S:
@@ -202,6 +219,35 @@ def _keep_up(
         notify("STOPPING=1")
         if pump:
             status.say("waiting for the pump to stand")
+
+
+def _expected(site: LiveSite) -> dict[tuple[str, str], Expected]:
+    """Return what a site needs before it can pump, by the node and the part that say how it is."""
+    expected = {}
+    if site.sensors is not None:
+        sensors = read_sensors(site.sensors)
+        for tank in _TANKS:
+            address = getattr(sensors, tank).address
+            expected[f"{tank}_sensor", "sensor"] = Expected(
+                f"level of the {tank}", address,
+                f"check the sensor's power and cable, and its address in {site.sensors.name}",
+            )
+    if site.forecast is not None:
+        expected["weather", "forecast"] = Expected(
+            "forecast", str(site.forecast),
+            "put a newer file in its place, which is read by itself",
+        )
+    if site.sensors is None or site.forecast is None:
+        expected[site.controller.name, "inputs"] = Expected(
+            f"inputs of {site.controller.name}", "your own nodes",
+            "start the nodes that publish them",
+        )
+    if site.drive is not None:
+        expected[PUMP, "drive"] = Expected(
+            "drive", site.drive.at,
+            "check its power and cable, and the address of --drive-at",
+        )
+    return expected
 
 
 def nodes_of(site: LiveSite) -> Iterator[tuple[str, ...]]:

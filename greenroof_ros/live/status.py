@@ -1,44 +1,81 @@
-"""How a live site is: one line on a terminal, and lines of what changed elsewhere."""
+"""How a live site is: what is missing at the start, then a line on a terminal or in a journal."""
 
 from __future__ import annotations
 
+import math
+import re
 import sys
 import time
 from collections.abc import Collection, Mapping
+from dataclasses import dataclass
 from typing import Any
 
 from rich.console import Console
 from rich.live import Live
 from rich.text import Text
 
+from greenroof_ros.experiment.incidents import IncidentLog
+
 # Often enough for an eye, seldom enough to cost nothing.
 _INTERVAL_S = 0.25
 # How long a text must stand before it is a line of a log (s): on the way to being well, or not, a
-# node says one thing after the other.
-_SETTLED_S = 3.0
-# How long what is not well is what is waited for (s): after the start, and after all nodes are
-# there, since inputs count after 10 s by default. How long such a text must stand (s).
-_START_S, _INPUTS_S, _WAITED_S = 60.0, 30.0, 1.0
-# What the pump node says of the hold that bringup tells it.
+# node says one thing after the other. The same for the list of what is missing.
+_SETTLED_S, _LISTED_S = 3.0, 1.0
+# How long what has not come yet is late, and not lost (s). Once nothing is missing, inputs may need
+# so long until they count (s), by default 10 s.
+_LATE_S, _INPUTS_S = 60.0, 30.0
+_ALL_HERE = "nothing is missing; values count once they were good for a while"
+# What the pump node says of the hold that bringup gives it.
 _OF_BRINGUP = "supervisor"
+# Parts of nodes that are not well because of something else, as a rule.
+_INPUTS = ("levels", "command", "inputs")
+_FOLLOWERS = (*_INPUTS, "delivery", "pump")
+
+
+@dataclass(frozen=True)
+class Expected:
+    """Something that a site needs before it can pump.
+
+    Attributes:
+        what: it is.
+        where: it comes from.
+        to_do: while it does not come.
+    """
+
+    what: str
+    where: str
+    to_do: str
 
 
 class Status:
     """Says on standard error how the site is.
 
-    On a terminal levels, command, pump and what is not well stand in one line, which is redrawn;
-    elsewhere, as in systemd's journal, what is not well is a line when it begins and when it ends.
-    At the start much is not well that will be in a moment; then a line says what is waited for.
+    At the start it lists what is missing, a line each, and again whenever that has changed. After
+    it, levels, command, pump and what is not well are redrawn on a terminal; elsewhere, as in
+    systemd's journal, what is not well is a line when it begins and when it ends. A loss has its
+    lines as an incident, and what follows from it has none.
+
+    Attributes:
+        starting: not all has come yet.
     """
 
-    def __init__(self) -> None:
-        """Know nothing yet."""
+    def __init__(self, expected: Mapping[tuple[str, str], Expected]) -> None:
+        """Know nothing yet.
+
+        Args:
+            expected: what is missing until its node says that it is there, by node and part.
+        """
+        self.starting = True
+        self._expected = expected
         self._console = Console(stderr=True, soft_wrap=True)
         self._live: Live | None = None
-        self._shown = 0.0
-        self._starts_until = time.monotonic() + _START_S
-        self._starting, self._all_here = True, False
-        self._waits, self._waits_since, self._said_waits = "", 0.0, ""
+        self._shown = -math.inf
+        self._late_until = time.monotonic() + _LATE_S
+        self._complete_at = math.inf
+        self._lost_at = -math.inf
+        # What is missing: the list that is said, and another one since when.
+        self._listed: list[str] | None = None
+        self._other: tuple[list[str], float] = ([], 0.0)
         # By node and part: what stands; and what was seen, since when, and not said yet.
         self._troubles: dict[tuple[str, str], str] = {}
         self._changes: dict[tuple[str, str], tuple[str, float]] = {}
@@ -55,55 +92,83 @@ class Status:
         if self._live is not None:
             self._live.stop()
 
+    @property
+    def late(self) -> bool:
+        """Whether what has not come yet may still come, and is not lost."""
+        return self.starting and time.monotonic() < self._late_until
+
     def say(self, text: str) -> None:
         """Print a line, above the status line where there is one."""
         self._console.print(text, markup=False, highlight=False)
 
-    def update(self, reports: Mapping[str, Mapping[str, Any]], hold: str) -> None:
+    def update(
+        self, reports: Mapping[str, Mapping[str, Any]], hold: str, log: IncidentLog
+    ) -> None:
         """Show how the nodes are.
 
         Args:
             reports: the last of each node.
             hold: why the pump may not run; empty where it may.
+            log: of what was lost.
         """
         now = time.monotonic()
         if now - self._shown < _INTERVAL_S:
             return
         self._shown = now
-        troubles = troubles_of(reports, hold)
-        if self._starting:
-            self._say_start(reports, hold, troubles, now)
+        if log.lasting:
+            self._lost_at = now
+        # Inputs that come back count after a while: that follows from the loss, too.
+        troubles = troubles_of(reports, hold, lasting=now - self._lost_at < _INPUTS_S)
+        lines = list(troubles.values())
+        if self.starting:
+            lines = self._say_missing(reports, hold, troubles, now)
         else:
-            self._say_changes(troubles, reports.keys(), now)
+            own = {about: text for about, text in troubles.items() if not log.keeps(about[1])}
+            self._say_changes(own, reports.keys(), now)
         if self._live is not None:
-            line = "; ".join([values_of(reports), *troubles.values()])
-            self._live.update(Text(line, no_wrap=True, overflow="ellipsis"), refresh=True)
+            text = Text("\n".join([values_of(reports), *lines]), no_wrap=True, overflow="ellipsis")
+            self._live.update(text, refresh=True)
 
-    def all_are_here(self) -> None:
-        """Say that all nodes are there; what they wait for then comes soon."""
-        self.say("all nodes are here")
-        self._all_here = True
-        self._starts_until = time.monotonic() + _INPUTS_S
-
-    def _say_start(
+    def _say_missing(
         self, reports: Mapping[str, Mapping[str, Any]], hold: str,
         troubles: Mapping[tuple[str, str], str], now: float,
-    ) -> None:
-        """Print what is waited for; that the start is over, when all is well or it took long."""
-        if (self._all_here and not troubles) or now > self._starts_until:
-            self._starting = False
-            if not hold:
-                self.say(f"running: {values_of(reports)}")
-            return
-        if not troubles:
-            return
-        nodes = sorted({node for node, _ in troubles if node})
-        waits = hold or f"what {', '.join(nodes)} read must be good for a while (recovery_time)"
-        if waits != self._waits:
-            self._waits, self._waits_since = waits, now
-        elif waits != self._said_waits and now - self._waits_since > _WAITED_S:
-            self._said_waits = waits
-            self.say(f"waiting: {waits}")
+    ) -> list[str]:
+        """Print what is missing where that has changed, and the end of the start; return it."""
+        lines = self._missing(reports) or ([f"the pump is held: {hold}"] if hold else [])
+        if lines:
+            self._complete_at = math.inf
+        elif self._complete_at == math.inf:
+            self._complete_at = now
+        recovering = any(part in _INPUTS for _, part in troubles)
+        if not lines and (not recovering or now - self._complete_at > _INPUTS_S):
+            self.starting = False
+            self.say(f"running: {', '.join(_levels_of(_values(reports)))}")
+            return []
+        lines = lines or [_ALL_HERE]
+        if [_without_numbers(line) for line in lines] != self._other[0]:
+            self._other = ([_without_numbers(line) for line in lines], now)
+        if self._listed is None or (
+            self._other[0] != self._listed and now - self._other[1] > _LISTED_S
+        ):
+            title = "missing:" if self._listed is None else "still missing:"
+            self._listed = self._other[0]
+            if self._live is None:
+                self.say(
+                    _ALL_HERE if lines == [_ALL_HERE]
+                    else "\n".join([title, *(f"  {line}" for line in lines)])
+                )
+        return [line if line == _ALL_HERE else f"missing: {line}" for line in lines]
+
+    def _missing(self, reports: Mapping[str, Mapping[str, Any]]) -> list[str]:
+        """Return what is expected and has not come, a line each, with what to do."""
+        lines = []
+        for (node, part), it in self._expected.items():
+            level, message = reports.get(node, {}).get("diagnoses", {}).get(part, ("", ""))
+            if level != "OK":
+                lines.append(
+                    f"{it.what}: {message or f'nothing yet from {it.where}'}; {it.to_do}"
+                )
+        return lines
 
     def _say_changes(
         self, troubles: Mapping[tuple[str, str], str], nodes: Collection[str], now: float
@@ -130,15 +195,36 @@ class Status:
                 self.say(f"over: {self._troubles.pop(about)}")
 
 
+def _without_numbers(text: str) -> str:
+    return re.sub(r"[\d.]+", "", text)
+
+
 def troubles_of(
-    reports: Mapping[str, Mapping[str, Any]], hold: str
+    reports: Mapping[str, Mapping[str, Any]], hold: str, *, lasting: bool = False
 ) -> dict[tuple[str, str], str]:
-    """Return what is not well, by the node that says so, none for bringup, and the part."""
+    """Return what is not well, by the node that says so, none for bringup, and the part.
+
+    What follows from something else is left out: while something is lost or held; and what another
+    node or part says in the same words, or the pump of itself beside the reason.
+
+    Args:
+        reports: the last of each node.
+        hold: why the pump may not run; empty where it may.
+        lasting: something is lost.
+    """
     troubles = {("", "hold"): f"the pump is held: {hold}"} if hold else {}
+    said = set()
     for node, report in reports.items():
-        for part, (level, message) in report.get("diagnoses", {}).items():
-            if level != "OK" and part != _OF_BRINGUP:
-                troubles[node, part] = f"{node}: {message}"
+        bad = {
+            part: message for part, (level, message) in report.get("diagnoses", {}).items()
+            if level != "OK" and part != _OF_BRINGUP
+        }
+        for part, message in sorted(bad.items(), key=lambda one: one[0] == "pump"):
+            follows = part in _FOLLOWERS and (lasting or bool(hold) or message in said)
+            if follows or (part == "pump" and bad.keys() - {"pump", "drive file"}):
+                continue
+            said.add(message)
+            troubles[node, part] = f"{node}: {message}"
         for text in report.get("warnings", ()):
             troubles[node, text] = f"{node}: {text}"
     return troubles
@@ -146,15 +232,23 @@ def troubles_of(
 
 def values_of(reports: Mapping[str, Mapping[str, Any]]) -> str:
     """Return levels, command and pump in a line, as far as the nodes have said them."""
-    values: dict[str, Any] = {}
-    for report in reports.values():
-        values.update(report)
-    parts = []
-    for name, key, places in (("cistern", "cistern_level", 3), ("roof", "roof_level", 4)):
-        level = values.get(key)
-        parts.append(f"{name} {level:.{places}f} m" if level is not None else f"{name} unknown")
+    values = _values(reports)
+    parts = _levels_of(values)
     if values.get("command") is not None:
         parts.append(f"command {values['command']:.3f}")
     if "pump" in values:
         parts.append(f"pump {values['pump']}")
     return ", ".join(parts)
+
+
+def _values(reports: Mapping[str, Mapping[str, Any]]) -> dict[str, Any]:
+    """Return what the nodes said last, by its name."""
+    return {name: value for report in reports.values() for name, value in report.items()}
+
+
+def _levels_of(values: Mapping[str, Any]) -> list[str]:
+    levels = []
+    for name, key, places in (("cistern", "cistern_level", 3), ("roof", "roof_level", 4)):
+        level = values.get(key)
+        levels.append(f"{name} unknown" if level is None else f"{name} {level:.{places}f} m")
+    return levels

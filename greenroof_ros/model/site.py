@@ -5,13 +5,14 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Mapping
-from dataclasses import MISSING, dataclass, field, fields
+from dataclasses import MISSING, asdict, dataclass, field, fields
 from functools import cached_property
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from greenroof_ros.common.errors import ConfigurationError
+from greenroof_ros.common.errors import ConfigurationError, did_you_mean
 from greenroof_ros.common.files import YamlMapping, number, read_yaml
+from greenroof_ros.common.interface import read_topics
 
 _MAY_BE_ZERO = {"k_L", "z_pump", "z_H"}
 _MOST_TICKS = {"M": 1000, "N": 2**40}
@@ -25,10 +26,11 @@ _WHOLE = {"pumps_in_series", "pumps_in_parallel"}
 _MOST_PONDED = 1.825
 # A cistern lies below the roof; where its outlet does not, it holds what Table II asks of it.
 _ABOVE_OUTLET = 1.3
+# Products, computed where a file leaves them out; a paper's roof has no field capacity.
+_FOLLOW_FROM = {"x2_star": ("a2", "z_veg"), "z_cap": ("a2", "z_soil", "field_capacity")}
 # Volumes, and what they are proportional to.
 _FOLLOW = {
-    "x2_star": ("a2", "z_veg"),
-    "z_cap": ("a2", "z_soil", "field_capacity"),
+    **_FOLLOW_FROM,
     "initial_cistern": ("a1",),
     "initial_roof": ("a2",),
     "initial_layer": ("a2",),
@@ -109,11 +111,13 @@ class Site:
     c_d: float = _parameter("1", "discharge coefficient of the outlets")
     a2: float = _parameter("m2", "bottom surface area of the rooftop vegetation")
     z_veg: float = _parameter("m", "desired water depth on the roof")
-    x2_star: float = _parameter("m3", "desired water volume on the roof, a2 z_veg")
+    x2_star: float = _parameter(
+        "m3", "desired water volume on the roof: a2 z_veg, which it is if it is left out"
+    )
     z_soil: float = _parameter("m", "soil depth of the roof")
     z_cap: float = _parameter(
-        "m3", "water that the soil holds before it drains; in Table I a2 z_soil, and of a measured "
-        "roof a2 z_soil field_capacity"
+        "m3", "water that the soil holds before it drains: a2 z_soil, of a measured roof a2 z_soil "
+        "field_capacity, which it is if it is left out"
     )
     K: float = _parameter("m/s", "saturated hydraulic conductivity")
     a_hat: float = _parameter("s2/m5", "coefficient of the pump curve, negative, Eq. (3b)")
@@ -305,6 +309,12 @@ class Site:
         return level * self.a2
 
 
+def _product(name: str, values: Mapping[str, float | None]) -> float:
+    """Return what a volume is that follows from others (m3)."""
+    factors = [values.get(factor) for factor in _FOLLOW_FROM[name]]
+    return math.prod(factor for factor in factors if factor is not None)
+
+
 def unheld(site: Site, cistern: float, roof: float) -> tuple[str, str]:
     """Say of two volumes what would be right where the place cannot hold them.
 
@@ -401,13 +411,13 @@ def read_site(path: Path) -> Site:
     for key, line in mapping.lines.items():
         if key not in names:
             raise ConfigurationError(
-                f"is not a parameter of a site; they are {', '.join(names)}",
+                f"is not a parameter of a site; {did_you_mean(key, names)}",
                 file=path, line=line, key=key,
             )
     values: dict[str, float] = {}
     for name in names:
         if name not in mapping:
-            if name in _OPTIONAL:
+            if name in _OPTIONAL or name in _FOLLOW_FROM:
                 continue
             raise ConfigurationError("is missing", file=path, key=name)
         value = number(path, mapping, name)
@@ -445,6 +455,16 @@ def read_site(path: Path) -> Site:
                 raise refuse(f"must be a whole number of ticks, at most {_MOST_TICKS[name]}")
             value = int(value)
         values[name] = value
+    for name in _FOLLOW_FROM.keys() - values.keys():
+        values[name] = _product(name, values)
+    for name, topic in (("z_o", "/cistern/level"), ("z_veg", "/roof/level")):
+        high = read_topics()[topic].high
+        if _ABOVE_OUTLET * values[name] > high:
+            raise ConfigurationError(
+                f"must be at most {high / _ABOVE_OUTLET:.4g} m, since levels above {high:g} m are "
+                "refused; is a unit wrong?",
+                file=path, line=mapping.lines[name], key=name, value=mapping[name],
+            )
     site = Site(**values)  # type: ignore[arg-type]  # what must be whole was made so above
     _check_water(path, mapping, site)
     if site.z_veg >= site.z_soil:
@@ -515,7 +535,6 @@ def _check_water(path: Path, mapping: YamlMapping, site: Site) -> None:
             if expected:
                 raise refuse(name, expected)
     whole = site.a2 * site.z_soil
-    products = [("x2_star", site.x2_star, site.a2 * site.z_veg, "a2 z_veg")]
     if site.field_capacity is not None:
         if site.wilting_volume >= whole * site.field_capacity:
             raise refuse(
@@ -526,13 +545,11 @@ def _check_water(path: Path, mapping: YamlMapping, site: Site) -> None:
                 "wilting_point", f"must be below x2_star / (a2 z_soil) = {site.x2_star / whole:g}, "
                 "or plants take no water at the target"
             )
-        products.append(
-            ("z_cap", site.z_cap, whole * site.field_capacity, "a2 z_soil field_capacity")
-        )
-    for name, value, product, formula in products:
-        if not math.isclose(value, product, rel_tol=_ROUNDING):
-            raise refuse(name, f"must be {formula} = {product:g} m3")
-    if site.z_cap > whole * (1 + _ROUNDING):
-        raise refuse(
-            "z_cap", f"must be at most a2 z_soil = {whole:g} m3: soil holds no more than its volume"
-        )
+    values = asdict(site)
+    for name in _FOLLOW_FROM:
+        product = _product(name, values)
+        if not math.isclose(values[name], product, rel_tol=_ROUNDING):
+            formula = " ".join(one for one in _FOLLOW_FROM[name] if values[one] is not None)
+            raise refuse(
+                name, f"must be {formula} = {product:g} m3, which it is if this line is left out"
+            )

@@ -277,7 +277,10 @@ class PumpNode(Lifecycle, LinkedNode):
         self._autostart: bool = values["autostart"]
         self._without_timeout = self._drive.without_timeout
         self._resetting_until = 0.0
-        self._decision = Decision(None, "off", "not started", 0.0, "", "", 0.0, False, 0.0)
+        self._decision = Decision(
+            None, "off", "not started", 0.0, "", "", 0.0, stands=False, turns_at=None,
+            flow_known=False, blind_for=0.0,
+        )
         self._state = self._logged = ""
         self._reasons: tuple[object, ...] = ()
         now = time.monotonic()
@@ -526,7 +529,9 @@ class PumpNode(Lifecycle, LinkedNode):
     def progress(self) -> dict[str, Any]:
         """Return what bringup shows, and waits for."""
         return {
-            "pump": self._state, "flow": self._decision.flow, "stands": self._decision.stands,
+            "pump": self._state, "stands": self._decision.stands,
+            "speed": self._decision.turns_at,
+            "flow": self._decision.flow if self._decision.flow_known else None,
             "active": self.lifecycle_state == ACTIVE and not self._drive.snapshot.hold,
             "fault": self._ledger.record.fault, "held": self._ledger.record.held,
         }

@@ -65,13 +65,17 @@ class Decision:
 
     Attributes:
         speed: asked for, share of the rated speed; None is off.
-        state: off, starting, running, stopping, fault or held.
+        state: off, starting, running, stopping, fault, held, or unknown: it is asked to be off, and
+            nobody knows whether it stands.
         why: in words.
         flow: the best present estimate (m3/s).
         source: how the flow is known.
         warning: what an operator should know although it stops nothing; empty where nothing.
         owed: commanded less delivered (m3).
         stands: whether the pump was seen to stand, or must by the drive's own timeout by now.
+        turns_at: what the drive says that it turns at, share of the rated speed, backwards below
+            0; None where it is not heard, or says what cannot be.
+        flow_known: whether ``flow`` is known, and not 0 since nothing is.
         blind_for: for how long the delivery check could not judge (s): a level is unknown, or both
             were not known for long enough.
     """
@@ -84,6 +88,8 @@ class Decision:
     warning: str
     owed: float
     stands: bool
+    turns_at: float | None
+    flow_known: bool
     blind_for: float
 
 
@@ -150,11 +156,14 @@ class PumpControl:
                 simulated faster than that; None where both are one.
         """
         drive_dt = dt if drive_dt is None else drive_dt
-        heard, backwards, seen = seen.speed is not None, _backwards(seen), _believable(seen)
+        heard, backwards, said = seen.speed is not None, _backwards(seen), seen.speed
+        seen = _believable(seen)
+        turns_at = said if backwards else seen.speed
         self._switch.begin(now)
         warnings: list[str] = []
         computed = self._computed_flow(seen)
-        flow, source = self._flow(seen, computed, warnings)
+        known_flow, source = self._flow(seen, computed, warnings)
+        flow = 0.0 if known_flow is None else known_flow
         self._unknown_for = self._unknown_for + drive_dt if seen.speed is None else 0.0
         known = self._turned if seen.speed is None else seen.speed
         self._turned = max(known, self._asked or 0.0)
@@ -211,11 +220,12 @@ class PumpControl:
             stands = not heard and self._must_stand()
             if not stands and not backwards:
                 why += f"; {STANDS_UNKNOWN}"
+                state = "unknown" if state == "off" else state
         else:
             stands = asked is None and not turning
         return Decision(
             asked, state, why, flow, source, "; ".join(warnings), self._pulses.owed, stands,
-            self._blind_for,
+            turns_at, stands or known_flow is not None, self._blind_for,
         )
 
     def _computed_flow(self, seen: Observation) -> float:
@@ -226,8 +236,8 @@ class PumpControl:
 
     def _flow(
         self, seen: Observation, computed: float, warnings: list[str]
-    ) -> tuple[float, str]:
-        """Return the present flow (m3/s), and how it is known."""
+    ) -> tuple[float | None, str]:
+        """Return the present flow (m3/s), None where it is unknown, and how it is known."""
         site = self._site
         if self._asked is None and seen.speed is not None and seen.speed <= _STANDS:
             return 0.0, "the pump stands"
@@ -242,7 +252,7 @@ class PumpControl:
                     f"{most / _GREATEST_FLOW:.3g} m3/s at most"
                 )
         if seen.speed is None or seen.cistern_level is None:
-            return 0.0, "unknown, taken as 0"
+            return None, "unknown, taken as 0"
         return computed, "computed from the speed"
 
     def _unseen_flow(self, seen: Observation) -> float:

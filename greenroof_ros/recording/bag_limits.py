@@ -23,6 +23,9 @@ _MOST_OUTLIERS = 0.01
 # What a person or another rounding adds to a limit that is met exactly.
 _ROUNDING = 1 + 1e-9
 
+# A live graph says by a NaN that it does not know: the interface's meaning of the topic.
+_MAY_BE_UNKNOWN = ("/weather/frost",)
+
 
 class Limit(NamedTuple):
     """What a topic's values can be."""
@@ -104,7 +107,8 @@ def plausible(
             or rain in a wrong unit may be at work for less than a hundredth of the time.
     """
     fine = (column >= limit.low) & (column <= limit.high)  # a NaN is neither
-    wrong = np.flatnonzero(~fine)
+    unknown = np.isnan(column) & (topic in _MAY_BE_UNKNOWN)
+    wrong = np.flatnonzero(~fine & ~unknown)
     large = np.count_nonzero(column > limit.high)
     if len(wrong) and (
         len(wrong) >= _MOST_OUTLIERS * len(column) or 2 * large >= np.count_nonzero(column)

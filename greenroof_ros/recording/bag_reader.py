@@ -82,6 +82,8 @@ def load_bag(
                 "are left out"
             )
             times[topic], values[topic] = times[topic][fine], values[topic][fine]
+        if not len(times[topic]):  # what was never known
+            del times[topic], values[topic]
     stamps = np.unique(np.concatenate(list(times.values())))
     samples = stamps[stamps >= max(times[topic][0] for topic in NEEDED)]
     if len(samples) < 2:

@@ -190,6 +190,11 @@ def main() -> int:
             file.unlink()
     console = Console()
     for entry in report.entries:
+        if entry.incidents:
+            console.print(
+                f"{entry.name}: {entry.ended}; the report lists them", style="bold", soft_wrap=True,
+                markup=False,
+            )
         if entry.ending is not None:
             console.print(
                 f"{entry.name} {entry.ending.sentence}; what follows is of the part that was "

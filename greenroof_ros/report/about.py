@@ -13,6 +13,8 @@ from typing import Any
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.files import YamlMapping, read_text, read_yaml
 from greenroof_ros.common.times import hours_minutes_seconds
+from greenroof_ros.experiment import summary
+from greenroof_ros.experiment.incidents import INCIDENTS, Incident, read_incidents
 from greenroof_ros.forecast.choice import OPTIONS, PERFECT
 from greenroof_ros.model.initial_state import INITIAL_STATES
 from greenroof_ros.model.sensor_pump_errors import RANGES
@@ -51,6 +53,7 @@ class About:
         external_pump: whether its flow was that of a pump driver.
         changes: of parameters, in the run.
         ending: how the run ended; None if it is done, or nothing says that it is not.
+        incidents: what was lost in the run while it went on.
         notes: what a reader should know of the run.
     """
 
@@ -69,18 +72,24 @@ class About:
     external_pump: bool = False
     changes: tuple[Change, ...] = ()
     ending: Ending | None = None
+    incidents: tuple[Incident, ...] = ()
     notes: tuple[Note, ...] = ()
 
 
 def read_about(run: Path) -> About:
     """Read a run's summary, or if there is none that is whole, the parameters of its nodes.
 
-    Labels hang on these files, no numbers: one that is damaged or foreign leaves a note.
+    Labels hang on these files, no numbers: one that is damaged or foreign leaves a note. Incidents
+    have a file of their own, which is there before a summary has them; it counts where it is there.
     """
     notes: list[Note] = []
-    for name, read in (
-        ("summary.json", _summary), (_PARAMETERS, _node_parameters)
-    ):
+    incidents: tuple[Incident, ...] = ()
+    try:
+        incidents = tuple(read_incidents(run))
+    except (OSError, ValueError) as error:
+        reason = str(error).removeprefix(f"{run / INCIDENTS}").lstrip(":, ")
+        notes.append(Note(f"{INCIDENTS} beside the bag is damaged, and not used: {reason}"))
+    for name, read in ((summary.SUMMARY, _summary), (_PARAMETERS, _node_parameters)):
         if not (run / name).is_file():
             continue
         try:
@@ -94,9 +103,10 @@ def read_about(run: Path) -> About:
             )
             continue
         return replace(
-            about, external_pump=_external_pump(run), notes=(*notes, *about.notes)
+            about, external_pump=_external_pump(run), notes=(*notes, *about.notes),
+            incidents=incidents or about.incidents,
         )
-    return About(notes=tuple(notes))
+    return About(notes=tuple(notes), incidents=incidents)
 
 
 def _summary(file: Path) -> dict[str, Any]:
@@ -166,6 +176,9 @@ def _understand(content: dict[str, Any]) -> About:
     if not isinstance(content["controller"], str):
         raise TypeError
     initial, forecast = content.get("initial"), content.get("forecast") or {}
+    live = "drive_at" in content
+    if live:
+        forecast = {"file": forecast}
     notes = [Note(text) for text in content.get("weather_notes") or []]
     notes += [
         Note(f"{quantity} was missing and filled in", listed=", ".join(hours))
@@ -194,12 +207,14 @@ def _understand(content: dict[str, Any]) -> About:
             f"the controller's {name} was changed in the run: {parameter_text(given.get(name))}"
             f"{''.join(map(str, found))} (tick {ticks})"
         ))
+    lost = content.get("incidents") or []
+    # A node that was started again by request has no part.
     notes += [
         Note(
             f"node {incident['node']} ended in the run ({incident['how']}), and another went on "
             f"from tick {incident['tick']}"
         )
-        for incident in content.get("incidents") or [] if incident["tick"] is not None
+        for incident in lost if "part" not in incident and incident["tick"] is not None
     ]
     site = content.get("sensor_pump_errors") or {}
     sensor_pump_errors = sensor_pump_errors_label(site)
@@ -227,9 +242,10 @@ def _understand(content: dict[str, Any]) -> About:
         sensor_pump_errors=sensor_pump_errors,
         exact_sensor=exact_sensor,
         zone=datetime.fromisoformat(content["start"]).tzinfo if "start" in content else None,
-        own=True,
+        own=not live,  # what sensors said may be anything
         changes=tuple(changes),
-        ending=_ending(content) if content.get("status", "done") != "done" else None,
+        ending=_ending(content) if content.get("status", summary.DONE) != summary.DONE else None,
+        incidents=tuple(Incident(**incident) for incident in lost if "part" in incident),
         notes=tuple(notes),
     )
 

@@ -55,7 +55,7 @@ def read_run(
             "must be a study (with results.csv), a run (with bag/) or a bag (with metadata.yaml)",
             file=path,
         )
-    own_site = run / "configuration" / "site.yaml"
+    own_site = _own_site(run / "configuration")
     notes = []
     if given is not None:
         site, site_name = given, str(site_file)
@@ -93,6 +93,7 @@ def read_run(
         sensor_pump_errors=about.sensor_pump_errors,
         changes=about.changes,
         ending=about.ending,
+        incidents=about.incidents,
         source=name,
         meant={
             "site_name": site,
@@ -103,6 +104,11 @@ def read_run(
             "initial": about.what_initial,
         },
     ))
+
+
+def _own_site(configuration: Path) -> Path:
+    """Return where a run keeps its site file; a live site, in a directory of its own."""
+    return next(iter((configuration / "site").glob("*")), configuration / "site.yaml")
 
 
 def _is_closed(bag: Path) -> bool:

@@ -24,6 +24,8 @@ class Table(NamedTuple):
     name: str
     header: Sequence[str]
     rows: Sequence[Sequence[Cell]]
+    folded: bool = False
+    """whether another one says in short what it says"""
 
 
 def number(value: float, digits: str = ".4g", warning: bool = False) -> Cell:

@@ -26,6 +26,8 @@ CONFIG: dict[str, Any] = {
     "axis": {
         "labelFontSize": 11, "titleFontSize": 12, "titleFontWeight": "normal",
         "labelColor": "#222222", "titleColor": "#222222", "gridColor": "#e6e6e6",
+        # Two numbers with less between them (px) read as one; the last is moved inwards.
+        "labelSeparation": 6,
     },
     "legend": {
         "orient": "bottom", "direction": "horizontal", "columns": 3, "labelFontSize": 11,
@@ -121,6 +123,7 @@ class Figure:
         panels: in reading order.
         columns: how many panels go side by side.
         data: the rows that the panels refer to by name.
+        folded: whether it is about the site and no run, so that few look for it.
     """
 
     name: str
@@ -129,6 +132,7 @@ class Figure:
     panels: tuple[Panel, ...]
     columns: int
     data: dict[str, Rows] = field(default_factory=dict)
+    folded: bool = False
 
     @property
     def page_columns(self) -> int:

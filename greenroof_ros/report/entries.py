@@ -9,6 +9,8 @@ from typing import Any
 import numpy as np
 
 from greenroof_ros.common.times import hours_minutes
+from greenroof_ros.experiment import summary
+from greenroof_ros.experiment.incidents import Incident, with_incidents
 from greenroof_ros.model.site import Site
 from greenroof_ros.recording.bag_reader import Recorded
 from greenroof_ros.recording.results_table import shortest
@@ -83,6 +85,11 @@ def parameter_text(value: float | str | None) -> str:
         return value or "none"
     plain = 1e-7 < abs(value) < 1e7
     return np.format_float_positional(value, trim="-") if plain else shortest(value)
+
+
+def counted(number: int, what: str) -> str:
+    """Return how many there are of something: ``1 run``, ``2 runs``."""
+    return f"{number} {what}{'s' if number != 1 else ''}"
 
 
 @dataclass(frozen=True)
@@ -166,6 +173,7 @@ class RunEntry:
         season: what a study's table says of it; None unless it took a week.
         changes: of parameters, in the run.
         ending: how it ended; None if it is done, or nothing says that it is not.
+        incidents: what was lost in it while it went on, the newest where there were very many.
         source: the study or run directory that it is from, by a name that no other one has.
         meant: what stands behind the names ``site_name``, ``weather``, ``forecast`` and
             ``initial``: where two sources use a name for different things, they are told apart.
@@ -190,6 +198,18 @@ class RunEntry:
     meant: Mapping[str, object] = field(default_factory=dict)
     changes: tuple[Change, ...] = ()
     ending: Ending | None = None
+    incidents: tuple[Incident, ...] = ()
+
+    @property
+    def incident_count(self) -> int:
+        """How many incidents there were: they are numbered from 1 on."""
+        return max((incident.number for incident in self.incidents), default=0)
+
+    @property
+    def ended(self) -> str:
+        """How it ended, in a few words, with how many incidents there were."""
+        short = summary.DONE if self.ending is None else self.ending.short
+        return with_incidents(short, self.incident_count)
 
 
 def tell_apart(entries: Sequence[RunEntry]) -> list[RunEntry]:

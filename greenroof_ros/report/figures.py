@@ -44,10 +44,6 @@ def make_figures(report: Report, pump_data: Path | None) -> list[Callable[[], Fi
     alone = [*(one.entry for one in report.results), *report.seeded]
     sites = {entry.site_name: entry.site for entry in alone}
     makers: list[Callable[[], Figure]] = []
-    for number, (name, site) in enumerate(sites.items(), start=1):
-        of = f" of {name}" if len(sites) > 1 else ""
-        makers.append(partial(pump_curve, site, number, of, points))
-        makers.append(partial(pump_smoothing, site, number, of))
     # Windows that differ in the evapotranspiration only share a figure of the weather.
     skies = dict.fromkeys(window.sky for window in report.windows)
     for number, sky in enumerate(skies, start=1):
@@ -67,4 +63,8 @@ def make_figures(report: Report, pump_data: Path | None) -> list[Callable[[], Fi
         makers.append(partial(forecast_errors, report))
     if report.seasons:
         makers += season_figures(report)
+    for number, (name, site) in enumerate(sites.items(), start=1):
+        of = f" of {name}" if len(sites) > 1 else ""
+        makers.append(partial(pump_curve, site, number, of, points))
+        makers.append(partial(pump_smoothing, site, number, of))
     return makers

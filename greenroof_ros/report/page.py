@@ -10,20 +10,18 @@ from typing import Any, NamedTuple
 import vl_convert
 from markupsafe import Markup
 
-from greenroof_ros.common.versions import versions
+from greenroof_ros.common.versions import versions, versions_text
 from greenroof_ros.model.site import site_parameters
-from greenroof_ros.recording.results_table import differing
 from greenroof_ros.report.assessment import Assumptions
 from greenroof_ros.report.drawing import CONFIG, Figure, Rows
 from greenroof_ros.report.entries import Sources
-from greenroof_ros.report.results import Report, heading
-from greenroof_ros.report.season_tables import season_windows
+from greenroof_ros.report.lead import LEADING, sentences, windows
+from greenroof_ros.report.results import Report
 from greenroof_ros.report.seasons import RESAMPLES
-from greenroof_ros.report.seeds import place, spreads
-from greenroof_ros.report.settings import controller_name
-from greenroof_ros.report.tables import make_tables, shown_metrics, unit
+from greenroof_ros.report.seeds import spreads
+from greenroof_ros.report.tables import incident_tables, make_tables, shown_metrics, unit
 from greenroof_ros.report.templates import environment
-from greenroof_ros.report.warnings import make_warnings
+from greenroof_ros.report.warnings import cautions, make_warnings
 
 
 def render(
@@ -42,26 +40,23 @@ def render(
     return templates.get_template("template.html").render(
         report=report,
         figures=figures,
-        controllers=[controller_name(name) for name in report.controllers],
         failed=sources.failed,
         tables=make_tables(report, assumptions),
         warnings=make_warnings(report),
-        not_done=[
-            (one.entry.name, one.entry.ending.sentence)
-            for one in report.results if one.entry.ending is not None
-        ],
+        incidents=incident_tables(report),
+        lead=sentences(report),
+        leading=next((one for name in LEADING for one in figures if one.name == name), None),
+        cautions=cautions(report, sources.failed),
         metrics=[(metric.label, unit(metric), metric.meaning) for metric in shown_metrics(report)],
         bounds=any(one.bound_m3 for one in report.results)
         or any(one.bound_m3 for one in spreads(report))
         or any(entry.season.bound_m3 for entry in report.seasons if entry.season),
         assumptions=assumptions,
         resamples=RESAMPLES,
-        windows=[
-            *map(report.heading, report.windows), *_seeded_windows(report), *season_windows(report),
-        ],
+        windows=windows(report),
         sites=_sites(report),
         configuration=sources.configuration,
-        versions=_versions(),
+        versions=versions_text(_versions()),
         library=library(),
         payload=payload(figures),
     )
@@ -117,19 +112,6 @@ def _names(specification: dict[str, Any]) -> list[str]:
 def _columns(rows: Rows) -> dict[str, list[Any]]:
     """Return rows as columns, in which each name stands once."""
     return {name: [row[name] for row in rows] for name in (rows[0] if rows else {})}
-
-
-def _seeded_windows(report: Report) -> list[str]:
-    """Name the windows of the seeded runs, each with its number of seeds."""
-    apart = differing([place(entry).facts for entry in report.seeded])
-    seeds: dict[str, set[str]] = {}
-    for entry in report.seeded:
-        assert entry.seeded is not None
-        of = entry.seeded
-        facts = place(entry).facts
-        facts["forecast"] += f" skill {of.skill}"
-        seeds.setdefault(heading(facts, apart), set()).add(of.seed)
-    return [f"{window}, {len(found)} seeds" for window, found in seeds.items()]
 
 
 class _SiteRow(NamedTuple):

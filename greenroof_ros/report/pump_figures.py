@@ -120,7 +120,8 @@ def pump_curve(
         )
     panel = Panel(alt.layer(*layers), "Head over flow", height=260, toggle="line")
     return Figure(
-        f"pump-curve-{number}", f"Pumps and pipe{of}", caption, (panel,), 1, {data: rows}
+        f"pump-curve-{number}", f"Pumps and pipe{of}", caption, (panel,), 1, {data: rows},
+        folded=True,
     )
 
 
@@ -165,6 +166,6 @@ def pump_smoothing(site: Site, number: int, of: str) -> Figure:
         "they differ the predictive controller is mistaken about what its pumps do."
     )
     return Figure(
-        f"pump-smoothing-{number}", f"Exact and smooth pump flow{of}", caption, tuple(panels), 2,
-        data,
+        f"pump-smoothing-{number}", f"Exact and smooth pump flow{of}", caption, tuple(panels), 3,
+        data, folded=True,
     )

@@ -25,6 +25,9 @@ from greenroof_ros.report.results import NO_ERRORS, Facts, Report
 RESAMPLES = 2000
 """of the bootstrap: the ends of its intervals are then sure to some hundredths of their width"""
 
+MAY_BE_LUCK = "may be luck"
+"""the verdict on an interval that holds 1"""
+
 _SEED = 1
 
 Array = NDArray[np.float64]
@@ -202,7 +205,7 @@ class Interval(NamedTuple):
     def verdict(self) -> str:
         """Whether a ratio below 1 is no luck."""
         if self.low <= 1 <= self.high:
-            return "may be luck"
+            return MAY_BE_LUCK
         return "better" if self.high < 1 else "worse"
 
 

@@ -13,9 +13,9 @@ from typing import NamedTuple
 import numpy as np
 
 from greenroof_ros.forecast.skill import SKILLS
-from greenroof_ros.recording.results_table import shortest
+from greenroof_ros.recording.results_table import differing, shortest
 from greenroof_ros.report.entries import RunEntry
-from greenroof_ros.report.results import NO_ERRORS, Facts, Report
+from greenroof_ros.report.results import NO_ERRORS, Facts, Report, heading
 
 
 class Place(NamedTuple):
@@ -132,6 +132,19 @@ def spreads(report: Report) -> list[Spread]:
         )
 
     return [_spread(report, entries) for entries in sorted(groups.values(), key=order)]
+
+
+def seeded_windows(report: Report) -> list[str]:
+    """Name the windows of the seeded runs, each with its number of seeds."""
+    apart = differing([place(entry).facts for entry in report.seeded])
+    seeds: dict[str, set[str]] = {}
+    for entry in report.seeded:
+        assert entry.seeded is not None
+        of = entry.seeded
+        facts = place(entry).facts
+        facts["forecast"] += f" skill {of.skill}"
+        seeds.setdefault(heading(facts, apart), set()).add(of.seed)
+    return [f"{window}, {len(found)} seeds" for window, found in seeds.items()]
 
 
 def best_first(skills: Iterable[str]) -> list[str]:

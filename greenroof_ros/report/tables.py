@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from datetime import datetime
 from functools import partial
 from typing import NamedTuple
 
+from greenroof_ros.common.times import hours_minutes_seconds, to_people
+from greenroof_ros.experiment import summary
 from greenroof_ros.model.metrics import METRICS, Metric
 from greenroof_ros.recording.results_table import differing
 from greenroof_ros.report.assessment import Assumptions
@@ -31,11 +35,14 @@ _BAND = "near_target_hours"
 def make_tables(report: Report, assumptions: Assumptions) -> list[Table]:
     """Return the tables that a report has something for."""
     tables = [*season_tables(report), *_seeded(report)]
-    if len(report.results) > len(best_runs(report)):
+    best = len(report.results) > len(best_runs(report))
+    if best:
         tables.append(_best_table(report))
     tables += _methods(report)
     if report.results:
-        tables += [_results_table(report, assumptions), _balance_table(report)]
+        results = _results_table(report, assumptions)
+        balance = _balance_table(report)
+        tables += [results._replace(folded=best), balance._replace(folded=True)]
     return tables
 
 
@@ -90,17 +97,48 @@ def _fact(name: str, one: Result) -> Cell:
     return Cell(text, one.window.sky.hours) if name == "length" else word(text)
 
 
+def incident_tables(report: Report) -> list[Table]:
+    """Return what was lost in the runs while they went on, where there was anything."""
+    several = len(report.results) > 1
+    rows = [
+        [
+            Cell(str(incident.number), f"{place:06} {incident.number:06}"),
+            *([word(one.entry.name)] if several else []),
+            word(incident.what),
+            _moment(one, incident.began, incident.began_tick),
+            _moment(one, incident.ended, incident.ended_tick),
+            Cell("unknown", sys.float_info.max, warning=True) if incident.seconds is None
+            else number(incident.seconds, ".1f"),
+            word(incident.cause),
+        ]
+        for place, one in enumerate(report.results) for incident in one.entry.incidents
+    ]
+    header = ["incident", *(["run"] if several else []), "part", "from", "until",
+              "duration (s of wall time)", "cause"]
+    return [Table("Incidents", header, rows)] if rows else []
+
+
+def _moment(one: Result, wall_time: str | None, tick: int | None) -> Cell:
+    """Return when something was lost or came back: since the start, or the time of a live site."""
+    if wall_time is None:
+        return Cell("not over", "~", warning=True)
+    if tick is not None:
+        return Cell(f"{hours_minutes_seconds(tick * one.entry.site.tau)} (tick {tick})", wall_time)
+    time = datetime.fromisoformat(wall_time).astimezone(one.start.tzinfo)
+    return Cell(to_people(time.replace(microsecond=0)), wall_time)
+
+
 def _endings(report: Report) -> list[_Column]:
-    """Return the column that says of which runs the results are of a part, where there are any."""
-    if all(one.entry.ending is None for one in report.results):
+    """Return the column that says how runs ended, where one is not done or had incidents."""
+    if all(one.entry.ended == summary.DONE for one in report.results):
         return []
     return [_Column("ended", _ended)]
 
 
 def _ended(one: Result) -> Cell:
-    """Return whether a run is done, and if not where it ended."""
-    ending = one.entry.ending
-    return word("done") if ending is None else Cell(ending.short, ending.short, warning=True)
+    """Return whether a run is done, if not where it ended, and how many incidents there were."""
+    ended = one.entry.ended
+    return Cell(ended, ended, warning=ended != summary.DONE)
 
 
 # The directory's name stands behind the first results: it may be long, and says little.

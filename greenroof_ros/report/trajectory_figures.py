@@ -77,7 +77,7 @@ def trajectories(report: Report, window: Window, number: int, initial: str) -> F
     return Figure(
         f"trajectories-{number}-{index}",
         report.title(f"Command and volumes from {initial}", window), caption,
-        tuple(panels), len(controllers), data,
+        tuple(panels), len(controllers) if len(controllers) > 1 else len(panels), data,
     )
 
 

@@ -2,10 +2,18 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
-from greenroof_ros.report.entries import RunEntry
+from greenroof_ros.report.entries import FailedRun, RunEntry, counted
 from greenroof_ros.report.results import Report
+from greenroof_ros.report.seasons import seasons
+from greenroof_ros.report.seeds import spreads
+
+# Two-sided, a sign test of five years that all say the same has 6 %, of six 3 %.
+_LEAST_YEARS = 6
+# A tenth of less is no whole run.
+_LEAST_SEEDS = 10
 
 
 class RunWarning(NamedTuple):
@@ -14,6 +22,48 @@ class RunWarning(NamedTuple):
     text: str
     listed: str
     runs: list[str]
+
+
+def cautions(report: Report, failed: Sequence[FailedRun]) -> list[str]:
+    """Return what changes how the numbers are to be read, each in a few words."""
+    runs = report.results
+    total = len(report.entries)
+    found = []
+    broken = [one.entry for one in runs if one.entry.ending is not None]
+    if broken and total == 1:
+        assert broken[0].ending is not None
+        found.append(f"this run {broken[0].ending.sentence}: what follows is of what was recorded")
+    elif broken:
+        found.append(
+            f"{len(broken)} of {total} runs are not done: what follows of them is of what was "
+            "recorded"
+        )
+    if failed:
+        count = counted(len(failed), "run")
+        found.append(f"{count} failed or did not run, and left nothing to show")
+    hurt = [one.entry.incident_count for one in runs if one.entry.incidents]
+    if hurt:
+        of = "" if total == 1 else f" in {len(hurt)} of {total} runs"
+        found.append(
+            f"{counted(sum(hurt), 'incident')}{of}: something was lost while the run went on"
+        )
+    return [*found, *filter(None, (few_years(report), few_seeds(report)))]
+
+
+def few_years(report: Report) -> str:
+    """Say that there are too few years to tell controllers apart, where that is so."""
+    years = min((len(one.years) for one in seasons(report)), default=_LEAST_YEARS)
+    if years >= _LEAST_YEARS:
+        return ""
+    return f"only {years} years: of less than {_LEAST_YEARS} even all on one side may be luck"
+
+
+def few_seeds(report: Report) -> str:
+    """Say that there are too few seeds for a tenth of them, where that is so."""
+    seeds = min((len(one.totals) for one in spreads(report)), default=_LEAST_SEEDS)
+    if seeds >= _LEAST_SEEDS:
+        return ""
+    return f"only {seeds} seeds: the worst tenth of less than {_LEAST_SEEDS} is the worst run alone"
 
 
 def make_warnings(report: Report) -> list[RunWarning]:
@@ -25,6 +75,8 @@ def make_warnings(report: Report) -> list[RunWarning]:
         found.setdefault((sentence, listed), []).append(entry.name)
 
     for one in report.results:
+        if one.entry.ending is not None:
+            warn(f"{one.entry.ending.sentence}; what follows is of what was recorded", one.entry)
         if one.assessment.metrics["beyond_hours"] > 0:
             warn(
                 "the command was above 1, which asks for more than the pumps have: no real pump "
@@ -40,9 +92,17 @@ def make_warnings(report: Report) -> list[RunWarning]:
             pumped = one.assessment.frost_pumped_m3 > 0
             warn("there was frost, and in it something was pumped" if pumped
                  else "there was frost; nothing was pumped in it", one.entry)
+        if one.entry.incidents:
+            warn(
+                f"{one.entry.ended}: something was lost while the run went on; the table of "
+                "incidents says what, when and why", one.entry,
+            )
         for note in one.notes:
             warn(str(note), one.entry, note.listed)
+    too_few = few_seeds(report)
     for entry in report.seeded:
+        if too_few:
+            warn(too_few, entry)
         warn(
             "these runs differ only in the seed of their forecasts' errors from others. They are "
             "judged together, by results.csv: the tables of single runs, with energy, pump starts "
@@ -51,7 +111,10 @@ def make_warnings(report: Report) -> list[RunWarning]:
         )
         for note in entry.notes:
             warn(note.of_many(), entry, note.listed)
+    too_few = few_years(report)
     for entry in report.seasons:
+        if too_few:
+            warn(too_few, entry)
         warn(
             "these runs are the same season of several years. They are judged together, by "
             "results.csv; what follows says nothing of their commands and frost", entry,

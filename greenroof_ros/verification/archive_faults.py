@@ -20,7 +20,27 @@ _LEAST_SHARE = 0.55
 _LEAST_R, _LEAST_PAIRS = 0.1, 1000
 
 
-def odd_leads(tallies: Mapping[Class, Tally]) -> dict[str, float]:
+def archive_faults(tallies: Mapping[Class, Tally], *, previous_runs: bool) -> list[str]:
+    """Return what is most likely wrong, each in a sentence without its full stop.
+
+    Args:
+        tallies: what adds up in each class.
+        previous_runs: whether these are previous runs, whose leads may lack water.
+    """
+    found = [
+        f"{lead} has {ratio:.2f} times the water of the other leads, most likely by an error of "
+        "the archive; --horizon leaves late leads out"
+        for lead, ratio in (_odd_leads(tallies) if previous_runs else {}).items()
+    ]
+    if _unrelated(tallies):
+        found.append(
+            "these forecasts know nothing of these records, no correlation reaches 0.1: are both "
+            "of the same place, and the hours of both right?"
+        )
+    return found
+
+
+def _odd_leads(tallies: Mapping[Class, Tally]) -> dict[str, float]:
     """Return the leads, in words, whose water is not that of the others, and the ratio (1).
 
     The water of a lead is its bias, so that its missing hours do not count, and is held against
@@ -46,7 +66,7 @@ def odd_leads(tallies: Mapping[Class, Tally]) -> dict[str, float]:
     return found
 
 
-def unrelated(tallies: Mapping[Class, Tally]) -> bool:
+def _unrelated(tallies: Mapping[Class, Tally]) -> bool:
     """Return whether forecasts know nothing of the records: r is below 0.1 in each class.
 
     Classes of less than 1000 pairs tell nothing, nor do those in which one of the two is the same

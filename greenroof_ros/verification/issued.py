@@ -10,7 +10,7 @@ from typing import NamedTuple, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from greenroof_ros.common.times import hours_since_1970
+from greenroof_ros.common.times import hours_since_1970, to_people
 from greenroof_ros.forecast.archive import read_archive, refuse_between_hours
 from greenroof_ros.forecast.choice import ForecastChoice
 from greenroof_ros.forecast.issue import Issue
@@ -43,6 +43,7 @@ class IssuedForecasts(Protocol):
         hours: of the longest.
         finest_lead: by how many hours of lead they can be told apart.
         older: by how much (h) they are older in the mean than their leads say.
+        span: of the hours that they are of, in words.
     """
 
     name: str
@@ -50,6 +51,7 @@ class IssuedForecasts(Protocol):
     hours: int
     finest_lead: int
     older: float
+    span: str
 
     def __len__(self) -> int:
         """How many there are."""
@@ -72,6 +74,7 @@ class ArchivedForecasts:
     hours: int
     finest_lead: int
     older: float
+    span: str
     issues: tuple[Issue, ...]
     weather: Weather
 
@@ -103,6 +106,7 @@ class ModelledForecasts:
     hours: int
     finest_lead: int
     older: float
+    span: str
     choice: ForecastChoice
     weather: Weather
     site: Site
@@ -147,7 +151,8 @@ def issued_forecasts(
         members = choice.members if choice.model == "ensemble" else 1
         options = [f"{name} {value}" for name, value in choice.options().items()]
         return ModelledForecasts(
-            ", ".join([choice.model, *options]), members, horizon, 1, 0.0, choice, weather, site
+            ", ".join([choice.model, *options]), members, horizon, 1, 0.0,
+            _span(weather.first, weather.end), choice, weather, site,
         )
     archive = read_archive(choice.file, site, choice.delay)
     refuse_between_hours(archive.verified, weather)
@@ -163,5 +168,13 @@ def issued_forecasts(
         archive.finest_lead,
         # Whole days of lead are those of previous runs.
         _OLDER_H if archive.finest_lead > 1 else 0.0,
+        _span(
+            min(issue.issued for issue in archive.verified),
+            max(issue.issued + issue.hours * HOUR for issue in archive.verified),
+        ),
         within, weather,
     )
+
+
+def _span(first: datetime, end: datetime) -> str:
+    return f"{to_people(first)} to {to_people(end)}"

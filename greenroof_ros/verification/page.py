@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
-from greenroof_ros.common.versions import versions
+from greenroof_ros.common.versions import versions, versions_text
 from greenroof_ros.report.page import library, payload
 from greenroof_ros.report.templates import environment
 from greenroof_ros.verification.figures import make_figures
@@ -13,7 +13,10 @@ from greenroof_ros.verification.scores import Tally
 from greenroof_ros.verification.table import SHOWN, heading, shown
 
 
-def render(forecasts: str, records: str, count: int, tallies: Mapping[Class, Tally]) -> str:
+def render(
+    forecasts: str, records: str, count: int, tallies: Mapping[Class, Tally],
+    faults: Sequence[str],
+) -> str:
     """Return the page.
 
     Args:
@@ -21,6 +24,7 @@ def render(forecasts: str, records: str, count: int, tallies: Mapping[Class, Tal
         records: that they are held against, likewise.
         count: how many forecasts.
         tallies: what adds up in each class.
+        faults: what is most likely wrong with them, each in a sentence without its full stop.
     """
     figures = make_figures(tallies)
     rows = []
@@ -30,5 +34,6 @@ def render(forecasts: str, records: str, count: int, tallies: Mapping[Class, Tal
     return environment(__package__).get_template("page.html").render(
         forecasts=forecasts, records=records, count=count, headings=list(map(heading, SHOWN)),
         members=len(next(iter(tallies.values())).ranks) - 1, rows=rows, figures=figures,
-        versions=versions(), library=library(), payload=payload(figures),
+        faults=faults, versions=versions_text(versions()), library=library(),
+        payload=payload(figures),
     )

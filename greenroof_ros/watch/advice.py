@@ -395,6 +395,11 @@ _TABLE: tuple[tuple[str, str, str], ...] = (
         "It has stopped reporting. See whether it still runs, and start it again.",
     ),
     (
+        r".*: (process)?", r"; starts again in ",
+        "The program ended or hung, and bringup started it again. Nothing to do, unless it happens "
+        "often: then read its log.",
+    ),
+    (
         r".*: ", r"^waits for ",
         "It cannot begin yet. Start the program that it waits for, if it does not come by itself.",
     ),

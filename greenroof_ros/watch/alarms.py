@@ -44,6 +44,11 @@ def is_node_name(name: str) -> bool:
     return len(name) <= _NAME and _NODE_NAME.fullmatch(name) is not None
 
 
+def may_turn(values: Mapping[str, Any]) -> bool:
+    """Whether a pump node says that it knows neither that the pump stands nor what it turns at."""
+    return values.get("stands") is not True and "speed" in values and values["speed"] is None
+
+
 def read_value(text: str) -> Any:
     """Return a value of a status of this package's nodes, which is a JSON text.
 
@@ -375,7 +380,10 @@ class Alarms:
                     _STALE, f"not heard for {SILENT_S:g} s", role, part
                 )
             elif one.level != _OK:
-                yield f"{name}: {part}", Trouble(one.level, one.message, role, part, one.first)
+                level = one.level
+                if (role, part) == (PUMP, PUMP) and level == _WARN and may_turn(node.values):
+                    level = _ERROR  # it may flood the roof, whatever the pump was told
+                yield f"{name}: {part}", Trouble(level, one.message, role, part, one.first)
 
     # --- telling --------------------------------------------------------------------------------
 
@@ -407,7 +415,7 @@ class Alarms:
             "since_text": say(alarm.since),
             "acknowledged": alarm.is_acknowledged,
             "over": alarm.over, "over_text": "" if alarm.over is None else say(alarm.over),
-            "follows": cause,
+            "follows": cause, "recorded": False,
         }
 
     def _causes(self) -> dict[str, str]:
@@ -448,6 +456,21 @@ class Alarms:
     def add_event(self, now: float, text: str) -> None:
         """Note an event."""
         self._events.append((now, plain(text, _TEXT)))
+
+    def date_anew(self, first: float, last: float, begin: float) -> None:
+        """Have all that is dated from one time to another one (s since 1970) be of a third time.
+
+        It was noted before the graph's clock was known, by the system's.
+        """
+        for alarm in self._alarms.values():
+            if first <= alarm.since <= last:
+                alarm.since, alarm.since_at_least = begin, True
+            if alarm.over is not None and first <= alarm.over <= last:
+                alarm.over = begin
+        self._events = deque(
+            ((begin if first <= at <= last else at, text) for at, text in self._events),
+            maxlen=_EVENTS,
+        )
 
     def acknowledge(self, alarm_id: str) -> bool:
         """Note that somebody saw an alarm, until it is another one; False if there is none such."""

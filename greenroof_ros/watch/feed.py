@@ -26,12 +26,14 @@ from numpy.typing import NDArray
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.files import read_text, shared_directory
 from greenroof_ros.common.interface import read_topics
+from greenroof_ros.experiment.incidents import INCIDENTS
 from greenroof_ros.experiment.summary import SUMMARY
 from greenroof_ros.graph.looker import DIAGNOSTICS, Looker, StopFailedError
 from greenroof_ros.model.site import Site, read_site
 from greenroof_ros.watch import wire
 from greenroof_ros.watch.bag_reader_process import FollowedBag
 from greenroof_ros.watch.graph_state import GraphState
+from greenroof_ros.watch.incident_rows import read_dated
 from greenroof_ros.watch.recorded import Batch
 from greenroof_ros.watch.ticks import Ticks
 from greenroof_ros.watch.watched import Watched
@@ -132,6 +134,8 @@ class Feed:
         self._thread = threading.Thread(target=self._watch_graph, name="graph", daemon=True)
         self._looker: Looker | None = None
         self._no_ros = ""
+        self._incidents_read: list[tuple[int, int] | None] = []
+        self._no_incidents: list[str] = []
         self._judge_by(site_file or self._site_of_graph())
 
     def __enter__(self) -> Feed:
@@ -302,6 +306,7 @@ class Feed:
             before, self._recorded = self._recorded, None
         if before is not None:
             before.close()
+        self._incidents_read = []
         if bag is not None:
             namespace = self._namespace if self._bag is None else None
             self._watched.set_recorded_controller(_controller_of(bag))
@@ -507,6 +512,8 @@ class Feed:
         if self._no_ros:
             notes.append(f"Only the recording is shown: {self._no_ros}.")
         recorded, source = self._recorded, self._source(now)
+        if recorded is not None and self._mode == "ended":
+            notes += self._show_incidents(recorded.bag)
         if recorded is not None:
             notes += [note for note in (recorded.problem, recorded.progress) if note]
         if not self._shows_graph() and self._graph.mode(now) not in ("none", "ended"):
@@ -522,6 +529,22 @@ class Feed:
             mode=self._mode, factor=factor, source=source, note=" ".join(notes)
         )
         self._watched.look(now, time.time())
+
+    def _show_incidents(self, bag: Path) -> list[str]:
+        """Show what was lost in a recorded run, read again when it has changed.
+
+        Returns:
+            What is wrong with that.
+        """
+        versions = [_version(bag.parent / name) for name in (INCIDENTS, SUMMARY)]
+        if versions != self._incidents_read:
+            self._incidents_read, self._no_incidents = versions, []
+            try:
+                self._watched.set_incidents(read_dated(bag))
+            except ValueError as error:
+                self._watched.set_incidents(())
+                self._no_incidents = [f"{error}."]
+        return self._no_incidents
 
     def _answer_stops(self) -> None:
         assert self._looker is not None
@@ -555,6 +578,15 @@ class Feed:
             rows = wire.rows(message)
             if rows is not None:
                 self._watched.add_forecast(topic, time_ns, rows)
+
+
+def _version(path: Path) -> tuple[int, int] | None:
+    """Return what changes when a file is written; None where there is none."""
+    try:
+        status = path.stat()
+    except OSError:
+        return None
+    return status.st_mtime_ns, status.st_size
 
 
 def _controller_of(bag: Path) -> str:

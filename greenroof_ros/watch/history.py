@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import math
+from typing import Any
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -11,6 +14,8 @@ Values = NDArray[np.float64]
 # A stretch (ns), and how many are kept: 12 h at 400 points and more, and a week.
 STRETCH_NS = 20_000_000_000
 KEPT = 7 * 24 * 3600 * 1_000_000_000 // STRETCH_NS
+# So many times are kept at which a value was not known.
+_MOST_UNKNOWN = 1000
 
 
 class History:
@@ -84,6 +89,58 @@ class History:
             np.maximum.reduceat(rows[:, 1], firsts), rows[lasts, 2],
         )
         return [list(row) for row in zip(*(column.tolist() for column in columns), strict=True)]
+
+
+class Unknown:
+    """When a value was not known, although its topic goes on with something in its place.
+
+    Attributes:
+        lasts: whether it is so now.
+    """
+
+    def __init__(self) -> None:
+        """Begin with what is known."""
+        self.lasts = False
+        self._known_at = math.inf  # when it was known last (s)
+        self._times: list[tuple[float, float]] = []
+
+    def say(self, now: float, *, known: bool) -> None:
+        """Say whether it is known.
+
+        Args:
+            now: s.
+            known: whether it is; where it is not any more, it was known when that was said last.
+        """
+        if known:
+            self._known_at = now
+        if known == self.lasts:
+            self.lasts = not known
+            if known:
+                self._times[-1] = self._times[-1][0], now
+            else:
+                self.add(min(now, self._known_at), math.inf)
+
+    def add(self, begin: float, end: float) -> None:
+        """Say from when to when (s) it was not known."""
+        self._times = [*self._times[1 - _MOST_UNKNOWN:], (begin, end)]
+
+    def at(self, times: Values) -> NDArray[np.bool_]:
+        """Return of which times (s) each is one at which it was not known."""
+        found = np.zeros(len(times), dtype=bool)
+        for begin, end in self._times:
+            found |= (times > begin) & (times < end)
+        return found
+
+    def cut_out(self, rows: list[list[float]]) -> list[list[Any]]:
+        """Return the rows of a window without those times: where each begins, one of None."""
+        if not rows or not self._times:
+            return rows
+        unknown = self.at(np.array([row[0] for row in rows]))
+        kept: list[list[Any]] = [row for row, cut in zip(rows, unknown, strict=True) if not cut]
+        # A time that began by the system's clock, before that of the run was known, is none of it.
+        times = ((begin, end) for begin, end in self._times if begin < end and end > rows[0][0])
+        kept += [[begin, None, None, None] for begin, _ in times]
+        return sorted(kept, key=lambda row: float(row[0]))
 
 
 def stretch_of(first: int, last: int, points: int) -> int:

@@ -49,6 +49,8 @@ class Amount(NamedTuple):
     high: float
     reach_s: float
     """For how long from now on it is (s)."""
+    fallen_at: float
+    """When the last of the mean has fallen, but for a tenth of it (s since 1970)."""
     members: int
 
 
@@ -75,7 +77,10 @@ class Forecast:
         if reach <= 0:
             return None
         amounts = self.rain @ lengths
-        return Amount(float(amounts.mean()), *_range(amounts), reach, len(amounts))
+        fallen = np.cumsum(self.rain.mean(axis=0) * lengths)
+        last = int(np.searchsorted(fallen, 0.9 * fallen[-1]))
+        fallen_at = min(float(self.ends[last]), until)
+        return Amount(float(amounts.mean()), *_range(amounts), reach, fallen_at, len(amounts))
 
     def rows(self) -> list[list[float]]:
         """Return begin and end (s since 1970), mean, low and high (m/s) of each step."""
@@ -125,6 +130,15 @@ class Plan:
         pumps = np.flatnonzero((self.flow > _PUMPS) & (lengths > 0))
         first = max(now, float(begins[pumps[0]])) if len(pumps) else None
         return float(self.flow @ lengths), first
+
+    def above(self, level: float, now: float) -> tuple[float, float] | None:
+        """Return from when to 12 h ahead the roof is above a level (s since 1970), and its highest.
+
+        None where it stays below it.
+        """
+        ahead = (self.ends > now) & (self.ends <= now + AHEAD_S)
+        over = self.ends[ahead & (self.level > level)]
+        return (float(over[0]), float(self.level[ahead].max())) if len(over) else None
 
     def rows(self, now: float) -> list[list[float]]:
         """Return begin and end (s since 1970), flow and level at the end of each step to come."""

@@ -24,8 +24,12 @@ from greenroof_ros.watch.watched import Watched
 
 # How often the document is looked at (s), and at the charts.
 _LOOK_S, _CHARTS_S = 0.5, 2.0
+# How often before there was anything to show (s).
+_FIRST_S = 0.1
 # How often all is printed where nothing can be drawn over (s): into a file, on a dumb terminal.
 _PRINT_S = 10.0
+# For how long the values of a graph that is there may take to be heard (s).
+_FOUND_S = 3.0
 _HOURS = 12.0
 # The least that is drawn for; what is smaller shows the upper left of it.
 _LEAST_WIDTH, _LEAST_HEIGHT = 40, 10
@@ -180,9 +184,8 @@ def _tiles(page: _Page, tiles: Mapping[str, Mapping[str, Any]], most: int) -> li
             sentence, page.width, initial_indent="_" * len(label + value),
             subsequent_indent=indent, break_on_hyphens=False,
         ) or [""]
-        lines.append(page.line(
-            (label, ""), (value, tile.get("state", "") or "head"), (first[len(label + value):], ""),
-        ))
+        style = "alarm" if tile.get("alarm") else tile.get("state", "") or "head"
+        lines.append(page.line((label, ""), (value, style), (first[len(label + value):], "")))
         if rest:
             lines += page.wrapped(" ".join(map(str.strip, rest)), most - 1, indent=indent)
         why = tile.get("why", "")
@@ -251,7 +254,7 @@ def _charts(page: _Page, series: Mapping[str, Any]) -> list[Text]:
     columns = (page.width - 9 - _RANGE - 1) // 2
     lines = []
     for name, label in _CHARTS.items():
-        rows = series["lines"].get(name, [])
+        rows = [row for row in series["lines"].get(name, []) if row[1] is not None]
         line = ((at, at, greatest) for at, _, greatest, _ in rows)
         past = _columns(line, series["from"], now + 1e-3, columns)
         ahead = _columns(_ahead(name, series), now, end, columns)
@@ -305,10 +308,14 @@ def _columns(
 
 
 def _bars(values: Sequence[float | None], low: float, high: float, bars: str) -> str:
-    """Return a bar for each value, between the least and the greatest; a blank for none."""
+    """Return a bar for each value, between the least and the greatest; a blank for none.
+
+    Where all are the same the bars are half as high as they may be, and of nothing the lowest.
+    """
     step = (high - low) / (len(bars) - 1)
+    constant = bars[len(bars) // 2 if high else 0]
     return "".join(
-        " " if value is None else bars[round((value - low) / step) if step > 0 else 0]
+        " " if value is None else bars[round((value - low) / step)] if step > 0 else constant
         for value in values
     )
 
@@ -339,16 +346,17 @@ def _events(
 
 
 def _stop(page: _Page, document: Mapping[str, Any]) -> list[Text]:
-    """Return how the pump is stopped, and what is wrong with that."""
+    """Return how the pump is stopped and released, and what is wrong with that."""
     stop = document["stop"]
     lines = page.wrapped(stop["warning"], 3, style="error") if stop["warning"] else []
-    if stop["possible"] and not stop["held"]:
-        # On a line of its own and whole: its first part alone would release the pump.
-        call = f'ros2 service call {stop["node"]}/stop std_srvs/srv/SetBool "{{data: true}}"'
-        known = next((
-            text for text in (f"stop the pump: {call}", call) if len(text) <= page.width
-        ), "stop the pump: see the page or the documentation")
-        lines.append(page.line((known, "dim")))
+    for what, call in (("stop", stop["call"]), ("release", stop["release"])):
+        if call:
+            # On a line of its own and whole: the first part of a stop alone would release the pump.
+            known = next((
+                text for text in (f"{what} the pump: {call}", f"{what}: {call}", call)
+                if len(text) <= page.width
+            ), f"{what} the pump: see the page or the documentation")
+            lines.append(page.line((known, "dim")))
     return lines
 
 
@@ -370,7 +378,7 @@ def run(watched: Watched) -> None:
     charts: dict[str, Any] = {}
     charts_at = shown_at = -math.inf
     before: object = None
-    number = 0
+    number, begun = 0, time.monotonic()
 
     def parts(width: int, height: int | None) -> list[Group]:
         return pages(document, charts, width, height, color, ascii_only=ascii_only)
@@ -378,13 +386,16 @@ def run(watched: Watched) -> None:
     with suppress(InterruptedRun, OSError), _keys() as pressed, (
         Live(console=console, screen=True, auto_refresh=False) if drawn else nullcontext()
     ) as live:
-        while (keys := pressed(0.0 if before is None else _LOOK_S)) is not None:
+        while (keys := pressed(_FIRST_S if before is None else _LOOK_S)) is not None:
             if b"q" in keys.lower():
                 break
             turned = keys.count(b" ")
             signals.check()
             now = time.monotonic()
             document = watched.document(now)
+            unknown = document["mode"] == "none" or document["tiles"]["roof"]["number"] is None
+            if unknown and now - begun < _FOUND_S:
+                continue  # that it is not known is said when that is known
             if now - charts_at >= _CHARTS_S:
                 charts, charts_at = _series(watched), now
             size = console.size

@@ -11,7 +11,7 @@ from greenroof_ros.model.site import Site
 from greenroof_ros.watch import words
 from greenroof_ros.watch.outlook import Amount, Forecast, Plan
 
-PUMP_STATES = ("off", "starting", "running", "stopping", "held", "fault")
+PUMP_STATES = ("off", "starting", "running", "stopping", "held", "fault", "unknown")
 
 # A planner looks hours ahead; a forecast of less says nothing of the rain to come (s).
 _SOON_S = 600.0
@@ -51,10 +51,9 @@ def band_of(site: Site) -> list[float]:
 
 
 def _tile(
-    label: str, value: Value | None, text: str, state: str, sentence: str, *, past: str = "",
-    **more: Any,
+    label: str, value: Value | None, text: str, state: str, sentence: str, **more: Any
 ) -> dict[str, Any]:
-    """Return a tile; one whose value is stale says what was known last, and when.
+    """Return a tile; one whose value is stale is unknown, and says what was heard last, and when.
 
     Args:
         label: what it is.
@@ -62,15 +61,13 @@ def _tile(
         text: the value in words.
         state: how to judge it.
         sentence: more about it.
-        past: the same about a value that is stale, in the past tense.
         more: of the tile.
     """
     stale = value is not None and value.stale
-    if value is not None and stale and past:
-        sentence = f"{past} when last heard at {value.heard}"
+    if value is not None and stale:
+        sentence = f"{text} when last heard at {value.heard}"
     return {
-        "label": label, "value": f"Last known: {text}" if stale else text,
-        "number": None if value is None else value.number,
+        "label": label, "value": words.UNKNOWN if stale else text, "number": _known(value),
         "state": "unknown" if stale else state, "sentence": sentence, "stale": stale, **more,
     }
 
@@ -106,10 +103,9 @@ def roof(value: Value | None, site: Site | None) -> dict[str, Any]:
     low, high = band_of(site)
     state = "low" if level < low else "high" if level > high else "good"
     sentence = _versus_target(level - site.z_veg)
-    past = f"was {sentence}"
     if level >= full:
         sentence += "; the soil is full, and water drains off"
-    return _tile("Roof level", value, _roof_level(level), state, sentence, past=past, **gauge)
+    return _tile("Roof level", value, _roof_level(level), state, sentence, **gauge)
 
 
 def _versus_target(difference: float) -> str:
@@ -142,17 +138,14 @@ def cistern(value: Value | None, site: Site | None) -> dict[str, Any]:
     usable = site.cistern_volume(level - site.suction_level)
     if usable <= 0:
         state, sentence = "low", "too low for the pump: not above the suction level"
-        past = "was too low for the pump"
     elif level > site.z_o:
         state, sentence = "high", "above its outlet: it overflows to the sewer"
-        past = "was above its outlet"
     else:
         amount = words.quantity(usable, "m3", 1)
         state, sentence = "good", f"{amount} above the suction level can be pumped"
         if level > site.lowest_outlet:
             sentence += "; its low outlet drains it"
-        past = f"{amount} could be pumped"
-    return _tile("Cistern level", value, _cistern_level(level), state, sentence, past=past, **gauge)
+    return _tile("Cistern level", value, _cistern_level(level), state, sentence, **gauge)
 
 
 @dataclass(frozen=True)
@@ -162,20 +155,33 @@ class Pumping:
     Attributes:
         said: the pump node's state and why, in its words; None where there is no such node.
         gone: whether that node is not there any more.
+        heard: whether its drive is; where it is not, the pump node says what must be.
+        may_turn: whether it is not known that the pump stands, nor what it turns at.
+        flow_known: whether ``flow`` is one, and not 0 since none is known.
         flow: m3/s.
         command: share of the greatest flow.
         roof: level (m).
         cistern: level (m).
         frost: 1 where there is.
+        kept_off: whether the pump node says that something is wrong.
     """
 
     said: str | None
     gone: bool
+    heard: bool
+    may_turn: bool
+    flow_known: bool
     flow: Value | None
     command: Value | None
     roof: Value | None
     cistern: Value | None
     frost: Value | None
+    kept_off: bool
+
+    @property
+    def may_run(self) -> bool:
+        """Whether nothing that is known keeps it off."""
+        return not self.kept_off and not _known(self.frost)
 
     def state(self, site: Site | None) -> tuple[str, str]:
         """Return the state, and why it is so; in a plain simulation, by the plant's own rules."""
@@ -208,12 +214,24 @@ class Pumping:
 
 
 def pump(pumping: Pumping, site: Site | None) -> dict[str, Any]:
-    """Return the tile of the pump."""
+    """Return the tile of the pump.
+
+    ``alarm`` is whether it may turn and nobody knows, ``idle`` whether it is off since the
+    controller commands nothing, and for no other reason.
+    """
     state, why = pumping.state(site)
-    flow, command = pumping.flow, pumping.command
+    flow = pumping.flow if pumping.flow_known and (pumping.heard or pumping.may_turn) else None
+    command = pumping.command
     parts = []
+    if pumping.may_turn:
+        parts.append("whether it stands is not known")
+        state, why = "unknown", why if pumping.said is not None else ""
+    elif not pumping.heard:
+        parts.append("its drive is not heard: it stood then, or its own timeout has stopped it")
     if flow is not None:
         parts.append(words.NOT_PLAUSIBLE if flow.number is None else _flow(flow.number))
+    elif not pumping.flow_known and not pumping.may_turn:
+        parts.append("its flow is not known")
     if command is not None:
         if command.number is None:
             parts.append(f"the command is {words.NOT_PLAUSIBLE}")
@@ -224,15 +242,18 @@ def pump(pumping: Pumping, site: Site | None) -> dict[str, Any]:
     heard = flow if flow is not None else command
     old = heard is not None and heard.stale
     # The node says its state by another way than the flow.
-    stale = pumping.gone or (old and pumping.said is None)
+    stale = not pumping.may_turn and (pumping.gone or (old and pumping.said is None))
     if old and not stale:
-        parts[0] = f"last known {parts[0]}"
+        place = -1 if flow is None or command is None else -2
+        parts[place] = f"last known {parts[place]}"
     if not parts and state == "unknown":
         parts.append("nothing was heard of it yet")
+    if stale and state != words.UNKNOWN:
+        parts.insert(0, f"{state} when last heard")
     return {
-        "label": "Pump", "value": f"Last known: {state}" if stale else state,
-        "number": None if flow is None else flow.number,
-        "state": "unknown" if stale else state,
+        "label": "Pump", "value": words.UNKNOWN if stale else state, "number": _known(flow),
+        "state": "unknown" if stale else state, "alarm": pumping.may_turn,
+        "idle": state == "off" and not stale and pumping.may_run and _known(command) == 0,
         "sentence": "; ".join(parts), "why": why, "stale": stale,
     }
 
@@ -277,14 +298,78 @@ def _to_come(
 
 
 def _amount(amount: Amount, *, ended: bool) -> str:
-    reach = words.length_of_time(amount.reach_s)
+    reach = words.horizon(amount.reach_s)
     if amount.reach_s < _SOON_S:
         return f"no forecast of the next hours: it reaches {reach} ahead"
     sentence = f"{words.rain(amount.mean)} {'were ' if ended else ''}expected in the next {reach}"
-    if amount.members > 1:
-        low = words.rain(amount.low).removesuffix(" mm")
-        sentence += f" ({low} to {words.rain(amount.high)})"
-    return sentence
+    return sentence + _range(amount)
+
+
+def _range(amount: Amount) -> str:
+    """Write the range of an ensemble's rain behind its mean: `` (19 to 46)``; empty of others."""
+    if amount.members == 1:
+        return ""
+    low, high = (words.rain(one).removesuffix(" mm") for one in (amount.low, amount.high))
+    return f" ({low} to {high})"
+
+
+def waiting(
+    pump: dict[str, Any], site: Site | None, pumping: Pumping, forecast: Forecast | None,
+    plan: Plan | None, now: float | None, utc_offset: float,
+) -> str:
+    """Return for which rain the controller waits; empty where it does not.
+
+    It does where the roof is too dry, it alone has the pump off, and at least the missing water is
+    forecast, before it plans to pump any.
+
+    Args:
+        pump: its tile.
+        site: by which levels are judged.
+        pumping: what is known of the pump.
+        forecast: the newest.
+        plan: the controller's newest, where it makes any.
+        now: s since 1970.
+        utc_offset: of the times (h).
+    """
+    level = _known(pumping.roof)
+    if (
+        site is None or now is None or forecast is None or level is None
+        or not pump["idle"] or level >= band_of(site)[0] or now - forecast.at > _OLD_S
+    ):
+        return ""
+    amount = forecast.amount(now)
+    if amount is None or amount.reach_s < _SOON_S or amount.mean < site.z_veg - level:
+        return ""
+    begin = None if plan is None or now >= plan.ends[-1] else plan.pumped(now)[1]
+    if begin is not None and begin < amount.fallen_at:
+        return ""
+    by = words.hour_and_minute(-(-amount.fallen_at // 3600) * 3600, utc_offset, now)
+    return f"waiting for rain: {words.rain(amount.mean)}{_range(amount)} by {by}"
+
+
+def too_wet(
+    roof: dict[str, Any], site: Site | None, plan: Plan | None, now: float | None,
+    utc_offset: float,
+) -> str:
+    """Return how much too wet the controller expects the roof to be; empty where it does not.
+
+    Args:
+        roof: its tile.
+        site: by which levels are judged.
+        plan: the controller's newest, where it makes any.
+        now: s since 1970.
+        utc_offset: of the times (h).
+    """
+    if site is None or plan is None or now is None or roof["state"] not in ("low", "good"):
+        return ""
+    above = plan.above(band_of(site)[1], now)
+    if above is None:
+        return ""
+    begin, level = above
+    return (
+        f"It is expected to be too wet from {words.hour_and_minute(begin, utc_offset, now)} on, "
+        f"up to {_roof_level(level - site.z_veg)} above its target."
+    )
 
 
 def controller(
@@ -327,7 +412,7 @@ def _planned(plan: Plan, now: float, utc_offset: float, *, ended: bool) -> str:
     if now >= plan.ends[-1]:
         return "its plan was over" if ended else "its plan is over"
     volume, begin = plan.pumped(now)
-    reach = words.length_of_time(min(12 * 3600.0, float(plan.ends[-1]) - now))
+    reach = words.horizon(min(12 * 3600.0, float(plan.ends[-1]) - now))
     if begin is None:
         return f"{'planned not to' if ended else 'will not'} pump in the next {reach}"
     start = "from now on"
@@ -337,20 +422,53 @@ def _planned(plan: Plan, now: float, utc_offset: float, *, ended: bool) -> str:
     return f"{will} pump {words.quantity(volume, 'm3', 2)} in the next {reach}, {start}"
 
 
+@dataclass(frozen=True)
+class Wrong:
+    """How much is wrong, as the alarms below say in full.
+
+    Attributes:
+        alarms: how many there are now that do not follow from others.
+        warnings: how many there are now that do not.
+        following: how many follow from these.
+        incidents: how many a recording has that are over.
+        worst: of what is wrong now: ok, warn or error.
+        known: whether any node has said how it is; a recording does not tell all alarms.
+    """
+
+    alarms: int
+    warnings: int
+    following: int
+    incidents: int
+    worst: str
+    known: bool
+
+    @property
+    def word(self) -> str:
+        """Write it."""
+        counts = [
+            f"{count} {name}" if count == 1 else f"{count} {name}s"
+            for count, name in (
+                (self.alarms, "alarm"), (self.warnings, "warning"), (self.incidents, "incident"),
+            ) if count
+        ]
+        if self.incidents:
+            counts[-1] += ", over" if self.incidents == 1 else ", all over"
+        none = "No alarms" if self.known else "Alarms are not known"
+        more = f" ({self.following} more caused by these)" if self.following else ""
+        return f"{', '.join(counts) or none}{more}."
+
+
 def summary(
-    tiles: dict[str, dict[str, Any]], *, alarms: int, warnings: int, following: int, worst: str,
-    mode: str, known: bool,
+    tiles: dict[str, dict[str, Any]], wrong: Wrong, *, mode: str, waiting: str, too_wet: str
 ) -> dict[str, str]:
     """Return the words above the tiles: how many alarms, a sentence, and how bad it is.
 
     Args:
         tiles: of roof and pump, at least.
-        alarms: how many there are now that do not follow from others.
-        warnings: how many there are now that do not.
-        following: how many follow from these.
-        worst: of them: ok, warn or error.
+        wrong: what is.
         mode: of the document.
-        known: whether any node has said how it is; a recording does not tell alarms.
+        waiting: for which rain the controller waits; empty where it does not.
+        too_wet: how much too wet the roof is expected to be; empty where it is not.
     """
     if mode == "none":
         return {
@@ -361,39 +479,41 @@ def summary(
     roof, pump = tiles["roof"], tiles["pump"]
     verb = "was" if mode == "ended" else "is"
     if roof["state"] in ("unknown", "alarm"):
-        said = f"The roof's level is not known now ({roof['value']})" if roof["stale"] else (
+        said = f"The roof's level is not known now ({roof['sentence']})" if roof["stale"] else (
             f"The roof's level is {roof['value']}"
         )
     else:
         judged = {"low": "too dry, ", "high": "wetter than it should be, "}.get(roof["state"], "")
         said = f"The roof {verb} {judged}{roof['sentence']}"
-    parts.append(f"{said}; {_pump_clause(pump, verb)}.")
+    clause = f"the pump is {waiting}" if waiting else _pump_clause(pump, verb)
+    parts.append(f"{said}; {clause}.")
+    if too_wet:
+        parts.append(too_wet)
     doubtful = any(tiles[name]["state"] in ("unknown", "alarm") for name in ("roof", "pump"))
     attention = (
-        doubtful or roof["state"] in ("low", "high") or pump["state"] in ("fault", "held")
+        doubtful or pump["state"] in ("fault", "held")
+        or (roof["state"] in ("low", "high") and not waiting)
     )
-    counts = [
-        f"{count} {name}" if count == 1 else f"{count} {name}s"
-        for count, name in ((alarms, "alarm"), (warnings, "warning")) if count
-    ]
-    none = "No alarms" if known else "Alarms are not known"
-    more = f" ({following} more caused by these)" if following else ""
-    return {
-        "word": f"{', '.join(counts) or none}{more}.", "sentence": " ".join(parts),
-        "level": "warn" if attention and worst == "ok" else worst,
-    }
+    level = wrong.worst
+    if level == "ok":
+        level = "warn" if attention or wrong.incidents else "ok" if wrong.known else "stale"
+    return {"word": wrong.word, "sentence": " ".join(parts), "level": level}
 
 
-def advice(tiles: dict[str, dict[str, Any]], *, mode: str) -> str:
+def advice(tiles: dict[str, dict[str, Any]], *, mode: str, waiting: str) -> str:
     """Return what to do where there is no alarm: what goes on, where something is not as wanted.
 
     Args:
-        tiles: of roof and pump, at least.
+        tiles: of roof, pump and controller, at least.
         mode: of the document.
+        waiting: for which rain the controller waits; empty where it does not.
     """
-    roof, pump = tiles["roof"], tiles["pump"]
+    roof, pump, controller = (tiles[name] for name in ("roof", "pump", "controller"))
     if mode == "none":
-        return "Nothing to do."
+        return (
+            "Start a run or a site; where one runs, see that this watcher has its ROS_DOMAIN_ID "
+            "and --namespace."
+        )
     if mode == "ended":
         return "This was recorded: what is now is not shown."
     if any(tile["state"] in ("unknown", "alarm") for tile in (roof, pump)):
@@ -405,18 +525,20 @@ def advice(tiles: dict[str, dict[str, Any]], *, mode: str) -> str:
         return "The roof has enough, and the pump runs: see whether it should."
     if roof["state"] == "high":
         return "Nothing to do: the roof drains and dries by itself."
-    if roof["state"] != "low":
+    if roof["state"] != "low" or waiting:
         return "Nothing to do."
     if pump["state"] in ("starting", "running"):
         return "Nothing to do: the pump waters the roof."
-    if pump["state"] == "off" and pump["why"] in ("", "nothing is commanded"):
-        return "Nothing to do now: the controller waits; what it intends is in its tile."
+    if pump["idle"]:
+        return f"Nothing to do now: the controller {controller['sentence']}."
     why = f": {pump['why']}" if pump["why"] else ""
     return f"The roof is not watered, since the pump is {pump['state']}{why}."
 
 
 def _pump_clause(pump: dict[str, Any], verb: str) -> str:
     state, why = pump["state"], pump["why"]
+    if pump["alarm"]:
+        return f"whether the pump {'stood' if verb == 'was' else 'stands'} is not known"
     if state == "unknown":
         return "what the pump does is not known"
     if state in ("running", "starting", "stopping"):

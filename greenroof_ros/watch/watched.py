@@ -15,14 +15,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from greenroof_ros.common.interface import Topic, read_topics
-from greenroof_ros.graph.states import ENDED, FINISHED
+from greenroof_ros.graph.states import ENDED, FINISHED, PUMP
 from greenroof_ros.model.look_ahead import MOST_MEMBERS
 from greenroof_ros.model.site import Site
 from greenroof_ros.watch import tiles, words
 from greenroof_ros.watch.account import HOLDS_NS, Account
 from greenroof_ros.watch.account import TOPICS as ACCOUNTED
-from greenroof_ros.watch.alarms import SILENT_S, Alarms, Status
-from greenroof_ros.watch.history import History, stretch_of
+from greenroof_ros.watch.alarms import SILENT_S, Alarms, Status, may_turn
+from greenroof_ros.watch.history import History, Unknown, stretch_of
+from greenroof_ros.watch.incident_rows import Dated
 from greenroof_ros.watch.outlook import AHEAD_S, Forecast, Plan, step_ends
 
 Stamps = NDArray[np.int64]
@@ -136,6 +137,8 @@ class Watched:
         self._site: Site | None = None
         self._site_note = ""
         self._recorded_controller = ""
+        self._incidents: Sequence[Dated] = ()
+        self._began = time.time()  # s since 1970
         self._system: float | None = None  # the system's time at the last look (s since 1970)
         # What the graph's nodes said last that it is (s since 1970): of those of a new run, too.
         self._stamp: float | None = None
@@ -163,6 +166,8 @@ class Watched:
         self._pump_state: tuple[int, str] | None = None
         self._controller: tuple[object, object] | None = None  # name and process
         self._controller_at = -math.inf  # when it was last heard (s since 1970)
+        self._unknown_flow = Unknown()
+        self._clock_began: float | None = None  # of a simulation, as far as known (s since 1970)
         self._came = False
         self._quiet_since: float | None = None  # wall time (s)
 
@@ -218,6 +223,11 @@ class Watched:
         """Say which controller commanded in the run whose recording is shown; empty: unknown."""
         with self._lock:
             self._recorded_controller = words.plain(name, _MOST_TEXT)
+
+    def set_incidents(self, incidents: Sequence[Dated]) -> None:
+        """Say which incidents the run had whose recording is shown."""
+        with self._lock:
+            self._incidents = incidents
 
     def begin_anew(self) -> None:
         """Forget all of a graph: another one began."""
@@ -282,11 +292,11 @@ class Watched:
             newest.take(int(times[-1]), float(numbers[-1]) if fine[-1] else None)
             newest.charted_ns = int(times[-1])
             self._came = True
-            if fine.all():
-                history.add(times, numbers)
-            else:
-                history.add(times[fine], numbers[fine])
-                numbers = np.where(fine, numbers, np.nan)
+            numbers = np.where(fine, numbers, np.nan)
+            if topic == LINES["flow"]:
+                numbers[self._unknown_flow.at(times / 1e9)] = np.nan
+            known = np.isfinite(numbers)
+            history.add(times[known], numbers[known])
             if self._account is not None and topic in ACCOUNTED:
                 self._account.add(topic, times, numbers)
 
@@ -352,7 +362,7 @@ class Watched:
         at, before = self._announced
         if abs(amount.mean - before) >= _NEW_FORECAST_M and now - at >= _NEW_FORECAST_S:
             self._announced = (now, amount.mean)
-            reach = words.length_of_time(amount.reach_s)
+            reach = words.horizon(amount.reach_s)
             self._alarms.add_event(
                 now, f"New forecast: {words.rain(amount.mean)} of rain in the next {reach}; "
                 f"before, it was {words.rain(before)}",
@@ -451,8 +461,10 @@ class Watched:
             if stamp_ns is not None and 0 < stamp_ns < _LATEST_NS:
                 self._stamp = stamp_ns / 1e9
             now = self._now_or(time.time())
+            self._date_anew()
             self._alarms.hear(wall, now, statuses)
             self._note_controller(now)
+            self._note_flow(now if self._stamp is None else self._stamp)
 
     def _note_controller(self, now: float) -> None:
         """Drop the plan of a controller in whose place another one, or another process, is."""
@@ -468,6 +480,12 @@ class Watched:
             if self._previewed[0] <= self._controller_at:
                 self._previewed = self._previewed[0], None
         self._controller, self._controller_at = controller, now
+
+    def _note_flow(self, now: float) -> None:
+        """Note since when the pump's flow is not known, which is 0 on its topic then."""
+        said = self._alarms.said("pump", self._pump_node)
+        if said is not None and "flow" in said:
+            self._unknown_flow.say(now, known=said["flow"] is not None)
 
     def add_event(self, system: float, text: str) -> None:
         """Note an event of now.
@@ -500,6 +518,16 @@ class Watched:
             return self._system
         times = [newest.time_ns for newest in self._newest.values()]
         return max(times) / 1e9 if times else None
+
+    def _date_anew(self) -> None:
+        """Date what was noted before the clock of a simulation was known by that clock's begin."""
+        first, last = self._began - _SET_BACK_S, time.time() + _SET_BACK_S
+        times = (self._clock_began, self._now(), self._stamp)
+        known = [at for at in times if at is not None and not first <= at <= last]
+        if known:
+            self._clock_began = min(known)
+            if self._mode in ("simulated", "loop"):
+                self._alarms.date_anew(first, last, self._clock_began)
 
     def _now_or(self, system: float) -> float:
         """Return the time of what happens now (s since 1970).
@@ -545,21 +573,34 @@ class Watched:
         def say_time(at: float) -> str:
             return words.time_of_day(at, offset, at if now is None else now)
 
-        rows = self._alarms.rows(say_time)
-        present = [row for row in rows if row["over"] is None]
-        shown = self._tiles(wall, now, present)
-        stop = self._stop(wall)
-        worst = "error" if stop["warning"] else self._alarms.worst()
-        serious, warnings, following = self._alarms.counts()
         known = self._alarms.heard or self._mode != "ended"
+        incidents = self._incidents_of(now)
+        rows = [*(one.row(now or 0.0, say_time) for one in incidents), *self._alarms.rows(say_time)]
+        rows.sort(key=lambda row: row["over"] is not None)
+        present = [row for row in rows if row["over"] is None]
+        pumping, shown = self._tiles(wall, now, present)
+        stop = self._stop(wall)
+        standing = sum(row["recorded"] for row in present)
+        worst = "error" if stop["warning"] or standing else self._alarms.worst()
+        serious, warnings, following = self._alarms.counts()
+        waiting, too_wet = self._to_come(shown, pumping, now)
         shown["summary"] = tiles.summary(
-            shown, alarms=serious, warnings=warnings, following=following, worst=worst,
-            mode=self._mode, known=known,
+            shown, tiles.Wrong(
+                alarms=serious + standing, warnings=warnings, following=following,
+                incidents=len(incidents) - standing, worst=worst, known=known,
+            ),
+            mode=self._mode, waiting=waiting, too_wet=too_wet,
+        )
+        advice = self._alarms.advice() if len(present) > standing else tiles.advice(
+            shown, mode=self._mode, waiting=waiting
         )
         alarms = _within(rows, _MOST_ALARMS)
         notes = [self._site_note, self._note]
         if not known:
-            notes.append("A recording does not tell which alarms there were.")
+            notes.append(
+                "A recording tells when a drive, a sensor or a node was lost; other alarms are not "
+                "recorded." if incidents else "A recording does not tell which alarms there were."
+            )
         if len(alarms) < len(rows):
             notes.append(f"{len(rows) - len(alarms)} more alarms are not shown.")
         silent = min(
@@ -581,7 +622,7 @@ class Watched:
             "source": self._source,
             "notes": [note for note in notes if note],
             "tiles": shown,
-            "advice": self._alarms.advice() if present else tiles.advice(shown, mode=self._mode),
+            "advice": advice,
             "alarms": alarms,
             "alarms_known": known,
             "events": _within(self._alarms.events(say_time)[:_MOST_EVENTS], _MOST_OF_EVENTS),
@@ -593,6 +634,7 @@ class Watched:
         """Note what came since the last look."""
         for newest in self._newest.values():
             newest.look(wall)
+        self._date_anew()
         self._alarms.look(wall, self._now_or(time.time()))
         if self._came or self._quiet_since is None:
             self._came, self._quiet_since = False, wall
@@ -617,16 +659,20 @@ class Watched:
 
     def _tiles(
         self, wall: float, now: float | None, alarms: Sequence[dict[str, Any]]
-    ) -> dict[str, dict[str, Any]]:
+    ) -> tuple[tiles.Pumping, dict[str, dict[str, Any]]]:
         values = {name: self._value(topic) for name, topic in LINES.items()}
         pumping = tiles.Pumping(
             said=self._pump_words(),
             gone=self._mode != "ended" and self._pump_gone(wall),
+            heard=self._drive_heard(),
+            may_turn=(lost := self._pump_lost(now)) or self._may_turn(wall),
+            flow_known=not (lost or self._unknown_flow.lasts),
             flow=values["flow"],
             command=values["command"],
             roof=values["roof"],
             cistern=values["cistern"],
             frost=self._value("/weather/frost"),
+            kept_off=any(row["id"] == f"{self._pump_name()}: {PUMP}" for row in alarms),
         )
         name = self._alarms.controller()
         if self._mode == "ended":
@@ -641,7 +687,7 @@ class Watched:
         rain = values["rain"]
         if rain is None:
             rain = self._value(_GAUGE)
-        return {
+        return pumping, {
             "roof": tiles.roof(values["roof"], self._site),
             "cistern": tiles.cistern(values["cistern"], self._site),
             "pump": tiles.pump(pumping, self._site),
@@ -670,10 +716,55 @@ class Watched:
             said["state"] in (FINISHED, ENDED) or wall - said["heard"] > SILENT_S
         )
 
+    def _incidents_of(self, now: float | None) -> list[Dated]:
+        """Return the recorded incidents that have begun; none where nodes say how they are."""
+        if self._alarms.heard or self._mode != "ended" or now is None:
+            return []
+        return [one for one in self._incidents if one.began <= now]
+
+    def _pump_lost(self, now: float | None) -> bool:
+        """Whether a recording says that what the pump does is not known now."""
+        return any(
+            one.of_pump and now is not None and one.stands(now) for one in self._incidents_of(now)
+        )
+
+    def _to_come(
+        self, shown: dict[str, dict[str, Any]], pumping: tiles.Pumping, now: float | None
+    ) -> tuple[str, str]:
+        """Return for which rain the controller waits, and how much too wet the roof is to be."""
+        if self._mode == "ended":
+            return "", ""
+        plan, offset = self._shown_plan(), self._utc_offset
+        forecast = self._of_now(self._forecast)
+        return (
+            tiles.waiting(shown["pump"], self._site, pumping, forecast, plan, now, offset),
+            tiles.too_wet(shown["roof"], self._site, plan, now, offset),
+        )
+
+    def _pump_name(self) -> str:
+        """Return the fully qualified name of the pump node; empty where there is none."""
+        said = self._alarms.said(PUMP, self._pump_node)
+        return "" if said is None else str(said["name"])
+
+    def _drive_heard(self) -> bool:
+        """Whether the pump node knows a speed of its drive; so does one that says none."""
+        said = self._alarms.said(PUMP, self._pump_node) or {}
+        return "speed" not in said or said["speed"] is not None
+
+    def _may_turn(self, wall: float) -> bool:
+        """Whether neither that the pump stands is known, nor what it turns at."""
+        said = self._alarms.said("pump", self._pump_node)
+        if said is None:
+            return False
+        gone = self._mode != "ended" and self._pump_gone(wall)
+        return may_turn(said) or (gone and said.get("stands") is False)
+
     def _stop(self, wall: float) -> dict[str, Any]:
         """Return whether the pump can be held off from here, is so, and what is wrong with that.
 
         It is held where an operator stopped it and it stands: a hold alone says that it should.
+        ``call`` and ``release`` are what somebody types to stop and release it; empty where that
+        would do nothing.
         """
         node = self._pump_node
         said = None if node is None else self._alarms.said("pump", node)
@@ -681,9 +772,10 @@ class Watched:
             sentence = self._no_stop or "There is no pump node that could be stopped from here."
             return {
                 "possible": False, "held": False, "node": None, "label": "Stop the pump",
-                "sentence": sentence, "warning": self._no_stop,
+                "sentence": sentence, "warning": self._no_stop, "call": "", "release": "",
             }
         asked = bool(said.get("held"))
+        call = f"ros2 service call {node}/stop std_srvs/srv/SetBool"
         gone = self._pump_gone(wall)
         stands = not gone and said.get("stands") is True
         warning = ""
@@ -703,6 +795,8 @@ class Watched:
             + ("The pump is held" if held else "Holds the pump")
             + " off until somebody releases it at the pump node.",
             "warning": warning,
+            "call": "" if held else f'{call} "{{data: true}}"',
+            "release": f'{call} "{{data: false}}"' if asked else "",
         }
 
     def _account_of(self, utc_offset: float) -> dict[str, Any]:
@@ -741,7 +835,7 @@ class Watched:
         """Return what the charts show, from some hours ago to 12 h ahead, in SI units.
 
         Nothing is known between two rows of a line that are further apart than its entry of
-        ``gaps`` (s), and no value holds for longer.
+        ``gaps`` (s), and no value holds for longer. Nor from a row of None on to the next.
 
         Args:
             hours: how far back, at most a week.
@@ -761,7 +855,7 @@ class Watched:
                     "suction": site.suction_level, "low_outlet": site.low_outlet_level,
                     "outlet": site.z_o,
                 }
-            lines: dict[str, list[list[float]]] = {
+            lines: dict[str, list[list[Any]]] = {
                 name: [] for name in ("roof", "roof_expected", *list(LINES)[1:])
             }
             stretch = 0
@@ -778,13 +872,19 @@ class Watched:
                 present = History()
                 present.add((times * 1e9).astype(np.int64), levels)
                 lines["roof_expected"] += present.window(first, last, points)
+            gaps = {name: _gap(rows, stretch) for name, rows in lines.items()}
+            lost = Unknown()
+            for one in self._incidents_of(now):
+                if one.of_pump:
+                    lost.add(one.began, math.inf if one.ended is None else one.ended)
+            lines["flow"] = lost.cut_out(self._unknown_flow.cut_out(lines["flow"]))
             forecast, plan = self._of_now(self._forecast), self._shown_plan()
             return {
                 "now": now,
                 "from": None if now is None else now - hours * 3600,
                 "to": None if now is None else now + AHEAD_S,
                 "lines": lines,
-                "gaps": {name: _gap(rows, stretch) for name, rows in lines.items()},
+                "gaps": gaps,
                 "forecast": [] if forecast is None else forecast.rows(),
                 "plan": [] if plan is None or now is None else plan.rows(now),
                 "marks": marks,

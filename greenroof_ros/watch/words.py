@@ -83,6 +83,13 @@ def length_of_time(seconds: float) -> str:
     return f"{number(seconds / 86400, 1).removesuffix('.0')} days"
 
 
+def horizon(seconds: float) -> str:
+    """Write how far ahead one looks, in whole hours where it is some: ``40 min``, ``12 h``."""
+    if 5400 <= seconds < 172800:
+        return f"{number(seconds / 3600, 0)} h"
+    return length_of_time(seconds)
+
+
 def moment(seconds: float, utc_offset: float) -> datetime | None:
     """Return a time since 1970 (s) at an offset from UTC (h); None where no calendar has it."""
     try:

@@ -15,8 +15,10 @@ from numpy.typing import NDArray
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.model.site import Site
 from greenroof_ros.weather.records import (
+    EVAPOTRANSPIRATION,
     FOR_EVAPOTRANSPIRATION,
     HOUR,
+    QUANTITIES,
     RADIATION,
     Records,
     gaps,
@@ -109,8 +111,8 @@ def fao56(records: Records, site: Site) -> NDArray[np.float64]:
     lacking = [name for name in FOR_EVAPOTRANSPIRATION if name not in records.values]
     if lacking:
         raise ConfigurationError(
-            f"has no {', '.join(lacking)}, from which {FAO56} is computed",
-            file=records.source,
+            f"has no column '{EVAPOTRANSPIRATION} [{QUANTITIES[EVAPOTRANSPIRATION][0]}]', and no "
+            f"{', '.join(lacking)}, from which {FAO56} is computed", file=records.source,
         )
     lacking = [name for name in _PLACE if getattr(site, name) is None]
     if lacking:

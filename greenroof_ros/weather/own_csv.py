@@ -9,7 +9,6 @@ from pathlib import Path
 from greenroof_ros.model.site import Site
 from greenroof_ros.weather.records import (
     EVAPOTRANSPIRATION,
-    FOR_EVAPOTRANSPIRATION,
     PRECIPITATION,
     QUANTITIES,
     Records,
@@ -25,7 +24,7 @@ def recognises(_text: str, /) -> bool:
 
 
 def parse(file: Path, text: str, _site: Site, /) -> Records:
-    """Parse a weather file of this project's form; no value may be missing in it.
+    """Parse a weather file of this project's form; an empty cell is a missing value.
 
     Lines that start with ``#`` are comments. The first other line names the columns with their
     units: ``time``, ``precipitation [mm/h]``, and others of
@@ -41,7 +40,7 @@ def parse(file: Path, text: str, _site: Site, /) -> Records:
     first, values = read_hours(
         table.rows(), "time", lambda row: row.time("time"),
         {
-            quantity: partial(Row.value, column=column, quantity=quantity)
+            quantity: partial(Row.value, column=column, quantity=quantity, missing=("",))
             for quantity, column in columns.items()
         },
     )
@@ -73,11 +72,5 @@ def _columns(table: Table) -> tuple[dict[str, str], str]:
     if PRECIPITATION not in columns:
         raise table.refuse(
             f"there must be a column '{PRECIPITATION} [{QUANTITIES[PRECIPITATION][0]}]'"
-        )
-    lacking = [name for name in FOR_EVAPOTRANSPIRATION if name not in columns]
-    if EVAPOTRANSPIRATION not in columns and lacking:
-        raise table.refuse(
-            f"there must be a column '{EVAPOTRANSPIRATION} [{QUANTITIES[EVAPOTRANSPIRATION][0]}]', "
-            f"or {', '.join(lacking)} to compute it from"
         )
     return columns, method

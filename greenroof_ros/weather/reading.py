@@ -7,6 +7,8 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Protocol
 
+import numpy as np
+
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.files import read_text, shared_directory
 from greenroof_ros.model.site import Site
@@ -55,7 +57,8 @@ def default_weather() -> Path:
 
 
 def read_weather(
-    files: Sequence[Path], site: Site, method: str | None = None, gaps: str = REFUSE
+    files: Sequence[Path], site: Site, method: str | None = None, gaps: str = REFUSE, *,
+    rain_only: bool = False,
 ) -> Weather:
     """Read weather files, each of one of :data:`FORMATS`, and join them.
 
@@ -69,6 +72,7 @@ def read_weather(
         method: of the evapotranspiration: ``fao56``, or that of the files' own column. The
             latter if there is one and otherwise ``fao56``, unless given.
         gaps: one of :data:`greenroof_ros.weather.filling.GAPS`: what is done about longer ones.
+        rain_only: leave evapotranspiration unknown (NaN): a rain gauge does not measure it.
 
     Raises:
         ConfigurationError: a file is broken, two contradict each other, or they cannot give the
@@ -80,7 +84,9 @@ def read_weather(
     frost = None
     if "temperature" in records.values:
         frost = records.values["temperature"] <= _FREEZING
-    if EVAPOTRANSPIRATION in records.values and method in (None, records.method):
+    if rain_only:
+        evapotranspiration, method = np.full(records.hours, np.nan), ""
+    elif EVAPOTRANSPIRATION in records.values and method in (None, records.method):
         evapotranspiration, method = records.values[EVAPOTRANSPIRATION], records.method
     elif method in (None, FAO56):
         evapotranspiration, method = fao56(records, site), FAO56

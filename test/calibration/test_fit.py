@@ -174,9 +174,9 @@ def fitted(tmp_path_factory: pytest.TempPathFactory) -> Path:
     write(record_rows(PUMPED, DAYS, 2, pumping=True), directory / "twin.csv")
     text = (shared_directory() / "config" / "site.yaml").read_text(encoding="utf-8")
     for was, now in (
-        ("a2: 68.8", "a2: 100.0"), ("x2_star: 3.14416", "x2_star: 6.0"),
+        ("a2: 68.8", "a2: 100.0"),
         ("z_veg: 0.0457", "z_veg: 0.06"),
-        ("z_soil: 0.5", "z_soil: 0.1"), ("z_cap: 34.4", "z_cap: 10.0"),
+        ("z_soil: 0.5", "z_soil: 0.1"),
         ("latitude: 43.63", "latitude: 52.5"), ("longitude: -79.40", "longitude: 13.4"),
         ("utc_offset: -5.0", "utc_offset: 1.0"), ("a_in: 0.2922466566001905", "a_in: 300.0"),
     ):
@@ -200,7 +200,8 @@ def fitted(tmp_path_factory: pytest.TempPathFactory) -> Path:
     assert "data sheet: a_hat -1e+06 s2/m5, c_hat 50 m" in ended.stdout
     assert "target: z_veg was 0.06 m, and the fitted roof holds 0.0" in ended.stdout
     assert "pumps: 5" in ended.stdout  # l/s, sqrt((2 + 45 - 16) / 1e6) and a little less
-    assert ended.stderr == ""
+    # On a slow machine a line every ten seconds, and nothing else.
+    assert all(re.fullmatch(r"\d of \d: .*: \d+%", line) for line in ended.stderr.splitlines())
     noise = re.search(r"level sensor: noise (\S+) mm and drift", ended.stdout)[1]
     assert float(noise) == pytest.approx(2.0, abs=0.15)  # as the twin was made
     return directory
@@ -303,7 +304,7 @@ def test_a_text_that_is_not_the_fitted_site_is_refused(tmp_path: Path) -> None:
     with pytest.raises(ConfigurationError, match=r"c_hat = 55\.2: .* stay, and 50 was fitted"):
         refuse_unlike(text, replace(site, c_hat=50.0), file)
     with pytest.raises(ConfigurationError) as error:
-        refuse_unlike(text.replace("x2_star: 3.14416", "x2_star: 40"), site, file)
+        refuse_unlike(f"{text}x2_star: 40\n", site, file)
     assert str(error.value).startswith(
         f"{file}: with what was fitted it is no site, and nothing is written: x2_star = 40: must"
     )

@@ -63,3 +63,17 @@ def test_what_is_wrong_in_other_months_does_not_count(tmp_path: Path) -> None:
     with pytest.raises(ConfigurationError, match="the sensor is stuck"):
         refuse_wrong(record, TWIN)
     refuse_wrong(record.only(Months("5-6").steps(record)), TWIN)
+
+
+def test_temperatures_may_be_missing_in_other_months(tmp_path: Path) -> None:
+    """None in the first half of April, as of a logger that was out in winter."""
+    rows = record_rows(TWIN, 60, 1)
+    for row in rows[1:]:
+        if row[0] < "2021-04-16":
+            row[4] = row[5] = ""
+    file = write(rows, tmp_path / "record.csv")
+    with pytest.raises(ConfigurationError, match="has no temperature within 3 days"):
+        read_csv_record(file, TWIN)
+    months = Months("5-6")
+    record = read_csv_record(file, TWIN, months)
+    refuse_wrong(record.only(months.steps(record)), TWIN)

@@ -198,4 +198,4 @@ def test_live_graph_is_the_interface(domain: int, tmp_path: Path, controller: st
         node.destroy_node()
         context.try_shutdown()
         process.process.send_signal(signal.SIGINT)
-    assert process.wait(60) == 130
+    assert process.wait(300) == 130

@@ -81,6 +81,12 @@ def test_without_its_solver(
         choice.make(PAPER_SITE, {**choice.defaults(), **changes})
 
 
+def test_a_file_for_all_nodes(tmp_path: Path) -> None:
+    """The most common form: its section is ``/**``, its numbers may be whole."""
+    (tmp_path / "mine.yaml").write_text("/**:\n  ros__parameters:\n    weight: 5\n")
+    assert find_controller("mpc").read_parameters(tmp_path / "mine.yaml")["weight"] == 5.0
+
+
 def test_a_file_may_leave_parameters_out(tmp_path: Path) -> None:
     """As a node does, it takes the defaults; a plain name is a key, too."""
     (tmp_path / "mine.yaml").write_text("planning_mpc: {ros__parameters: {horizon: 6}}\n")
@@ -211,4 +217,4 @@ def test_a_whole_parameter_on_the_command_line(tmp_path: Path, value: str) -> No
     """A power is 1 or 2."""
     result = simulate(tmp_path, "--controller", "planning_mpc", "--power", value)
     assert result.returncode == 2
-    assert f"argument --power: invalid whole number from 1 to 2 value: '{value}'" in result.stderr
+    assert f"argument --power: must be a whole number from 1 to 2, is {value}" in result.stderr

@@ -10,6 +10,7 @@ from pathlib import Path
 from types import ModuleType
 
 import pytest
+from doc_commands.blocks import fences
 from places import CHECKOUT
 
 DOC = CHECKOUT / "doc"
@@ -44,6 +45,16 @@ def test_tables_are_those_of_the_package(page: Path) -> None:
     assert generator().renew(text) == text
 
 
+def test_commands_are_introduced_as_their_help_does() -> None:
+    """In paragraphs and lists; and what an option takes is no name of a function."""
+    text = (DOC / "reference" / "commands.md").read_text()
+    assert (
+        "shows the roof.\n\nThree ways to run:\n\n- **simulated**: as it is, or with any option "
+        "but those below\n- **hardware in the loop**: with `--drive`"
+    ) in text
+    assert not re.search(r"^\| `--[^|]*\| (parse|\\?_\w+) \|", text, re.MULTILINE)
+
+
 def anchors(path: Path) -> set[str]:
     """Return the anchors of a page's headings, as GitHub and MyST make them."""
     found = set()
@@ -75,12 +86,14 @@ def test_links_lead_somewhere(page: Path) -> None:
 
 def commands() -> Iterator[tuple[str, str]]:
     """Yield each command of this package in a block of a page, and the page."""
-    for page in PAGES:
-        for block in re.findall(r"^```\n(.*?)^```$", page.read_text(), re.DOTALL | re.MULTILINE):
+    for page in map(name, PAGES):
+        for _, language, block in fences(page):
+            if language not in ("sh", "text"):
+                continue
             for line in block.replace("\\\n", " ").splitlines():
                 command = line.strip().partition(" > ")[0]
-                if command.startswith("python -m greenroof_ros."):
-                    yield name(page), command
+                if command.startswith("python -m greenroof_ros.") and "$" not in command:
+                    yield page, command
 
 
 @pytest.mark.parametrize(("page", "command"), list(commands()))

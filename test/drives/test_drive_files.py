@@ -68,7 +68,7 @@ def refused(tmp_path: Path, old: str, new: str) -> str:
             "registers.control.manual = 400001: must be 400002: address 1 + numbering.offset "
             "400001; one of the two is wrong",
         ),
-        ("make: ABB", "makes: ABB", "makes = 'ABB': is unknown here; known are make, model,"),
+        ("make: ABB", "makes: ABB", "makes = 'ABB': is no key here; did you mean make?"),
         ("make: ABB", "make: 3", "make = 3: must be a text"),
         ("  offset: 400001", "  offset: high", "numbering.offset = 'high': must be a whole number"),
         ("  offset: 400001", "  offset: -1", "numbering.offset = -1: must be from 0 to 465536"),

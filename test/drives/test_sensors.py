@@ -168,7 +168,10 @@ def test_the_shipped_file_is_read_and_says_what_is_assumed() -> None:
 @pytest.mark.parametrize(
     ("change", "line", "said"),
     [
-        (("scale: 0.0001 ", "scal: 0.0001 "), 16, "cistern.scal = 0.0001: is unknown here; known"),
+        (
+            ("scale: 0.0001 ", "scal: 0.0001 "), 16,
+            "cistern.scal = 0.0001: is no key here; did you mean scale?",
+        ),
         (("  kind: input ", "  kind: coil "), 14, "cistern.kind = 'coil': must be one of input"),
         (("tcp://127.0.0.1:5030", "127.0.0.1"), 11, "cistern.address = '127.0.0.1': must be tcp"),
         (("type: uint16", "type: uint32"), None, "word_order: must be 'high first' or 'low"),

@@ -193,6 +193,18 @@ def test_both_sensors_may_be_on_one_line(tmp_path: Path) -> None:
         assert bus.ask("0001 0000 0006 02 04 0000 0001") == "00010000000502040201f4"
 
 
+def test_it_says_at_once_that_no_drive_turns_the_pump(tmp_path: Path) -> None:
+    """Without --drive-at, and with it where nothing listens."""
+    nowhere = f"tcp://127.0.0.1:{free_ports(1)[0]}"
+    for options, said in (
+        ((), "no drive is connected: the pump never runs"),
+        (("--drive-at", nowhere), "the pump counts as standing"),
+    ):
+        with site(tmp_path, *STILL, *options) as running:
+            assert running.program.process.stdout is not None
+            assert said in running.program.process.stdout.readline()
+
+
 @pytest.mark.parametrize(
     ("options", "said"),
     [

@@ -74,9 +74,9 @@ def _process(node: str, fault: str) -> Expected:
     """Return what must come of a fault of a process of a live site."""
     if fault == "stop short":
         return Expected(stops=False, alarm="")
-    ended = rf"{node} (ended|is missing|is starting|waits)|{node} had not answered|{node} is silent"
+    ended = rf"{node}:? (ended|is missing|is starting|waits|had not answered)|{node} is silent"
     if node == "recorder":
-        return Expected(stops=False, alarm=r"recorder (ended|had not answered)", watch=12.0)
+        return Expected(stops=False, alarm=r"recorder:? (ended|had not answered)", watch=12.0)
     if node == "bringup":
         if fault == "stop long":
             return Expected(bound="permit", alarm=r"bringup has given no permit")
@@ -84,7 +84,7 @@ def _process(node: str, fault: str) -> Expected:
         return Expected(bound="permit", alarm=alarm, recovery="ends")
     if node == "pump":
         bound = {"kill": "drive", "term": "permit", "stop long": "drive"}[fault]
-        return Expected(bound=bound, alarm=r"pump (ended|had not answered)")
+        return Expected(bound=bound, alarm=r"pump:? (ended|had not answered)")
     return Expected(bound="silent" if fault == "stop long" else "permit", alarm=ended)
 
 

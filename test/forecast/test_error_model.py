@@ -142,7 +142,7 @@ def skill_file(directory: Path, old: str, new: str) -> Path:
     ("old", "new", "words"),
     [
         ("memory: 8", "memory: -8", "climate.memory = -8.4: must be from 0.5 to 24"),
-        ("  memory:", "  memorie:", "climate.memorie = 8.4: is unknown here; known are wet_share"),
+        ("  memory:", "  memorie:", "climate.memorie = 8.4: is no key here; did you mean memory?"),
         ("  wetness: ", "# wetness: ", "errors.wetness: is missing: by how much too often"),
         ("timing: ", "timing: two # ", "errors.timing = 'two': must be a number"),
         ("errors:", "error:", "error = "),

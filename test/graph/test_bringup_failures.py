@@ -81,7 +81,7 @@ def test_interrupted(domain: int, tmp_path: Path, number: signal.Signals) -> Non
     process, nodes = started(domain, tmp_path)
     assert summary_of(tmp_path / "run")["status"] == "running"
     process.process.send_signal(number)
-    assert process.wait(60) == 130
+    assert process.wait(300) == 130
     assert "Traceback" not in process.stderr()
     assert_gone(nodes)
     assert (tmp_path / "run" / "bag" / "metadata.yaml").exists()
@@ -99,7 +99,7 @@ def test_ignored_signals(domain: int, tmp_path: Path) -> None:
         process.process.send_signal(number)
     process.wait_for_ticks()
     process.process.send_signal(signal.SIGTERM)
-    assert process.wait(60) == 130
+    assert process.wait(300) == 130
     assert_ended_early(process, "interrupted", "interrupted by SIGTERM")
 
 
@@ -108,7 +108,7 @@ def test_killed_node(domain: int, tmp_path: Path, victim: str) -> None:
     """kill -9 of any node ends the run at once, with its name, and leaves nothing behind."""
     process, nodes = started(domain, tmp_path)
     os.kill(nodes[victim], signal.SIGKILL)
-    assert process.wait(60) == 1
+    assert process.wait(300) == 1
     assert "Traceback" not in process.stderr()
     assert_gone(nodes)
     assert_ended_early(process, "failed", f"node {NODES[victim]} ended (SIGKILL)")
@@ -123,7 +123,7 @@ def test_hanging_nodes(domain: int, tmp_path: Path, victims: list[str]) -> None:
     for victim in victims:
         os.kill(nodes[victim], signal.SIGSTOP)
     stopped = time.monotonic()
-    assert process.wait(60) == 1
+    assert process.wait(300) == 1
     assert time.monotonic() - stopped > 2
     for victim in victims:
         # The supervisor says it, or the plant, which waits for what the victim publishes.
@@ -185,7 +185,7 @@ def test_pause_shorter_than_the_limit_changes_nothing(domain: int, tmp_path: Pat
         assert process.process.poll() is None, process.stderr()
         os.kill(nodes[node], signal.SIGCONT)
         time.sleep(0.2)
-    assert process.wait(60) == 0, process.stderr()
+    assert process.wait(300) == 0, process.stderr()
     undisturbed = bag_file(tmp_path / "undisturbed").read_bytes()
     assert bag_file(tmp_path / "run").read_bytes() == undisturbed
 
@@ -200,7 +200,7 @@ def test_interrupted_while_starting(domain: int, tmp_path: Path, delay: float) -
     for _ in range(3):
         process.process.send_signal(signal.SIGINT)
         time.sleep(0.05)
-    assert process.wait(60) == 130
+    assert process.wait(300) == 130
     assert process.stderr().count("interrupted by SIGINT\n") == 1
     assert summary_of(tmp_path / "run")["status"] == "interrupted"
     assert "Traceback" not in process.stderr()
@@ -214,7 +214,7 @@ def test_interrupted_while_ending(domain: int, tmp_path: Path) -> None:
     for _ in range(5):
         time.sleep(0.1)
         process.process.send_signal(signal.SIGINT)
-    assert process.wait(60) in (1, 130)
+    assert process.wait(300) in (1, 130)
     assert_gone(nodes)
     assert (tmp_path / "run" / "bag" / "metadata.yaml").exists()
 
@@ -248,7 +248,7 @@ def test_nodes_are_on_loopback_alone(domain: int, tmp_path: Path) -> None:
             assert not [file for file in files_of(pid) if file.startswith("/dev/shm/fastrtps")]
             assert "/dev/shm/fastrtps" not in Path(f"/proc/{pid}/maps").read_text()
         process.process.send_signal(signal.SIGTERM)
-        assert process.wait(60) == 130
+        assert process.wait(300) == 130
     finally:
         for port in ports:
             port.unlink(missing_ok=True)
@@ -259,12 +259,12 @@ def test_graph_that_is_there_already(domain: int, tmp_path: Path) -> None:
     process = Process(domain, "bringup", "--speed", "20", "--output", "run", cwd=tmp_path)
     process.wait_for_ticks(size=0)
     second = Process(domain, "bringup", "--output", "second", cwd=tmp_path)
-    assert second.wait(60) == 3
+    assert second.wait(300) == 3
     assert "ROS_DOMAIN_ID=" in second.stderr()
     assert not (tmp_path / "second").exists()
     assert process.process.poll() is None
     process.process.send_signal(signal.SIGINT)
-    assert process.wait(60) == 130
+    assert process.wait(300) == 130
 
 
 def test_nodes_that_are_there_already(domain: int, tmp_path: Path) -> None:
@@ -277,7 +277,7 @@ def test_nodes_that_are_there_already(domain: int, tmp_path: Path) -> None:
         wait_for(lambda: udp_addresses_of(weather.pid), 60, "the start of the node")
         time.sleep(0.5)  # until it has said its name
         process = Process(domain, "bringup", "--output", "run", cwd=tmp_path)
-        assert process.wait(60) == 3
+        assert process.wait(300) == 3
         assert "ROS_DOMAIN_ID" in process.stderr()
     finally:
         weather.kill()
@@ -301,7 +301,7 @@ def test_node_that_was_never_started(domain: int, tmp_path: Path) -> None:
             ],
             cwd=tmp_path, env=environ, capture_output=True, text=True, timeout=60, check=False,
         )
-        assert weather.wait(60) in (1, -signal.SIGALRM)  # the latter on a busy machine
+        assert weather.wait(300) in (1, -signal.SIGALRM)  # the latter on a busy machine
     finally:
         weather.kill()
         weather.wait()

@@ -20,7 +20,7 @@ from graphs import alive, wait_for
 from places import CHECKOUT
 
 from greenroof_ros.graph import live_supervisor
-from greenroof_ros.graph.live_supervisor import Incident, LiveSupervisor
+from greenroof_ros.graph.live_supervisor import Failure, LiveSupervisor
 from greenroof_ros.graph.node_processes import NodeFailed
 
 TOO_LONG_S = 60
@@ -68,11 +68,11 @@ class Site:
 @contextmanager
 def site(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, *, silence_s: float = 5.0, restarts: int = 9
-) -> Iterator[tuple[Site, list[Incident], list[float]]]:
+) -> Iterator[tuple[Site, list[Failure], list[float]]]:
     monkeypatch.setenv("PYTHONPATH", f"{CHECKOUT}{os.pathsep}{Path(__file__).parent}")
     marks = tmp_path / "marks"
     marks.mkdir()
-    incidents: list[Incident] = []
+    failures: list[Failure] = []
     stops: list[float] = []
 
     def stop_drive(_pump_node: int) -> tuple[bool, str]:
@@ -81,17 +81,17 @@ def site(
 
     supervisor = LiveSupervisor(
         tmp_path, [], "", silence_s=silence_s, restarts=restarts,
-        stop_drive=stop_drive, on_incident=incidents.append,
+        stop_drive=stop_drive, on_failure=failures.append,
     )
     with supervisor:
-        yield Site(supervisor, marks), incidents, stops
+        yield Site(supervisor, marks), failures, stops
 
 
 def test_a_node_that_died_is_started_again(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """After 1 s, then 2 s; the pump is held until it is there, and told why."""
-    with site(tmp_path, monkeypatch) as (here, incidents, stops):
+    with site(tmp_path, monkeypatch) as (here, failures, stops):
         here.add("weather", "controller", "pump")
         here.until(lambda: here.supervisor.all_ready and not here.supervisor.hold)
         for wait in (1.0, 2.0):
@@ -103,7 +103,7 @@ def test_a_node_that_died_is_started_again(
             _, started = here.starts("controller")[-1]
             assert started - died >= wait
             assert here.pid("controller") != killed
-        assert [(i.node, i.what, i.done) for i in incidents] == [
+        assert [(i.node, i.what, i.done) for i in failures] == [
             ("controller", "ended (SIGKILL)", "starts again in 1 s"),
             ("controller", "ended (SIGKILL)", "starts again in 2 s"),
         ]
@@ -124,7 +124,7 @@ def test_a_node_that_hangs_is_killed_and_started_again(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Held when it is silent for 2 s, killed at the limit."""
-    with site(tmp_path, monkeypatch, silence_s=5.0) as (here, incidents, _):
+    with site(tmp_path, monkeypatch, silence_s=5.0) as (here, failures, _):
         here.add("weather", "pump")
         here.until(lambda: here.supervisor.all_ready and not here.supervisor.hold)
         hung = here.pid("weather")
@@ -134,7 +134,7 @@ def test_a_node_that_hangs_is_killed_and_started_again(
         here.until(lambda: here.supervisor.hold == "weather is missing")
         assert not alive(hung)
         here.until(lambda: not here.supervisor.hold)
-        assert [(i.node, i.what) for i in incidents] == [
+        assert [(i.node, i.what) for i in failures] == [
             ("weather", "had not answered for 5 s (stopped): killed")
         ]
 
@@ -144,16 +144,16 @@ def test_the_drive_is_stopped_for_a_pump_node_that_cannot(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, how: signal.Signals
 ) -> None:
     """Once, and before the node is started again."""
-    with site(tmp_path, monkeypatch, silence_s=5.0) as (here, incidents, stops):
+    with site(tmp_path, monkeypatch, silence_s=5.0) as (here, failures, stops):
         here.add("weather", "pump")
         here.until(lambda: here.supervisor.all_ready and not here.supervisor.hold)
         os.kill(here.pid("pump"), how)
         here.until(lambda: len(here.starts("pump")) == 2)
         (stopped,) = stops
         assert stopped < here.starts("pump")[1][1]
-        assert [i.done for i in incidents] == ["starts again in 1 s", "the drive stands"]
+        assert [i.done for i in failures] == ["starts again in 1 s", "the drive stands"]
         here.until(lambda: here.supervisor.all_ready)
-    assert len(stops) == 2 and len(incidents) == 2  # at the end, whatever the pump node says
+    assert len(stops) == 2 and len(failures) == 2  # at the end, whatever the pump node says
 
 
 def test_a_pump_that_turns_on_is_stopped_once_more(
@@ -161,18 +161,18 @@ def test_a_pump_that_turns_on_is_stopped_once_more(
 ) -> None:
     """Longer than any ramp after it was forbidden; once, since the node may be right."""
     monkeypatch.setattr(live_supervisor, "LONGEST_RAMP_S", 1.0)
-    with site(tmp_path, monkeypatch, silence_s=9.0) as (here, incidents, stops):
+    with site(tmp_path, monkeypatch, silence_s=9.0) as (here, failures, stops):
         here.add("weather", "pump")
         here.until(lambda: here.supervisor.all_ready and not here.supervisor.hold)
         (here.marks / "pump-says").write_text("stopping: the weather is missing")
         ended = time.monotonic() + 5
         here.until(lambda: time.monotonic() > ended)
-        assert not incidents  # it is allowed
+        assert not failures  # it is allowed
         (here.marks / "weather-waits").touch()
         here.until(lambda: len(here.starts("pump")) == 2)
         ended = time.monotonic() + 5
         here.until(lambda: time.monotonic() > ended)
-        assert [(i.node, i.what) for i in incidents] == [
+        assert [(i.node, i.what) for i in failures] == [
             ("pump", "did not stop the pump within 3 s (weather is starting): killed"),
             ("pump", "could not stop the drive"),
         ]
@@ -184,35 +184,35 @@ def test_a_silent_pump_node_whose_pump_may_turn_is_killed_sooner(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, stands: bool
 ) -> None:
     """By what it says of the pump, not by the words of its state: an *off* may not be heard."""
-    with site(tmp_path, monkeypatch, silence_s=6.0) as (here, incidents, _):
+    with site(tmp_path, monkeypatch, silence_s=6.0) as (here, failures, _):
         (here.marks / "pump-says").write_text("off: no connection to the drive")
         (here.marks / "pump-stands").write_text(json.dumps(stands))
         here.add("pump")
         here.until(lambda: here.supervisor.last.get("pump", {}).get("stands") is stands)
         os.kill(here.pid("pump"), signal.SIGSTOP)
-        here.until(lambda: incidents)
+        here.until(lambda: failures)
         limit = 6 if stands else 2
-        assert incidents[0].what == f"had not answered for {limit} s (stopped): killed"
+        assert failures[0].what == f"had not answered for {limit} s (stopped): killed"
 
 
 def test_a_pump_node_that_does_not_end_by_itself(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Nothing is left that runs, be the node dead when the site is stopped."""
-    with site(tmp_path, monkeypatch) as (here, incidents, stops):
+    with site(tmp_path, monkeypatch) as (here, failures, stops):
         here.add("pump")
         here.until(lambda: here.supervisor.all_ready)
         os.kill(here.pid("pump"), signal.SIGKILL)
         time.sleep(0.2)
     assert len(stops) == 1
-    assert str(incidents[-1]) == "pump did not end well (SIGKILL); the drive stands"
+    assert str(failures[-1]) == "did not end well (SIGKILL); the drive stands"
 
 
 def test_a_node_that_fails_again_and_again_is_given_up(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """After 1 and 2 s; the third end is the last, and says so."""
-    with site(tmp_path, monkeypatch, restarts=2) as (here, incidents, _):
+    with site(tmp_path, monkeypatch, restarts=2) as (here, failures, _):
         here.add("weather", "fails")
         with pytest.raises(NodeFailed) as failed:
             here.until(lambda: False)
@@ -222,18 +222,18 @@ def test_a_node_that_fails_again_and_again_is_given_up(
     )
     assert failed.value.code == 1
     assert "fails was started" in str(failed.value)
-    assert [i.done for i in incidents] == ["starts again in 1 s", "starts again in 2 s"]
+    assert [i.done for i in failures] == ["starts again in 1 s", "starts again in 2 s"]
     assert not alive(here.starts("weather")[0][0])
 
 
 def test_a_recorder_ends_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """It is tried again, ever more seldom; the others go on, and the pump with them."""
-    with site(tmp_path, monkeypatch, restarts=1) as (here, incidents, _):
+    with site(tmp_path, monkeypatch, restarts=1) as (here, failures, _):
         here.add("weather", "pump")
         here.supervisor.add("recorder", "small_node", "wrong", str(here.marks))
-        here.until(lambda: len(incidents) == 2)
+        here.until(lambda: len(failures) == 2)
         here.until(lambda: here.supervisor.all_ready and not here.supervisor.hold)
-    assert [(i.node, i.what, i.done) for i in incidents] == [
+    assert [(i.node, i.what, i.done) for i in failures] == [
         ("recorder", "ended (exit code 2): parameter x must be a number",
          f"starts again in {wait} s; nothing is recorded until then") for wait in (1, 600)
     ]
@@ -243,7 +243,7 @@ def test_a_wrong_parameter_is_not_tried_again(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """It would be as wrong then."""
-    with site(tmp_path, monkeypatch) as (here, incidents, _):
+    with site(tmp_path, monkeypatch) as (here, failures, _):
         here.add("wrong")
         with pytest.raises(NodeFailed) as failed:
             here.until(lambda: False)
@@ -251,13 +251,13 @@ def test_a_wrong_parameter_is_not_tried_again(
         "node wrong ended (exit code 2): parameter x must be a number"
     )
     assert failed.value.code == 2
-    assert not incidents
+    assert not failures
 
 
 def test_what_a_node_waits_for_holds_the_pump(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    with site(tmp_path, monkeypatch) as (here, incidents, _):
+    with site(tmp_path, monkeypatch) as (here, failures, _):
         (here.marks / "weather-waits").touch()
         here.add("weather", "recorder", "pump")
         here.until(lambda: here.supervisor.last.keys() == {"weather", "recorder", "pump"})
@@ -267,7 +267,7 @@ def test_what_a_node_waits_for_holds_the_pump(
         # The recorder is none of the pump's.
         os.kill(here.pid("recorder"), signal.SIGKILL)
         here.until(lambda: len(here.starts("recorder")) == 2)
-        assert len(incidents) == 1 and not here.supervisor.hold
+        assert len(failures) == 1 and not here.supervisor.hold
         assert "recorder" not in str([permit["hold"] for permit in here.permits()])
 
 
@@ -277,7 +277,7 @@ from pathlib import Path
 from greenroof_ros.graph.live_supervisor import LiveSupervisor
 marks = Path(sys.argv[1])
 supervisor = LiveSupervisor(
-    marks, [], "", silence_s=3.0, restarts=9, stop_drive=None, on_incident=print
+    marks, [], "", silence_s=3.0, restarts=9, stop_drive=None, on_failure=print
 )
 with supervisor:
     for node in ("weather", "pump"):

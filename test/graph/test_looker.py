@@ -140,7 +140,7 @@ def test_it_uses_loopback_and_no_shared_memory(domain: int, tmp_path: Path) -> N
     assert "/dev/shm/fast" not in maps and "/dev/shm/sem.fast" not in maps
     assert not [file for file in files_of(process.pid) if file.startswith("/dev/shm/")]
     began = time.monotonic()
-    assert process.communicate("\n", timeout=20)[0] == "down\n"
+    assert process.communicate("\n", timeout=120)[0] == "down\n"
     assert time.monotonic() - began < 5
     assert process.returncode == 0
 

@@ -286,14 +286,14 @@ def run_module(
 @pytest.mark.parametrize(
     ("options", "expected"),
     [
-        ("--roof-noise -0.001", "--roof-noise: invalid number from 0 to 1 value"),
-        ("--roof-noise nan", "--roof-noise: invalid number from 0 to 1 value"),
-        ("--roof-noise 2", "--roof-noise: invalid number from 0 to 1 value"),
-        ("--roof-offset 3", "--roof-offset: invalid number from -1 to 1 value"),
-        ("--noise-seed 0.5", "--noise-seed: invalid whole number from 0 to 2147483647 value"),
-        ("--noise-seed -1", "--noise-seed: invalid whole number from 0"),
-        ("--minimum-on -1", "--minimum-on: invalid number from 0 to 86400 value"),
-        ("--minimum-off 1e9", "--minimum-off: invalid number from 0 to 86400 value"),
+        ("--roof-noise -0.001", "--roof-noise: must be a number from 0 to 1"),
+        ("--roof-noise nan", "--roof-noise: must be a number from 0 to 1"),
+        ("--roof-noise 2", "--roof-noise: must be a number from 0 to 1"),
+        ("--roof-offset 3", "--roof-offset: must be a number from -1 to 1"),
+        ("--noise-seed 0.5", "--noise-seed: must be a whole number from 0 to 2147483647"),
+        ("--noise-seed -1", "--noise-seed: must be a whole number from 0"),
+        ("--minimum-on -1", "--minimum-on: must be a number from 0 to 86400"),
+        ("--minimum-off 1e9", "--minimum-off: must be a number from 0 to 86400"),
     ],
 )
 def test_wrong_options(tmp_path: Path, module: str, options: str, expected: str) -> None:

@@ -106,8 +106,8 @@ def test_levels_of_a_simulated_site(
     finally:
         for process in (*nodes, site):
             process.terminate()
-        codes = [process.wait(60) for process in nodes]
-        site.wait(60)
+        codes = [process.wait(300) for process in nodes]
+        site.wait(300)
     assert codes == [0, 0]
 
 

@@ -145,7 +145,7 @@ def live_node(
         process.send_signal(signal.SIGCONT)
         process.send_signal(signal.SIGINT)
         # The kernel ends a node whose middleware takes long to go, as on a busy machine.
-        assert process.wait(60) in (0, -signal.SIGALRM)
+        assert process.wait(300) in (0, -signal.SIGALRM)
 
 
 def dry_site(site: Site) -> list[tuple[float, Any]]:
@@ -353,7 +353,7 @@ def test_a_node_that_is_killed_may_come_again_but_not_twice(
         for process in started:
             process.terminate()
         for process in started:
-            process.wait(60)
+            process.wait(300)
 
 
 IMPOSTOR = (
@@ -381,7 +381,7 @@ def impostor(domain: int, cwd: Path, name: str, topic: str, value: float) -> Ite
         yield
     finally:
         process.kill()
-        process.wait(8)
+        process.wait(120)
 
 
 def test_an_impostor_of_the_same_name(domain: int, tmp_path: Path, site: Site) -> None:

@@ -33,7 +33,7 @@ def recorder(domain: int, directory: Path) -> Iterator[subprocess.Popen[str]]:
         assert process.poll() is None
     finally:
         process.send_signal(signal.SIGTERM)
-        code = process.wait(60)
+        code = process.wait(300)
     assert code == 0
 
 

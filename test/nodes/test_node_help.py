@@ -166,7 +166,7 @@ def test_help_is_what_the_nodes_have(
         for process in started.values():
             process.terminate()
         for process in started.values():
-            process.wait(60)
+            process.wait(300)
     with (bag / "my_bag_0.mcap").open("rb") as stream:
         index = make_reader(stream).get_summary()
     assert index is not None and index.statistics is not None

@@ -125,7 +125,7 @@ def by_hand(domain: int, cwd: Path) -> Iterator[Nodes]:
                 process.send_signal(signal.SIGCONT)
                 process.send_signal(signal.SIGINT)
         for process in it.started.values():
-            process.wait(60)
+            process.wait(300)
 
 
 def parameters(**values: object) -> list[str]:

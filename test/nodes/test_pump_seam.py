@@ -77,7 +77,7 @@ def test_example_driver(domain: int, tmp_path: Path) -> None:
     finally:
         if driver.poll() is None:
             driver.send_signal(signal.SIGINT)
-            driver.wait(60)
+            driver.wait(300)
     run = tmp_path / "run"
     commands, flows = values(run, "/pump/command"), values(run, "/pump/flow")
     assert len(flows) == 1001
@@ -133,10 +133,10 @@ def test_publisher_that_does_not_fit_is_named_at_once(domain: int, tmp_path: Pat
         wait_for(lambda: len(warnings()) == 2, 60, "a second warning")
         command = warnings()[1]
         process.process.terminate()
-        assert process.wait(60) == 130
+        assert process.wait(300) == 130
     finally:
         driver.kill()
-        driver.wait(60)
+        driver.wait(300)
     must = (
         "it is volatile and has no liveliness lease, and must be reliable, transient local, "
         "keep last 64, with a liveliness lease of 1 s (doc/real-pump.md)"

@@ -109,7 +109,7 @@ def test_killed_recorder_costs_at_most_32_ticks(domain: int, tmp_path: Path) -> 
         while not stamps:
             executor.spin_once(timeout_sec=0.1)
         os.kill(process.nodes()["recorder"], signal.SIGKILL)
-        assert process.wait(60) == 1
+        assert process.wait(300) == 1
         until = time.monotonic() + 1
         while time.monotonic() < until:
             executor.spin_once(timeout_sec=0.1)

@@ -262,7 +262,7 @@ def test_never_runs_while_anything_speaks_against_it(
             fault = fault or "drive_fault" in change
             if against or fault:
                 assert decision.speed is None
-                assert decision.state in ("off", "stopping", "held", "fault")
+                assert decision.state in ("off", "stopping", "held", "fault", "unknown")
             if fault:
                 assert decision.state == "fault"
             if decision.speed is not None:

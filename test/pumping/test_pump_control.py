@@ -107,6 +107,27 @@ def test_trouble_heals(change: dict[str, object], why: str) -> None:
     assert rig.run(5, 0.5).state in ("starting", "running")
 
 
+def test_what_is_not_known_is_said_so() -> None:
+    """A drive that is lost while it runs: neither speed nor flow, until it stands for sure."""
+    rig = Rig()
+    decision = rig.run(15, 0.5)
+    assert (decision.stands, decision.flow_known) == (False, True)
+    assert decision.turns_at is not None and decision.turns_at > 0.5
+    rig.change = {"speed": None}
+    decision = rig.step(0.5)
+    assert (decision.stands, decision.turns_at, decision.flow_known) == (False, None, False)
+    assert decision.flow == 0  # its topic has a number for every command
+    rig.change = {"speed": -0.5}  # it is known to turn
+    decision = rig.step(0.5)
+    assert (decision.stands, decision.turns_at, decision.flow_known) == (False, -0.5, False)
+    rig.change = {}
+    rig.control.reset()
+    rig.run(60, 0.0)
+    rig.change = {"speed": None}
+    decision = rig.step(0.5)  # it stood when it was last heard
+    assert (decision.stands, decision.turns_at, decision.flow_known) == (True, None, True)
+
+
 def test_a_fault_of_the_drive_latches() -> None:
     """Until it is reset, and again while it is still there."""
     rig = Rig()
@@ -240,7 +261,7 @@ def test_whether_the_pump_stands() -> None:
     rig.change = {"speed": None, "problem": "connection lost"}
     rig.run(14, 0.5)
     assert {(one.state, one.flow, one.stands) for one in rig.decisions[-14:]} == {
-        ("off", 0.0, False)
+        ("unknown", 0.0, False)
     }
     assert rig.decisions[-1].why.endswith("; whether the pump stands is not known")
     decision = rig.run(3, 0.5)

@@ -256,7 +256,7 @@ def test_pump_curve(study: Path) -> None:
 def test_pump_data_are_drawn_and_fitted(study: Path, tmp_path: Path) -> None:
     """Two points fix the curve: 50 m at no flow and 46 m at 2 L/s give -1e6 and 50."""
     (tmp_path / "pump.csv").write_text("flow [m3/s],head [m]\n0,50\n0.002,46\n")
-    figure = make_figures(report_of(study), tmp_path / "pump.csv")[0]()
+    figure = make_figures(report_of(study), tmp_path / "pump.csv")[-2]()
     assert "a_hat = -1e+06 s2/m5, c_hat = 50 m" in figure.caption
     rows = [row for row in figure.data["pump-curve-1"] if row["line"] == "fit to the data sheet"]
     for row in rows:
@@ -538,9 +538,9 @@ def test_seeds_figure(seeds: Path, tmp_path: Path) -> None:
     report = report_of(seeds)
     figures = [make() for make in make_figures(report, None)]
     assert [figure.name for figure in figures] == [
-        "pump-curve-1", "pump-smoothing-1", "forecast-errors"
+        "forecast-errors", "pump-curve-1", "pump-smoothing-1"
     ]
-    figure = figures[-1]
+    figure = figures[0]
     assert figure.title == "Deviation under forecast errors"
     assert [panel.title for panel in figure.panels] == [
         [f"{window}", f"from {initial}"]
@@ -887,6 +887,15 @@ def test_outliers_are_left_out(tmp_path: Path) -> None:
     assert any("2 of 3600 values of /roof/level are not finite" in note for note in notes)
 
 
+@pytest.mark.parametrize("known", [0, 2, 3])
+def test_frost_may_be_unknown(known: int, tmp_path: Path) -> None:
+    """As at the start of a live site, before there is a forecast: a NaN, by the interface."""
+    frost = [float("nan")] * (3 - known) + [0.0] * known
+    small_bag(tmp_path / "bag", weather_frost=frost)
+    trajectory, _ = find_runs([tmp_path / "bag"], None).runs[0].load()
+    assert len(trajectory.roof) == 3
+
+
 def test_a_wrong_unit_is_no_outlier(tmp_path: Path) -> None:
     """A pump in L/s that runs for 20 s of an hour, less than a hundredth of it, is refused."""
     stamps = [second * 10**9 for second in range(3600)]
@@ -1165,7 +1174,7 @@ def test_refused_flows_act_as_zero(domain: int, tmp_path: Path) -> None:
             domain, tmp_path, "--hours", str(120 / 3600), "--controller", "onoff",
             "--pump", "external",
         )
-        assert driver.wait(60) == 0
+        assert driver.wait(300) == 0
     finally:
         driver.kill()
         driver.wait()
@@ -1242,9 +1251,9 @@ def test_a_run_that_is_not_done_says_it_first(tmp_path: Path, status: str) -> No
     known, sentence = ENDINGS[status]
     path = ended_run(tmp_path / "broken", status, **known)
     text = page_of(path)
-    said = f"<strong>This run {sentence}.</strong> What follows is the part that was recorded."
+    said = f"<strong>Mind:</strong> this run {sentence}: what follows is of what was recorded"
     assert said in text
-    assert text.index(said) < text.index("A green roof")
+    assert text.index(said) < text.index('<section id="results">')
     if status == "failed":
         done = command("broken", cwd=tmp_path)
         assert f"broken {sentence}; what follows is of the part" in " ".join(done.stdout.split())
@@ -1254,13 +1263,101 @@ def test_a_run_that_is_not_done_says_it_first(tmp_path: Path, status: str) -> No
         Report([result(entry, Assumptions()) for entry in sources.runs]), [], sources,
         Assumptions(),
     )
-    box = " ".join(html.partition('class="not-done"')[2].partition("</div>")[0].split())
-    assert "1 of 2 runs are not done." in box
-    assert f"<strong>broken</strong> {sentence}." in box
+    box = html.partition('class="cautions"')[2].partition("</p>")[0]
+    assert "1 of 2 runs are not done" in box and 'href="#warnings"' in box
+    warned = html.partition(f"{sentence[0].upper()}{sentence[1:]}; what follows")[2]
+    assert "</summary>broken</details>" in warned.partition("</li>")[0]
     short = {"failed": "failed at tick 72", "interrupted": "interrupted at tick 610",
              "running": "not ended"}[status]
     assert html.count(f'class="text warning">{short}</td>') >= 2
     assert html.count(">done</td>") >= 2
+
+
+LOSS = {
+    "number": 1, "node": "pump", "part": "drive", "cause": "no connection to the drive",
+    "began": "2026-11-21T02:25:12.500+00:00", "began_tick": 120,
+    "ended": "2026-11-21T02:25:20.300+00:00", "ended_tick": 588,
+}
+STILL_LOST = {
+    **LOSS, "number": 2, "node": "mpc", "part": "process", "cause": "ended (SIGKILL)",
+    "began_tick": 600, "ended": None, "ended_tick": None,
+}
+RESTARTED = {"node": "weather", "tick": 60, "how": "SIGKILL", "restarted_after_s": 2.0, "lost": []}
+
+
+def incidents_of(path: Path) -> list[list[str]]:
+    """Return the cells of the table of incidents."""
+    table = page_of(path).partition("<h3>Incidents</h3>")[2].partition("</table>")[0]
+    return [
+        re.findall(r"<t[hd][^>]*>([^<]*)</t[hd]>", row)
+        for row in table.partition("<tbody>")[2].split("<tr>")[1:]
+    ]
+
+
+def test_incidents_of_a_run(tmp_path: Path) -> None:
+    """Said on the console and above all results, warned of, and listed; restarts as ever."""
+    path = ended_run(tmp_path / "run", "done", incidents=[RESTARTED, LOSS, STILL_LOST])
+    done = command("run", cwd=tmp_path)
+    assert "run: done, with 2 incidents; the report lists them" in done.stdout
+    text = (path / "report" / "report.html").read_text()
+    lead = text.partition("</header>")[0]
+    assert "from low-low: done, with 2 incidents." in lead
+    assert "2 incidents: something was lost" in lead and 'href="#warnings"' in lead
+    assert "Done, with 2 incidents: something was lost while the run went on" in text
+    assert "Node weather ended in the run (SIGKILL), and another went on from tick 60." in text
+    assert "damaged or foreign" not in text
+    assert incidents_of(path) == [
+        ["1", "pump: drive", "00:02:00 (tick 120)", "00:09:48 (tick 588)", "7.8",
+         "no connection to the drive"],
+        ["2", "mpc", "00:10:00 (tick 600)", "not over", "unknown", "ended (SIGKILL)"],
+    ]
+    whole = ended_run(tmp_path / "whole", "done")
+    sources = find_runs([whole, path], None)
+    html = render(
+        Report([result(entry, Assumptions()) for entry in sources.runs]), [], sources,
+        Assumptions(),
+    )
+    assert "2 incidents in 1 of 2 runs" in html
+    assert 'class="text warning">done, with 2 incidents</td>' in html
+
+
+def test_incidents_of_a_run_whose_bringup_was_killed(tmp_path: Path) -> None:
+    """They are in a file of their own, beside a summary that has none, or beside none."""
+    path = ended_run(tmp_path / "run", "running", incidents=[])
+    lines = [json.dumps({**LOSS, "ended": None, "ended_tick": None}), json.dumps(LOSS), ""]
+    (path / "incidents.jsonl").write_text("\n".join(lines))
+    (cells,) = incidents_of(path)
+    assert cells[3] == "00:09:48 (tick 588)"
+    text = page_of(path)
+    assert "from low-low: not ended, with 1 incident." in text
+    assert "this run has not ended, or bringup was killed" in text
+    (path / "summary.json").unlink()
+    assert incidents_of(path) == [cells]
+    (path / "incidents.jsonl").write_text(f"{{}}\n{json.dumps(LOSS)}\n")
+    assert "Incidents.jsonl beside the bag is damaged, and not used: line 1: is no" in page_of(path)
+
+
+def test_incidents_of_a_live_site(tmp_path: Path) -> None:
+    """From the summary in its state directory, by the clock; its site is the one it ran with."""
+    path = tmp_path / "live"
+    small_bag(path / "bag")
+    (path / "configuration" / "site").mkdir(parents=True)
+    shutil.copy(CONFIG / "site.yaml", path / "configuration" / "site" / "my_site.yaml")
+    lost = {**LOSS, "number": 300, "began_tick": None, "ended_tick": None}
+    (path / "summary.json").write_text(json.dumps({
+        "status": "done", "reason": "interrupted by SIGTERM", "began": LOSS["began"],
+        "ended": LOSS["ended"], "last_time": None, "incident_count": 300, "incidents": [lost],
+        "controller": "onoff", "parameters": {"fraction": 1.0}, "site": "/etc/my_site.yaml",
+        "sensors": "sensors.yaml", "forecast": "/var/forecast.csv", "drive": "drive.yaml",
+        "drive_at": "/dev/ttyUSB0", "versions": {},
+    }))
+    text = page_of(path)
+    assert "done, with 300 incidents." in text and "damaged or foreign" not in text
+    assert "A run of on/off (fraction 1): my_site.yaml" in text
+    assert incidents_of(path) == [[
+        "300", "pump: drive", "2026-11-21 02:25:12+00:00", "2026-11-21 02:25:20+00:00", "7.8",
+        "no connection to the drive",
+    ]]
 
 
 def test_a_run_that_left_nothing(tmp_path: Path) -> None:
@@ -1280,7 +1377,44 @@ def test_a_run_that_left_nothing(tmp_path: Path) -> None:
     assert done.returncode == 0, done.stderr
     page = (tmp_path / "whole" / "report" / "report.html").read_text()
     assert "2 runs failed or did not run" in page
-    assert "<strong>broken</strong> failed: no start within 30 s" in page
+    assert '<th scope="row">broken</th><td>mpc</td><td>failed: no start within 30 s' in page
+
+
+def test_a_page_begins_with_what_came_out(
+    tmp_path: Path, study: Path, seeds: Path
+) -> None:
+    """Three sentences and a figure before the results; then figures and warnings, last versions."""
+    pages = {
+        "A run of MPC (weight 0.001): ": page_of(ended_run(tmp_path / "run", "done")),
+        "8 runs of MPC (2 settings) and on/off (2 settings), from low-low and high-low: ":
+        page_of(study),
+        "600 runs of MPC and on/off (2 settings), from low-low and high-low: 4 windows of weather.":
+        page_of(seeds),
+    }
+    for first, text in pages.items():
+        lead = text.partition('class="lead">')[2].partition("</p>")[0]
+        assert lead.startswith(first)
+        assert len(re.findall(r"\.(?= [A-Z]|$)", lead)) == 3
+        header = text.partition("</header>")[0]
+        assert header.count("<figure") == (1 if "<figure" in text else 0)
+        order = ['<section id="results">', '<section id="figures">', '<section id="numbers">',
+                 '<section id="configuration">', "Made with greenroof_ros"]
+        places = list(map(text.index, order))
+        assert places == sorted(places)
+        warnings = text.find('<section id="warnings">')
+        assert warnings == -1 or places[1] < warnings < places[2]
+
+
+@pytest.mark.parametrize(("count", "said"), [(9, True), (10, False)])
+def test_too_few_seeds_are_said(
+    tmp_path: Path, simulated: list[Simulated], count: int, said: bool
+) -> None:
+    """Before there are ten, the worst tenth is one run."""
+    rows = [row for row in seeded_rows(simulated[0].row) if int(row["forecast_seed"]) <= count]
+    text = page_of(write_study(tmp_path / "study", [(row, None) for row in rows], SEEDED))
+    words = f"only {count} seeds: the worst tenth of less than 10 is the worst run alone"
+    assert (words in text.partition("</header>")[0]) == said
+    assert (words[1:] in text.partition('id="warnings"')[2]) == said
 
 
 def test_one_run_alone(tmp_path: Path) -> None:
@@ -1288,7 +1422,7 @@ def test_one_run_alone(tmp_path: Path) -> None:
     path = ended_run(tmp_path / "run", "done")
     names = [make().name for make in make_figures(report_of(path), None)]
     assert names == [
-        "pump-curve-1", "pump-smoothing-1", "weather-1", "trajectories-1-1", "water-balance-1"
+        "weather-1", "trajectories-1-1", "water-balance-1", "pump-curve-1", "pump-smoothing-1"
     ]
     text = page_of(path)
     assert "Least total deviation" not in text and "<thead>" not in text.partition("Site:")[0]

@@ -60,6 +60,23 @@ window.mostLines = () => Math.max(...[...document.querySelectorAll("td, th")].ma
   const height = range.getBoundingClientRect().height;
   return Math.round(height / parseFloat(getComputedStyle(cell).lineHeight));
 }));
+// Labels of an axis that have less than 4 px between them, and so read as one.
+window.crowded = () => [...window.reportViews].flatMap(([id, view]) => {
+  const found = [];
+  const apart = (p, q) => Math.max(Math.max(p.x1, q.x1) - Math.min(p.x2, q.x2),
+                                   Math.max(p.y1, q.y1) - Math.min(p.y2, q.y2));
+  const walk = (mark) => {
+    if (mark.role === "axis-label") {
+      const shown = mark.items.filter((one) => one.opacity !== 0 && one.text !== "");
+      shown.forEach((one, place) => shown.slice(place + 1).forEach((other) => {
+        if (apart(one.bounds, other.bounds) < 4) found.push([id, one.text, other.text]);
+      }));
+    }
+    for (const item of mark.items ?? []) if (mark.marktype === "group") item.items.forEach(walk);
+  };
+  walk(view.scenegraph().root);
+  return found;
+});
 window.legendEntry = (id, text) => {
   const view = window.reportViews.get(id);
   let found = null;
@@ -155,8 +172,8 @@ def browser() -> Iterator[Any]:
         yield started
 
 
-def opened(browser: Any, file: Path, width: int) -> Any:
-    """Open the page and wait until everything is drawn."""
+def opened(browser: Any, file: Path, width: int, *, unfold: bool = True) -> Any:
+    """Open the page, with all that is folded, and wait until everything is drawn."""
     page = browser.new_page(viewport={"width": width, "height": 900})
     page.set_default_timeout(120_000)
     page.said = []
@@ -167,6 +184,10 @@ def opened(browser: Any, file: Path, width: int) -> Any:
     page.goto(file.as_uri())
     page.wait_for_function("document.documentElement.dataset.drawn")
     page.evaluate(f"() => {{ {SCENE} }}")
+    if unfold:
+        page.evaluate("document.querySelectorAll('details').forEach((one) => { one.open = true })")
+        page.wait_for_function("Math.max(...clipped()) <= 1", timeout=20_000)
+        settle(page)
     return page
 
 
@@ -188,6 +209,29 @@ def overflow(page: Any) -> int:
 def test_size(page_file: Path) -> None:
     """30 runs of 12 h of noise fit into 5 MB."""
     assert page_file.stat().st_size < 5_000_000
+
+
+@pytest.mark.parametrize(("name", "most"), [("page_file", 3000), ("run_file", 2700)])
+def test_short(
+    browser: Any, request: pytest.FixtureRequest, name: str, most: int
+) -> None:
+    """What few read is folded, and drawn to its width once it is unfolded."""
+    page = opened(browser, request.getfixturevalue(name), 1400, unfold=False)
+    try:
+        assert page.evaluate("document.documentElement.scrollHeight") < most
+        lead = page.locator("header figure .panel canvas")
+        assert lead.last.bounding_box()["y"] < 900
+        folded = page.locator("#pump-curve-1")
+        assert not folded.locator("canvas").is_visible()
+        folded.locator("summary").click()
+        width = "document.querySelector('#pump-curve-1 {}').getBoundingClientRect().width"
+        page.wait_for_function(
+            f"Math.abs({width.format('canvas')} - {width.format('.panel')}) <= 3"
+        )
+        assert folded.locator("canvas").is_visible()
+        page.wait_for_function("crowded().length === 0")
+    finally:
+        page.close()
 
 
 def test_silent_and_alone(page: Any, page_file: Path) -> None:
@@ -414,8 +458,11 @@ def test_readable_at_any_width(
     try:
         assert page.evaluate("mostLines()") <= 2
         assert max(page.evaluate("clipped()")) <= 1
+        assert page.evaluate("crowded()") == []
         page.set_viewport_size({"width": 500, "height": 900})
         page.wait_for_function("Math.max(...clipped()) <= 1")
+        settle(page)
+        assert page.evaluate("crowded()") == []
     finally:
         page.close()
     page = opened(browser, request.getfixturevalue(name), 500)
@@ -440,5 +487,6 @@ def test_a_study_is_readable_at_any_width(page: Any) -> None:
     """Its page is the largest; it is opened once for all tests, and this one comes last."""
     assert page.evaluate("mostLines()") <= 2
     assert max(page.evaluate("clipped()")) <= 1
+    assert page.evaluate("crowded()") == []
     page.set_viewport_size({"width": 500, "height": 900})
     page.wait_for_function("Math.max(...clipped()) <= 1")

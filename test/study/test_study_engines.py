@@ -338,7 +338,7 @@ def test_dask(tmp_path: Path) -> None:
     name = grid(tmp_path, text + "forecast: archive.csv\n")
     assert study(tmp_path, name, "--output", "here").returncode == 0
     with LocalCluster(
-        n_workers=2, threads_per_worker=1, host="127.0.0.1", dashboard_address=None
+        n_workers=2, threads_per_worker=1, host="127.0.0.1", dashboard_address=":0"
     ) as cluster:
         result = study(
             tmp_path, name, "--output", "there", "--scheduler", cluster.scheduler_address
@@ -362,8 +362,8 @@ class DaskCluster:
         file = directory / f"scheduler-{time.monotonic_ns()}.json"
         self.log = (directory / "dask.log").open("a")
         self.scheduler = self._start(
-            "scheduler", "--host", "127.0.0.1", "--port", "0", "--no-dashboard", "--no-show",
-            "--scheduler-file", str(file),
+            "scheduler", "--host", "127.0.0.1", "--port", "0", "--dashboard-address", ":0",
+            "--no-show", "--scheduler-file", str(file),
         )
         wait_for(lambda: file.is_file() and file.read_text().endswith("}"), 60, "a scheduler")
         self.address = json.loads(file.read_text())["address"]
@@ -372,7 +372,7 @@ class DaskCluster:
     def start_worker(self) -> subprocess.Popen[str]:
         """Start one more."""
         return self._start(
-            "worker", self.address, "--nthreads", "1", "--no-nanny", "--no-dashboard",
+            "worker", self.address, "--nthreads", "1", "--no-nanny", "--dashboard-address", ":0",
             "--host", "127.0.0.1",
         )
 
@@ -517,4 +517,4 @@ def test_ros_in_a_domain_in_use(tmp_path: Path) -> None:
     assert result.returncode == 0, result.stderr
     assert process.process.poll() is None, process.stderr()
     process.process.send_signal(signal.SIGINT)
-    assert process.wait(60) == 130
+    assert process.wait(300) == 130

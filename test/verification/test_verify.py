@@ -196,6 +196,14 @@ def previous_runs(directory: Path, hours: int, shares: tuple[float, ...]) -> Pat
     return path
 
 
+def on_the_page(page: Path, lines: list[str]) -> None:
+    """Hold the warnings at the top of a page to those on the console."""
+    header = page.read_text(encoding="utf-8").partition("</header>")[0]
+    said = [line.removeprefix("warning: ") for line in lines if line.startswith("warning: ")]
+    assert header.count('class="warning"') == len(said)
+    assert all(f"{one[0].upper()}{one[1:]}" in header for one in said)
+
+
 @pytest.mark.parametrize(
     ("hours", "last", "said"),
     [
@@ -211,10 +219,13 @@ def test_a_day_without_half_of_its_water(
     The ratio is that of the columns of the file, and the table is made all the same.
     """
     file = previous_runs(tmp_path, hours, (1.0, 1.1, 0.9, 1.0, last))
-    done = verify(tmp_path, str(file), "--weather", str(records(tmp_path, file, 1)))
+    weather = str(records(tmp_path, file, 1))
+    done = verify(tmp_path, str(file), "--weather", weather, "-o", "page.html")
     assert (done.returncode, "day 5" in done.stdout) == (0, True)
-    assert len(done.stderr.splitlines()) == bool(said)
+    warned = [line for line in done.stderr.splitlines() if line.startswith("warning")]
+    assert len(warned) == bool(said)
     assert said in done.stderr
+    on_the_page(tmp_path / "page.html", warned)
     if said:
         series = np.array([list(map(float, cells)) for cells in columns(file).values()])
         totals = series.sum(axis=0)
@@ -229,9 +240,11 @@ def test_forecasts_of_another_place(tmp_path: Path) -> None:
         weather = str(records(tmp_path, file, 1))
         rows = [line.split(",") for line in file.read_text().splitlines()]
         file.write_text("".join(f"{row[0]},{row[2]}\n" for row in rows))  # the second day alone
-        done = verify(tmp_path, str(file), "--weather", weather)
+        page = tmp_path / f"{hours}.html"
+        done = verify(tmp_path, str(file), "--weather", weather, "-o", page.name)
         assert (done.returncode, "day 2" in done.stdout) == (0, True)
         assert ("these forecasts know nothing of these records" in done.stderr) == warned
+        on_the_page(page, done.stderr.splitlines())
 
 
 def test_models_of_the_package(tmp_path: Path) -> None:
@@ -330,7 +343,8 @@ WRONG = {
         f"--lead = 6: must be a multiple of 24 h, which is all that {GEM} (Open-Meteo, previous",
     ),
     "apart": (
-        [str(GEM)], f"{GEM}: FORECASTS = '{GEM}': have no whole sum in common with the records, "
+        [str(GEM)],
+        f"{GEM}: FORECASTS = '{GEM}': have no whole sum in common with the records: these are of ",
     ),
     "between": (
         ["half.csv"],

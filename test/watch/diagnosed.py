@@ -79,6 +79,9 @@ class Diagnosed:
             name, _, part = status.name.partition(": ")
             level = _LEVELS[status.level[0]]
             if part and name in self._nodes:
+                values = self._nodes[name].values
+                if part == "pump" and not values["stands"] and values["speed"] is None:
+                    level = "error"  # whatever the node says: nobody knows whether it turns
                 wrong = compared(level, status.message) if level else ""
                 self._nodes[name].parts[part] = at, wrong
             elif not part and status.message in STATES:

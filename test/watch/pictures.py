@@ -43,7 +43,7 @@ def full_speed(domain: int, place: Path) -> Iterator[tuple[str, ...]]:
     run.wait_for_ticks(1_000_000)
     yield ()
     run.process.terminate()
-    run.wait(60)
+    run.wait(300)
 
 
 @contextmanager
@@ -58,7 +58,7 @@ def storm(domain: int, place: Path) -> Iterator[tuple[str, ...]]:
     time.sleep(150)  # some hours
     yield ()
     run.process.terminate()
-    run.wait(60)
+    run.wait(300)
 
 
 @contextmanager

@@ -395,6 +395,12 @@ def test_there_is_advice_on_all_that_was_said_in_the_campaign() -> None:
     assert without == []
 
 
+def test_a_node_that_was_started_again_needs_nothing() -> None:
+    """As an incident has it."""
+    for cause in ("ended (SIGKILL); starts again in 1 s", "is missing; starts again in 2 s"):
+        assert "bringup started it again" in advise("/mpc", "mpc", "process", cause)
+
+
 def test_of_other_devices_nothing_is_known() -> None:
     assert advise("/camera", "", "lens", "fault: an operator stopped it") == FOREIGN
     assert advise("/x", "gauge", "battery", "low") == OTHER

@@ -162,7 +162,7 @@ def test_what_is_heard_is_the_bags(domain: int, tmp_path: Path) -> None:
         with pytest.raises(StopFailedError, match="no pump node"):
             feed.stop_pump()
         run.process.send_signal(signal.SIGINT)
-        assert run.wait(60) == EXIT_INTERRUPTED, run.stderr()
+        assert run.wait(300) == EXIT_INTERRUPTED, run.stderr()
         ended(watched, tmp_path / "run")
         bag, heard = recorded(tmp_path / "run"), watched.of(HEARD)
         check_heard(watched, tmp_path / "run", 100)
@@ -385,7 +385,7 @@ def test_a_node_that_is_started_again(domain: int, tmp_path: Path) -> None:
             count = least_heard(watched)
             wait_for(lambda count=count: least_heard(watched) > count + 60, 400, "more")
         run.process.send_signal(signal.SIGINT)
-        assert run.wait(60) == EXIT_INTERRUPTED, run.stderr()
+        assert run.wait(300) == EXIT_INTERRUPTED, run.stderr()
         ended(watched, tmp_path / "run")
         assert watched.runs == 0
         check_heard(watched, tmp_path / "run", 150)
@@ -423,7 +423,7 @@ def test_a_watcher_that_was_stopped(domain: int, tmp_path: Path) -> None:
         process.send_signal(signal.SIGCONT)
         assert process.stdout.readline() == "hears\n"
     run.process.send_signal(signal.SIGINT)
-    assert run.wait(60) == EXIT_INTERRUPTED, run.stderr()
+    assert run.wait(300) == EXIT_INTERRUPTED, run.stderr()
     process.communicate("the run has ended\n", timeout=200)
     assert process.returncode == 0
     kept = Kept()

@@ -8,7 +8,7 @@ import time
 import numpy as np
 import pytest
 
-from greenroof_ros.watch.history import KEPT, STRETCH_NS, History
+from greenroof_ros.watch.history import KEPT, STRETCH_NS, History, Unknown
 
 SECOND = 10**9
 START = 1_626_757_200 * SECOND  # a multiple of 20 s
@@ -116,3 +116,29 @@ def test_ten_thousand_ticks_take_less_than_five_milliseconds() -> None:
         history.add(times, values)
         spent.append(time.thread_time() - began)
     assert min(spent) < 5e-3
+
+
+def test_times_at_which_a_value_was_not_known() -> None:
+    """From when it was known last until it is again; the newest may last."""
+    rows = [[float(at), 1.0, 1.0, 1.0] for at in range(0, 100, 10)]
+    unknown = Unknown()
+    assert unknown.cut_out(rows) == rows
+    unknown.say(1e9, known=False)  # by another clock, before the run's own was known
+    unknown.say(5.0, known=True)
+    assert unknown.cut_out(rows) == rows
+    unknown.say(25.0, known=True)
+    unknown.say(27.0, known=False)
+    unknown.say(45.0, known=False)
+    unknown.say(55.0, known=True)
+    nothing = [None, None, None]
+    assert unknown.cut_out(rows) == [*rows[:3], [25.0, *nothing], *rows[6:]]
+    unknown.say(75.0, known=False)
+    assert unknown.lasts
+    assert unknown.cut_out(rows) == [
+        *rows[:3], [25.0, *nothing], [55.0, *nothing],
+    ]
+    unknown.say(76.0, known=True)
+    assert unknown.cut_out(rows) == [
+        *rows[:3], [25.0, *nothing], [55.0, *nothing], *rows[8:],
+    ]
+    assert list(unknown.at(np.array([25.0, 26.0, 55.0, 75.0]))) == [False, True, False, True]

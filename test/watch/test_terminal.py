@@ -186,7 +186,7 @@ def test_a_pump_of_which_no_flow_is_known_yet() -> None:
     assert one.document(0.0)["tiles"]["pump"]["sentence"] == "nothing was heard of it yet"
     one.add_statuses(1.0, node("/pump", "pump", pump="off: no command"))
     assert one.document(1.0)["tiles"]["pump"]["sentence"] == ""
-    assert any(line.startswith("Pump          Last known: off") for line in drawn(one))
+    assert any(line.startswith("Pump          unknown") for line in drawn(one))
     # And a sentence of nothing but a line's end.
     one.add_statuses(1.5, node("/mpc", "controller", ("program", ERROR, "\n")))
     assert any(line.startswith("Controller") for line in drawn(one))
@@ -235,6 +235,27 @@ def test_bars_by_hand() -> None:
         if line.startswith("Roof     ")
     )
     assert plain[27:53] == "_....::::----===++++****##"
+
+
+def test_what_is_constant_is_seen() -> None:
+    """Half as high as it may be; of nothing the lowest."""
+    one = Watched()
+    one.set_site(PAPER_SITE)
+    one.set_present(mode="simulated", factor=30.0, source="heard", note="")
+    times = START + 10 * SECOND * np.arange(4321)
+    one.add("/cistern/level", times, np.full(len(times), 2.5))
+    one.add("/pump/flow", times, np.zeros(len(times)))
+    lines = drawn(one, 80, 30)
+    (cistern,) = (line for line in lines if line.startswith("Cistern  "))
+    assert cistern[27:53] == "▅" * 26
+    (pump,) = (line for line in lines if line.startswith("Pump     ") and "|" in line)
+    assert pump[27:53] == "▁" * 26
+
+
+def test_what_a_terminal_says_is_in_a_terminal() -> None:
+    one = run_of(1.0)
+    assert "tile" not in " ".join(drawn(one, height=None))
+    assert "Nothing to do" not in " ".join(drawn(Watched(), height=None))
 
 
 def test_the_range_of_a_chart_is_that_of_all_values() -> None:
@@ -414,6 +435,6 @@ def test_into_a_file() -> None:
         lines = [process.stdout.readline() for _ in range(10)]
         assert lines[0].startswith("Live site")
         process.terminate()
-        rest, errors = process.communicate(timeout=20)
+        rest, errors = process.communicate(timeout=120)
     assert "\x1b" not in rest
     assert (process.returncode, errors) == (0, "")

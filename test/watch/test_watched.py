@@ -21,8 +21,9 @@ from greenroof_ros.common.interface import read_topics
 from greenroof_ros.experiment.closed_loop import closed_loop, record
 from greenroof_ros.model.look_ahead import LONGEST_HORIZON, growing_steps
 from greenroof_ros.model.metrics import Metrics
-from greenroof_ros.watch import words
+from greenroof_ros.watch import tiles, words
 from greenroof_ros.watch.alarms import Status
+from greenroof_ros.watch.incident_rows import Dated
 from greenroof_ros.watch.outlook import step_ends
 from greenroof_ros.watch.watched import LINES, Watched
 
@@ -176,10 +177,10 @@ def test_rain_and_what_is_to_come() -> None:
     one.add_forecast("/forecast/precipitation", START + 60 * SECOND, ENSEMBLE)
     tile = shown(one)["tiles"]["rain"]
     assert tile["value"] == "1.0 mm/h"
-    assert tile["sentence"] == "26 mm expected in the next 12 h (8.6 to 43 mm)"
+    assert tile["sentence"] == "26 mm expected in the next 12 h (8.6 to 43)"
     one.add_forecast("/forecast/precipitation", START + 61 * SECOND, ENSEMBLE[:3])
     tile = shown(one)["tiles"]["rain"]
-    assert tile["sentence"] == "8.6 mm expected in the next 12 h (4.3 to 13 mm)"
+    assert tile["sentence"] == "8.6 mm expected in the next 12 h (4.3 to 13)"
     one.add_forecast("/forecast/precipitation", START + 62 * SECOND, ENSEMBLE[0])
     assert shown(one)["tiles"]["rain"]["sentence"] == "4.3 mm expected in the next 12 h"
 
@@ -208,7 +209,7 @@ def test_the_steps_of_a_forecast_follow_from_their_number(hours: float) -> None:
     ({"roof_level": 0.04, "pump_command": 0.4, "pump_flow": 2e-4}, "warn",
      "Nothing to do: the pump waters the roof."),
     ({"roof_level": 0.04}, "warn",
-     "Nothing to do now: the controller waits; what it intends is in its tile."),
+     "Nothing to do now: the controller commands no pumping now."),
     ({"roof_level": 0.04, "pump_command": 0.4, "weather_frost": 1.0}, "warn",
      "The roof is not watered, since the pump is off: there is frost."),
     ({"roof_level": 0.05}, "warn", "Nothing to do: the roof drains and dries by itself."),
@@ -419,8 +420,8 @@ def test_a_value_that_does_not_come_any_more_is_stale() -> None:
         document = shown(one, 100.0 + second)
     tile = document["tiles"]["roof"]
     assert tile["stale"]
-    assert (tile["value"], tile["state"]) == ("Last known: 45.3 mm", "unknown")
-    assert tile["sentence"] == "was 0.4 mm below its target when last heard at 00:01:10"
+    assert (tile["value"], tile["state"]) == ("unknown", "unknown")
+    assert tile["sentence"] == "45.3 mm when last heard at 00:01:10"
     assert not document["tiles"]["cistern"]["stale"]
     assert document["tiles"]["summary"]["level"] == "warn"
     hear(one, 90, 91, {"/roof/level": 0.0453})
@@ -620,6 +621,7 @@ def test_stop_is_there_with_a_pump_node_only() -> None:
     assert shown(one)["stop"] == {
         "possible": True, "held": False, "node": "/pump", "label": "Stop the pump", "warning": "",
         "sentence": "Holds the pump off until somebody releases it at the pump node.",
+        "call": 'ros2 service call /pump/stop std_srvs/srv/SetBool "{data: true}"', "release": "",
     }
     one.set_pump("/pump", "Two nodes say so.")
     stop = shown(one)["stop"]
@@ -657,8 +659,248 @@ def test_nothing_is_held_off_by_a_node_that_is_gone() -> None:
     document = stop_after("held: an operator stopped it", 103.0, stands=True, held=HELD)
     assert not document["stop"]["held"]
     assert document["stop"]["sentence"].startswith("It was held off when last heard.")
-    assert document["tiles"]["pump"]["value"] == "Last known: held"
+    assert document["tiles"]["pump"]["value"] == "unknown"
+    assert document["tiles"]["pump"]["sentence"].startswith("held when last heard")
     assert "what the pump does is not known" in document["tiles"]["summary"]["sentence"]
+
+
+def with_pump(one: Watched, wall: float, state: str, **said: Any) -> dict[str, Any]:
+    """Return the document when the pump node said so, with its part, and a warning beside it."""
+    one.set_pump("/pump")
+    pump = node("pump", pump=state, **said)
+    part = replace(pump, name="/pump: pump", level=1, message=state, values={})
+    one.add_statuses(wall, [
+        pump, part, replace(part, name="/pump: limits", message="3 m3 are owed"),
+    ])
+    return shown(one, wall)
+
+
+LOST = "off: no connection to the drive; whether the pump stands is not known"
+
+
+def test_a_pump_that_may_turn_is_unknown_and_an_alarm() -> None:
+    """What stands on its topics in its place is shown nowhere: neither off nor 0.0 L/min."""
+    one = watched(pump_command=1.0)
+    one.set_present(mode="loop", factor=30.0, source="heard", note="")
+    document = with_pump(one, 100.0, LOST, stands=False, speed=None, flow=None)
+    tile, summary = document["tiles"]["pump"], document["tiles"]["summary"]
+    assert (tile["value"], tile["state"], tile["alarm"]) == ("unknown", "unknown", True)
+    assert tile["number"] is None and "L/min" not in tile["sentence"]
+    assert tile["sentence"].startswith("whether it stands is not known; commanded 100 %")
+    assert (summary["level"], summary["word"]) == ("error", "1 alarm, 1 warning.")
+    assert summary["sentence"].endswith("whether the pump stands is not known.")
+    first = document["alarms"][0]
+    assert (first["id"], first["level"]) == ("/pump: pump", "error")
+    assert "Go and see" in document["advice"]
+
+
+def test_a_recording_guesses_no_reason_of_a_pump_that_is_unknown() -> None:
+    """A bag says nothing of the pump node: flow and command alone look as if it rested."""
+    still, asked = tiles.Value(0.0), tiles.Value(0.5)
+    pumping = tiles.Pumping(
+        said=None, gone=False, heard=False, may_turn=True, flow_known=False, flow=still,
+        command=asked, roof=None, cistern=None, frost=None, kept_off=False,
+    )
+    tile = tiles.pump(pumping, None)
+    assert (tile["value"], tile["why"]) == ("unknown", "")
+    rests = replace(pumping, heard=True, may_turn=False, flow_known=True)
+    assert tiles.pump(rests, None)["why"] == "it rests between two runs"
+
+
+@pytest.mark.parametrize(("said", "value", "alarm"), [
+    ({"stands": False, "speed": -0.5, "flow": None}, "fault", False),  # backwards: known to turn
+    ({"stands": False, "speed": 0.7, "flow": None}, "running", False),  # no level of the cistern
+    ({"stands": False, "speed": None, "flow": 1e-3}, "unknown", True),  # a flow meter says more
+])
+def test_what_is_known_of_the_pump(said: dict[str, Any], value: str, alarm: bool) -> None:
+    one = watched(pump_flow=1e-3)
+    state = f"{'off' if value == 'unknown' else value}: why"
+    tile = with_pump(one, 100.0, state, **said)["tiles"]["pump"]
+    assert (tile["value"], tile["alarm"]) == (value, alarm)
+    assert ("60.0 L/min" in tile["sentence"]) == (said["flow"] is not None)
+    assert ("flow is not known" in tile["sentence"]) == (said["flow"] is None)
+
+
+def test_a_drive_that_is_not_heard_has_no_flow_although_it_stands() -> None:
+    """It stood when it was last heard, or must by now: that is no measured 0.0 L/min."""
+    one = watched(pump_command=0.5)
+    tile = with_pump(
+        one, 100.0, "off: no connection to the drive", stands=True, speed=None, flow=0.0
+    )["tiles"]["pump"]
+    assert (tile["value"], tile["number"], tile["alarm"]) == ("off", None, False)
+    assert tile["sentence"] == (
+        "its drive is not heard: it stood then, or its own timeout has stopped it; commanded 50 % "
+        "of its greatest flow"
+    )
+
+
+def test_a_node_that_is_gone_leaves_a_running_pump_unknown() -> None:
+    one = watched()
+    one.set_present(mode="live", factor=None, source="heard", note="")
+    with_pump(one, 100.0, "running: as commanded", stands=False, speed=1.0, flow=1e-3)
+    tile = shown(one, 103.0)["tiles"]["pump"]
+    assert (tile["value"], tile["alarm"]) == ("unknown", True)
+
+
+def test_a_flow_that_is_not_known_is_a_gap() -> None:
+    """Of the chart and of the account, from when it was known last until it is known again."""
+    one = watched(pump_flow=1e-3)
+    one.set_present(mode="live", factor=None, source="heard", note="")
+    one.look(99.0, START / 1e9 + 60)
+    known = {"stands": False, "speed": 1.0, "flow": 1e-3}
+
+    def say(second: int, said: dict[str, Any]) -> None:
+        one.look(100.0 + second, START / 1e9 + second)
+        pump = node("pump", pump="off: lost", **said)
+        one.add_statuses(100.0 + second, [pump], START + second * SECOND)
+
+    say(60, known)
+    say(70, {"stands": False, "speed": None, "flow": None})
+    hear(one, 61, 161, {**QUIET, "/pump/flow": 0.0})
+    one.look(300.0, START / 1e9 + 160)
+    flow = one.series(1)["lines"]["flow"]
+    at = [round(row[0] - START / 1e9) for row in flow]
+    assert (at[-1], flow[-1][1:]) == (60, [None, None, None])
+    assert all(row[1] == 1e-3 for row in flow[:-1]) and len(flow) > 1
+    say(160, known)
+    hear(one, 161, 181, {**QUIET, "/pump/flow": 1e-3})
+    one.look(301.0, START / 1e9 + 180)
+    flow = one.series(1)["lines"]["flow"]
+    assert [row[1] for row in flow if row[0] > START / 1e9 + 60] == [1e-3] * 2
+    document = shown(one, 301.0)
+    (pumped,) = (row for row in document["account"]["rows"] if row["key"] == "pumped")
+    assert pumped["number"] == pytest.approx(0.08, abs=0.003)
+    assert "with gaps of" in document["account"]["sentence"]
+
+
+def test_the_release_of_a_stop_is_shown_while_one_holds() -> None:
+    command = 'ros2 service call /pump/stop std_srvs/srv/SetBool "{data: %s}"'
+    stop = stop_after("held: an operator stopped it", stands=True, held=HELD)["stop"]
+    assert (stop["call"], stop["release"]) == ("", command % "false")
+    stop = stop_after("held: an operator stopped it", stands=False, held=HELD)["stop"]
+    assert (stop["call"], stop["release"]) == (command % "true", command % "false")
+    stop = stop_after("held: there is frost", stands=True, held="")["stop"]
+    assert (stop["call"], stop["release"]) == (command % "true", "")
+
+
+def with_outlook(
+    mean: float, *, command: float = 0.0, level: float = 0.035, plan: Any = None,
+) -> dict[str, Any]:
+    """Return the document where so much rain (m) is to fall from 02:00 to 04:00, and a plan."""
+    one = watched(roof_level=level, pump_command=command)
+    steps = np.zeros((11, 32))
+    ends = step_ends(SITE, 32)
+    assert ends is not None
+    begins = np.append(0.0, ends[:-1])
+    steps[:, (begins >= 7200) & (ends <= 14400)] = 1.0
+    share = np.linspace(0.5, 1.5, 11)[:, None] * mean / ((ends - begins) @ steps[0])
+    one.add_forecast("/forecast/precipitation", START + 60 * SECOND, steps * share)
+    if plan is not None:
+        one.add_plan(START + 60 * SECOND, np.array(plan))
+    return shown(one)
+
+
+def test_a_pump_that_waits_for_rain_says_so() -> None:
+    """Members of half to one and a half times 32 mm: a tenth is below 19, a tenth above 45."""
+    document = with_outlook(0.032)
+    summary = document["tiles"]["summary"]
+    assert summary["sentence"] == (
+        "The roof is too dry, 10.7 mm below its target; the pump is waiting for rain: 32 mm (19 to "
+        "45) by 04:00."
+    )
+    assert (summary["level"], document["advice"]) == ("ok", "Nothing to do.")
+
+
+@pytest.mark.parametrize("case", [
+    {"mean": 0.008},  # too little
+    {"mean": 0.032, "command": 0.5},
+    {"mean": 0.032, "plan": [[1800.0, 1e-3, 0.036], [43200.0, 0.0, 0.04]]},  # it pumps before
+])
+def test_a_pump_that_does_not_wait_for_rain(case: dict[str, Any]) -> None:
+    summary = with_outlook(**case)["tiles"]["summary"]
+    assert "waiting" not in summary["sentence"]
+    assert summary["level"] == "warn"
+
+
+def test_a_roof_that_will_be_too_wet_is_said_in_words() -> None:
+    plan = [[3600.0, 0.0, 0.040], [7200.0, 0.0, 0.050], [43200.0, 0.0, 0.0657]]
+    sentence = with_outlook(0.032, plan=plan)["tiles"]["summary"]["sentence"]
+    assert sentence.endswith(
+        "It is expected to be too wet from 02:01 on, up to 20.0 mm above its target."
+    )
+    assert "too wet" not in with_outlook(0.032, plan=[[43200.0, 0.0, 0.045]])["tiles"]["summary"][
+        "sentence"
+    ]
+
+
+def test_a_horizon_is_of_whole_hours() -> None:
+    plan = [[3600.0, 0.0, 0.040], [42900.0, 0.0, 0.045]]
+    tile = with_outlook(0.032, plan=plan)["tiles"]["controller"]
+    assert tile["sentence"] == "will not pump in the next 12 h"
+
+
+def test_what_began_before_the_clock_of_a_run_is_of_its_clock() -> None:
+    """Nodes stamp with the system's time until the first tick."""
+    one = Watched()
+    one.set_site(SITE)
+    one.set_present(mode="simulated", factor=None, source="heard", note="")
+    pump = node("pump")
+    trouble = replace(pump, name="/pump: drive", level=1, message="not yet connected", values={})
+    one.add_event(time.time(), "It came.")
+    one.add_statuses(1.0, [pump, trouble], time.time_ns())
+    one.add_statuses(2.0, [pump, trouble], time.time_ns())
+    one.add_statuses(3.0, [pump, replace(trouble, level=0)], START + SECOND)
+    hear(one, 0, 9, QUIET)
+    document = shown(one, 3.5)
+    (alarm,) = document["alarms"]
+    assert (alarm["since_text"], alarm["since_at_least"]) == ("00:00:01", True)
+    assert alarm["over_text"] == "00:00:01"
+    assert [event["at_text"] for event in document["events"]] == ["00:00:01"]
+
+
+def incident(**changes: Any) -> Dated:
+    given = Dated("pump", "drive", "no connection to the drive", START / 1e9 + 10, START / 1e9 + 30)
+    return replace(given, **changes)
+
+
+@pytest.mark.parametrize(("second", "level", "word", "value"), [
+    (5, "stale", "Alarms are not known.", "off"),
+    (20, "error", "1 alarm.", "unknown"),
+    (60, "warn", "1 incident, over.", "off"),
+])
+def test_an_incident_of_a_recording_stands_while_it_did(
+    second: int, level: str, word: str, value: str
+) -> None:
+    one = Watched()
+    one.set_site(SITE)
+    one.set_present(mode="ended", factor=None, source="bag", note="")
+    one.set_incidents([incident()])
+    hear(one, 0, second + 1, QUIET)
+    document = shown(one)
+    tile, summary = document["tiles"]["pump"], document["tiles"]["summary"]
+    assert (summary["level"], summary["word"], tile["value"]) == (level, word, value)
+    assert not document["alarms_known"]
+    if second == 5:
+        assert document["alarms"] == []
+        return
+    (row,) = document["alarms"]
+    assert (row["id"], row["what"]) == ("pump: drive", "no connection to the drive")
+    assert row["since_text"] == "00:00:10" and "The drive is not heard" in row["do"]
+    assert row["over_text"] == ("00:00:30" if second == 60 else "")
+    assert "0.0 L/min" in tile["sentence"] or value == "unknown"
+    flow = [row[0] - START / 1e9 for row in one.series(1)["lines"]["flow"] if row[1] is not None]
+    assert not any(10 < at < 30 for at in flow)
+
+
+def test_an_incident_that_lasted_to_the_end_stands() -> None:
+    one = Watched()
+    one.set_site(SITE)
+    one.set_present(mode="ended", factor=None, source="bag", note="")
+    one.set_incidents([incident(ended=None), incident(node="mpc", part="", ended=START / 1e9 + 12)])
+    hear(one, 0, 61, QUIET)
+    document = shown(one)
+    assert document["tiles"]["summary"]["word"] == "1 alarm, 1 incident, over."
+    assert [row["id"] for row in document["alarms"]] == ["pump: drive", "mpc"]
 
 
 def test_an_ended_recording_has_no_stop() -> None:
@@ -679,6 +921,9 @@ def test_a_recorded_fault_is_not_fine() -> None:
     document = shown(one)
     summary = document["tiles"]["summary"]
     assert (summary["word"], summary["level"]) == ("Alarms are not known.", "warn")
+    fine = watched()
+    fine.set_present(mode="ended", factor=None, source="bag", note="")
+    assert shown(fine)["tiles"]["summary"]["level"] == "stale"  # and no tick
     assert document["notes"] == ["A recording does not tell which alarms there were."]
     assert (document["alarms_known"], shown(watched())["alarms_known"]) == (False, True)
     assert document["advice"] == "This was recorded: what is now is not shown."
@@ -914,7 +1159,7 @@ def test_forecast_and_plan_are_of_now_while_the_bag_is_read() -> None:
     one.add_forecast("/forecast/precipitation", START + 3600 * SECOND, 2 * ENSEMBLE)
     one.add_plan(START + 3600 * SECOND, plan)
     tiles = one.document(0.0)["tiles"]
-    assert tiles["rain"]["sentence"] == "26 mm expected in the next 12 h (8.6 to 43 mm)"
+    assert tiles["rain"]["sentence"] == "26 mm expected in the next 12 h (8.6 to 43)"
     assert tiles["controller"]["sentence"].startswith("will pump 4.32 m3")
     assert [row[2] for row in one.series(24)["plan"]] == [1e-4] * 12
     # Nothing that was shown only is kept as expected.

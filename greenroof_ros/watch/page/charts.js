@@ -9,25 +9,26 @@ const TITLE = 14;
 const FEWEST = 60_000; // ms: what a zoom shows at least
 
 // What each chart shows: its lines, by the names of the series, on the axis of the one that 'shown'
-// names; those with 'right' have an axis of their own. 'steps' hold from a time until the next.
+// names; those with 'right' have an axis of their own. 'steps' hold from a time until the next. A 'range'
+// is that of the stretch that ends at the time of its row ('past'), or of the step that begins there.
 const CHARTS = [
   {
     key: "roof", shown: "roof", title: "Roof level", height: 170, marks: ["target"], band: true,
     lines: [
-      { name: "roof", label: "measured", colour: "--roof", range: true },
+      { name: "roof", label: "measured", colour: "--roof", range: "past" },
       { name: "roof_expected", label: "was expected an hour before", colour: "--roof", dash: [2, 3] },
       { name: "roof_planned", label: "expected by the controller", colour: "--roof", dash: [6, 4] },
     ],
   },
   {
     key: "cistern", shown: "cistern", title: "Cistern level", height: 120, marks: ["suction", "low_outlet", "outlet"],
-    lines: [{ name: "cistern", label: "measured", colour: "--cistern", range: true }],
+    lines: [{ name: "cistern", label: "measured", colour: "--cistern", range: "past" }],
   },
   {
     key: "pump", shown: "flow", title: "Pump", height: 140, zero: true,
     right: "command", rightColour: "--command",
     lines: [
-      { name: "flow", label: "flow", colour: "--flow", steps: true, range: true, rangeLabel: "its range" },
+      { name: "flow", label: "flow", colour: "--flow", steps: true, range: "past", rangeLabel: "its range" },
       { name: "plan", label: "flow planned", colour: "--flow", steps: true, dash: [6, 4] },
       { name: "command", label: "command", colour: "--command", steps: true, right: true, dash: [2, 2] },
     ],
@@ -37,7 +38,7 @@ const CHARTS = [
     right: "evapotranspiration", rightColour: "--evapotranspiration",
     lines: [
       { name: "rain", label: "rain", colour: "--rain", fill: "--rain-fill", steps: true },
-      { name: "forecast", label: "rain forecast", colour: "--rain", steps: true, dash: [6, 4], range: true, rangeLabel: "its range" },
+      { name: "forecast", label: "rain forecast", colour: "--rain", steps: true, dash: [6, 4], range: "step", rangeLabel: "its range" },
       { name: "evapotranspiration", label: "evapotranspiration", colour: "--evapotranspiration", steps: true, right: true, dash: [10, 3, 2, 3] },
     ],
   },
@@ -58,6 +59,9 @@ export const element = (tag, name, text) => {
   if (text !== undefined) made.textContent = text;
   return made;
 };
+
+// The rows of a line's range.
+const rangeOf = (line) => (line.range === "past" ? `${line.name}_range` : line.name);
 
 // A short piece of a line, as in the chart.
 const swatch = (line) => {
@@ -139,8 +143,11 @@ const specification = (chart, units) => {
     const interpolate = line.steps ? "step-after" : "linear";
     if (line.range) {
       layers.push({
-        data: data(line.name),
-        mark: { type: "area", color: colour(line.fill ?? line.colour), opacity: 0.3, interpolate, clip: true },
+        data: data(rangeOf(line)),
+        mark: {
+          type: "area", color: colour(line.fill ?? line.colour), opacity: 0.3, clip: true,
+          interpolate: line.range === "past" ? "linear" : "step-after",
+        },
         encoding: { x: x(), y: y(line, "low"), y2: { field: "high" } },
       });
     }
@@ -178,7 +185,7 @@ const specification = (chart, units) => {
     data: data("now"), mark: { type: "rule", color: colour("--reference"), strokeWidth: 1.5, clip: true },
     encoding: { x: x() },
   });
-  const names = ["now", "band", "marks", ...chart.lines.map((line) => line.name)];
+  const names = ["now", "band", "marks", ...chart.lines.flatMap((line) => [line.name, rangeOf(line)])];
   return {
     $schema: "https://vega.github.io/schema/vega-lite/v6.json",
     width: "container", height: chart.height, autosize: { type: "fit-x", contains: "padding" },
@@ -314,8 +321,9 @@ export class Charts {
         const f = factor(line.right ? chart.right : chart.shown);
         const points = series.lines[line.name] ?? [];
         rows[line.name] = broken(points.map(([t, low, high, last]) => ({
-          t: this.ms(t), v: last * f, low: low * f, high: high * f,
+          t: this.ms(t), ...(last === null ? NOTHING : { v: last * f, low: low * f, high: high * f }),
         })), series.gaps[line.name] * 1000, line.steps, now);
+        if (line.range === "past") rows[rangeOf(line)] = beyond(rows[line.name], line.steps);
       }
     }
     const level = factor("roof");
@@ -393,10 +401,12 @@ export class Charts {
       const [rightLow, rightHigh] = chart.right ? this.range(chart, true, seen, []) : [0, 1];
       const set = { from, to, low, high, rightLow, rightHigh };
       for (const [name, value] of Object.entries(set)) view.signal(name, value);
-      for (const line of chart.lines) view.data(line.name, this.rows[line.name]);
+      for (const line of chart.lines) {
+        for (const name of new Set([line.name, rangeOf(line)])) view.data(name, this.rows[name]);
+      }
       for (const entry of head.querySelectorAll("[data-line]")) {
         const { line, range } = entry.dataset;
-        const rows = this.rows[line];
+        const rows = this.rows[range === undefined ? line : rangeOf(chart.lines.find(({ name }) => name === line))];
         entry.hidden = line === "band" ? !band.length
           : range === undefined ? !rows.length : !rows.some((row) => row.high > row.low);
       }
@@ -549,20 +559,35 @@ export class Charts {
     if (!line.steps && next && next.t > row.t) {
       value += ((next.v - row.v) * (t - row.t)) / (next.t - row.t);
     }
-    const ranged = line.range && row.high - row.low > 0.5 * 10 ** -decimals;
-    const range = ranged ? ` (${row.low.toFixed(decimals)} to ${row.high.toFixed(decimals)})` : "";
+    const { low, high } = line.range === "past" && next && t > row.t ? next : row;
+    const ranged = line.range && high - low > 0.5 * 10 ** -decimals;
+    const range = ranged ? ` (${low.toFixed(decimals)} to ${high.toFixed(decimals)})` : "";
     return `${value.toFixed(decimals)}${range} ${unit}`;
   }
 }
 
+// Of a time at which a value is not known.
+const NOTHING = { v: null, low: null, high: null };
+
 // Rows with one of no values where nothing came for longer than 'gap' (ms). What holds until the next
-// message holds for no longer than that, and until now at most.
+// message holds for no longer than that, until it is not known any more, and until now at most.
 const broken = (rows, gap, holds, now) => rows.flatMap((row, i) => {
   const next = rows[i + 1];
-  if (next && next.t - row.t <= gap) return [row];
-  const t = holds ? Math.min(row.t + gap, now) : row.t;
-  const end = t > row.t ? [row, { ...row, t }] : [row];
-  return next ? [...end, { t, v: null, low: null, high: null }] : end;
+  if (next && next.v !== null && next.t - row.t <= gap) return [row];
+  const t = holds ? Math.min(row.t + gap, next?.v === null ? next.t : now, now) : row.t;
+  const end = t > row.t && row.v !== null ? [row, { t, v: row.v, low: row.v, high: row.v }] : [row];
+  return next ? [...end, { t, ...NOTHING }] : end;
+});
+
+// How far a value went beyond its line, from row to row: what merely rises or falls has no band.
+const beyond = (rows, holds) => rows.flatMap((row, i) => {
+  const before = rows[i - 1];
+  if (row.v === null) return [row];
+  if (!before || before.v === null) return [];
+  const end = holds ? before.v : row.v;
+  const under = Math.max(0, Math.min(before.v, end) - row.low);
+  const over = Math.max(0, row.high - Math.max(before.v, end));
+  return [[before.t, before.v], [row.t, end]].map(([t, v]) => ({ t, low: v - under, high: v + over }));
 });
 
 // Points of steps [start, end, values]: each holds until its end.

@@ -70,7 +70,7 @@ const makeTile = (key) => {
   const state = element("span", "state");
   state.append(shape("stale"), " ", element("span"));
   title.append(element("span"), state);
-  tile.append(title, element("p", "known", "Last known"), element("p", "value"), element("p", "sentence"), element("p", "why"));
+  tile.append(title, element("p", "value"), element("p", "sentence"), element("p", "why"));
   if (key === "roof" || key === "cistern") {
     const gauge = element("div", "gauge");
     gauge.setAttribute("aria-hidden", "true");
@@ -81,7 +81,7 @@ const makeTile = (key) => {
 
 const fillTile = (tile, one) => {
   const [word, form, tone] = OTHERWISE[tile.dataset.key]?.[one.state] ?? STATES[one.state] ?? ["", null, "none"];
-  tile.dataset.tone = tone;
+  tile.dataset.tone = one.alarm ? "error" : tone;
   tile.dataset.state = one.state ?? "";
   tile.classList.toggle("stale", Boolean(one.stale));
   setText(tile.querySelector("h2 > span"), one.label);
@@ -89,10 +89,8 @@ const fillTile = (tile, one) => {
   state.hidden = form === null;
   if (form !== null) setShape(state.firstChild, form);
   setText(state.lastChild, word);
-  tile.querySelector(".known").hidden = !one.stale;
   const value = tile.querySelector(".value");
-  // The number is to be read from afar; the words before it are above it.
-  setText(value, (one.value ?? "").replace(/^Last known: /, ""));
+  setText(value, one.value ?? "");
   value.classList.toggle("long", value.textContent.length > 10);
   setText(tile.querySelector(".sentence"), one.sentence);
   const why = tile.querySelector(".why");
@@ -176,7 +174,7 @@ const fillAlarm = (row, alarm) => {
   const seen = alarm.acknowledged ? "; acknowledged" : "";
   setText(row.querySelector(".when").lastChild, `${alarm.id}, ${when}${follows}${seen}`);
   const button = row.querySelector("button");
-  button.hidden = alarm.acknowledged || alarm.over !== null;
+  button.hidden = alarm.acknowledged || alarm.recorded || alarm.over !== null;
   button.setAttribute("aria-label", `Acknowledge: ${alarm.what}`);
   button.onclick = () => acknowledge(alarm.id);
 };
@@ -248,6 +246,8 @@ const showStop = (stop) => {
   byId("stop-button").disabled = stop.held;
   setText(byId("stop-button"), stop.label);
   setText(byId("ask-sentence"), stop.sentence);
+  setText(byId("release-call"), stop.release);
+  byId("release").hidden = !stop.release;
   setText(byId("stop-warning"), stop.warning);
   byId("stop-warning").hidden = !stop.warning;
   // An answer is of its time: it goes when the pump was released, or stands at last.

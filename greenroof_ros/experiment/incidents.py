@@ -1,0 +1,238 @@
+"""Incidents of a run: each loss of a drive, a sensor or a node, from its start to its return."""
+
+from __future__ import annotations
+
+import json
+import time
+from collections import deque
+from collections.abc import Callable, Mapping
+from dataclasses import asdict, dataclass, replace
+from datetime import datetime, timezone
+from pathlib import Path
+from typing import Any
+
+# The file's name in the directory of a run, beside the bag.
+INCIDENTS = "incidents.jsonl"
+# How many are kept in memory and in the summary; all are counted.
+MOST = 200
+# The part that stands for a node's own process.
+PROCESS = "process"
+
+_LOST = frozenset({"ERROR", "STALE"})
+_NOT_GOOD = _LOST | {"WARN"}
+# Parts of nodes whose loss is an incident: the levels of a diagnosis at which they are lost, and
+# how long that must last (s). A sensor's value counts for some seconds, so that one bad answer
+# changes nothing.
+_LOSSES: dict[str, tuple[frozenset[str], float]] = {
+    "drive": (_LOST, 0.0),
+    "pump": (_LOST, 0.0),
+    "state file": (_LOST, 0.0),
+    "recording": (_LOST, 0.0),
+    "sensor": (_LOST, 3.0),
+    "forecast": (_NOT_GOOD, 3.0),
+    "rain gauge": (_NOT_GOOD, 3.0),
+    "thermometer": (_NOT_GOOD, 3.0),
+}
+# Parts that are bad because of something else, as a rule: incidents of their own only where nothing
+# else is lost, and for longer than inputs take to count again after a loss (s).
+_FOLLOWERS: dict[str, tuple[frozenset[str], float]] = {
+    "levels": (_LOST, 30.0),
+    "inputs": (_LOST, 30.0),
+    "command": (_LOST, 30.0),
+}
+
+
+@dataclass(frozen=True)
+class Incident:
+    """A loss, and its end.
+
+    Attributes:
+        number: 1, 2, ... in the order in which they began.
+        node: that says so, or that was lost.
+        part: of the node, as in its diagnoses; ``process`` for the node itself.
+        cause: in words, as it was at the start.
+        began: wall time (UTC, ISO 8601).
+        ended: the same; None while it lasts.
+        began_tick: of simulated time; None on a live site.
+        ended_tick: the same; None while it lasts, too.
+    """
+
+    number: int
+    node: str
+    part: str
+    cause: str
+    began: str
+    ended: str | None = None
+    began_tick: int | None = None
+    ended_tick: int | None = None
+
+    @property
+    def what(self) -> str:
+        """What was lost: a node, or a part of one."""
+        return self.node if self.part == PROCESS else f"{self.node}: {self.part}"
+
+    @property
+    def seconds(self) -> float | None:
+        """How long it lasted in wall time (s); None while it lasts."""
+        if self.ended is None:
+            return None
+        ended, began = map(datetime.fromisoformat, (self.ended, self.began))
+        return (ended - began).total_seconds()
+
+
+def read_incidents(directory: Path) -> list[Incident]:
+    """Return the incidents of a run with a drive, in the order in which they began.
+
+    Each line of the file is an incident as it was known when the line was written; the last line
+    with a number counts.
+
+    Args:
+        directory: of the run. Without the file in it there was no incident.
+
+    Raises:
+        OSError: the file cannot be read.
+        ValueError: a line is no incident; but for the last one, which a crash may have cut short.
+    """
+    path = directory / INCIDENTS
+    if not path.exists():
+        return []
+    found: dict[int, Incident] = {}
+    *lines, _cut = path.read_text(encoding="utf-8").split("\n")
+    for index, line in enumerate(lines, start=1):
+        try:
+            incident = Incident(**json.loads(line))
+        except (ValueError, TypeError) as error:
+            raise ValueError(f"{path}, line {index}: is no incident ({error})") from error
+        found[incident.number] = incident
+    return sorted(found.values(), key=lambda incident: incident.number)
+
+
+class IncidentLog:
+    """Finds incidents in what nodes say of their parts, says them, and keeps them.
+
+    The same for a drive in the loop and a live site, so that both say the same of the same loss.
+
+    Attributes:
+        incidents: the newest of them.
+        count: of all.
+        changes: how often one began or ended.
+    """
+
+    def __init__(self, say: Callable[[str], None], file: Path | None = None) -> None:
+        """Begin without any.
+
+        Args:
+            say: prints a line for people.
+            file: where each change is kept at once; None for nowhere.
+        """
+        self.incidents: deque[Incident] = deque(maxlen=MOST)
+        self.count = self.changes = 0
+        self._say = say
+        self._file = file
+        self._open: dict[tuple[str, str], tuple[Incident, float]] = {}
+        self._good: set[tuple[str, str]] = set()
+        # Lost, for not long enough yet: since when (steady clock, s), and what it would be.
+        self._pending: dict[tuple[str, str], tuple[float, Incident]] = {}
+
+    @property
+    def lasting(self) -> bool:
+        """Whether something is lost now."""
+        return bool(self._open)
+
+    def keeps(self, part: str) -> bool:
+        """Whether the loss of a part is said here, now: it needs no other line."""
+        return part in _LOSSES or (part in _FOLLOWERS and self.lasting)
+
+    def as_dicts(self) -> list[dict[str, Any]]:
+        """Return the newest incidents for a summary."""
+        return [asdict(incident) for incident in self.incidents]
+
+    def look(
+        self, reports: Mapping[str, Mapping[str, Any]], tick: int | None = None, *,
+        starting: bool = False,
+    ) -> None:
+        """Begin and end incidents by what the nodes said last.
+
+        Args:
+            reports: the last report of each node.
+            tick: of simulated time; None on a live site.
+            starting: only what was good before can be lost; the rest has not come yet.
+        """
+        for node, report in reports.items():
+            for part, (level, message) in report.get("diagnoses", {}).items():
+                rule = _LOSSES.get(part) or _FOLLOWERS.get(part)
+                if rule is None:
+                    continue
+                about, (lost, lasts_s) = (node, part), rule
+                if level == "OK":
+                    self._good.add(about)
+                if level not in lost:
+                    self._pending.pop(about, None)
+                    self.end(node, part, tick)
+                elif about not in self._open and (not starting or about in self._good):
+                    self._suspect(about, message, tick, lasts_s)
+
+    def _suspect(
+        self, about: tuple[str, str], cause: str, tick: int | None, lasts_s: float
+    ) -> None:
+        """Begin an incident that has lasted long enough."""
+        now = time.monotonic()
+        node, part = about
+        since, incident = self._pending.setdefault(
+            about, (now, Incident(0, node, part, cause, _now(), began_tick=tick))
+        )
+        if part in _FOLLOWERS and self.lasting:
+            self._pending.pop(about)
+        elif now - since >= lasts_s:
+            del self._pending[about]
+            self._begin(incident, since)
+
+    def begin(self, node: str, part: str, cause: str, tick: int | None = None) -> None:
+        """Begin an incident; one that lasts of the same part ends."""
+        self.end(node, part, tick)
+        incident = Incident(0, node, part, cause, _now(), began_tick=tick)
+        self._begin(incident, time.monotonic())
+
+    def _begin(self, incident: Incident, since: float) -> None:
+        self.count += 1
+        incident = replace(incident, number=self.count)
+        self._open[incident.node, incident.part] = (incident, since)
+        self.incidents.append(incident)
+        self._keep(incident)
+        at = "" if incident.began_tick is None else f" at tick {incident.began_tick}"
+        self._say(f"incident {incident.number}{at}: {incident.node}: {incident.cause}")
+
+    def end(self, node: str, part: str, tick: int | None = None) -> None:
+        """End the incident of a part, if there is one."""
+        found = self._open.pop((node, part), None)
+        if found is None:
+            return
+        before, since = found
+        incident = replace(before, ended=_now(), ended_tick=tick)
+        if before in self.incidents:
+            self.incidents[self.incidents.index(before)] = incident
+        self._keep(incident)
+        lasted = time.monotonic() - since
+        at = "" if tick is None else f" at tick {tick}"
+        self._say(f"incident {incident.number} is over{at}, after {lasted:.1f} s: {incident.what}")
+
+    def _keep(self, incident: Incident) -> None:
+        self.changes += 1
+        if self._file is None:
+            return
+        try:
+            with self._file.open("a", encoding="utf-8") as stream:
+                stream.write(json.dumps(asdict(incident)) + "\n")
+        except OSError as error:  # a full disk stops nobody; the summary has it, too
+            self._say(f"warning: {self._file}: {error.strerror}")
+
+
+def with_incidents(text: str, count: int) -> str:
+    """Return how a run ended, with how many incidents there were, if any."""
+    if count == 0:
+        return text
+    return f"{text}, with {count} incident{'s' if count > 1 else ''}"
+
+
+def _now() -> str:
+    return datetime.now(timezone.utc).isoformat(timespec="milliseconds")

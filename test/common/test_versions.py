@@ -1,0 +1,23 @@
+"""What a run says of the code that computed it."""
+
+from __future__ import annotations
+
+import hashlib
+from pathlib import Path
+
+import greenroof_ros
+from greenroof_ros.common.versions import versions, versions_text
+
+
+def test_the_source_is_a_hash_and_people_are_told_so() -> None:
+    """Of the names and contents of all Python files, in order: no commit."""
+    package = Path(greenroof_ros.__file__).resolve().parent
+    digest = hashlib.sha256()
+    for file in sorted(package.rglob("*.py")):
+        digest.update(file.relative_to(package).as_posix().encode() + file.read_bytes())
+    found = versions()
+    assert found["source"] == digest.hexdigest()[:12]
+    text = versions_text(found)
+    assert f"greenroof_ros {greenroof_ros.__version__}, hash of its source files " in text
+    assert f"{found['source']}, python " in text
+    assert "source " not in text.replace("hash of its source files", "")

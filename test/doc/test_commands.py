@@ -1,0 +1,87 @@
+"""The blocks of commands in README and documentation, a sample of them run as written.
+
+``make doc-commands`` runs them all.
+"""
+
+from __future__ import annotations
+
+import socket
+from pathlib import Path
+
+import pytest
+from doc_commands.blocks import PAGES, Block, Note, blocks_of, read_notes, untagged
+from doc_commands.page import run_page
+
+NOTES = read_notes()
+# The pages that a new user's site begins with.
+SAMPLE = ("doc/running/live.md", "doc/explanation/bound.md")
+
+
+@pytest.mark.parametrize("page", PAGES)
+def test_blocks_of_commands_say_so(page: str) -> None:
+    assert untagged(page) == []
+
+
+@pytest.mark.parametrize("page", sorted(NOTES))
+def test_every_note_is_of_a_block(page: str) -> None:
+    blocks = blocks_of(page, NOTES)
+    for note in NOTES[page]:
+        (block,) = [each for each in blocks if each.note is note]
+        assert not note.not_run or note == Note(block=note.block, not_run=note.not_run), block.line
+
+
+@pytest.fixture
+def simulators_ports() -> None:
+    """Skip where something has the simulators' usual ports, which the pages use."""
+    for port in (5020, 5021, 5030, 5031, 5032):
+        with socket.socket() as tried:
+            tried.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+            try:
+                tried.bind(("127.0.0.1", port))
+            except OSError:
+                pytest.skip(f"port {port} is taken, which the documentation's commands need")
+
+
+@pytest.mark.usefixtures("simulators_ports")
+@pytest.mark.parametrize("page", SAMPLE)
+def test_commands_run_as_written(page: str, domain: int, tmp_path: Path) -> None:
+    outcomes = list(run_page(blocks_of(page, NOTES), tmp_path, domain))
+    assert any(outcome is not None for _, outcome in outcomes)
+    for block, outcome in outcomes:
+        assert outcome is None or not outcome.failures, (block.commands, outcome)
+
+
+@pytest.mark.parametrize(("commands", "note", "failure"), [
+    ("python -c 'raise SystemExit(3)'\ntrue\n", Note(""), "exit code 3: python"),
+    ("python -c 'raise ValueError' || true\n", Note(""), "a traceback"),
+    ("sh -c 'exit 4' &\nsleep 1\n", Note(""), "Exit 4"),
+    ("echo ready\n", Note("", ready=["ready"], then_s=20.0), "ended before its Ctrl-C"),
+    ("echo loss\n", Note("", says=["gain"]), "did not print 'gain'"),
+    ("echo loss\n", Note("", says_not=["loss"]), "printed 'loss'"),
+    ("setsid -f sleep 15\n", Note(""), "left running: "),
+])
+def test_what_fails_is_seen(
+    commands: str, note: Note, failure: str, domain: int, tmp_path: Path
+) -> None:
+    block = Block("page.md", 1, commands, note)
+    ((_, outcome),) = run_page([block], tmp_path, domain)
+    assert outcome is not None
+    assert any(each.startswith(failure) for each in outcome.failures), outcome
+
+
+def test_ctrl_c_ends_what_never_ends(domain: int, tmp_path: Path) -> None:
+    """One after the other, and what is in the background at the page's end."""
+    (tmp_path / "program.py").write_text(
+        "import sys, time\ntry: print(sys.argv[1], flush=True); time.sleep(600)\n"
+        "except KeyboardInterrupt: print('interrupted')\n"
+    )
+    program = f"python {tmp_path / 'program.py'}"
+    commands = (
+        f"{program} never > never.txt &\nuntil grep -q never never.txt; do sleep 0.1; done\n"
+        f"{program} first\n{program} second\n"
+    )
+    block = Block("page.md", 1, commands, Note("", ready=["first", "second"]))
+    ((_, outcome),) = run_page([block], tmp_path, domain)
+    assert outcome is not None
+    assert outcome.failures == []
+    assert outcome.output.count("interrupted") == 2

@@ -1,0 +1,58 @@
+"""The numbers of the README are those of the commands beside them."""
+
+from __future__ import annotations
+
+import json
+import re
+import shlex
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from places import CHECKOUT
+
+
+def cells() -> list[tuple[str, str, str]]:
+    """Return each cell of the table of results: its row's command, its column's options, itself."""
+    text = (CHECKOUT / "README.md").read_text().split("## Results\n")[1].split("\n## ")[0]
+    head, _, *rows = (
+        [cell.strip() for cell in line.strip("| ").split(" | ")]
+        for line in text.splitlines() if line.startswith("|")
+    )
+    options = [" ".join(re.findall("`(.*?)`", cell)) for cell in head[1:]]
+    commands = [" ".join(re.findall("`(.*?)`", row[0])) for row in rows]
+    return [
+        (command, option, shown)
+        for command, row in zip(commands, rows, strict=True)
+        for option, shown in zip(options, row[1:], strict=True)
+    ]
+
+
+def run(command: str, options: str, *others: str) -> dict[str, float]:
+    """Run a command of the package and return what it prints as JSON."""
+    module, *words = shlex.split(f"{command} {options} --json")
+    done = subprocess.run(
+        [sys.executable, "-m", f"greenroof_ros.{module}", *words, *others],
+        cwd=CHECKOUT, capture_output=True, text=True, check=True,
+    )
+    found: dict[str, float] = json.loads(done.stdout)
+    return found
+
+
+@pytest.mark.parametrize(("command", "options", "shown"), cells())
+def test_headline_numbers(command: str, options: str, shown: str, tmp_path: Path) -> None:
+    """The deviation to the digit, and how many times the least possible it is."""
+    number, _, ratio = shown.partition(" ")
+    least = run("bound", options)["bound_m3"]
+    if command == "bound":
+        assert f"{least:.1f}" == number
+        return
+    summary = run(command, options, "--output", str(tmp_path / "run"))
+    assert f"{summary['total_deviation_m3']:.1f}" == number
+    digits = len(ratio.strip("()").partition(".")[2])
+    assert f"({summary['total_deviation_m3'] / least:.{digits}f})" == ratio
+
+
+def test_there_are_headline_numbers() -> None:
+    assert len(cells()) == 15

@@ -1,0 +1,128 @@
+"""What is an incident, from what nodes say of their parts; and what is read back of it."""
+
+from __future__ import annotations
+
+import json
+import time
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from greenroof_ros.experiment.incidents import INCIDENTS, Incident, IncidentLog, read_incidents
+
+
+def says(node: str, **parts: str) -> dict[str, dict[str, Any]]:
+    """Return a node's report in which each of these parts is at a level, and says why."""
+    diagnoses = {part: [level, f"{part} {level}"] for part, level in parts.items()}
+    return {node: {"diagnoses": diagnoses}}
+
+
+def test_a_loss_and_its_return(tmp_path: Path) -> None:
+    """With ticks and wall time, kept at each change; what lasts has no end."""
+    said: list[str] = []
+    log = IncidentLog(said.append, tmp_path / INCIDENTS)
+    log.look(says("pump", drive="OK"), 1)
+    assert log.count == 0
+    assert read_incidents(tmp_path) == []
+    log.look(says("pump", drive="ERROR"), 5)
+    log.look(says("pump", drive="ERROR"), 6)
+    (lasting,) = read_incidents(tmp_path)
+    assert (lasting.number, lasting.node, lasting.part, lasting.cause) == (
+        1, "pump", "drive", "drive ERROR"
+    )
+    assert (lasting.began_tick, lasting.ended_tick, lasting.ended, lasting.seconds) == (
+        5, None, None, None
+    )
+    time.sleep(0.2)
+    log.look(says("pump", drive="OK"), 9)
+    log.look(says("pump", drive="ERROR"), 11)
+    ended, again = read_incidents(tmp_path)
+    assert (ended.number, ended.began, ended.ended_tick) == (1, lasting.began, 9)
+    assert ended.seconds == pytest.approx(0.2, abs=0.15)
+    assert (again.number, again.began_tick, again.ended) == (2, 11, None)
+    assert log.as_dicts() == [asdict(ended), asdict(again)]
+    assert (log.count, log.lasting) == (2, True)
+    assert said[0] == "incident 1 at tick 5: pump: drive ERROR"
+    assert said[1].startswith("incident 1 is over at tick 9, after 0.")
+    assert said[2] == "incident 2 at tick 11: pump: drive ERROR"
+
+
+@pytest.mark.parametrize(
+    ("part", "level", "counts"),
+    [
+        ("drive", "ERROR", True), ("drive", "STALE", True), ("drive", "WARN", False),
+        ("pump", "ERROR", True), ("pump", "WARN", False), ("recording", "ERROR", True),
+        ("limits", "WARN", False), ("frost", "ERROR", False), ("sensor", "ERROR", False),
+    ],
+)
+def test_what_counts_at_once(part: str, level: str, counts: bool) -> None:
+    """A pump that is held, frost and limits are no loss; a sensor may miss one reading."""
+    log = IncidentLog(lambda _: None)
+    log.look({"node": {"diagnoses": {part: [level, "why"]}}})
+    assert log.count == counts
+
+
+def test_a_sensor_is_lost_after_three_seconds(monkeypatch: pytest.MonkeyPatch) -> None:
+    """And then since the start; a reading between begins the time again."""
+    now = 100.0
+    monkeypatch.setattr(time, "monotonic", lambda: now)
+    log = IncidentLog(lambda _: None)
+    for at, level, count in (
+        (100.0, "ERROR", 0), (102.9, "ERROR", 0), (103.0, "OK", 0), (104.0, "ERROR", 0),
+        (106.9, "ERROR", 0), (107.0, "ERROR", 1), (120.0, "ERROR", 1),
+    ):
+        now = at
+        log.look(says("roof_sensor", sensor=level))
+        assert log.count == count, at
+
+
+def test_what_follows_from_a_loss_is_none_of_its_own(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Levels that are refused while a sensor is lost; but they are, alone, after half a minute."""
+    clock = iter(range(1000))
+    monkeypatch.setattr(time, "monotonic", lambda: next(clock))
+    log = IncidentLog(lambda _: None)
+    lost = {**says("roof_sensor", sensor="ERROR"), **says("pump", levels="ERROR")}
+    for _ in range(40):
+        log.look(lost)
+    assert [one.part for one in log.incidents] == ["sensor"]
+    alone = {**says("roof_sensor", sensor="OK"), **says("pump", levels="ERROR")}
+    looks = 0
+    while log.count == 1:
+        log.look(alone)
+        looks += 1
+    assert looks > 25
+    assert [one.part for one in log.incidents] == ["sensor", "levels"]
+
+
+def test_what_has_not_come_yet_is_not_lost() -> None:
+    log = IncidentLog(lambda _: None)
+    for level in ("WARN", "ERROR"):
+        log.look(says("pump", drive=level), starting=True)
+    assert log.count == 0
+    log.look(says("pump", drive="OK"), starting=True)
+    log.look(says("pump", drive="ERROR"), starting=True)
+    assert log.count == 1
+
+
+def test_a_disk_that_is_full_stops_nobody(tmp_path: Path) -> None:
+    """A directory stands in the place of the file: it cannot be written, and that is said."""
+    said: list[str] = []
+    (tmp_path / INCIDENTS).mkdir()
+    log = IncidentLog(said.append, tmp_path / INCIDENTS)
+    log.look(says("pump", drive="ERROR"), 5)
+    assert log.count == 1
+    assert "Is a directory" in said[0]
+
+
+def test_a_file_that_is_read_back(tmp_path: Path) -> None:
+    """The last line may be cut short by a crash; anything else that is no incident is said."""
+    line = json.dumps(asdict(Incident(1, "pump", "drive", "gone", "2026-11-23T20:55:01+00:00")))
+    path = tmp_path / INCIDENTS
+    path.write_text(f"{line}\n{line[:40]}")
+    assert [one.number for one in read_incidents(tmp_path)] == [1]
+    for broken in ("nonsense", '{"number": 1}', "[]"):
+        path.write_text(f"{line}\n{broken}\n{line}\n")
+        with pytest.raises(ValueError, match=r"incidents.jsonl, line 2: is no incident"):
+            read_incidents(tmp_path)

@@ -1,0 +1,28 @@
+"""What a live site's console says of what is not well."""
+
+from __future__ import annotations
+
+from greenroof_ros.live.status import troubles_of
+
+FILE = ("WARN", "danfoss_fc202.yaml was not verified against a manual")
+STOPPED = ("WARN", "held: an operator stopped it")
+LOST = ("WARN", "no connection to the drive")
+
+
+def test_a_stop_is_said_though_the_drive_file_is_not_verified() -> None:
+    """It stands for ever, and has nothing to do with the stop."""
+    reports = {"pump": {"diagnoses": {"drive file": FILE, "pump": STOPPED}}}
+    assert troubles_of(reports, "") == {
+        ("pump", "drive file"): f"pump: {FILE[1]}", ("pump", "pump"): f"pump: {STOPPED[1]}",
+    }
+
+
+def test_the_pump_says_nothing_beside_the_reason() -> None:
+    reports = {"pump": {"diagnoses": {"drive": LOST, "pump": ("WARN", f"unknown: {LOST[1]}")}}}
+    assert troubles_of(reports, "") == {("pump", "drive"): f"pump: {LOST[1]}"}
+
+
+def test_what_follows_from_a_loss_is_not_said() -> None:
+    reports = {"mpc": {"diagnoses": {"inputs": ("WARN", "/roof/level is older than 5 s")}}}
+    assert troubles_of(reports, "", lasting=True) == {}
+    assert troubles_of(reports, "") != {}
