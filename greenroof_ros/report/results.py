@@ -88,7 +88,7 @@ class Sky:
         """What it is, as :func:`heading` takes it."""
         return {
             "site": self.site_name, "weather": self.weather, "start": to_people(self.start),
-            "length": f"{shortest(round(self.hours, 3))} h",
+            "length": f"{shortest(round(self.hours, 5))} h",
         }
 
 
