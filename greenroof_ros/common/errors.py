@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Collection
-from difflib import get_close_matches
+from difflib import SequenceMatcher
 from pathlib import Path
 
 
@@ -39,11 +39,16 @@ class OccupiedError(ConfigurationError):
     """Another graph is where this one was to run; commands end with exit code 3."""
 
 
+# How alike two names must be, from 0 to 1: of three letters one may be wrong.
+_ALIKE, _SHORT_ALIKE = 0.6, 0.5
+
+
 def did_you_mean(name: str, known: Collection[str]) -> str:
     """Return what a mistyped name may stand for, or all that there are: a clause of a message."""
-    close = get_close_matches(name, known, 1) or [
-        one for one in known if one.casefold() == name.casefold()
-    ]
-    if close:
-        return f"did you mean {close[0]}?"
+    alike = {
+        one: SequenceMatcher(None, name.casefold(), one.casefold()).ratio() for one in known
+    }
+    best = max(alike.values(), default=0.0)
+    if best >= (_SHORT_ALIKE if len(name) <= 3 else _ALIKE):
+        return f"did you mean {' or '.join(one for one in known if alike[one] == best)}?"
     return f"they are {', '.join(known)}"

@@ -81,7 +81,7 @@ class Incident:
 
 
 def read_incidents(directory: Path) -> list[Incident]:
-    """Return the incidents of a run with a drive, in the order in which they began.
+    """Return the incidents of a run with a drive or of a live site, as they began.
 
     Each line of the file is an incident as it was known when the line was written; the last line
     with a number counts.
@@ -127,12 +127,15 @@ class IncidentLog:
         """
         self.incidents: deque[Incident] = deque(maxlen=MOST)
         self.count = self.changes = 0
+        self._began = (_now(), time.monotonic())
+        self._before = 0  # number of the last incident that the file has of before
         self._say = say
         self._file = file
         self._open: dict[tuple[str, str], tuple[Incident, float]] = {}
         self._good: set[tuple[str, str]] = set()
-        # Lost, for not long enough yet: since when (steady clock, s), and what it would be.
-        self._pending: dict[tuple[str, str], tuple[float, Incident]] = {}
+        # Lost, for not long enough yet: first seen and since when (steady clock, s), and what it
+        # would be.
+        self._pending: dict[tuple[str, str], tuple[float, float, Incident]] = {}
 
     @property
     def lasting(self) -> bool:
@@ -146,6 +149,24 @@ class IncidentLog:
     def as_dicts(self) -> list[dict[str, Any]]:
         """Return the newest incidents for a summary."""
         return [asdict(incident) for incident in self.incidents]
+
+    def go_on(self) -> None:
+        """Keep what the file has of earlier starts; what lasted then ended by now, at the latest.
+
+        Raises:
+            OSError: the file cannot be read or written.
+            ValueError: it is damaged.
+        """
+        assert self._file is not None
+        if not self._file.exists():
+            return
+        whole, _, cut = self._file.read_bytes().rpartition(b"\n")
+        if cut:  # by a crash
+            self._file.write_bytes(whole + b"\n" if whole else b"")
+        for incident in read_incidents(self._file.parent):
+            self._before = incident.number
+            if incident.ended is None:
+                self._keep(replace(incident, ended=self._began[0]))
 
     def look(
         self, reports: Mapping[str, Mapping[str, Any]], tick: int | None = None, *,
@@ -178,12 +199,16 @@ class IncidentLog:
         """Begin an incident that has lasted long enough."""
         now = time.monotonic()
         node, part = about
-        since, incident = self._pending.setdefault(
-            about, (now, Incident(0, node, part, cause, _now(), began_tick=tick))
+        wall, since = _now(), now
+        if about not in self._good:
+            cause = f"not there since the start: {cause}"
+            wall, since = self._began
+        seen, since, incident = self._pending.setdefault(
+            about, (now, since, Incident(0, node, part, cause, wall, began_tick=tick))
         )
         if part in _FOLLOWERS and self.lasting:
             self._pending.pop(about)
-        elif now - since >= lasts_s:
+        elif now - seen >= lasts_s:
             del self._pending[about]
             self._begin(incident, since)
 
@@ -195,7 +220,7 @@ class IncidentLog:
 
     def _begin(self, incident: Incident, since: float) -> None:
         self.count += 1
-        incident = replace(incident, number=self.count)
+        incident = replace(incident, number=self._before + self.count)
         self._open[incident.node, incident.part] = (incident, since)
         self.incidents.append(incident)
         self._keep(incident)

@@ -157,3 +157,9 @@ def write(summary: Mapping[str, Any], directory: Path) -> None:
         except OSError:
             # The error of a write does not know its file.
             raise OSError(error.errno, error.strerror, str(path)) from error
+
+
+def site_file_of(run: Path) -> Path:
+    """Return where a run keeps its site file; a live site, in a directory of its own."""
+    configuration = run / "configuration"
+    return next(iter((configuration / "site").glob("*")), configuration / "site.yaml")

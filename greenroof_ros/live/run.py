@@ -25,7 +25,7 @@ from greenroof_ros.common.versions import versions
 from greenroof_ros.controllers.registry import controller_names
 from greenroof_ros.drives.sensor_file import read_sensors
 from greenroof_ros.experiment import summary
-from greenroof_ros.experiment.incidents import PROCESS, IncidentLog, with_incidents
+from greenroof_ros.experiment.incidents import INCIDENTS, PROCESS, IncidentLog, with_incidents
 from greenroof_ros.graph.domain import only_bringup, refuse_other_nodes
 from greenroof_ros.graph.live_supervisor import Failure, LiveSupervisor
 from greenroof_ros.graph.node_processes import NodeFailed
@@ -110,7 +110,11 @@ class _Record:
     """
 
     def __init__(self, site: LiveSite, state: Path, status: Status) -> None:
-        self.log = IncidentLog(status.say)
+        self.log = IncidentLog(status.say, state / INCIDENTS)
+        try:
+            self.log.go_on()
+        except (OSError, ValueError) as error:
+            status.say(f"warning: {error}; the incidents of earlier starts are not shown")
         self._state = state
         self._status = status
         self._began = _now()

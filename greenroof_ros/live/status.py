@@ -165,8 +165,9 @@ class Status:
         for (node, part), it in self._expected.items():
             level, message = reports.get(node, {}).get("diagnoses", {}).get(part, ("", ""))
             if level != "OK":
+                to_do = it.to_do if message else f"if it does not come, {it.to_do}"
                 lines.append(
-                    f"{it.what}: {message or f'nothing yet from {it.where}'}; {it.to_do}"
+                    f"{it.what}: {message or f'nothing yet from {it.where}'}; {to_do}"
                 )
         return lines
 

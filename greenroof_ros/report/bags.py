@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from datetime import timezone
+from datetime import timedelta, timezone
 from functools import partial
 from pathlib import Path
 
@@ -13,6 +13,7 @@ from greenroof_ros.common.files import file_digest, shared_directory
 from greenroof_ros.controllers.registry import find_controller
 from greenroof_ros.experiment.clairvoyant import NoBoundError, clairvoyant_bound
 from greenroof_ros.experiment.run import build_run
+from greenroof_ros.experiment.summary import site_file_of
 from greenroof_ros.forecast.choice import ForecastChoice
 from greenroof_ros.model.site import Site, read_site
 from greenroof_ros.recording.bag_reader import load_bag
@@ -45,7 +46,7 @@ def read_run(
     repair = f"python -m greenroof_ros.recover {path} makes a whole one"
     if not _is_closed(bag):
         if any(bag.glob("*.mcap")) or any(bag.glob("*.db3")):
-            raise ConfigurationError(f"has no metadata.yaml, its recorder was killed; {repair}",
+            raise ConfigurationError(f"has no metadata.yaml: it is being recorded, or was cut off; {repair}",
                                      file=bag)
         if about.ending is not None:
             error = f"{about.ending.sentence}; no bag"
@@ -55,7 +56,7 @@ def read_run(
             "must be a study (with results.csv), a run (with bag/) or a bag (with metadata.yaml)",
             file=path,
         )
-    own_site = _own_site(run / "configuration")
+    own_site = site_file_of(run)
     notes = []
     if given is not None:
         site, site_name = given, str(site_file)
@@ -67,7 +68,10 @@ def read_run(
         notes.append(
             Note("no site file came with the bag: the site is the paper's, config/site.yaml")
         )
-    if about.zone is None:
+    zone = about.zone
+    if zone is None and own_site.is_file() and site.utc_offset is not None:
+        zone = timezone(timedelta(hours=site.utc_offset))
+    if zone is None:
         notes.append(Note("times are in UTC: no configuration says the offset"))
     sources.runs.append(RunEntry(
         name=name,
@@ -80,7 +84,7 @@ def read_run(
         initial=about.initial,
         notes=(*notes, *about.notes),
         load=partial(
-            load_bag, bag, site, about.zone or timezone.utc,
+            load_bag, bag, site, zone or timezone.utc,
             own=about.own, external_pump=about.external_pump, repair=repair,
         ),
         forecast=about.forecast,
@@ -104,11 +108,6 @@ def read_run(
             "initial": about.what_initial,
         },
     ))
-
-
-def _own_site(configuration: Path) -> Path:
-    """Return where a run keeps its site file; a live site, in a directory of its own."""
-    return next(iter((configuration / "site").glob("*")), configuration / "site.yaml")
 
 
 def _is_closed(bag: Path) -> bool:

@@ -27,7 +27,7 @@ from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.files import read_text, shared_directory
 from greenroof_ros.common.interface import read_topics
 from greenroof_ros.experiment.incidents import INCIDENTS
-from greenroof_ros.experiment.summary import SUMMARY
+from greenroof_ros.experiment.summary import SUMMARY, site_file_of
 from greenroof_ros.graph.looker import DIAGNOSTICS, Looker, StopFailedError
 from greenroof_ros.model.site import Site, read_site
 from greenroof_ros.watch import wire
@@ -123,6 +123,7 @@ class Feed:
         self._listens_since = 0.0
         self._complete_ns: int | None = None  # from then on nothing that is heard is missing
         self._mode = "none"
+        self._live: bool | None = None  # the graph that is shown, or was shown last
         self._site: Path | None = None
         self._judged_by: Site | None = None
         self._tau = 1.0
@@ -240,14 +241,15 @@ class Feed:
     def _see_graph(self, now: float) -> None:
         """Take in which graph is there, and hear and read what is to be shown of it."""
         mode = self._shown_mode(now)
-        kinds = {mode, self._mode}
+        live = {"simulated": False, "loop": False, "live": True}.get(mode, self._live)
         recorded = self._recorded
         if (
             self._graph.runs != self._run or (recorded is not None and recorded.replaced)
-            or ("live" in kinds and kinds & {"simulated", "loop"})
+            or self._live not in (None, live)
         ):
             self._run = self._graph.runs
             self._begin_anew()
+        self._live = live
         if mode != self._mode:
             if self._mode == "none":
                 self._waits_since = now
@@ -322,7 +324,7 @@ class Feed:
         if self._shows_graph() and (site := self._graph.site()) is not None:
             return site
         if self._bag is not None:
-            site = self._bag.parent / "configuration" / "site.yaml"
+            site = site_file_of(self._bag.parent)
             return site if site.is_file() else None
         return None
 
@@ -512,7 +514,7 @@ class Feed:
         if self._no_ros:
             notes.append(f"Only the recording is shown: {self._no_ros}.")
         recorded, source = self._recorded, self._source(now)
-        if recorded is not None and self._mode == "ended":
+        if recorded is not None and self._mode in ("live", "ended"):
             notes += self._show_incidents(recorded.bag)
         if recorded is not None:
             notes += [note for note in (recorded.problem, recorded.progress) if note]

@@ -138,6 +138,7 @@ class Watched:
         self._site_note = ""
         self._recorded_controller = ""
         self._incidents: Sequence[Dated] = ()
+        self._heard_since: float | None = None  # when nodes were first heard (s since 1970)
         self._began = time.time()  # s since 1970
         self._system: float | None = None  # the system's time at the last look (s since 1970)
         # What the graph's nodes said last that it is (s since 1970): of those of a new run, too.
@@ -232,6 +233,7 @@ class Watched:
     def begin_anew(self) -> None:
         """Forget all of a graph: another one began."""
         with self._lock:
+            self._heard_since = None
             self._forget()
 
     def look(self, wall: float, system: float) -> None:
@@ -461,6 +463,8 @@ class Watched:
             if stamp_ns is not None and 0 < stamp_ns < _LATEST_NS:
                 self._stamp = stamp_ns / 1e9
             now = self._now_or(time.time())
+            if self._heard_since is None:
+                self._heard_since = time.time()
             self._date_anew()
             self._alarms.hear(wall, now, statuses)
             self._note_controller(now)
@@ -717,7 +721,15 @@ class Watched:
         )
 
     def _incidents_of(self, now: float | None) -> list[Dated]:
-        """Return the recorded incidents that have begun; none where nodes say how they are."""
+        """Return the recorded incidents that have begun; none where nodes say how they are.
+
+        On a live site those that were over before the nodes were heard here.
+        """
+        if self._mode == "live" and self._heard_since is not None:
+            return [
+                one for one in self._incidents
+                if one.ended is not None and one.ended < self._heard_since
+            ]
         if self._alarms.heard or self._mode != "ended" or now is None:
             return []
         return [one for one in self._incidents if one.began <= now]

@@ -126,3 +126,36 @@ def test_a_file_that_is_read_back(tmp_path: Path) -> None:
         path.write_text(f"{line}\n{broken}\n{line}\n")
         with pytest.raises(ValueError, match=r"incidents.jsonl, line 2: is no incident"):
             read_incidents(tmp_path)
+
+
+def test_what_never_came_is_missing_since_the_start(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Not since a minute later, when it is no longer waited for."""
+    now = 100.0
+    monkeypatch.setattr(time, "monotonic", lambda: now)
+    said: list[str] = []
+    log = IncidentLog(said.append)
+    now = 160.0
+    log.look(says("pump", drive="ERROR"))
+    now = 170.0
+    log.look(says("pump", drive="OK"))
+    assert said == [
+        "incident 1: pump: not there since the start: drive ERROR",
+        "incident 1 is over, after 70.0 s: pump: drive",
+    ]
+
+
+def test_another_start_keeps_what_was_before(tmp_path: Path) -> None:
+    """Numbers go on; what lasted ended by then at the latest; a line that a crash cut is dropped."""
+    first = IncidentLog(lambda _: None, tmp_path / INCIDENTS)
+    for level in ("OK", "ERROR", "OK", "ERROR"):
+        first.look(says("pump", drive=level))
+    with (tmp_path / INCIDENTS).open("a") as stream:
+        stream.write('{"number": 3, "no')
+    second = IncidentLog(lambda _: None, tmp_path / INCIDENTS)
+    second.go_on()
+    second.look(says("pump", drive="OK"))
+    second.look(says("pump", drive="ERROR"))
+    found = read_incidents(tmp_path)
+    assert [one.number for one in found] == [1, 2, 3]
+    assert [one.ended is None for one in found] == [False, False, True]
+    assert second.count == 1

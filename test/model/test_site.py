@@ -204,6 +204,8 @@ def test_a_mistyped_key(tmp_path: Path) -> None:
     assert "a_2: is not a parameter of a site; did you mean a2?" in refusal(path)
     path = write(tmp_path, "pump_effciency: 0.6")
     assert refusal(path).endswith("is not a parameter of a site; did you mean pump_efficiency?")
+    path = write(tmp_path, a2=None, a3=68.8)
+    assert refusal(path).endswith("a3: is not a parameter of a site; did you mean a1 or a2?")
     path = write(tmp_path, "colour: 1.0")
     assert "is not a parameter of a site; they are a1, a_in, z_o" in refusal(path)
 

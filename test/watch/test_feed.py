@@ -340,6 +340,34 @@ def test_a_bag_that_is_followed_before_its_run_is_described(domain: int, tmp_pat
         peer.close()
 
 
+def test_a_live_site_after_a_run_has_nothing_of_it(domain: int) -> None:
+    """A watcher that stays shows no level of a simulation as that of the site."""
+
+    def node(role: str, state: str, **values: Any) -> DiagnosticStatus:
+        pairs = {"role": role, "process": "host 1", **values}
+        texts = [KeyValue(key=key, value=json.dumps(value)) for key, value in pairs.items()]
+        return DiagnosticStatus(name=f"/{role}", message=state, values=texts)
+
+    with fed(domain) as (watched, _), in_domain(domain):
+        peer = Peer(domain, "stranger")
+        publisher = peer.node.create_publisher(DiagnosticArray, "/diagnostics", 10)
+        wait_for(lambda: publisher.get_subscription_count() == 1, 20, "the subscription")
+
+        def is_so(mode: str, *nodes: DiagnosticStatus) -> bool:
+            said = DiagnosticArray(status=list(nodes))
+            said.header.stamp.sec = 1_626_757_200
+            publisher.publish(said)
+            return watched.mode == mode
+
+        run = {"answers_from": 0, "tick": 5}
+        wait_for(lambda: is_so("simulated", node("plant", "ready", **run)), 20, "the run")
+        wait_for(lambda: is_so("ended", node("plant", "ended", **run)), 20, "its end")
+        assert watched.runs == 0
+        wait_for(lambda: is_so("live", node("controller", "ready")), 20, "the live site")
+        assert watched.runs == 1
+        peer.close()
+
+
 class Broken(Kept):
     """Cannot be told what is watched."""
 

@@ -892,6 +892,21 @@ def test_an_incident_of_a_recording_stands_while_it_did(
     assert not any(10 < at < 30 for at in flow)
 
 
+def test_what_was_over_on_a_live_site_before_it_was_watched() -> None:
+    """It is shown; what stands there, and what came since, the nodes say themselves."""
+    one = Watched()
+    one.set_site(SITE)
+    one.set_present(mode="live", factor=None, source="heard", note="")
+    before = time.time()
+    one.set_incidents([
+        incident(began=before - 60, ended=before - 30), incident(began=before - 20, ended=None),
+        incident(began=before - 20, ended=before + 60),
+    ])
+    assert shown(one)["alarms"] == []
+    one.add_statuses(time.monotonic(), [])
+    assert [row["since"] for row in shown(one)["alarms"]] == [before - 60]
+
+
 def test_an_incident_that_lasted_to_the_end_stands() -> None:
     one = Watched()
     one.set_site(SITE)

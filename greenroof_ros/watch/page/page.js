@@ -92,6 +92,7 @@ const fillTile = (tile, one) => {
   const value = tile.querySelector(".value");
   setText(value, one.value ?? "");
   value.classList.toggle("long", value.textContent.length > 10);
+  value.classList.toggle("word", !/\d/.test(value.textContent));
   setText(tile.querySelector(".sentence"), one.sentence);
   const why = tile.querySelector(".why");
   setText(why, one.why);
