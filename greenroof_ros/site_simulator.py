@@ -54,7 +54,7 @@ def _parser() -> argparse.ArgumentParser:
     place.add_argument(
         "--drive-at", metavar="ADDRESS",
         help="the drive simulator's workbench, such as tcp://127.0.0.1:5021; without it the pump "
-        "never runs, and it says so",
+        "never runs; the simulator warns of that at its start",
     )
     place.add_argument(
         "--workbench", type=within(0, 65535, int), default=_WORKBENCH, metavar="PORT",

@@ -35,6 +35,8 @@ BUILT_IN = {
 }
 # The one that runs unless another is asked for.
 DEFAULT = "mpc"
+# Parameters that rclpy declares in every node.
+OF_EVERY_NODE = {"use_sim_time", "start_type_description_service", "qos_overrides"}
 # A controller's node is named after it, beside these.
 _OTHER_NODES = {"plant", "weather", "recorder", "pump", "bringup"}
 # Every controller's node has these parameters.
@@ -161,6 +163,8 @@ class ControllerChoice:
             )
         values = {name: parameter.default for name, parameter in self.parameters.items()}
         for key, line in given.lines.items():
+            if keys[0] == "/**" and key.partition(".")[0] in OF_EVERY_NODE:
+                continue
             self.check_name(key, path, line)
             value = number(path, given, key)
             parameter = self.parameters[key]

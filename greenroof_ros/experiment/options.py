@@ -236,7 +236,14 @@ _skill.__name__ = f"skill: {', '.join(SKILLS)}, or a FILE.yaml"
 
 
 def _speed(text: str) -> float:
-    return 0.0 if text == "max" else within(1e-9, 1e9)(text)
+    if text == "max":
+        return 0.0
+    try:
+        return within(1e-9, 1e9)(text)
+    except argparse.ArgumentTypeError as error:
+        raise argparse.ArgumentTypeError(
+            f"must be max, or a number greater than 0, is {text}"
+        ) from error
 
 
 # What it takes, where it is documented.

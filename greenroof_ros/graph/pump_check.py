@@ -140,8 +140,9 @@ class PumpCheck:
         self._join()
         hindered = ""
         checks = self._checks()
-        for number, (title, check) in enumerate(checks.items(), start=1):
-            self._trying = f"check {number} of {len(checks)}: {title}"
+        every = len(checks) + 2  # and its topics before, its answers after
+        for number, (title, check) in enumerate(checks.items(), start=2):
+            self._trying = f"check {number} of {every}: {title}"
             problem, came = hindered, ""
             if not hindered:
                 try:

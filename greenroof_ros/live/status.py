@@ -24,7 +24,7 @@ _SETTLED_S, _LISTED_S = 3.0, 1.0
 # How long what has not come yet is late, and not lost (s). Once nothing is missing, inputs may need
 # so long until they count (s), by default 10 s.
 _LATE_S, _INPUTS_S = 60.0, 30.0
-_ALL_HERE = "nothing is missing; values count once they were good for a while"
+_ALL_HERE = "nothing is missing; inputs must stay good for a few seconds before they count"
 # What the pump node says of the hold that bringup gives it.
 _OF_BRINGUP = "supervisor"
 # Parts of nodes that are not well because of something else, as a rule.

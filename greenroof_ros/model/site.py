@@ -112,12 +112,12 @@ class Site:
     a2: float = _parameter("m2", "bottom surface area of the rooftop vegetation")
     z_veg: float = _parameter("m", "desired water depth on the roof")
     x2_star: float = _parameter(
-        "m3", "desired water volume on the roof: a2 z_veg, which it is if it is left out"
+        "m3", "desired water volume on the roof: a2 z_veg; leave it out and it is computed"
     )
     z_soil: float = _parameter("m", "soil depth of the roof")
     z_cap: float = _parameter(
         "m3", "water that the soil holds before it drains: a2 z_soil, of a measured roof a2 z_soil "
-        "field_capacity, which it is if it is left out"
+        "field_capacity; leave it out and it is computed"
     )
     K: float = _parameter("m/s", "saturated hydraulic conductivity")
     a_hat: float = _parameter("s2/m5", "coefficient of the pump curve, negative, Eq. (3b)")
@@ -551,5 +551,5 @@ def _check_water(path: Path, mapping: YamlMapping, site: Site) -> None:
         if not math.isclose(values[name], product, rel_tol=_ROUNDING):
             formula = " ".join(one for one in _FOLLOW_FROM[name] if values[one] is not None)
             raise refuse(
-                name, f"must be {formula} = {product:g} m3, which it is if this line is left out"
+                name, f"must be {formula} = {product:g} m3; leave this line out and it is computed"
             )

@@ -10,7 +10,7 @@ from pathlib import Path
 
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.files import YamlMapping, read_yaml
-from greenroof_ros.controllers.registry import ControllerChoice
+from greenroof_ros.controllers.registry import OF_EVERY_NODE, ControllerChoice
 from greenroof_ros.graph.parameters import (
     LIVE,
     NodeParameter,
@@ -20,8 +20,6 @@ from greenroof_ros.graph.parameters import (
 )
 
 _SECTION = "ros__parameters"
-# What rclpy declares in every node.
-_OF_ALL = {"use_sim_time", "start_type_description_service", "qos_overrides"}
 
 
 def refuse_unknown_in(
@@ -114,7 +112,7 @@ def _look_at_section(
         )
     names = set().union(*here)
     for name, value in content.items():
-        if name in names or name.partition(".")[0] in _OF_ALL:
+        if name in names or name.partition(".")[0] in OF_EVERY_NODE:
             continue
         (closest,) = get_close_matches(name, sorted(names), 1, 0.0)
         raise ConfigurationError(

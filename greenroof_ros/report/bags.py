@@ -46,8 +46,9 @@ def read_run(
     repair = f"python -m greenroof_ros.recover {path} makes a whole one"
     if not _is_closed(bag):
         if any(bag.glob("*.mcap")) or any(bag.glob("*.db3")):
-            raise ConfigurationError(f"has no metadata.yaml: it is being recorded, or was cut off; {repair}",
-                                     file=bag)
+            raise ConfigurationError(
+                f"has no metadata.yaml: it is being recorded, or was cut off; {repair}", file=bag
+            )
         if about.ending is not None:
             error = f"{about.ending.sentence}; no bag"
             sources.failed.append(FailedRun(name, about.controller, error))

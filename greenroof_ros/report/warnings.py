@@ -55,7 +55,7 @@ def few_years(report: Report) -> str:
     years = min((len(one.years) for one in seasons(report)), default=_LEAST_YEARS)
     if years >= _LEAST_YEARS:
         return ""
-    return f"only {years} years: of less than {_LEAST_YEARS} even all on one side may be luck"
+    return f"only {years} years: with fewer than {_LEAST_YEARS}, a lead in all may be chance"
 
 
 def few_seeds(report: Report) -> str:
@@ -63,7 +63,7 @@ def few_seeds(report: Report) -> str:
     seeds = min((len(one.totals) for one in spreads(report)), default=_LEAST_SEEDS)
     if seeds >= _LEAST_SEEDS:
         return ""
-    return f"only {seeds} seeds: the worst tenth of less than {_LEAST_SEEDS} is the worst run alone"
+    return f"only {seeds} seeds: with fewer than {_LEAST_SEEDS}, the worst tenth is a single run"
 
 
 def make_warnings(report: Report) -> list[RunWarning]:

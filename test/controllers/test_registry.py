@@ -83,7 +83,9 @@ def test_without_its_solver(
 
 def test_a_file_for_all_nodes(tmp_path: Path) -> None:
     """The most common form: its section is ``/**``, its numbers may be whole."""
-    (tmp_path / "mine.yaml").write_text("/**:\n  ros__parameters:\n    weight: 5\n")
+    (tmp_path / "mine.yaml").write_text(
+        "/**:\n  ros__parameters:\n    use_sim_time: true\n    weight: 5\n"
+    )
     assert find_controller("mpc").read_parameters(tmp_path / "mine.yaml")["weight"] == 5.0
 
 

@@ -37,6 +37,7 @@ OPTIONS: dict[str, tuple[str, tuple[str, ...]]] = {
     "unknown-option": ("--horizon 30", ("--horizon",)),
     "weight-zero": ("--weight 0", ("--weight", "greater than 0")),
     "weight-negative": ("--weight=-0.1", ("--weight",)),
+    "speed": ("--speed fast", ("--speed", "must be max, or a number greater than 0, is fast")),
     "hours-text": ("--hours much", ("--hours", "greater than 0, is much")),
     "weight-nan": ("--weight nan", ("--weight",)),
     "weight-inf": ("--weight inf", ("--weight",)),

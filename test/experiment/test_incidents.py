@@ -145,7 +145,7 @@ def test_what_never_came_is_missing_since_the_start(monkeypatch: pytest.MonkeyPa
 
 
 def test_another_start_keeps_what_was_before(tmp_path: Path) -> None:
-    """Numbers go on; what lasted ended by then at the latest; a line that a crash cut is dropped."""
+    """Numbers go on; what lasted ended by then at the latest; a line that was cut is dropped."""
     first = IncidentLog(lambda _: None, tmp_path / INCIDENTS)
     for level in ("OK", "ERROR", "OK", "ERROR"):
         first.look(says("pump", drive=level))

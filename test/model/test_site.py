@@ -138,7 +138,7 @@ def test_what_is_no_finite_number(tmp_path: Path, key: str, value: str, reason: 
         (["a_hat"], "5.78e+5", "must be negative"),
         (["M", "N"], "10.5", "must be a whole number of ticks"),
         (["x2_star"], "3.145", "must be a2 z_veg = 3.14416 m3"),
-        (["z_cap"], "34.5", "must be a2 z_soil = 34.4 m3, which it is if this line is left out"),
+        (["z_cap"], "34.5", "must be a2 z_soil = 34.4 m3; leave this line out and it is computed"),
         (["z_cap"], "3.2", "must be a2 z_soil = 34.4 m3"),
         (["z_o"], "300", "must be at most 76.92 m, since levels above 100 m are refused"),
         (["c_hat"], "15.25", "must exceed d - z_pump - z_H = 15.25 m"),
@@ -194,8 +194,9 @@ def test_what_follows_is_computed(tmp_path: Path, key: str) -> None:
     larger = read_site(write(tmp_path, a2=120.0, x2_star=None, z_cap=None))
     assert (larger.x2_star, larger.z_cap) == pytest.approx((120 * 0.0457, 60.0), rel=1e-15)
     stale = write(tmp_path, a2=120.0, x2_star=None, z_cap=34.4)
-    assert refusal(stale).endswith("z_cap = 34.4: must be a2 z_soil = 60 m3, which it is if this "
-                                   "line is left out")
+    assert refusal(stale).endswith(
+        "z_cap = 34.4: must be a2 z_soil = 60 m3; leave this line out and it is computed"
+    )
 
 
 def test_a_mistyped_key(tmp_path: Path) -> None:

@@ -1412,7 +1412,7 @@ def test_too_few_seeds_are_said(
     """Before there are ten, the worst tenth is one run."""
     rows = [row for row in seeded_rows(simulated[0].row) if int(row["forecast_seed"]) <= count]
     text = page_of(write_study(tmp_path / "study", [(row, None) for row in rows], SEEDED))
-    words = f"only {count} seeds: the worst tenth of less than 10 is the worst run alone"
+    words = f"only {count} seeds: with fewer than 10, the worst tenth is a single run"
     assert (words in text.partition("</header>")[0]) == said
     assert (words[1:] in text.partition('id="warnings"')[2]) == said
 
