@@ -1338,7 +1338,7 @@ def test_incidents_of_a_run_whose_bringup_was_killed(tmp_path: Path) -> None:
 
 
 def test_incidents_of_a_live_site(tmp_path: Path) -> None:
-    """From the summary in its state directory, by the clock; its site is the one it ran with."""
+    """From its summary, in local standard time; its site is the one it ran with."""
     path = tmp_path / "live"
     small_bag(path / "bag")
     (path / "configuration" / "site").mkdir(parents=True)
@@ -1355,7 +1355,7 @@ def test_incidents_of_a_live_site(tmp_path: Path) -> None:
     assert "done, with 300 incidents." in text and "damaged or foreign" not in text
     assert "A run of on/off (fraction 1): my_site.yaml" in text
     assert incidents_of(path) == [[
-        "300", "pump: drive", "2026-11-21 02:25:12+00:00", "2026-11-21 02:25:20+00:00", "7.8",
+        "300", "pump: drive", "2026-11-20 21:25:12-05:00", "2026-11-20 21:25:20-05:00", "7.8",
         "no connection to the drive",
     ]]
 
