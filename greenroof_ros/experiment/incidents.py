@@ -200,8 +200,8 @@ class IncidentLog:
         now = time.monotonic()
         node, part = about
         wall, since = _now(), now
-        if about not in self._good:
-            cause = f"not there since the start: {cause}"
+        if tick is None and about not in self._good:
+            cause = f"since the start: {cause}"
             wall, since = self._began
         seen, since, incident = self._pending.setdefault(
             about, (now, since, Incident(0, node, part, cause, wall, began_tick=tick))

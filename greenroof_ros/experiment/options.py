@@ -242,7 +242,7 @@ def _speed(text: str) -> float:
         return within(1e-9, 1e9)(text)
     except argparse.ArgumentTypeError as error:
         raise argparse.ArgumentTypeError(
-            f"must be max, or a number greater than 0, is {text}"
+            str(error).replace("must be ", "must be max, or ")
         ) from error
 
 

@@ -139,7 +139,7 @@ def test_what_never_came_is_missing_since_the_start(monkeypatch: pytest.MonkeyPa
     now = 170.0
     log.look(says("pump", drive="OK"))
     assert said == [
-        "incident 1: pump: not there since the start: drive ERROR",
+        "incident 1: pump: since the start: drive ERROR",
         "incident 1 is over, after 70.0 s: pump: drive",
     ]
 
