@@ -16,6 +16,7 @@ from diagnostic_msgs.msg import DiagnosticArray
 from graphs import environment, wait_for
 from lifecycle_msgs.srv import ChangeState, GetState
 from places import CONFIG, guarding
+from rclpy.qos import QoSProfile
 from rosgraph_msgs.msg import Clock
 from simulators import PATIENCE_S
 from std_msgs.msg import Float64, String
@@ -78,6 +79,12 @@ class SimulatedDrive:
             self.process.wait(120)
 
 
+def _newest(topic: str) -> QoSProfile:
+    profile = qos(topic)
+    profile.depth = 1
+    return profile
+
+
 class PumpRig:
     """The node's peers: clock, levels, frost and commands, and what the node says to them."""
 
@@ -92,8 +99,9 @@ class PumpRig:
         self._ticks = 0
         self._volumes = [75.0, 0.3]
         self._processes: list[subprocess.Popen[bytes]] = []
+        # Without a past: a node that is started again takes part from the next tick on.
         self._publishers = {
-            name: self.node.create_publisher(kind, name, qos(name))
+            name: self.node.create_publisher(kind, name, _newest(name))
             for name, kind in (
                 ("/clock", Clock), ("/cistern/level", Float64), ("/roof/level", Float64),
                 ("/weather/frost", Float64), ("/pump/command", Float64), ("/pump/meter", Float64),

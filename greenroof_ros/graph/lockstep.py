@@ -229,9 +229,8 @@ class Lockstep:
             node.over = not node.reports.supervised and self._may_leave()
             return
         for publishers in self._watched:
-            problem = publishers.problem(now)
-            if problem:
-                self._refuse(f"{publishers.full_name} {problem}")
+            if publishers.count > 1 and publishers.heard > 1:
+                self._refuse(f"{publishers.full_name} {publishers.problem(now)}")
         if self._is_over():  # what the plant says of the run came behind the last tick
             node.finish()
             return

@@ -91,11 +91,11 @@ class Publishers:
         return self._counted
 
     @property
-    def heard(self) -> bool:
-        """Whether there is one whose messages arrive: its quality of service fits."""
+    def heard(self) -> int:
+        """How many there are whose messages arrive: their quality of service fits."""
         if self._peers is not None:
-            return self._counted > 0
-        return any(not lacks(one.qos_profile, self.required) for one in self._known())
+            return self._counted
+        return sum(not lacks(one.qos_profile, self.required) for one in self._known())
 
     @property
     def required(self) -> Qos:
@@ -126,7 +126,8 @@ class Publishers:
         Args:
             now: of the steady clock (s).
         """
-        if self._unfit_since > -math.inf:
+        count = self.count
+        if self._unfit_since > -math.inf or (self._peers is None and count > 1):
             unheard = self.unheard()
             if not unheard and now - self._unfit_since > DISCOVERY_S:
                 self._unfit_since = -math.inf  # it went
@@ -136,7 +137,6 @@ class Publishers:
                     f"has a publisher that cannot be heard ({who}): end it, or make it "
                     f"{requirements(self.required)}"
                 )
-        count = self.count
         if count < 2 or len(self._known()) < 2:
             return ""
         names = self.names()
