@@ -16,7 +16,6 @@ from diagnostic_msgs.msg import DiagnosticArray
 from graphs import environment, wait_for
 from lifecycle_msgs.srv import ChangeState, GetState
 from places import CONFIG, guarding
-from rclpy.qos import QoSProfile
 from rosgraph_msgs.msg import Clock
 from simulators import PATIENCE_S
 from std_msgs.msg import Float64, String
@@ -79,12 +78,6 @@ class SimulatedDrive:
             self.process.wait(120)
 
 
-def _newest(topic: str) -> QoSProfile:
-    profile = qos(topic)
-    profile.depth = 1
-    return profile
-
-
 class PumpRig:
     """The node's peers: clock, levels, frost and commands, and what the node says to them."""
 
@@ -99,14 +92,8 @@ class PumpRig:
         self._ticks = 0
         self._volumes = [75.0, 0.3]
         self._processes: list[subprocess.Popen[bytes]] = []
-        # Without a past: a node that is started again takes part from the next tick on.
-        self._publishers = {
-            name: self.node.create_publisher(kind, name, _newest(name))
-            for name, kind in (
-                ("/clock", Clock), ("/cistern/level", Float64), ("/roof/level", Float64),
-                ("/weather/frost", Float64), ("/pump/command", Float64), ("/pump/meter", Float64),
-            )
-        }
+        self._publishers: dict[str, Any] = {}
+        self._open()
         self.node.create_subscription(
             Float64, "/pump/flow", lambda message: self.flows.append(message.data),
             qos("/pump/flow"),
@@ -118,6 +105,17 @@ class PumpRig:
         self.node.create_subscription(
             DiagnosticArray, "/diagnostics", self._on_diagnostics, qos("/diagnostics")
         )
+
+    def _open(self) -> None:
+        """Begin without a past: a node that is started again takes part from the next tick on."""
+        self.leave()
+        self._publishers = {
+            name: self.node.create_publisher(kind, name, qos(name))
+            for name, kind in (
+                ("/clock", Clock), ("/cistern/level", Float64), ("/roof/level", Float64),
+                ("/weather/frost", Float64), ("/pump/command", Float64), ("/pump/meter", Float64),
+            )
+        }
 
     def _on_diagnostics(self, message: DiagnosticArray) -> None:
         for status in message.status:
@@ -134,6 +132,8 @@ class PumpRig:
             "state_file": self.cwd / "state.json", **LEAST_TIMES, **parameters,
         }
         self.states.clear()
+        if self._processes:
+            self._open()
         process = subprocess.Popen(
             [
                 sys.executable, "-m", "greenroof_ros.nodes.pump", "--ros-args",
