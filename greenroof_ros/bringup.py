@@ -36,7 +36,6 @@ from greenroof_ros.experiment.run_directory import make_run_directory, write_con
 from greenroof_ros.graph.domain import only_bringup, refuse_other_nodes
 from greenroof_ros.graph.errors import no_ros
 from greenroof_ros.graph.node_processes import NodeFailed
-from greenroof_ros.graph.restarts import MOST, Restarts
 from greenroof_ros.graph.states import FINISHED, PUMP, READY, RECORDER, ROLES
 from greenroof_ros.graph.supervisor import Supervisor
 from greenroof_ros.live.drive import (
@@ -105,14 +104,6 @@ def _parser() -> argparse.ArgumentParser:
         "second (default: %(default)s s)",
     )
     group.add_argument(
-        "--on-node-failure", choices=["end", "restart"], default="end",
-        help="restart: start weather, controller, pump node or recorder again when one dies or "
-        f"hangs, up to {MOST} times each, and go on from the same tick: the controller as one that "
-        "begins there, with the configured parameters, the pump node with what it keeps over "
-        "restarts, the recorder in another file of the bag; the end of the plant, or what cannot "
-        "be gone on with exactly, ends the run (default: %(default)s the run)",
-    )
-    group.add_argument(
         "--watch", action="store_true",
         help="show the run on a page in a browser, whose address is printed. It ends with the run, "
         "which goes on without it; python -m greenroof_ros.watch is a page that stays. Needs "
@@ -125,8 +116,8 @@ def _parser() -> argparse.ArgumentParser:
 
 
 def _watch(
-    run: Run, limit: float, supervisor: Supervisor, signals: Signals, restarts: Restarts | None,
-    log: IncidentLog, progress: RunProgress,
+    run: Run, limit: float, supervisor: Supervisor, signals: Signals, log: IncidentLog,
+    progress: RunProgress,
 ) -> None:
     """Watch the nodes until all have reported the end of the run.
 
@@ -135,7 +126,6 @@ def _watch(
         limit: longest silence of a node (s).
         supervisor: has started the nodes.
         signals: looked at ten times a second.
-        restarts: starts nodes again that fail; None where their failure ends the run.
         log: finds what is lost in the run.
         progress: the bar.
 
@@ -150,8 +140,6 @@ def _watch(
         supervisor.permit.tell("waiting for nodes" if waiting - {RECORDER} else "")
         for node, report in supervisor.reports():
             progress.warn(report["warnings"])
-            if restarts is not None:
-                restarts.hear(node, report)
             if report["state"] in (READY, FINISHED):
                 waiting.discard(node)
             if report["state"] == FINISHED:
@@ -165,12 +153,7 @@ def _watch(
             log.look(supervisor.last, _tick(supervisor))
         if waiting:
             progress.waiting(f"waiting for {', '.join(_missing(run, waiting, supervisor))}")
-        try:
-            supervisor.check(_START_LIMIT_S if waiting else limit)
-        except NodeFailed as failure:
-            if restarts is None:
-                raise
-            waiting |= restarts.start_again(failure)
+        supervisor.check(_START_LIMIT_S if waiting else limit)
 
 
 def _tick(supervisor: Supervisor) -> int:
@@ -203,7 +186,6 @@ def _run_graph(run: Run, arguments: argparse.Namespace, signals: Signals) -> int
     controller = run.controller
     drive, own = chosen_drive(arguments), own_parameters(arguments)
     stop_drive = drive.stopper() if drive is not None else None
-    restart = arguments.on_node_failure == "restart"
     nodes = {
         **({} if drive is None else {PUMP: f"{_NODES}.pump"}),
         "plant": f"{_NODES}.plant",
@@ -224,8 +206,7 @@ def _run_graph(run: Run, arguments: argparse.Namespace, signals: Signals) -> int
                 "speed": speed,
                 "pump": arguments.pump if drive is None else "external",
                 "record": not arguments.no_record,
-                # The plant, and the recorder at the end, wait for a node that is started again.
-                "peer_limit": arguments.peer_limit + (_START_LIMIT_S if restart else 0.0),
+                "peer_limit": arguments.peer_limit,
             },
             {} if drive is None else {PUMP: {
                 **of_drive,
@@ -236,7 +217,6 @@ def _run_graph(run: Run, arguments: argparse.Namespace, signals: Signals) -> int
         supervisor = Supervisor(
             directory / "log", [parameters, *([] if own is None else [own])], namespace, stop_drive
         )
-        restarts = Restarts(supervisor) if restart else None
         progress = RunProgress(run.steps, run.site.tau)
         log = IncidentLog(progress.say, directory / INCIDENTS)
         try:
@@ -257,24 +237,18 @@ def _run_graph(run: Run, arguments: argparse.Namespace, signals: Signals) -> int
                             supervisor.add(name, module, "--controller", controller.reference)
                         elif name != PUMP:
                             supervisor.add(name, module)
-                    _watch(
-                        run, arguments.peer_limit, supervisor, signals, restarts, log, progress
-                    )
+                    _watch(run, arguments.peer_limit, supervisor, signals, log, progress)
         except InterruptedRun as error:
             signals.ignore()
             print(error, file=sys.stderr)
-            _end_early(
-                run, directory, supervisor, restarts, log, summary.INTERRUPTED, str(error)
-            )
+            _end_early(run, directory, supervisor, log, summary.INTERRUPTED, str(error))
             return EXIT_FAILED if supervisor.may_run else EXIT_INTERRUPTED
         except NodeFailed as error:
             signals.ignore()
             print(f"error: {error}", file=sys.stderr)
-            _end_early(
-                run, directory, supervisor, restarts, log, summary.FAILED, error.reason
-            )
+            _end_early(run, directory, supervisor, log, summary.FAILED, error.reason)
             return EXIT_FAILED if supervisor.may_run else error.code
-        _end_whole(run, directory, supervisor, restarts, log, as_json=arguments.json)
+        _end_whole(run, directory, supervisor, log, as_json=arguments.json)
         return EXIT_FAILED if supervisor.may_run or log.count else EXIT_DONE
 
 
@@ -353,32 +327,25 @@ def _speed(asked: float | None, drive: DriveChoice | None) -> float:
     return 0.0 if drive is None else 1.0
 
 
-def _refused(supervisor: Supervisor, restarts: Restarts | None) -> dict[str, int]:
+def _refused(supervisor: Supervisor) -> dict[str, int]:
     """Return how many values of each topic the nodes refused."""
-    refused: dict[str, int] = {} if restarts is None else dict(restarts.refused)
+    refused: dict[str, int] = {}
     for report in supervisor.last.values():
         for topic, count in report["refused"].items():
             refused[topic] = refused.get(topic, 0) + count
     return refused
 
 
-def _parameter_changes(
-    run: Run, supervisor: Supervisor, restarts: Restarts | None
-) -> list[dict[str, Any]]:
-    """Return the parameters that changed in the run, in whichever process of the controller."""
-    last = supervisor.last.get(run.controller.name, {})
-    before = [] if restarts is None else restarts.parameter_changes
-    return [*before, *last.get("parameter_changes", [])]
-
-
-def _incidents(restarts: Restarts | None, log: IncidentLog) -> list[dict[str, Any]]:
-    """Return what was lost in the run: nodes that were started again, then drives and sensors."""
-    return [*([] if restarts is None else restarts.incidents), *log.as_dicts()]
+def _parameter_changes(run: Run, supervisor: Supervisor) -> list[dict[str, Any]]:
+    """Return the parameters of the controller that changed in the run."""
+    changes: list[dict[str, Any]] = supervisor.last.get(run.controller.name, {}).get(
+        "parameter_changes", []
+    )
+    return changes
 
 
 def _end_whole(
-    run: Run, directory: Path, supervisor: Supervisor, restarts: Restarts | None,
-    log: IncidentLog, *, as_json: bool,
+    run: Run, directory: Path, supervisor: Supervisor, log: IncidentLog, *, as_json: bool,
 ) -> None:
     """Write and print the summary of a run that is done."""
     plant, controller = supervisor.last["plant"], supervisor.last[run.controller.name]
@@ -389,17 +356,16 @@ def _end_whole(
         wall_s=plant["wall_s"],
         solver=controller["solver"],
         messages=supervisor.last.get(RECORDER, {}).get("messages"),
-        refused=_refused(supervisor, restarts),
-        parameter_changes=_parameter_changes(run, supervisor, restarts),
-        incidents=_incidents(restarts, log),
+        refused=_refused(supervisor),
+        parameter_changes=_parameter_changes(run, supervisor),
+        incidents=log.as_dicts(),
     )
     summary.write(result, directory)
     summary_table.show(result, directory, as_json=as_json)
 
 
 def _end_early(
-    run: Run, directory: Path, supervisor: Supervisor, restarts: Restarts | None,
-    log: IncidentLog, status: str, reason: str,
+    run: Run, directory: Path, supervisor: Supervisor, log: IncidentLog, status: str, reason: str,
 ) -> None:
     """Write how far a run came that is not done, and say how its bag is opened."""
     bag = directory / "bag"
@@ -412,9 +378,9 @@ def _end_early(
     summary.write(
         summary.build_unfinished(
             run, status, reason=reason, last_tick=reached if reached >= 0 else None,
-            refused=_refused(supervisor, restarts),
-            parameter_changes=_parameter_changes(run, supervisor, restarts),
-            incidents=_incidents(restarts, log),
+            refused=_refused(supervisor),
+            parameter_changes=_parameter_changes(run, supervisor),
+            incidents=log.as_dicts(),
         ),
         directory,
     )

@@ -92,13 +92,8 @@ class PumpRig:
         self._ticks = 0
         self._volumes = [75.0, 0.3]
         self._processes: list[subprocess.Popen[bytes]] = []
-        self._publishers = {
-            name: self.node.create_publisher(kind, name, qos(name))
-            for name, kind in (
-                ("/clock", Clock), ("/cistern/level", Float64), ("/roof/level", Float64),
-                ("/weather/frost", Float64), ("/pump/command", Float64), ("/pump/meter", Float64),
-            )
-        }
+        self._publishers: dict[str, Any] = {}
+        self._open()
         self.node.create_subscription(
             Float64, "/pump/flow", lambda message: self.flows.append(message.data),
             qos("/pump/flow"),
@@ -110,6 +105,17 @@ class PumpRig:
         self.node.create_subscription(
             DiagnosticArray, "/diagnostics", self._on_diagnostics, qos("/diagnostics")
         )
+
+    def _open(self) -> None:
+        """Begin without a past: a node that is started again takes part from the next tick on."""
+        self.leave()
+        self._publishers = {
+            name: self.node.create_publisher(kind, name, qos(name))
+            for name, kind in (
+                ("/clock", Clock), ("/cistern/level", Float64), ("/roof/level", Float64),
+                ("/weather/frost", Float64), ("/pump/command", Float64), ("/pump/meter", Float64),
+            )
+        }
 
     def _on_diagnostics(self, message: DiagnosticArray) -> None:
         for status in message.status:
@@ -126,6 +132,8 @@ class PumpRig:
             "state_file": self.cwd / "state.json", **LEAST_TIMES, **parameters,
         }
         self.states.clear()
+        if self._processes:
+            self._open()
         process = subprocess.Popen(
             [
                 sys.executable, "-m", "greenroof_ros.nodes.pump", "--ros-args",

@@ -15,7 +15,7 @@ from rclpy.signals import SignalHandlerOptions
 from greenroof_ros.common.command_line import EXIT_DONE, EXIT_FAILED, EXIT_USAGE, exit_code
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.graph.errors import LockstepError
-from greenroof_ros.graph.executors import hand_over
+from greenroof_ros.graph.executors import begin_to_listen, make_executor
 from greenroof_ros.graph.link import LinkedNode
 from greenroof_ros.graph.parameters import refuse_unknown
 from greenroof_ros.graph.transport import choose_transport
@@ -63,15 +63,11 @@ def run_node(make: Callable[[], LinkedNode]) -> int:
     try:
         node = make()
         refuse_unknown(node, sys.argv)
-        executor: Any = SingleThreadedExecutor()
-        executor.add_node(node)
-        slow = True
+        executor = SingleThreadedExecutor() if node.live else make_executor()
+        begin_to_listen(executor, node)
         while not (stopping or node.over):
             executor.spin_once(timeout_sec=node.listen_s())
             node.check()
-            if slow and node.in_lockstep:
-                slow = False
-                executor = hand_over(node, executor)
     except ConfigurationError as error:
         print(f"error: {error}", file=sys.stderr)
         code, failure = exit_code(error), str(error)

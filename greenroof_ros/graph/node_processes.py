@@ -137,8 +137,7 @@ class NodeProcesses:
         self._looked = self.awake_since = time.monotonic()
 
     def start(
-        self, node: str, module: str, *arguments: str, ros_arguments: Sequence[str] = (),
-        pipes: Mapping[str, int] | None = None,
+        self, node: str, module: str, *arguments: str, pipes: Mapping[str, int] | None = None,
     ) -> None:
         """Start one node; it does not see the terminal's Ctrl-C, which is this process's.
 
@@ -146,7 +145,6 @@ class NodeProcesses:
             node: its name.
             module: that it is, such as greenroof_ros.nodes.weather.
             arguments: of the module's command line, beside those for ROS.
-            ros_arguments: those for ROS, beside those of all nodes.
             pipes: further file descriptors that it gets, by the environment variable that holds
                 the number; here they are closed.
         """
@@ -155,7 +153,7 @@ class NodeProcesses:
         out_reading, out_writing = os.pipe()
         given = {REPORT_PIPE: writing, **(pipes or {})}
         process = subprocess.Popen(
-            [sys.executable, "-m", module, *arguments, *self._ros_arguments, *ros_arguments],
+            [sys.executable, "-m", module, *arguments, *self._ros_arguments],
             stdin=subprocess.DEVNULL,
             stdout=out_writing,
             stderr=subprocess.STDOUT,

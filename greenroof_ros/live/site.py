@@ -102,11 +102,6 @@ def live_site(parser: argparse.ArgumentParser, arguments: argparse.Namespace) ->
             "is for a simulated site; with --plant external time, weather and levels are the "
             "site's own", key=_option(name),
         )
-    if arguments.on_node_failure != parser.get_default("on_node_failure"):
-        raise ConfigurationError(
-            "is for a simulated site; live, nodes are always started again, see --restarts",
-            key="--on-node-failure", value=arguments.on_node_failure,
-        )
     controller, parameters = controller_from_arguments(arguments)
     site_file: Path = arguments.site or shared_directory() / "config" / "site.yaml"
     read_site(site_file)

@@ -20,13 +20,14 @@ from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.interface import optional_topics
 from greenroof_ros.controllers.decide import decide
 from greenroof_ros.controllers.registry import ControllerChoice, controller_names, find_controller
-from greenroof_ros.graph.link import CLOCK, LinkedNode
+from greenroof_ros.graph.link import LinkedNode
 from greenroof_ros.graph.live import (
     FROZEN_MOVEMENT,
     JUMP_TOLERANCE,
     LEVEL_PARAMETERS,
     live_parameters,
 )
+from greenroof_ros.graph.lockstep import CLOCK
 from greenroof_ros.graph.node_help import NodeParser, node_help
 from greenroof_ros.graph.node_process import run_node
 from greenroof_ros.graph.parameters import LIVE, declare, of_controller, site_file
@@ -123,10 +124,6 @@ class ControllerNode(LinkedNode):
             for topic, attribute in optional_topics(choice.outputs)
         ]
         self.add_on_set_parameters_callback(self._on_parameters)
-
-    def on_begin(self, tick: int) -> None:
-        """Begin as in a run that begins with this tick."""
-        self._tick = tick
 
     def on_inputs(self) -> None:
         """Command, and publish what the controller says beside it."""

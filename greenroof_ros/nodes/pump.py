@@ -14,7 +14,7 @@ import re
 import threading
 import time
 from pathlib import Path
-from typing import Any, cast
+from typing import Any
 
 from std_srvs.srv import SetBool, Trigger
 
@@ -33,15 +33,15 @@ from greenroof_ros.graph.lifecycle import (
     Lifecycle,
     RefusedError,
 )
-from greenroof_ros.graph.link import CLOCK, LISTEN_S, LinkedNode
+from greenroof_ros.graph.link import LISTEN_S, LinkedNode
 from greenroof_ros.graph.live import (
     FROZEN_MOVEMENT,
     JUMP_TOLERANCE,
     LEVEL_PARAMETERS,
     LIMITS,
-    LivePublishers,
     live_parameters,
 )
+from greenroof_ros.graph.lockstep import CLOCK
 from greenroof_ros.graph.node_help import NodeParser, node_help
 from greenroof_ros.graph.node_process import run_node
 from greenroof_ros.graph.parameters import (
@@ -483,10 +483,6 @@ class PumpNode(Lifecycle, LinkedNode):
     def _on_clock(self, message: bytes) -> None:
         self.set_time(decode_clock(message))
 
-    def on_begin(self, tick: int) -> None:
-        """Go on from a tick on, where the node was started again in the run."""
-        self._simulated = tick * self._site.tau
-
     def on_inputs(self) -> None:
         """Act on a command, in lockstep; in a live graph, act because it is time to."""
         now = time.monotonic()
@@ -561,8 +557,7 @@ class PumpNode(Lifecycle, LinkedNode):
         return "; ".join(filter(None, reasons))
 
     def _two_publishers(self, now: float) -> str:
-        publishers = cast(LivePublishers, self.inputs.publishers["/pump/command"])
-        problem = publishers.problem(now)
+        problem = self.inputs.publishers["/pump/command"].problem(now)
         return f"{self._command.name} {problem}" if problem else ""
 
     def _silence(self, now: float) -> str:

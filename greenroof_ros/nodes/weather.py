@@ -38,8 +38,9 @@ from greenroof_ros.forecast.live_forecast import (
 from greenroof_ros.forecast.resampling import make_forecast
 from greenroof_ros.forecast.skill import SKILLS
 from greenroof_ros.graph.errors import LockstepError
-from greenroof_ros.graph.link import CLOCK, LinkedNode
+from greenroof_ros.graph.link import LinkedNode
 from greenroof_ros.graph.live import live_parameters
+from greenroof_ros.graph.lockstep import CLOCK
 from greenroof_ros.graph.node_help import NodeParser, node_help
 from greenroof_ros.graph.node_process import run_node
 from greenroof_ros.graph.parameters import (
@@ -180,8 +181,6 @@ class _Records:
 
 class WeatherNode(LinkedNode):
     """Holds the weather: of a run, or live a file of forecasts and what the site's gauges say."""
-
-    repeats = True
 
     def __init__(self) -> None:
         """Declare the parameters and open the topics."""

@@ -64,8 +64,7 @@ class Dated:
 def read_dated(bag: Path) -> list[Dated]:
     """Return the incidents of a run whose bag is read, in the order in which they began.
 
-    Of a simulated site they stand in a file of their own, and nodes that were started again in the
-    summary; of a live site all do.
+    Of a simulated site they stand in a file of their own, of a live site in the summary.
 
     Raises:
         ValueError: they cannot be read, or not when they were.
@@ -78,12 +77,8 @@ def read_dated(bag: Path) -> list[Dated]:
         summary = json.loads(read_text(directory / SUMMARY))
         before = summary.get("last_time") or {}
         kept = [*before.get("incidents", ()), *summary.get("incidents", ())]
-        found = found or [Incident(**one) for one in kept if "began" in one]
-        restarted = [
-            Incident(0, one["node"], PROCESS, one["how"], "", None, one["tick"], one["tick"])
-            for one in kept if one.get("tick") is not None
-        ]
-        return _all_dated([*found, *restarted], summary)
+        found = found or [Incident(**one) for one in kept]
+        return _all_dated(found, summary)
     except (OSError, ConfigurationError, KeyError, TypeError, AttributeError) as error:
         why = getattr(error, "strerror", None) or error
         raise ValueError(f"{directory / INCIDENTS} cannot be shown ({why})") from error

@@ -32,10 +32,10 @@ from greenroof_ros.common.processes import end_with_parent  # noqa: E402
 
 SEED = 1
 # So many cases a worker does: what a rig gathers ends with it.
-_BATCH = {"simulated": 10, "restarting": 9, "readers": 3}
+_BATCH = {"simulated": 10, "readers": 3}
 _USUAL_BATCH = 40
 # What keeps the processors busy, or lasts: of each only one lane does it at a time.
-_ALONE = {"simulated": "simulated", "restarting": "simulated", "readers": "readers"}
+_ALONE = {"simulated": "simulated", "readers": "readers"}
 # A worker that takes longer for a case hangs (s).
 _CASE_LIMIT_S = 300.0
 

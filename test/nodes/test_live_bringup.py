@@ -43,7 +43,6 @@ from greenroof_ros.drives.exchange import DriveExchange  # noqa: E402
 from greenroof_ros.drives.workbench import Workbench  # noqa: E402
 from greenroof_ros.experiment.incidents import read_incidents  # noqa: E402
 from greenroof_ros.live.drive import DriveChoice  # noqa: E402
-from greenroof_ros.recording.bag_reader import count_ticks  # noqa: E402
 
 NOBODY = ("--sensors", "external", "--pump", "external", "--weather", "external")
 # A low roof, a full cistern, no rain, no frost: mpc pumps.
@@ -471,37 +470,6 @@ def _last_list(process: Process) -> str:
     return process.stderr().rpartition("missing:\n")[2]
 
 
-# What pump node and recorder say of themselves comes to one another late, as on a busy machine. The
-# pump node must not hear of the recorder either: it waits for the word of each reader it knows of.
-LATE_REPORT = """
-import sys
-roles = [word.rpartition(".")[2] for word in sys.orig_argv if ".nodes." in word]
-if roles and roles[0] in ("recorder", "pump"):
-    from greenroof_ros.graph.lockstep import Lockstep
-    hear = Lockstep.hear
-    other = "pump" if roles[0] == "recorder" else "recorder"
-    def late(self, report):
-        if self._node.taken("/clock") <= 10:
-            if report.role == other:
-                return
-            report.values.get("nodes", {}).pop(other, None)
-        hear(self, report)
-    Lockstep.hear = late
-"""
-
-
-def test_a_pump_node_that_is_heard_late(
-    domain: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """Its flows were of the first tick on, and none counts twice, nor is one lost."""
-    hardware = Hardware(domain, tmp_path, "20")
-    (tmp_path / "sitecustomize.py").write_text(LATE_REPORT)
-    monkeypatch.setenv("PYTHONPATH", str(tmp_path))
-    run = ("--controller", "onoff", "--hours", "0.02", "--drive", hardware.file, "--drive-at",
-           hardware.drive, "--speed", "20")
-    bring_up(domain, tmp_path, *run)
-
-
 def test_the_drive_of_the_readme(domain: int, tmp_path: Path) -> None:
     """Its two lines as printed, but for where the drive is, how long the run is and how fast.
 
@@ -572,28 +540,6 @@ def test_a_fault_of_an_earlier_run_in_the_loop(domain: int, tmp_path: Path) -> N
     assert other.wait(300) == 0, other.stderr()
     assert "overload" not in other.stderr()
     assert summary_of(tmp_path / "other")["pumped_m3"] > 0
-
-
-def test_a_pump_node_that_is_started_again_in_the_loop(domain: int, tmp_path: Path) -> None:
-    """bringup stops the drive; the new node goes on in lockstep, and no tick is lost."""
-    hardware = Hardware(domain, tmp_path, "10")
-    (tmp_path / "nodes.yaml").write_text("/**:\n  ros__parameters:\n    least_off: 1.0\n")
-    run = Process(
-        domain, "bringup", "--output", "run", "--initial", "high-low", "--controller", "onoff",
-        "--hours", "0.06", "--drive", hardware.file, "--drive-at", hardware.drive, "--speed", "10",
-        "--node-parameters", "nodes.yaml", "--on-node-failure", "restart", cwd=tmp_path,
-    )
-    wait_for(lambda: hardware.speed() > 0.9, 60, "the pump")
-    os.kill(run.nodes()["pump"], signal.SIGKILL)
-    wait_for(lambda: hardware.speed() == 0, 60, "the pump's stop")
-    wait_for(lambda: hardware.speed() > 0.9, 60, "the pump again")
-    assert run.wait(300) == 0, run.stderr()
-    assert "bringup told the drive to stop" in run.stderr()
-    assert hardware.speed() == 0
-    (incident,) = summary_of(tmp_path / "run")["incidents"]
-    assert (incident["node"], incident["how"], incident["lost"]) == ("pump", "SIGKILL", [])
-    assert 1 < incident["tick"] < 216
-    assert count_ticks(tmp_path / "run" / "bag") == 217  # 0.06 h of 1 s, and the first
 
 
 def test_a_killed_bringup_leaves_no_node(domain: int, tmp_path: Path) -> None:
