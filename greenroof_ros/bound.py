@@ -109,9 +109,8 @@ def _table(result: dict[str, Any]) -> Table:
     return grid
 
 
-@command
-def main() -> int:
-    """Bound the total deviation of the run that the command line asks for."""
+def make_parser() -> argparse.ArgumentParser:
+    """Return what reads the command line."""
     parser = argparse.ArgumentParser(
         prog="python -m greenroof_ros.bound",
         usage="%(prog)s [options]",
@@ -136,7 +135,13 @@ def main() -> int:
         help="largest command, a share of the maximum flow (default: %(default)g)",
     )
     group.add_argument("--json", action="store_true", help="print JSON instead of a table")
-    arguments = parser.parse_args()
+    return parser
+
+
+@command
+def main() -> int:
+    """Bound the total deviation of the run that the command line asks for."""
+    arguments = make_parser().parse_args()
     run = inputs_from_arguments(arguments)
     block = None if arguments.block is None else _block_ticks(run.site, arguments.block)
     try:

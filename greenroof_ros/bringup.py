@@ -62,7 +62,8 @@ _NOT_AT_REAL_TIME = (
 )
 
 
-def _parser() -> argparse.ArgumentParser:
+def make_parser() -> argparse.ArgumentParser:
+    """Return what reads the command line."""
     parser = argparse.ArgumentParser(
         prog="python -m greenroof_ros.bringup",
         usage="%(prog)s [options]",
@@ -446,7 +447,7 @@ def _bag_lines(directory: Path, bag: Path, ticks: int | None) -> list[str]:
 @command
 def main() -> int:
     """Bring the graph up, watch it, and end it."""
-    parser = _parser()
+    parser = make_parser()
     arguments = parse_run_arguments(parser)
     signals = Signals()
     try:

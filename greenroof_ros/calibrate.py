@@ -84,7 +84,7 @@ exit codes: 0 done, 2 bad usage, configuration or record, 130 interrupted
 """
 
 
-def _parser() -> argparse.ArgumentParser:
+def make_parser() -> argparse.ArgumentParser:
     """Return what reads the command line."""
     parser = argparse.ArgumentParser(
         prog="python -m greenroof_ros.calibrate", description=_DESCRIPTION, epilog=_EPILOG,
@@ -118,7 +118,7 @@ def _parser() -> argparse.ArgumentParser:
 @command
 def main() -> int:
     """Fit the record that the command line names."""
-    arguments = _parser().parse_args()
+    arguments = make_parser().parse_args()
     output: Path = arguments.output
     page_file = output.with_suffix(".html") if output.name else output
     _check_output(output, page_file)

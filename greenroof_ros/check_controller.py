@@ -26,9 +26,8 @@ def _options(reference: str) -> Finding:
     return Finding("its parameters have names that no option of the commands has", problem)
 
 
-@command
-def main() -> int:
-    """Check the controller that the command line names."""
+def make_parser() -> argparse.ArgumentParser:
+    """Return what reads the command line."""
     parser = argparse.ArgumentParser(
         prog="python -m greenroof_ros.check_controller",
         description="Hold a controller to what the node graph, simulate, studies and reports rely "
@@ -47,7 +46,13 @@ def main() -> int:
         "--site", type=Path, metavar="FILE",
         help="site at which it is tried (default: the paper's, config/site.yaml)",
     )
-    arguments = parser.parse_args()
+    return parser
+
+
+@command
+def main() -> int:
+    """Check the controller that the command line names."""
+    arguments = make_parser().parse_args()
     choice = find_controller(arguments.controller)
     site = read_site(arguments.site or shared_directory() / "config" / "site.yaml")
     findings = [*check_controller(choice, site), _options(arguments.controller)]

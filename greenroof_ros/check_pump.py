@@ -25,9 +25,8 @@ _LIMIT = (
 )
 
 
-@command
-def main() -> int:
-    """Check the driver that the command line names."""
+def make_parser() -> argparse.ArgumentParser:
+    """Return what reads the command line."""
     parser = argparse.ArgumentParser(
         prog="python -m greenroof_ros.check_pump",
         description="Hold a pump driver that runs, be it this package's or your own in any "
@@ -80,7 +79,13 @@ def main() -> int:
         "--site", type=Path, metavar="FILE",
         help="site whose levels and ticks it is told (default: the paper's, config/site.yaml)",
     )
-    arguments = parser.parse_args()
+    return parser
+
+
+@command
+def main() -> int:
+    """Check the driver that the command line names."""
+    arguments = make_parser().parse_args()
     try:
         from greenroof_ros.graph.pump_check import Limits, check_pump
     except ImportError as error:

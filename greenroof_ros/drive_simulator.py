@@ -28,7 +28,8 @@ _LAST_PORT = 65535
 _PTY = "pty"
 
 
-def _parser() -> argparse.ArgumentParser:
+def make_parser() -> argparse.ArgumentParser:
+    """Return what reads the command line."""
     parser = argparse.ArgumentParser(
         prog="python -m greenroof_ros.drive_simulator",
         usage="%(prog)s --drive NAME [options]",
@@ -136,7 +137,7 @@ async def serve(bench: DriveBench, fault: tuple[str, int], line: PseudoLine | No
 @command
 def main() -> int:
     """Be the drive that the command line asks for."""
-    arguments = _parser().parse_args()
+    arguments = make_parser().parse_args()
     check_installed()
     from greenroof_ros.drives.drive_bench import DriveBench
     from greenroof_ros.drives.simulated_drive import DriveSettings

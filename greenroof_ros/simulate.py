@@ -42,9 +42,8 @@ _COLUMNS = {
 _LAYER = {"drainage_layer_m3": "layer"}
 
 
-@command
-def main() -> int:
-    """Simulate the run that the command line asks for."""
+def make_parser() -> argparse.ArgumentParser:
+    """Return what reads the command line."""
     parser = argparse.ArgumentParser(
         prog="python -m greenroof_ros.simulate",
         usage="%(prog)s [options]",
@@ -70,7 +69,13 @@ def main() -> int:
         help="write a tick every S seconds, and the last, instead of all: the hundred bytes a tick "
         "of a year are gigabytes",
     )
-    arguments = parse_run_arguments(parser)
+    return parser
+
+
+@command
+def main() -> int:
+    """Simulate the run that the command line asks for."""
+    arguments = parse_run_arguments(make_parser())
     run = run_from_arguments(arguments)
     tau = run.site.tau
     if arguments.trajectory_every and arguments.trajectory is None:

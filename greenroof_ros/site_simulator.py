@@ -28,7 +28,8 @@ _MM_PER_HOUR = 1e-3 / 3600
 _MM_PER_DAY = 1e-3 / 86400
 
 
-def _parser() -> argparse.ArgumentParser:
+def make_parser() -> argparse.ArgumentParser:
+    """Return what reads the command line."""
     parser = argparse.ArgumentParser(
         prog="python -m greenroof_ros.site_simulator",
         usage="%(prog)s [options]",
@@ -112,7 +113,7 @@ async def serve(bench: SiteBench, fault: tuple[str, int], names: str, driven: bo
 @command
 def main() -> int:
     """Be the site that the command line asks for."""
-    arguments = _parser().parse_args()
+    arguments = make_parser().parse_args()
     check_installed()
     from greenroof_ros.drives.simulated_site import SimulatedSite, SiteBench, Weather
     fault = faults.read_fault(arguments.fault, SITE_FAULTS)

@@ -60,7 +60,7 @@ _SUMS = ((1, 1.0), (6, 2.0), (12, 3.0), (24, 5.0))
 _MOST_HOURS = 384
 
 
-def _parser() -> argparse.ArgumentParser:
+def make_parser() -> argparse.ArgumentParser:
     """Return what reads the command line."""
     parser = argparse.ArgumentParser(
         prog="python -m greenroof_ros.verify", description=_DESCRIPTION, epilog=_EPILOG,
@@ -110,7 +110,7 @@ def _parser() -> argparse.ArgumentParser:
 @command
 def main() -> int:
     """Verify the forecasts that the command line names."""
-    arguments = _parser().parse_args()
+    arguments = make_parser().parse_args()
     sums = _sums(arguments)
     render = _page(arguments.output)
     if arguments.fit is not None:

@@ -45,7 +45,7 @@ examples:
 """
 
 
-def _parser() -> argparse.ArgumentParser:
+def make_parser() -> argparse.ArgumentParser:
     """Return what reads the command line."""
     parser = argparse.ArgumentParser(
         prog="python -m greenroof_ros.report",
@@ -135,7 +135,7 @@ def _former_report(directory: Path, own: Callable[[str], bool], *, force: bool) 
 @command
 def main() -> int:
     """Make the report that the command line asks for."""
-    arguments = _parser().parse_args()
+    arguments = make_parser().parse_args()
     try:
         from greenroof_ros.report import figures, page
     except ModuleNotFoundError as error:

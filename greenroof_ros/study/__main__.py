@@ -46,7 +46,8 @@ examples:
 """
 
 
-def _parser() -> argparse.ArgumentParser:
+def make_parser() -> argparse.ArgumentParser:
+    """Return what reads the command line."""
     parser = argparse.ArgumentParser(
         prog="python -m greenroof_ros.study",
         description=_DESCRIPTION,
@@ -101,7 +102,7 @@ def _interrupt(signum: int, frame: object) -> None:
 @command
 def main() -> int:
     """Run a study, or the rest of it."""
-    arguments = _parser().parse_args()
+    arguments = make_parser().parse_args()
     # As after Ctrl-C: the workers end, and the table has what is finished.
     signal.signal(signal.SIGTERM, _interrupt)
     if arguments.scheduler is not None and arguments.jobs is not None:

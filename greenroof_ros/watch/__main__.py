@@ -45,7 +45,8 @@ exit codes: 0 asked to end, 1 failed, 2 bad usage or configuration
 """
 
 
-def _parser() -> argparse.ArgumentParser:
+def make_parser() -> argparse.ArgumentParser:
+    """Return what reads the command line."""
     parser = argparse.ArgumentParser(
         prog="python -m greenroof_ros.watch",
         usage="%(prog)s [options]",
@@ -118,7 +119,7 @@ def _say_address(url: str, host: str, port: int | None) -> None:
 @command
 def main() -> int:
     """Watch until asked to end."""
-    arguments = _parser().parse_args()
+    arguments = make_parser().parse_args()
     _refuse_wrong(arguments)
     os.nice(_GIVE_WAY)
     watched = Watched(arguments.namespace)
