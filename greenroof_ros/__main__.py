@@ -1,4 +1,4 @@
-"""Every command of this package by one name, ``greenroof``; ``python -m greenroof_ros`` likewise."""
+"""Every command of this package by one name: ``greenroof``, or ``python -m greenroof_ros``."""
 
 from __future__ import annotations
 
@@ -33,7 +33,9 @@ GROUPS = {
         "run": Command(
             "bringup", "the node graph: simulated, or with a drive in the loop", "internal"
         ),
-        "live": Command("bringup", "a site with sensors and a pump, until it is stopped", "external"),
+        "live": Command(
+            "bringup", "a site with sensors and a pump, until it is stopped", "external"
+        ),
     },
     "see what it does, or did": {
         "watch": Command("watch.__main__", "a page of what runs or has run; or in the terminal"),
@@ -69,10 +71,7 @@ def make_parser() -> argparse.ArgumentParser:
     return argparse.ArgumentParser(
         prog="greenroof",
         usage="%(prog)s COMMAND [options]",
-        description="\n\n".join([
-            "A green roof watered from a storm cistern: simulated, with a drive in the loop, or live.",
-            *groups,
-        ]),
+        description="\n\n".join(["A green roof, watered from a storm cistern.", *groups]),
         epilog="greenroof COMMAND --help has its options, and examples.",
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
@@ -96,8 +95,8 @@ def main() -> None:
 
 def _name(words: list[str]) -> str:
     """Return the name of the command that some words begin with, be there one or not."""
-    longest = 2 if any(name.startswith(f"{word} ") for word in words[:1] for name in COMMANDS) else 1
-    return " ".join(word for word in words[:longest] if word not in ("-h", "--help"))
+    two = any(name.startswith(f"{word} ") for name in COMMANDS for word in words[:1])
+    return " ".join(word for word in words[:2 if two else 1] if word not in ("-h", "--help"))
 
 
 @command
@@ -113,7 +112,9 @@ def _explain() -> int:
 
 def _refuse_plant(name: str, given: list[str]) -> None:
     """Exit where the option is given that the name of the command stands for."""
-    parser = argparse.ArgumentParser(prog=f"greenroof {name}", add_help=False)
+    parser = argparse.ArgumentParser(
+        prog=f"greenroof {name}", usage="%(prog)s [options]", add_help=False
+    )
     parser.add_argument("--plant", nargs="?", const="")
     if parser.parse_known_args(given)[0].plant is not None:
         parser.error("--plant is of bringup: 'run' simulates, and 'live' is a site with sensors")

@@ -1,4 +1,4 @@
-"""The least total deviation that any controller could reach: ``python -m greenroof_ros.bound``."""
+"""The least total deviation that any controller could reach: ``greenroof bound``."""
 
 from __future__ import annotations
 
@@ -112,14 +112,14 @@ def _table(result: dict[str, Any]) -> Table:
 def make_parser() -> argparse.ArgumentParser:
     """Return what reads the command line."""
     parser = argparse.ArgumentParser(
-        prog="python -m greenroof_ros.bound",
+        prog="greenroof bound",
         usage="%(prog)s [options]",
         description="Compute a lower bound of the total deviation that any controller can reach,\n"
         "had it known all weather, and beside it the result of its plan in the exact\n"
         "plant: the optimum lies between. It is the same for every controller.",
         epilog="examples:\n"
-        "  python -m greenroof_ros.bound --start 2021-07-08T05:00\n"
-        "  python -m greenroof_ros.bound --block 1 --hours 2 --max-command 0.1\n\n"
+        "  greenroof bound --start 2021-07-08T05:00\n"
+        "  greenroof bound --block 1 --hours 2 --max-command 0.1\n\n"
         "exit codes: 0 done, 1 no bound found, 2 bad usage or configuration",
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )

@@ -1,4 +1,4 @@
-"""Whether a class is a controller: ``python -m greenroof_ros.check_controller``."""
+"""Whether a class is a controller: ``greenroof check-controller``."""
 
 from __future__ import annotations
 
@@ -29,12 +29,11 @@ def _options(reference: str) -> Finding:
 def make_parser() -> argparse.ArgumentParser:
     """Return what reads the command line."""
     parser = argparse.ArgumentParser(
-        prog="python -m greenroof_ros.check_controller",
+        prog="greenroof check-controller",
         description="Hold a controller to what the node graph, simulate, studies and reports rely "
         "on: commands finite and not negative, the same for the same inputs, ticks that are "
         "skipped, missing forecasts, parameters. What fails is named with what would be right.",
-        epilog="example:\n  python -m greenroof_ros.check_controller "
-        "examples.proportional:Proportional\n\n"
+        epilog="example:\n  greenroof check-controller examples.proportional:Proportional\n\n"
         "exit codes: 0 all is right, 1 a check failed, 2 it cannot be imported",
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )

@@ -1,4 +1,4 @@
-"""Repair the bag of a run whose recorder was killed: ``python -m greenroof_ros.recover DIR``."""
+"""Repair the bag of a run whose recorder was killed: ``greenroof recover DIR``."""
 
 from __future__ import annotations
 
@@ -88,7 +88,7 @@ def _ticks(files: list[Path]) -> Iterator[tuple[Path, list[Channel], int, list[b
 def make_parser() -> argparse.ArgumentParser:
     """Return what reads the command line."""
     parser = argparse.ArgumentParser(
-        prog="python -m greenroof_ros.recover",
+        prog="greenroof recover",
         description="Repair the bag of a run whose recorder was killed or ran out of disk: every "
         "whole tick, or every message of a live site, goes into a new bag beside the old one, "
         "which is left as it is. A report of the run then uses the new one.",

@@ -1,4 +1,4 @@
-"""A run in one process, without ROS: ``python -m greenroof_ros.simulate``."""
+"""A run in one process, without ROS: ``greenroof simulate``."""
 
 from __future__ import annotations
 
@@ -45,16 +45,16 @@ _LAYER = {"drainage_layer_m3": "layer"}
 def make_parser() -> argparse.ArgumentParser:
     """Return what reads the command line."""
     parser = argparse.ArgumentParser(
-        prog="python -m greenroof_ros.simulate",
+        prog="greenroof simulate",
         usage="%(prog)s [options]",
         description="Run cistern, roof, pumps and controller over real weather in one process,\n"
         "without ROS. The numbers are those of the node graph (bringup), bit for bit.",
         epilog="examples:\n"
-        "  python -m greenroof_ros.simulate --controller planning_mpc --trajectory run.csv\n"
-        "  python -m greenroof_ros.simulate --start 2021-07-08T05:00 --hours 6\n"
-        "  python -m greenroof_ros.simulate --controller planning_mpc --horizon 24 \\\n"
+        "  greenroof simulate --controller planning_mpc --trajectory run.csv\n"
+        "  greenroof simulate --start 2021-07-08T05:00 --hours 6\n"
+        "  greenroof simulate --controller planning_mpc --horizon 24 \\\n"
         "      --forecast errors --forecast-skill real --forecast-seed 3\n"
-        "  python -m greenroof_ros.simulate --weather 'hourly_*.csv' --start 2021-07-01\n\n"
+        "  greenroof simulate --weather 'hourly_*.csv' --start 2021-07-01\n\n"
         "exit codes: 0 done, 2 bad usage or configuration, 130 interrupted",
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )

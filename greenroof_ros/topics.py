@@ -1,4 +1,4 @@
-"""Print the topics of the graph as a table: ``python -m greenroof_ros.topics``."""
+"""Print the topics of the graph as a table: ``greenroof topics``."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from greenroof_ros.common.interface import markdown_table, read_topics
 def make_parser() -> argparse.ArgumentParser:
     """Return what reads the command line."""
     return argparse.ArgumentParser(
-        prog="python -m greenroof_ros.topics",
+        prog="greenroof topics",
         description="Print the topics of the node graph (msg_defs/topics.yaml) as a table.",
     )
 
