@@ -478,9 +478,8 @@ def test_package_xml_names_what_the_tests_need(manifest, setup_options):
 
 
 def test_package_xml_and_ros_extra_name_the_same_ros_packages(manifest, setup_options):
-    keys = {
-        key for named in (ROSDEP_KEYS, *EXTRA_KEYS.values()) for one in named.values() for key in one
-    }
+    named = (ROSDEP_KEYS, *EXTRA_KEYS.values())
+    keys = {key for extra in named for its_keys in extra.values() for key in its_keys}
     depends = {depend.name for depend in manifest.exec_depends} - keys
     extra = {
         distribution(text).removeprefix("ros-jazzy-").replace("-", "_")
