@@ -22,14 +22,14 @@ ifeq ($(ROS),sourced)
 VENV_OPTIONS := --system-site-packages
 RUN_EXTRAS := [pump,watch]
 STUDY_EXTRAS := [study]
-TEST_EXTRAS := [pump,watch,study,netcdf,dask,test]
+TEST_EXTRAS := [pump,watch,study,netcdf,dask,completion,test]
 BENCH_EXTRAS := [study,bench]
 DOCS_EXTRAS := [pump,watch,study,docs]
 else
 VENV_OPTIONS :=
 RUN_EXTRAS := [ros,pump,watch]
 STUDY_EXTRAS := [study]
-TEST_EXTRAS := [ros,pump,watch,study,netcdf,dask,test]
+TEST_EXTRAS := [ros,pump,watch,study,netcdf,dask,completion,test]
 BENCH_EXTRAS := [ros,study,bench]
 DOCS_EXTRAS := [ros,pump,watch,study,docs]
 endif

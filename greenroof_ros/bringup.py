@@ -1,4 +1,4 @@
-"""The site as a ROS 2 graph, from one command: ``python -m greenroof_ros.bringup``."""
+"""The site as a ROS 2 graph: ``greenroof run`` and ``greenroof live``."""
 
 from __future__ import annotations
 
@@ -61,25 +61,27 @@ _NOT_AT_REAL_TIME = (
 )
 
 
-def _parser() -> argparse.ArgumentParser:
+def make_parser() -> argparse.ArgumentParser:
+    """Return what reads the command line."""
     parser = argparse.ArgumentParser(
-        prog="python -m greenroof_ros.bringup",
+        prog="greenroof {run,live}",
         usage="%(prog)s [options]",
         description="Start plant, weather, controller and recorder as ROS 2 nodes, each its own\n"
         "process, run them in lockstep on simulated time, and end them. While it runs,\n"
         "'ros2 topic echo --qos-durability volatile /roof/level' shows the roof.\n\n"
         "Three ways to run:\n"
-        "  simulated             as it is, or with any option but those below\n"
-        "  hardware in the loop  with --drive and --drive-at: a drive, not a simulated pump\n"
-        "  live                  with --plant external: a site with sensors, nothing is simulated",
+        "  simulated             run, with any option but those below\n"
+        "  hardware in the loop  run with --drive and --drive-at: a drive, not a simulated pump\n"
+        "  live                  live: a site with sensors, nothing is simulated\n\n"
+        "python -m greenroof_ros.bringup is both, by its option --plant.",
         epilog="examples:\n"
-        "  python -m greenroof_ros.bringup --controller planning_mpc --initial high-low\n"
-        "  python -m greenroof_ros.bringup --weather mine.csv --start 2024-06-01 --hours 24\n"
-        "  python -m greenroof_ros.bringup --namespace site1 --site site1.yaml\n"
-        "  python -m greenroof_ros.bringup --speed 60 --no-record\n"
-        "  python -m greenroof_ros.bringup --drive danfoss_fc202 --drive-at gateway://127.0.0.1:5020\n"
-        "  python -m greenroof_ros.bringup --plant external --sensors sensors.yaml \\\n"
-        "    --forecast forecast.csv --drive danfoss_fc202 --drive-at /dev/ttyUSB0\n\n"
+        "  greenroof run --controller planning_mpc --initial high-low\n"
+        "  greenroof run --weather mine.csv --start 2024-06-01 --hours 24\n"
+        "  greenroof run --namespace site1 --site site1.yaml\n"
+        "  greenroof run --speed 60 --no-record\n"
+        "  greenroof run --drive danfoss_fc202 --drive-at gateway://127.0.0.1:5020\n"
+        "  greenroof live --sensors sensors.yaml --forecast forecast.csv \\\n"
+        "    --drive danfoss_fc202 --drive-at /dev/ttyUSB0\n\n"
         "exit codes: 0 done, or live and asked to stop, 1 a node failed, the pump may run on, or\n"
         "done with incidents: a drive or a sensor was lost for a while, 2 bad usage or\n"
         "configuration, 3 a graph is there already, 130 interrupted",
@@ -106,7 +108,7 @@ def _parser() -> argparse.ArgumentParser:
     group.add_argument(
         "--watch", action="store_true",
         help="show the run on a page in a browser, whose address is printed. It ends with the run, "
-        "which goes on without it; python -m greenroof_ros.watch is a page that stays. Needs "
+        "which goes on without it; greenroof watch is a page that stays. Needs "
         "greenroof_ros[watch]",
     )
     add_drive_arguments(parser)
@@ -397,8 +399,8 @@ def _bag_lines(directory: Path, bag: Path, ticks: int | None) -> list[str]:
     recover, report, info = (
         f"  {tool} {shlex.quote(str(path))}"
         for tool, path in (
-            ("python -m greenroof_ros.recover", directory),
-            ("python -m greenroof_ros.report", directory),
+            ("greenroof recover", directory),
+            ("greenroof report", directory),
             ("ros2 bag info", bag),
         )
     )
@@ -412,7 +414,7 @@ def _bag_lines(directory: Path, bag: Path, ticks: int | None) -> list[str]:
 @command
 def main() -> int:
     """Bring the graph up, watch it, and end it."""
-    parser = _parser()
+    parser = make_parser()
     arguments = parse_run_arguments(parser)
     signals = Signals()
     try:

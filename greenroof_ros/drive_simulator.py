@@ -1,4 +1,4 @@
-"""A drive that is not there, on Modbus: ``python -m greenroof_ros.drive_simulator``."""
+"""A drive that is not there, on Modbus: ``greenroof simulators drive``."""
 
 from __future__ import annotations
 
@@ -28,9 +28,10 @@ _LAST_PORT = 65535
 _PTY = "pty"
 
 
-def _parser() -> argparse.ArgumentParser:
+def make_parser() -> argparse.ArgumentParser:
+    """Return what reads the command line."""
     parser = argparse.ArgumentParser(
-        prog="python -m greenroof_ros.drive_simulator",
+        prog="greenroof simulators drive",
         usage="%(prog)s --drive NAME [options]",
         description="Be a variable-speed drive with a motor on Modbus: registers, control word, "
         "ramp, faults and\ncommunication timeout as of the make that a drive file describes, and "
@@ -42,9 +43,9 @@ def _parser() -> argparse.ArgumentParser:
         "panel: 1, 0\n  5 cistern level in 0.1 mm, for drives that report their flow\n\n"
         f"faults:\n{faults.list_faults(DRIVE_FAULTS)}\n\n"
         "examples:\n"
-        "  python -m greenroof_ros.drive_simulator --drive abb_acs880\n"
-        "  python -m greenroof_ros.drive_simulator --drive danfoss_fc202 --fault late=900\n"
-        "  python -m greenroof_ros.drive_simulator --drive schneider_atv630 --serial pty\n\n"
+        "  greenroof simulators drive --drive abb_acs880\n"
+        "  greenroof simulators drive --drive danfoss_fc202 --fault late=900\n"
+        "  greenroof simulators drive --drive schneider_atv630 --serial pty\n\n"
         "Its first line says when it is ready, and where. Ctrl-C ends it.\n"
         "exit codes: 0 ended by Ctrl-C or SIGTERM, 2 wrong usage or configuration",
         formatter_class=argparse.RawDescriptionHelpFormatter,
@@ -136,7 +137,7 @@ async def serve(bench: DriveBench, fault: tuple[str, int], line: PseudoLine | No
 @command
 def main() -> int:
     """Be the drive that the command line asks for."""
-    arguments = _parser().parse_args()
+    arguments = make_parser().parse_args()
     check_installed()
     from greenroof_ros.drives.drive_bench import DriveBench
     from greenroof_ros.drives.simulated_drive import DriveSettings

@@ -1,4 +1,4 @@
-"""Repair the bag of a run whose recorder was killed: ``python -m greenroof_ros.recover DIR``."""
+"""Repair the bag of a run whose recorder was killed: ``greenroof recover DIR``."""
 
 from __future__ import annotations
 
@@ -85,11 +85,10 @@ def _ticks(files: list[Path]) -> Iterator[tuple[Path, list[Channel], int, list[b
             yield file, channels, time_ns, messages
 
 
-@command
-def main() -> int:
-    """Recover the bag that the command line names."""
+def make_parser() -> argparse.ArgumentParser:
+    """Return what reads the command line."""
     parser = argparse.ArgumentParser(
-        prog="python -m greenroof_ros.recover",
+        prog="greenroof recover",
         description="Repair the bag of a run whose recorder was killed or ran out of disk: every "
         "whole tick, or every message of a live site, goes into a new bag beside the old one, "
         "which is left as it is. A report of the run then uses the new one.",
@@ -98,7 +97,13 @@ def main() -> int:
     parser.add_argument(
         "--output", type=Path, metavar="BAG", help="the new bag (default: beside the old one)"
     )
-    arguments = parser.parse_args()
+    return parser
+
+
+@command
+def main() -> int:
+    """Recover the bag that the command line names."""
+    arguments = make_parser().parse_args()
     bag, amount = recover(arguments.directory, arguments.output)
     print(f"{amount} recovered to {bag}")
     return 0

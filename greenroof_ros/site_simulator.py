@@ -1,4 +1,4 @@
-"""Cistern and roof behind Modbus level sensors: ``python -m greenroof_ros.site_simulator``."""
+"""Cistern and roof behind Modbus level sensors: ``greenroof simulators site``."""
 
 from __future__ import annotations
 
@@ -28,9 +28,10 @@ _MM_PER_HOUR = 1e-3 / 3600
 _MM_PER_DAY = 1e-3 / 86400
 
 
-def _parser() -> argparse.ArgumentParser:
+def make_parser() -> argparse.ArgumentParser:
+    """Return what reads the command line."""
     parser = argparse.ArgumentParser(
-        prog="python -m greenroof_ros.site_simulator",
+        prog="greenroof simulators site",
         usage="%(prog)s [options]",
         description="Simulate cistern and roof in real time and answer as their level sensors, "
         "over Modbus.\nThe pump is that of a drive simulator: its true speed makes the flow.",
@@ -38,10 +39,9 @@ def _parser() -> argparse.ArgumentParser:
         "number;\n  2 its parameter, 65535 for the default, to be written before 1\n\n"
         f"faults:\n{faults.list_faults(SITE_FAULTS)}\n\n"
         "examples:\n"
-        "  python -m greenroof_ros.drive_simulator --drive abb_acs880\n"
-        "  python -m greenroof_ros.site_simulator --drive-at tcp://127.0.0.1:5021 "
-        "--output levels.csv\n"
-        "  python -m greenroof_ros.site_simulator --rain 4 --fault roof_frozen\n\n"
+        "  greenroof simulators drive --drive abb_acs880\n"
+        "  greenroof simulators site --drive-at tcp://127.0.0.1:5021 --output levels.csv\n"
+        "  greenroof simulators site --rain 4 --fault roof_frozen\n\n"
         "Its first line says when it is ready, and where. Ctrl-C ends it.\n"
         "exit codes: 0 ended by Ctrl-C or SIGTERM, 2 wrong usage or configuration",
         formatter_class=argparse.RawDescriptionHelpFormatter,
@@ -112,7 +112,7 @@ async def serve(bench: SiteBench, fault: tuple[str, int], names: str, driven: bo
 @command
 def main() -> int:
     """Be the site that the command line asks for."""
-    arguments = _parser().parse_args()
+    arguments = make_parser().parse_args()
     check_installed()
     from greenroof_ros.drives.simulated_site import SimulatedSite, SiteBench, Weather
     fault = faults.read_fault(arguments.fault, SITE_FAULTS)

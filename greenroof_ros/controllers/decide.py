@@ -41,7 +41,7 @@ def decide(
     if isinstance(command, (float, int)) and 0 <= command < math.inf:
         return command
     raise ConfigurationError(
-        "must be a finite number, not negative; the run ends here (check_controller finds this "
-        "before a run)",
+        "must be a finite number, not negative; the run ends here (greenroof check-controller "
+        "finds this before a run)",
         key=f"the command of {type(controller).__name__}", value=command,
     )

@@ -19,8 +19,8 @@ class Controller(Protocol):
     """Anything that decides once a tick how much to pump.
 
     It is made as ``Class(site, **parameters)``, with a value for each of its parameters, and keeps
-    to one rule: the same inputs give the same commands, whenever and wherever. ``python -m
-    greenroof_ros.check_controller package.module:Class`` holds a class to all of this.
+    to one rule: the same inputs give the same commands, whenever and wherever. ``greenroof
+    check-controller package.module:Class`` holds a class to all of this.
 
     Two more class attributes are optional:
 

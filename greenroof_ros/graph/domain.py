@@ -36,8 +36,7 @@ def _taken(what: str, namespace: str) -> OccupiedError:
     place = f"in ROS domain {domain}" + (f", namespace {namespace}" if namespace else "")
     return OccupiedError(
         f"{what} already {place}; end it, or take another domain: "
-        f"ROS_DOMAIN_ID={domain % 100 + 1} python -m greenroof_ros.bringup ..., "
-        "or another --namespace"
+        f"ROS_DOMAIN_ID={domain % 100 + 1} greenroof run ..., or another --namespace"
     )
 
 

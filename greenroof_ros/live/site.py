@@ -73,7 +73,7 @@ def add_live_arguments(parser: argparse.ArgumentParser) -> None:
     )
     group.add_argument(
         "--plant", choices=["internal", EXTERNAL], default="internal",
-        help="external: no plant is simulated, the site is live (default: %(default)s)",
+        help="of bringup. external: no plant is simulated, the site is live (default: %(default)s)",
     )
     group.add_argument(
         "--sensors", metavar="{FILE,external}",
@@ -99,8 +99,8 @@ def live_site(parser: argparse.ArgumentParser, arguments: argparse.Namespace) ->
     """
     for name in _given(parser, arguments, _SIMULATED):
         raise ConfigurationError(
-            "is for a simulated site; with --plant external time, weather and levels are the "
-            "site's own", key=_option(name),
+            "is for a simulated site; live, time, weather and levels are the site's own",
+            key=_option(name),
         )
     controller, parameters = controller_from_arguments(arguments)
     site_file: Path = arguments.site or shared_directory() / "config" / "site.yaml"
@@ -163,11 +163,12 @@ def refuse_live_options(parser: argparse.ArgumentParser, arguments: argparse.Nam
     """
     for name in _given(parser, arguments, _LIVE):
         raise ConfigurationError(
-            "is for a live site, and needs --plant external", key=_option(name)
+            "is for a live site: greenroof live, or bringup --plant external", key=_option(name)
         )
     if arguments.weather == [EXTERNAL]:
         raise ConfigurationError(
-            "is for a live site, and needs --plant external", key="--weather", value=EXTERNAL
+            "is for a live site: greenroof live, or bringup --plant external",
+            key="--weather", value=EXTERNAL,
         )
 
 

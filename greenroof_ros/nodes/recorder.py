@@ -147,7 +147,7 @@ class RecorderNode(LinkedNode):
     def _damaged(self, error: OSError) -> OSError:
         bag = self._bag.directory
         return OSError(
-            f"{bag}: {error.strerror}; 'python -m greenroof_ros.recover {bag}' restores its first "
+            f"{bag}: {error.strerror}; 'greenroof recover {bag}' restores its first "
             f"{self._bag.safe} ticks"
         )
 

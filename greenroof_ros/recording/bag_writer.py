@@ -87,7 +87,7 @@ class BagWriter:
         """Finish the file and write ``metadata.yaml``.
 
         Raises:
-            OSError: for instance on a full disk; ``python -m greenroof_ros.recover`` then restores
+            OSError: for instance on a full disk; ``greenroof recover`` then restores
                 the safe ticks.
         """
         self._file.close()

@@ -4,7 +4,7 @@ The files of a bag are numbered from its first start on: a recorder that is star
 same directory goes on with the next number. ``metadata.yaml`` names those that are closed and is
 rewritten, whole or not at all, with each of them; so rosbag2 and rosbags open the bag while it is
 being recorded, and after the recorder was killed. The file that was open then is not among them:
-``python -m greenroof_ros.recover`` restores it.
+``greenroof recover`` restores it.
 """
 
 from __future__ import annotations

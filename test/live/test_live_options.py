@@ -42,8 +42,8 @@ def test_a_live_site_has_no_simulation(tmp_path: Path, option: tuple[str, ...]) 
     done = bringup(tmp_path, *LIVE, *NOBODY, *option)
     assert done.returncode == 2
     assert done.stderr == (
-        f"error: {option[0]}: is for a simulated site; with --plant external time, weather and "
-        "levels are the site's own\n"
+        f"error: {option[0]}: is for a simulated site; live, time, weather and levels are the "
+        "site's own\n"
     )
     assert not list(tmp_path.iterdir())
 
@@ -56,7 +56,9 @@ def test_a_live_site_has_no_simulation(tmp_path: Path, option: tuple[str, ...]) 
 def test_a_simulation_has_no_site(tmp_path: Path, option: tuple[str, ...]) -> None:
     done = bringup(tmp_path, *option)
     assert done.returncode == 2
-    assert done.stderr == f"error: {option[0]}: is for a live site, and needs --plant external\n"
+    assert done.stderr == (
+        f"error: {option[0]}: is for a live site: greenroof live, or bringup --plant external\n"
+    )
 
 
 WRONG = {

@@ -476,15 +476,15 @@ def test_the_drive_of_the_readme(domain: int, tmp_path: Path) -> None:
     A second that this busy machine stands still is a minute of the pump at the speed printed.
     """
     readme = (CHECKOUT / "README.md").read_text().splitlines()
-    words = [line.split() for line in readme if line.startswith(".venv/bin/")]
-    lines = {program: options for program, *options in words}
-    drive = lines[".venv/bin/drive_simulator"]
+    words = [line.split() for line in readme if line.startswith(".venv/bin/greenroof ")]
+    (_, *simulator), (_, *run) = words
+    assert (simulator[:2], run[0]) == (["simulators", "drive"], "run")
+    drive, run = simulator[2:], run[1:]
     assert drive.pop() == "&"
     drive[drive.index("--speed") + 1] = "15"
     place, _ = _addresses(
         Process(domain, "drive_simulator", *drive, "--port", "0", "--workbench", "0", cwd=tmp_path)
     )
-    run = lines[".venv/bin/bringup"]
     run[run.index("--drive-at") + 1] = place
     run[run.index("--hours") + 1] = "0.1"
     run[run.index("--speed") + 1] = drive[drive.index("--speed") + 1]
