@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 import socket
 from dataclasses import dataclass, replace
+from ipaddress import ip_address
 from pathlib import Path
 from typing import Annotated
 
@@ -14,6 +15,10 @@ from greenroof_ros.common.records import Entry
 _TCP = re.compile(
     r"(?P<scheme>tcp|gateway)://(?P<host>[A-Za-z0-9._-]+|\[[0-9A-Fa-f:]+\])(:(?P<port>\d{1,5}))?/?"
 )
+
+
+def _is_pseudo(line: str) -> bool:
+    return Path(line).resolve().is_relative_to("/dev/pts")
 
 
 @dataclass(frozen=True)
@@ -27,8 +32,7 @@ class Serial:
 
     def parity_letter(self, line: str) -> str:
         """Return E, O or N for a line; a pseudo-terminal knows no parity and refuses it."""
-        pseudo = Path(line).resolve().is_relative_to("/dev/pts")
-        return "N" if pseudo else self.parity[0].upper()
+        return "N" if _is_pseudo(line) else self.parity[0].upper()
 
 
 @dataclass(frozen=True)
@@ -65,6 +69,17 @@ class Address:
         drive has a communication timeout for each, and only that of the one in use guards.
         """
         return "serial" if self.line or self.gateway else "tcp"
+
+    @property
+    def is_here(self) -> bool:
+        """Whether it is at loopback or a pseudo-terminal; may wait for a host to be looked up."""
+        if self.line:
+            return _is_pseudo(self.line)
+        try:
+            found = socket.getaddrinfo(self.host, None)
+        except (OSError, UnicodeError):
+            return False
+        return all(ip_address(each[4][0]).is_loopback for each in found)
 
     def shares_line(self, other: Address) -> bool:
         """Whether both are on one serial line, by whatever name; one program alone can open it."""

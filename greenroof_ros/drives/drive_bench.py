@@ -14,6 +14,7 @@ from greenroof_ros.drives.address import Address
 from greenroof_ros.drives.drive_file import DriveFile
 from greenroof_ros.drives.faults import DRIVE_FAULTS
 from greenroof_ros.drives.faulty_server import FaultyServer, Wire, make_device
+from greenroof_ros.drives.identity import PRODUCT, VENDOR
 from greenroof_ros.drives.simulated_drive import DriveSettings, SimulatedDrive
 from greenroof_ros.model.initial_state import default_state
 from greenroof_ros.model.pump_speed import flow_at
@@ -74,7 +75,7 @@ class DriveBench:
                 self.device_id, self.drive.addresses(),
                 lambda: self.drive.registers(time.monotonic()), self._write,
             )],
-            self._wire,
+            self._wire, (VENDOR, PRODUCT),
         )
         self._registers = [0, 0, faults.DEFAULT, 0, 0, round(self._level / faults.LEVEL_UNIT)]
         self._workbench = FaultyServer(

@@ -11,9 +11,10 @@ from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.files import YamlMapping, read_yaml, shared_directory
 from greenroof_ros.common.records import Entry, Word, read_record
 from greenroof_ros.drives.address import Address, Serial
+from greenroof_ros.drives.values import WIDTHS, WORD_ORDERS
 
 # How many registers a value takes; a text says so itself.
-WIDTH = {"uint16": 1, "int16": 1, "uint32": 2, "int32": 2, "float32": 2, "text": 0}
+WIDTH = {**WIDTHS, "text": 0}
 UNITS = ("", "share", "s", "m3/s")
 SPEED = "speed"
 # The longest ramp down that a drive may have (s), after *stop* and after its own timeout: no drive
@@ -63,7 +64,7 @@ class Register:
     meaning: Annotated[str, Entry("what it holds")]
     source: Annotated[str, Entry("page or table of one of the sources, or 'none'")]
     word_order: Annotated[
-        str, Entry("which half of 32 bits comes first", choices=("", "high first", "low first")),
+        str, Entry("which half of 32 bits comes first", choices=WORD_ORDERS),
     ] = ""
     length: Annotated[
         int, Entry("of a text: how many registers of two characters each", low=0, high=64),

@@ -11,6 +11,7 @@ from typing import Any
 from pymodbus import FramerType
 from pymodbus.constants import ExcCodes
 from pymodbus.pdu import ExceptionResponse, ModbusPDU
+from pymodbus.pdu.device import ModbusDeviceIdentification
 from pymodbus.server import ModbusSerialServer, ModbusTcpServer
 from pymodbus.server.requesthandler import ServerRequestHandler
 from pymodbus.simulator import DataType, SimData, SimDevice
@@ -163,7 +164,8 @@ class FaultyServer:
     """
 
     def __init__(
-        self, address: Address, line: Serial, devices: list[SimDevice], wire: Wire | None = None
+        self, address: Address, line: Serial, devices: list[SimDevice], wire: Wire | None = None,
+        identity: tuple[str, str] | None = None,
     ) -> None:
         """Prepare it; nothing is opened yet.
 
@@ -172,9 +174,15 @@ class FaultyServer:
             line: settings of the serial line.
             devices: that are there.
             wire: what is wrong with it; nothing if None.
+            identity: maker and product that function 43/14 names; one for all servers of a process.
         """
         self.address, self._line, self._devices = address, line, devices
         self.wire = wire or Wire()
+        self._identity = None
+        if identity is not None:
+            self._identity = ModbusDeviceIdentification(  # type: ignore[no-untyped-call]
+                dict(enumerate(identity))
+            )
         self._server: ModbusTcpServer | ModbusSerialServer | None = None
 
     @property
@@ -202,10 +210,13 @@ class FaultyServer:
             server: ModbusTcpServer | ModbusSerialServer = Rtu(
                 self._devices, framer=FramerType.RTU, port=self.address.line,
                 baudrate=self._line.baud_rate, parity=self._line.parity_letter(self.address.line),
-                stopbits=self._line.stop_bits, bytesize=8,
+                stopbits=self._line.stop_bits, bytesize=8, identity=self._identity,
             )
         else:
-            server = Tcp(self._devices, address=(self.address.host, self.address.port or 0))
+            server = Tcp(
+                self._devices, identity=self._identity,
+                address=(self.address.host, self.address.port or 0),
+            )
         if not await server.listen():
             raise ConfigurationError(
                 "cannot be opened: the port is taken, not of this machine, or not allowed; or "

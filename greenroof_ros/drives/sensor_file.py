@@ -12,7 +12,7 @@ from greenroof_ros.common.files import YamlMapping, read_yaml, shared_directory
 from greenroof_ros.common.records import Entry, Word, read_record
 from greenroof_ros.drives.address import Serial, parse_address
 from greenroof_ros.drives.modbus_line import ModbusLine
-from greenroof_ros.drives.values import TYPES, WORD_ORDERS, limits, width
+from greenroof_ros.drives.values import WIDTHS, WORD_ORDERS, limits
 
 TANKS = ("cistern", "roof")
 _LONGEST_FILTER_S = 30.0
@@ -36,7 +36,7 @@ class Sensor:
     kind: Annotated[
         str, Entry("input registers (function 4) or holding (3)", choices=("input", "holding"))
     ]
-    type: Annotated[str, Entry("how the value is coded", choices=TYPES)]
+    type: Annotated[str, Entry("how the value is coded", choices=tuple(WIDTHS))]
     scale: Annotated[float, Entry("level = scale x raw + offset; m per count", low=-1e3, high=1e3)]
     low: Annotated[float, Entry("least level that is accepted (m)", low=-10, high=100)]
     high: Annotated[float, Entry("greatest level that is accepted (m)", low=-10, high=100)]
@@ -79,7 +79,7 @@ class Sensor:
     @property
     def registers(self) -> int:
         """How many registers the value takes."""
-        return width(self.type)
+        return WIDTHS[self.type]
 
 
 @dataclass(frozen=True)

@@ -314,11 +314,14 @@ class SiteBench:
 
     async def _speed(self) -> float:
         """Return the true speed of the drive (share of rated); 0 if it is gone."""
-        if self._drive is None:
-            return 0.0
+        return await asyncio.to_thread(self._ask) if self._drive is not None else 0.0
+
+    def _ask(self) -> float:
+        """Ask the drive for its speed, and tell it how deep the water is."""
+        assert self._drive is not None
         try:
-            speed = await self._drive.speed()
-            await self._drive.set_cistern_level(self.site.plant.levels()[0])
+            speed = self._drive.speed()
+            self._drive.set_cistern_level(self.site.plant.levels()[0])
         except DriveError as error:
             if not self._drive_gone:
                 self._say(f"{error}: the pump counts as standing")

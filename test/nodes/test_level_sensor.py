@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import asyncio
 import re
 import subprocess
 import sys
@@ -28,12 +27,9 @@ from greenroof_ros.drives.workbench import Workbench  # noqa: E402
 
 
 def inject(address: str, fault: str) -> None:
-    async def injected() -> None:
-        workbench = Workbench(parse_address(address), SITE_FAULTS, PATIENCE_S)
-        await workbench.inject(fault)
-        workbench.close()
-
-    asyncio.run(injected())
+    workbench = Workbench(parse_address(address), SITE_FAULTS, PATIENCE_S)
+    workbench.inject(fault)
+    workbench.close()
 
 
 def test_levels_of_a_simulated_site(
