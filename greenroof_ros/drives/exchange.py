@@ -146,8 +146,8 @@ class DriveExchange(DeviceThread[Snapshot]):
             ConfigurationError: there is no Modbus library.
         """
         super().__init__("talking to the drive", Snapshot())
-        self._what_and_where = file, address, timeout_s
-        self._drive = Drive(*self._what_and_where)
+        self._file, self._address = file, address
+        self._drive = Drive(file, address, timeout_s)
         self._only = DriveLock(file, address)
         self._period_s, self._dead_man_s, self._timeout_s = period_s, dead_man_s, timeout_s
         self._timeout_limit_s = timeout_limit_s
@@ -305,7 +305,7 @@ class DriveExchange(DeviceThread[Snapshot]):
         if not self._only.taken:
             self._take()
             return
-        self._drive = drive = Drive(*self._what_and_where)
+        self._drive = drive = Drive(self._file, self._address, self._timeout_s)
         self._last_attempt, self._unanswered = self._closing, 0
         drive.connect()
         self._guarded_from = time.monotonic() + self._unguarded_s
@@ -415,7 +415,7 @@ class DriveExchange(DeviceThread[Snapshot]):
         if before.status is not None and says in before.status.fault:
             fall.seen_s += now - before.read_at
         if fall.seen_s > SEEN_S and now - self._left_at > RUNS_ON_AGAIN_S:
-            raise _LeaveError("drive", f"{self._what_and_where[1]}: {says} (it is {status.speed:.1%})")
+            raise _LeaveError("drive", f"{self._address}: {says} (it is {status.speed:.1%})")
         fault = "; ".join(filter(None, (status.fault, says)))
         return replace(status, fault=fault, timed_out=False)
 
