@@ -21,8 +21,8 @@ from std_msgs.msg import Float64, String
 from test_nodes import Observer, qos
 
 from greenroof_ros.drives.address import parse_address
-from greenroof_ros.drives.faults import DEFAULT
-from greenroof_ros.drives.workbench import Workbench
+from greenroof_ros.simulators.faults import DEFAULT
+from greenroof_ros.simulators.workbench import Workbench
 
 # Ten ticks of 1 s in a second, and a drive that ramps ten times as fast as in real time.
 PERIOD_S, FACTOR = 0.1, 10

@@ -16,8 +16,8 @@ from places import CHECKOUT
 
 from greenroof_ros.common.processes import end_with_parent
 from greenroof_ros.drives.address import Address
-from greenroof_ros.drives.faults import DEFAULT, DRIVE_FAULTS, SITE_FAULTS
-from greenroof_ros.drives.workbench import Workbench
+from greenroof_ros.simulators.faults import DEFAULT, DRIVE_FAULTS, SITE_FAULTS
+from greenroof_ros.simulators.workbench import Workbench
 
 # How long a workbench is waited for (s): as long as a loaded machine needs.
 PATIENCE_S = 30.0

@@ -28,25 +28,21 @@ class DriveStatus:
     Attributes:
         ready: no fault and no interlock; it would start.
         running: the motor is fed.
-        at_speed: the speed asked for is reached; None where the drive does not say.
         fault: in words; empty for none. That the pump turns backwards is one, too.
         warning: in words; empty for none.
         speed: as share of rated speed; below 0 only where the pump turns backwards.
         flow: m3/s; None where the drive has none.
         remote: it obeys the bus.
-        says: the bits of its status word, in words.
         timed_out: the fault is that its own communication timeout has passed, and no other.
     """
 
     ready: bool
     running: bool
-    at_speed: bool | None
     fault: str
     warning: str
     speed: float
     flow: float | None
     remote: bool
-    says: str
     timed_out: bool = False
 
     @property
@@ -205,15 +201,11 @@ class Drive:
         return DriveStatus(
             ready=self._holds(status.ready, seen),
             running=self._holds(status.running, seen),
-            at_speed=(
-                None if status.at_speed is None else self._holds(status.at_speed, seen)
-            ),
             fault=fault,
             warning=warning,
             speed=speed,
             flow=flow,
             remote=status.remote is None or self._holds(status.remote, seen),
-            says=self._says(seen),
             timed_out=timed_out,
         )
 

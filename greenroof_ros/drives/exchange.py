@@ -177,11 +177,6 @@ class DriveExchange(DeviceThread[Snapshot]):
         self._unguarded_s = 0.0 if own is None else own.unguarded_after_power_up_s
         self._guarded_from = -math.inf
 
-    @property
-    def lost_after_s(self) -> float:
-        """Within which time a connection on which nothing comes any more is noticed (s)."""
-        return LOST_AFTER * (self._timeout_s + self._period_s)
-
     def close(self) -> None:
         """Stop the drive, read back that it stands, and let go; what came of it is in `snapshot`.
 

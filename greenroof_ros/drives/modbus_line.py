@@ -10,6 +10,7 @@ from __future__ import annotations
 import logging
 import socket
 import struct
+from collections.abc import Callable
 from typing import TYPE_CHECKING
 
 from greenroof_ros.common.errors import ConfigurationError
@@ -146,15 +147,9 @@ class ModbusLine:
             DriveError: no answer, or a wrong one.
         """
         what = f"reading register {address}" + (f" and {count - 1} more" if count > 1 else "")
-        self._look(what)
-        ask = (
-            self._client.read_input_registers if inputs else self._client.read_holding_registers
-        )
-        try:
-            answer = ask(address, count=count, device_id=self._device_id)
-        except self._errors as error:
-            raise self._silence(what, error) from error
-        self._check(what, answer, 4 if inputs else 3)
+        client = self._client
+        read = client.read_input_registers if inputs else client.read_holding_registers
+        answer = self._ask(what, 4 if inputs else 3, read, address, count=count)
         if len(answer.registers) != count:
             raise DriveError(
                 "answer",
@@ -169,12 +164,7 @@ class ModbusLine:
             DriveError: no answer, or one that does not say that it was written.
         """
         what = f"writing 0x{word:04X} to register {address}"
-        self._look(what)
-        try:
-            answer = self._client.write_register(address, word, device_id=self._device_id)
-        except self._errors as error:
-            raise self._silence(what, error) from error
-        self._check(what, answer, 6)
+        answer = self._ask(what, 6, self._client.write_register, address, word)
         if answer.address != address or list(answer.registers) != [word]:
             raise DriveError(
                 "answer",
@@ -188,32 +178,24 @@ class ModbusLine:
         Raises:
             DriveError: no answer, or a wrong one.
         """
-        what = "reading its identification"
-        self._look(what)
-        try:
-            answer = self._client.read_device_information(device_id=self._device_id)
-        except self._errors as error:
-            raise self._silence(what, error) from error
-        self._check(what, answer, 43)
+        answer = self._ask(
+            "reading its identification", 43, self._client.read_device_information
+        )
         said = getattr(answer, "information", {})
         maker, product = (bytes(said.get(each, b"")).decode("latin-1") for each in (0, 1))
         return maker, product
 
-    def _look(self, what: str) -> None:
+    def _ask(
+        self, what: str, function: int, request: Callable[..., ModbusPDU], *values: int,
+        **options: int,
+    ) -> ModbusPDU:
+        """Return the answer to a request, if it is one to that function and no exception."""
         if not self.connected:
             raise DriveError("connection", f"{self.where}: {what}: the connection was closed")
-
-    def _silence(self, what: str, error: Exception) -> DriveError:
-        if isinstance(error, ConnectionError):
-            self.close()
-        if not self.connected:
-            return DriveError("connection", f"{self.where}: {what}: the connection was closed")
-        self._set((socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0)))
-        return DriveError(
-            "connection", f"{self.where}: {what}: no valid answer within {self._timeout_s:g} s"
-        )
-
-    def _check(self, what: str, answer: ModbusPDU, function: int) -> None:
+        try:
+            answer = request(*values, device_id=self._device_id, **options)
+        except self._errors as error:
+            raise self._silence(what, error) from error
         if answer.isError():
             code = answer.exception_code
             raise DriveError(
@@ -227,6 +209,17 @@ class ModbusLine:
                 f"{self.where}: {what}: the answer has function {answer.function_code}, not "
                 f"{function}",
             )
+        return answer
+
+    def _silence(self, what: str, error: Exception) -> DriveError:
+        if isinstance(error, ConnectionError):
+            self.close()
+        if not self.connected:
+            return DriveError("connection", f"{self.where}: {what}: the connection was closed")
+        self._set((socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0)))
+        return DriveError(
+            "connection", f"{self.where}: {what}: no valid answer within {self._timeout_s:g} s"
+        )
 
 
 def _serial_client(line: str, settings: Serial, timeout_s: float) -> ModbusSerialClient:

@@ -22,8 +22,8 @@ from std_msgs.msg import Float64  # noqa: E402
 from test_nodes import Observer, observer, qos  # noqa: E402, F401
 
 from greenroof_ros.drives.address import parse_address  # noqa: E402
-from greenroof_ros.drives.faults import SITE_FAULTS  # noqa: E402
-from greenroof_ros.drives.workbench import Workbench  # noqa: E402
+from greenroof_ros.simulators.faults import SITE_FAULTS  # noqa: E402
+from greenroof_ros.simulators.workbench import Workbench  # noqa: E402
 
 
 def inject(address: str, fault: str) -> None:

@@ -39,10 +39,10 @@ from test_nodes import qos  # noqa: E402
 from greenroof_ros.drives.address import parse_address  # noqa: E402
 from greenroof_ros.drives.drive_file import find_drive_file  # noqa: E402
 from greenroof_ros.drives.exchange import DriveExchange  # noqa: E402
-from greenroof_ros.drives.workbench import Workbench  # noqa: E402
 from greenroof_ros.experiment.incidents import read_incidents  # noqa: E402
 from greenroof_ros.live.drive import DriveChoice  # noqa: E402
 from greenroof_ros.recording.bag_reader import count_ticks  # noqa: E402
+from greenroof_ros.simulators.workbench import Workbench  # noqa: E402
 
 NOBODY = ("--sensors", "external", "--pump", "external", "--weather", "external")
 # A low roof, a full cistern, no rain, no frost: mpc pumps.

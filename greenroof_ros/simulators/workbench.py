@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-from greenroof_ros.drives import faults
 from greenroof_ros.drives.address import Address, Serial
-from greenroof_ros.drives.faults import DRIVE_FAULTS, Fault
 from greenroof_ros.drives.modbus_line import DriveError, ModbusLine
+from greenroof_ros.simulators import faults
+from greenroof_ros.simulators.faults import DRIVE_FAULTS, Fault
 
 _NO_LINE = Serial(19200, "even", 1, faults.DEVICE_ID)  # it is always TCP
 

@@ -13,17 +13,17 @@ from pymodbus.constants import ExcCodes
 from pymodbus.simulator import SimDevice
 
 from greenroof_ros.common.errors import ConfigurationError
-from greenroof_ros.drives import faults
-from greenroof_ros.drives.address import Address, Serial, parse_address
-from greenroof_ros.drives.faults import SITE_FAULTS
-from greenroof_ros.drives.faulty_server import FaultyServer, Wire, make_device
+from greenroof_ros.drives.address import Address, parse_address
 from greenroof_ros.drives.modbus_line import DriveError
 from greenroof_ros.drives.sensor_file import TANKS, Sensor, Sensors
 from greenroof_ros.drives.values import encode
-from greenroof_ros.drives.workbench import Workbench
 from greenroof_ros.model.plant import Plant
 from greenroof_ros.model.pump_speed import flow_at
 from greenroof_ros.model.site import Site
+from greenroof_ros.simulators import faults
+from greenroof_ros.simulators.faults import SITE_FAULTS
+from greenroof_ros.simulators.faulty_server import FaultyServer, Wire, make_device, make_workbench
+from greenroof_ros.simulators.workbench import Workbench
 
 # How often the drive's speed is looked at within a tick, as far as there is time for it.
 _LOOKS = 20
@@ -179,14 +179,7 @@ class SiteBench:
         self._drive_gone = False
         self._asked = faults.DEFAULT
         self._servers = self._make_servers()
-        self._workbench = FaultyServer(
-            workbench_address, Serial(19200, "even", 1, faults.DEVICE_ID),
-            [make_device(
-                faults.DEVICE_ID,
-                {number: number != 0 for number in range(faults.PARAMETER + 1)},
-                self._read_workbench, self._write_workbench,
-            )],
-        )
+        self._workbench = make_workbench(workbench_address, self._read_workbench, self._put)
 
     @property
     def workbench_address(self) -> Address:
@@ -252,21 +245,18 @@ class SiteBench:
         self.site.inject(name, parameter)
         self._say(f"fault {name}: {SITE_FAULTS[name].meaning}")
 
-    def _read_workbench(self) -> dict[int, int]:
-        return {
-            0: 0, faults.FAULT: SITE_FAULTS[self.site.fault].number, faults.PARAMETER: self._asked
-        }
+    def _read_workbench(self) -> list[int]:
+        return [0, SITE_FAULTS[self.site.fault].number, self._asked]
 
-    def _write_workbench(self, address: int, values: list[int]) -> ExcCodes | None:
-        names = {fault.number: name for name, fault in SITE_FAULTS.items()}
-        for register, value in enumerate(values, start=address):
-            if register == faults.PARAMETER:
-                self._asked = value
-            elif value in names:
-                self.inject(names[value], self._asked)
-            else:
-                return ExcCodes.ILLEGAL_VALUE
-        return None
+    def _put(self, register: int, value: int) -> bool:
+        """Do what a register of the workbench stands for; tell whether it can."""
+        if register == faults.PARAMETER:
+            self._asked = value
+            return True
+        name = faults.name_of(value, SITE_FAULTS)
+        if name:
+            self.inject(name, self._asked)
+        return name != ""
 
     async def start(self) -> None:
         """Open all ports.

@@ -19,6 +19,7 @@ from pymodbus.transport import CommType
 
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.drives.address import Address, Serial
+from greenroof_ros.simulators import faults
 
 Read = Callable[[], dict[int, int]]
 Write = Callable[[int, list[int]], ExcCodes | None]
@@ -155,6 +156,29 @@ class _Handler(ServerRequestHandler):
             self.transport.write(data)  # type: ignore[attr-defined]
 
 
+def make_workbench(
+    address: Address, read: Callable[[], list[int]], put: Callable[[int, int], bool]
+) -> FaultyServer:
+    """Return the server of a workbench.
+
+    Args:
+        address: TCP port; port 0 takes a free one.
+        read: returns what all registers hold.
+        put: takes a register and what is written to it, but to that of the speed; tells whether it
+            can be so.
+    """
+
+    def write(address: int, values: list[int]) -> ExcCodes | None:
+        good = all(put(register, value) for register, value in enumerate(values, start=address))
+        return None if good else ExcCodes.ILLEGAL_VALUE
+
+    writable = {register: register != faults.SPEED for register in range(len(read()))}
+    return FaultyServer(
+        address, Serial(19200, "even", 1, faults.DEVICE_ID),
+        [make_device(faults.DEVICE_ID, writable, lambda: dict(enumerate(read())), write)],
+    )
+
+
 class FaultyServer:
     """A server of devices on a TCP port or a serial line, which can be closed and opened again.
 
@@ -184,11 +208,6 @@ class FaultyServer:
                 dict(enumerate(identity))
             )
         self._server: ModbusTcpServer | ModbusSerialServer | None = None
-
-    @property
-    def is_open(self) -> bool:
-        """Whether it accepts connections."""
-        return self._server is not None
 
     async def open(self) -> None:
         """Accept connections.
@@ -241,7 +260,7 @@ class FaultyServer:
         """Open or close it, if it is not so already; a serial line stays open."""
         if self.address.line:
             return
-        if wanted and not self.is_open:
+        if wanted and self._server is None:
             await self.open()
         elif not wanted:
             self.close()
