@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import re
 import socket
 from dataclasses import dataclass, replace
@@ -75,11 +76,9 @@ class Address:
         """Whether it is at loopback or a pseudo-terminal; may wait for a host to be looked up."""
         if self.line:
             return _is_pseudo(self.line)
-        try:
-            found = socket.getaddrinfo(self.host, None)
-        except (OSError, UnicodeError):
-            return False
-        return all(ip_address(each[4][0]).is_loopback for each in found)
+        with contextlib.suppress(OSError):
+            return all(ip_address(host).is_loopback for host in self._hosts())
+        return False
 
     def shares_line(self, other: Address) -> bool:
         """Whether both are on one serial line, by whatever name; one program alone can open it."""
@@ -100,11 +99,14 @@ class Address:
         """
         if self.line:
             return str(Path(self.line).resolve())
+        return f"{min(self._hosts())}-{self.port or port}"
+
+    def _hosts(self) -> set[str]:
+        """Return the addresses of the host."""
         try:
-            found = socket.getaddrinfo(self.host, None)
+            return {str(each[4][0]) for each in socket.getaddrinfo(self.host, None)}
         except UnicodeError as error:  # no name that a host can have
             raise OSError(None, str(error)) from error
-        return f"{min(str(each[4][0]) for each in found)}-{self.port or port}"
 
 
 def parse_address(text: str, key: str = "address") -> Address:

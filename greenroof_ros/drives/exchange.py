@@ -252,7 +252,10 @@ class DriveExchange(DeviceThread[Snapshot]):
         now, why = time.monotonic(), self._why_silent(error)
         self._done = self._last_attempt
         if why is None or self._done:
-            self._connect_at = now + self._wait_s
+            # One that closes its connections gets as much time as one that does not answer: two of
+            # them in a moment must not lead to silence.
+            closes = self._drive.stopped is False and not self._drive.connected
+            self._connect_at = now + self._wait_s + (self._timeout_s if closes else 0.0)
             self._wait_s = min(2 * self._wait_s, LONGEST_WAIT_S)
             self._fail(problem, state=State.CONNECTING, status=None)
         else:

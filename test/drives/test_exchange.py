@@ -196,6 +196,25 @@ def test_dropped_connection_heals(
     assert OFF in drive.written  # a new connection begins with a stop
 
 
+def test_a_drive_that_closes_its_connections_for_a_moment_is_not_left_in_silence(
+    file: DriveFile, drive: Registers, wire: Wire
+) -> None:
+    """Closed at 0 s, connected again after 0.25 s and, twice that and 0.5 s later, at 1.25 s."""
+    exchange = DriveExchange(file, parse_address(wire.gateway), PERIOD, DEAD_MAN)
+    hand = Hand(exchange, None)
+    try:
+        run_at_half(exchange, drive, hand)
+        wire.answer = lambda _request: None
+        wire.drop()
+        time.sleep(1.0)
+        assert exchange.snapshot.state is State.CONNECTING
+        wire.answer = drive
+        assert wait(lambda: exchange.snapshot.connected) < 2.0
+    finally:
+        hand.end()
+        exchange.close()
+
+
 def test_one_lost_answer_does_not_stop_the_pump(
     exchange: DriveExchange, drive: Registers, wire: Wire, hand: Hand
 ) -> None:
