@@ -169,7 +169,8 @@ def add_drive_arguments(parser: argparse.ArgumentParser) -> None:
     group = parser.add_argument_group(
         "hardware in the loop, and live",
         "With --drive the pump node takes the commands and runs a drive by Modbus, real or\n"
-        "simulated. The site is simulated, at real time unless --speed is given, or live.",
+        "simulated. The site is simulated, at real time, or with the drive simulator at another\n"
+        "--speed; or it is live.",
     )
     group.add_argument(
         "--drive", metavar="{NAME,FILE}",

@@ -9,6 +9,7 @@ import sys
 import threading
 import time
 from collections.abc import Callable, Iterator
+from contextlib import closing, contextmanager
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -51,13 +52,16 @@ def wire(drive: Registers) -> Iterator[Wire]:
     wire.close()
 
 
+def made(file: DriveFile, at: str, **options: float) -> DriveExchange:
+    return DriveExchange(
+        file, parse_drive_address(at, "at"), PERIOD, DEAD_MAN, **{"timeout_s": TIMEOUT, **options}
+    )
+
+
 @pytest.fixture
 def exchange(file: DriveFile, wire: Wire) -> Iterator[DriveExchange]:
-    made = DriveExchange(
-        file, parse_address(wire.gateway), PERIOD, DEAD_MAN, timeout_s=TIMEOUT
-    )
-    yield made
-    made.close()
+    with closing(made(file, wire.gateway)) as exchange:
+        yield exchange
 
 
 def wait(what: Callable[[], Any], within: float = 60.0) -> float:
@@ -85,6 +89,20 @@ class Hand:
     def end(self) -> None:
         self._ended.set()
         self._thread.join()
+
+
+@contextmanager
+def driving(
+    file: DriveFile, at: str, speed: float | None = None, **options: float
+) -> Iterator[DriveExchange]:
+    """Run a drive at a speed until the end."""
+    with closing(made(file, at, **options)) as exchange:
+        hand = Hand(exchange, speed)
+        exchange.start()
+        try:
+            yield exchange
+        finally:
+            hand.end()
 
 
 @pytest.fixture
@@ -200,19 +218,14 @@ def test_a_drive_that_closes_its_connections_for_a_moment_is_not_left_in_silence
     file: DriveFile, drive: Registers, wire: Wire
 ) -> None:
     """Closed at 0 s, connected again after 0.25 s and, twice that and 0.5 s later, at 1.25 s."""
-    exchange = DriveExchange(file, parse_address(wire.gateway), PERIOD, DEAD_MAN)
-    hand = Hand(exchange, None)
-    try:
-        run_at_half(exchange, drive, hand)
+    with driving(file, wire.gateway, 0.5, timeout_s=0.5) as exchange:
+        wait(lambda: drive.values[4] == 10000)
         wire.answer = lambda _request: None
         wire.drop()
         time.sleep(1.0)
         assert exchange.snapshot.state is State.CONNECTING
         wire.answer = drive
         assert wait(lambda: exchange.snapshot.connected) < 2.0
-    finally:
-        hand.end()
-        exchange.close()
 
 
 def test_one_lost_answer_does_not_stop_the_pump(
@@ -252,34 +265,19 @@ def test_close_connects_once_more_to_stop(
 
 def test_nobody_there_and_then_somebody(file: DriveFile, drive: Registers) -> None:
     port = free_ports(1)[0]
-    exchange = DriveExchange(
-        file, parse_address(f"tcp://127.0.0.1:{port}"), PERIOD, DEAD_MAN, timeout_s=TIMEOUT
-    )
-    wire = None
-    try:
-        exchange.start()
+    with driving(file, f"tcp://127.0.0.1:{port}") as exchange:
         wait(lambda: exchange.snapshot.errors >= 3)
         assert not exchange.snapshot.connected and "cannot connect" in exchange.snapshot.problem
-        wire = Wire(drive, port)
-        wait(lambda: exchange.snapshot.connected, within=5.5)
-    finally:
-        exchange.close()
-        if wire is not None:
-            wire.close()
+        with closing(Wire(drive, port)):
+            wait(lambda: exchange.snapshot.connected, within=5.5)
 
 
 def test_waits_between_attempts_grow(file: DriveFile) -> None:
     """Where nobody listens nothing is heard, so that there is no need for silence."""
     port = free_ports(1)[0]
-    exchange = DriveExchange(
-        file, parse_address(f"tcp://127.0.0.1:{port}"), PERIOD, DEAD_MAN, timeout_s=TIMEOUT
-    )
-    try:
-        exchange.start()
+    with driving(file, f"tcp://127.0.0.1:{port}") as exchange:
         time.sleep(2.0)  # attempts after 0, 0.25, 0.75, 1.75 s, and what each takes
         assert 3 <= exchange.snapshot.errors <= 4
-    finally:
-        exchange.close()
 
 
 def test_own_timeout_that_cannot_be_read(exchange: DriveExchange, drive: Registers) -> None:
@@ -295,11 +293,7 @@ def test_the_timeout_of_another_port_guards_nothing(
     file: DriveFile, drive: Registers, wire: Wire
 ) -> None:
     """ABB's embedded fieldbus is serial: an Ethernet port is an adapter's, with 50.02 and 50.03."""
-    exchange = DriveExchange(
-        file, parse_address(wire.at), PERIOD, DEAD_MAN, timeout_s=TIMEOUT
-    )
-    try:
-        exchange.start()
+    with driving(file, wire.at) as exchange:
         wait(lambda: exchange.snapshot.connected)
         now = exchange.snapshot
         assert not now.timeout_known and now.timeout_s is None
@@ -308,8 +302,6 @@ def test_the_timeout_of_another_port_guards_nothing(
             assert words in now.timeout_note
         asked = {frame[-8:-4] for frame in wire.frames if frame[14:16] == "03"}
         assert not asked & {"16b5", "16b7"}  # neither 58.14 nor 58.16 was read
-    finally:
-        exchange.close()
 
 
 def test_after_each_connection_the_drive_is_off_while_it_may_not_guard(
@@ -322,13 +314,8 @@ def test_after_each_connection_the_drive_is_off_while_it_may_not_guard(
     slow = replace(file, timeout=Timeouts(
         replace(file.timeout.serial, unguarded_after_power_up_s=1.0)  # type: ignore[type-var]
     ))
-    exchange = DriveExchange(
-        slow, parse_address(wire.gateway), PERIOD, DEAD_MAN, timeout_s=TIMEOUT
-    )
-    hand = Hand(exchange, 0.5)
     began = time.monotonic()
-    try:
-        exchange.start()
+    with driving(slow, wire.gateway, 0.5) as exchange:
         for _ in range(2):
             wait(lambda: exchange.snapshot.connected)
             assert "does not guard for 1 s after power-up" in exchange.snapshot.hold
@@ -340,9 +327,6 @@ def test_after_each_connection_the_drive_is_off_while_it_may_not_guard(
             wire.drop()
             wait(lambda: not exchange.snapshot.connected)
             drive.written.clear()
-    finally:
-        hand.end()
-        exchange.close()
 
 
 def test_own_timeout_that_lets_it_run_on(exchange: DriveExchange, drive: Registers) -> None:
@@ -453,11 +437,9 @@ def test_a_drive_that_does_not_start_is_left_off_for_a_while(
 
 
 def test_a_serial_line_whose_plug_is_pulled(file: DriveFile, drive: Registers) -> None:
-    wire = SerialWire(over_serial(drive))
-    exchange = DriveExchange(file, parse_address(wire.line), PERIOD, DEAD_MAN, timeout_s=TIMEOUT)
-    hand = Hand(exchange, 0.5)
-    try:
-        exchange.start()
+    with closing(SerialWire(over_serial(drive))) as wire, driving(
+        file, wire.line, 0.5
+    ) as exchange:
         wait(lambda: drive.values[4] == 10000)
         assert exchange.snapshot.connected and exchange.snapshot.errors == 0
         wire.close()
@@ -466,10 +448,6 @@ def test_a_serial_line_whose_plug_is_pulled(file: DriveFile, drive: Registers) -
         began = time.monotonic()
         exchange.close()
         assert time.monotonic() - began < 2.0
-    finally:
-        hand.end()
-        exchange.close()
-        wire.close()
 
 
 # --- a drive that refuses to be stopped -----------------------------------------------------------
@@ -524,17 +502,11 @@ def test_the_silence_is_that_of_the_limit_where_the_timeout_is_unknown(
 ) -> None:
     del drive.values[5815]
     times: list[float] = []
-    wire = Wire(refusing(drive, times))
-    exchange = DriveExchange(
-        file, parse_address(wire.at), PERIOD, DEAD_MAN, timeout_s=TIMEOUT, timeout_limit_s=0.8
-    )
-    try:
-        exchange.start()
+    with closing(Wire(refusing(drive, times))) as wire, driving(
+        file, wire.at, timeout_limit_s=0.8
+    ):
         wait(lambda: len(silences(times)) == 1, within=6)
         assert silences(times)[0] >= 1.8
-    finally:
-        exchange.close()
-        wire.close()
 
 
 def test_close_in_a_silence_tries_once_more_and_ends(
@@ -837,18 +809,13 @@ def test_the_rated_speed_is_read_again(monkeypatch: pytest.MonkeyPatch) -> None:
         8501: 0, 8602: 0, 3201: 0x0233, 8604: 725, 7121: 0, 9604: 1450, 6005: 50, 7010: 1,
         3302: 1, 3011: 1,
     })
-    wire = Wire(drive)
-    exchange = DriveExchange(
-        read_drive_file(find_drive_file("schneider_atv630")), parse_address(wire.at), PERIOD,
-        DEAD_MAN, timeout_s=TIMEOUT,
-    )
+    altivar = read_drive_file(find_drive_file("schneider_atv630"))
+    with closing(Wire(drive)) as wire, driving(altivar, wire.at) as exchange:
 
-    def reads(speed: float) -> None:
-        wait(lambda: exchange.snapshot.status
-             and exchange.snapshot.status.speed == pytest.approx(speed))
+        def reads(speed: float) -> None:
+            wait(lambda: exchange.snapshot.status
+                 and exchange.snapshot.status.speed == pytest.approx(speed))
 
-    try:
-        exchange.start()
         reads(0.5)
         drive.values[9604] = 2900
         reads(0.25)
@@ -857,9 +824,6 @@ def test_the_rated_speed_is_read_again(monkeypatch: pytest.MonkeyPatch) -> None:
         wait(lambda: exchange.snapshot.status is None)
         drive.values.update({9604: 1450, 8604: 0})
         wait(lambda: exchange.snapshot.connected)
-    finally:
-        exchange.close()
-        wire.close()
 
 
 # --- two drivers ----------------------------------------------------------------------------------
@@ -919,8 +883,7 @@ def test_a_serial_line_is_one_drivers_by_whatever_name(
     other = tmp_path / "by-id"
     other.symlink_to(wire.line)
     one, two = (
-        DriveExchange(file, parse_address(str(name)), PERIOD, DEAD_MAN, timeout_s=TIMEOUT)
-        for name in (wire.line, other)
+        made(file, str(name)) for name in (wire.line, other)
     )
     try:
         one.start()
@@ -1117,16 +1080,12 @@ def test_driver_and_stop_ask_the_same_device(
     two = replace(
         file, serial=replace(file.serial, device_id=17), tcp=replace(file.tcp, device_id=3)
     )
-    at = parse_drive_address(f"{scheme}://127.0.0.1:{wire.port}{device}", "at")
-    exchange = DriveExchange(two, at, PERIOD, DEAD_MAN, timeout_s=TIMEOUT)
-    try:
-        exchange.start()
+    at = f"{scheme}://127.0.0.1:{wire.port}{device}"
+    with driving(two, at) as exchange:
         wait(lambda: exchange.snapshot.connected)
         assert units(wire) == {asked}
-    finally:
-        exchange.close()
     wire.seen.clear()
-    assert stop_drive(two, at).stands
+    assert stop_drive(two, parse_drive_address(at, "at")).stands
     assert units(wire) == {asked}
 
 
