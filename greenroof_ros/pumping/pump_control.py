@@ -285,8 +285,12 @@ class PumpControl:
         """Whether the pump is at a speed that the drive's ramp does not explain.
 
         What obeys is between what the slowest ramp has reached and the speed asked for; the ramp
-        goes on from there, so that it counts from where a drive is when it is asked anew.
+        goes on from there, so that it counts from where a drive is when it is asked anew. It begins
+        when a pump that stood turns.
         """
+        if self._asked is not None and speed <= _STANDS:
+            self._ramped = speed
+            return True
         asked, ramp, tolerance = (
             self._asked or 0.0, self._settings.drive_ramp, self._settings.follow_tolerance
         )
@@ -311,8 +315,8 @@ class PumpControl:
                 asked = f"{self._asked:.2f} is asked for"
             found = (
                 f"the speed does not follow: the pump turns at {seen.speed:.2f} of its speed, and "
-                f"{asked}, for {self._astray_for:.0f} s more than a ramp of "
-                f"{self._settings.drive_ramp:g} s takes (drive_ramp)"
+                f"{asked}, for {self._astray_for:.0f} s, which a ramp of "
+                f"{self._settings.drive_ramp:g} s (drive_ramp) does not explain"
             )
         found = backwards or found
         if seen.drive_fault:
