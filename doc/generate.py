@@ -38,12 +38,12 @@ from greenroof_ros.common.records import Key, Word, keys
 from greenroof_ros.common.records import span as accepted
 from greenroof_ros.controllers.registry import BUILT_IN, find_controller
 from greenroof_ros.drives import drive_file, sensor_file
-from greenroof_ros.drives.faults import DRIVE_FAULTS, SITE_FAULTS, Fault
 from greenroof_ros.forecast.climate import Climate
 from greenroof_ros.forecast.skill import Errors
 from greenroof_ros.model.metrics import METRICS
 from greenroof_ros.model.site import read_site, site_parameters
 from greenroof_ros.pumping.settings import pump_parameters
+from greenroof_ros.simulators.faults import DRIVE_FAULTS, SITE_FAULTS, Fault
 
 _BLOCK = re.compile(
     r"(?<=<!-- table: )(?P<name>[a-z_ ]+)(?P<gap> -->\n)(?P<table>.*?)(?=<!-- end of table -->)",

@@ -54,11 +54,6 @@ _NODES = "greenroof_ros.nodes"
 _START_LIMIT_S = 30.0
 # How long a drive may take until it may run (s); an ABB's timeout guards 30 s after power-up only.
 _DRIVE_LIMIT_S = 60.0
-_NOT_AT_REAL_TIME = (
-    "not at real time, which is for a simulated drive alone: a real motor would start and run as "
-    "many times more often as time goes faster, since starts of an hour, times on and off and the "
-    "day's limits count in simulated time"
-)
 
 
 def make_parser() -> argparse.ArgumentParser:
@@ -196,12 +191,14 @@ def _run_graph(run: Run, arguments: argparse.Namespace, signals: Signals) -> int
         **({} if arguments.no_record else {RECORDER: f"{_NODES}.recorder"}),
     }
     _refuse_unknown(own, namespace, nodes, controller)
+    speed = _speed(arguments.speed, drive)
+    if drive is not None:
+        drive.refuse_speed(speed, signals.check)
     names = {*nodes, RECORDER, *controller_names()}
     with only_bringup(namespace):
         refuse_other_nodes(namespace, names, signals.check)
         directory = make_run_directory(arguments.output, controller.name)
         of_drive = {} if drive is None else drive.parameters(arguments.state)
-        speed = _speed(arguments.speed, drive)
         parameters = write_configuration(
             directory, run,
             {
@@ -229,8 +226,6 @@ def _run_graph(run: Run, arguments: argparse.Namespace, signals: Signals) -> int
                         f"stops and faults of the drive are kept in {of_drive['state_file']}",
                         file=sys.stderr,
                     )
-                    if speed != 1:
-                        print(_NOT_AT_REAL_TIME, file=sys.stderr)
                 with progress:
                     if drive is not None:
                         _wait_for_drive(supervisor, signals, of_drive["state_file"], progress)

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import asyncio
 import re
 import signal
 import subprocess
 import sys
 import time
-from collections.abc import Awaitable, Callable
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -22,8 +21,8 @@ from std_msgs.msg import Float64, String
 from test_nodes import Observer, qos
 
 from greenroof_ros.drives.address import parse_address
-from greenroof_ros.drives.faults import DEFAULT
-from greenroof_ros.drives.workbench import Workbench
+from greenroof_ros.simulators.faults import DEFAULT
+from greenroof_ros.simulators.workbench import Workbench
 
 # Ten ticks of 1 s in a second, and a drive that ramps ten times as fast as in real time.
 PERIOD_S, FACTOR = 0.1, 10
@@ -53,17 +52,13 @@ class SimulatedDrive:
         assert found, line
         self.address, self._workbench = found[1], found[2]
 
-    def ask(self, question: Callable[[Workbench], Awaitable[Any]]) -> Any:
+    def ask(self, question: Callable[[Workbench], Any]) -> Any:
         """Do something at the workbench."""
-
-        async def asked() -> Any:
-            workbench = Workbench(parse_address(self._workbench), timeout_s=PATIENCE_S)
-            try:
-                return await question(workbench)
-            finally:
-                workbench.close()
-
-        return asyncio.run(asked())
+        workbench = Workbench(parse_address(self._workbench), timeout_s=PATIENCE_S)
+        try:
+            return question(workbench)
+        finally:
+            workbench.close()
 
     def speed(self) -> float:
         """Return the true speed of the motor, share of rated."""

@@ -244,7 +244,7 @@ CHANGES: list[dict[str, object]] = [
     x1=st.floats(18.5, 75),
     limits=st.builds(
         settings_for, st.just(PAPER_SITE), least_on=st.floats(0, 30), least_off=st.floats(0, 30),
-        starts_per_hour=st.floats(1, 100), least_speed=st.floats(0.1, 0.9),
+        starts_per_hour=st.floats(1, 100), least_speed=st.floats(0.11, 0.9),
         ramp=st.floats(0.01, 1),
     ),
 )

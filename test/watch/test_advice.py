@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import asyncio
 import json
 import time
 from collections.abc import Iterator
@@ -348,7 +347,7 @@ def test_a_level_sensor(data: str, advice: str, given: dict[str, Any]) -> None:
     sensor = LevelSensor(Sensor(**{**values, **given}), timeout_s=0.3)
     try:
         with pytest.raises(DriveError) as caught:
-            asyncio.run(sensor.read())
+            sensor.read()
     finally:
         wire.close()
     for tank in ("cistern", "roof"):
