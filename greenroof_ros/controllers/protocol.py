@@ -69,7 +69,11 @@ class Controller(Protocol):
         ...
 
     def skip(self) -> None:
-        """Let a tick pass in which the command is 0: in frost, or where an input was refused."""
+        """Let a tick pass in which the command is 0: in frost, or where an input was refused.
+
+        Or in which on/off commands, on a live site without a forecast; an object of the class that
+        has let it pump is asked no more, but a new one.
+        """
         ...
 
     def statistics(self) -> dict[str, float] | None:

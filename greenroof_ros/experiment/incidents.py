@@ -44,9 +44,14 @@ _FOLLOWERS: dict[str, tuple[frozenset[str], float]] = {
 }
 
 
+def misses_forecast(node: str, part: str) -> bool:
+    """Whether a part of a node says that it misses the forecast, which the weather node lost."""
+    return part == _FORECAST and node != _WEATHER
+
+
 def _rule(node: str, part: str) -> tuple[frozenset[str], float, bool] | None:
     """Return when a part of a node is lost, and whether that follows from something else."""
-    if part == _FORECAST and node != _WEATHER:
+    if misses_forecast(node, part):
         return _NOT_GOOD, 30.0, True
     rule = _LOSSES.get(part) or _FOLLOWERS.get(part)
     return None if rule is None else (*rule, part in _FOLLOWERS)

@@ -14,7 +14,7 @@ from rich.console import Console
 from rich.live import Live
 from rich.text import Text
 
-from greenroof_ros.experiment.incidents import IncidentLog
+from greenroof_ros.experiment.incidents import IncidentLog, misses_forecast
 
 # Often enough for an eye, seldom enough to cost nothing.
 _INTERVAL_S = 0.25
@@ -227,7 +227,9 @@ def troubles_of(
             if level != "OK" and part != _OF_BRINGUP
         }
         for part, message in sorted(bad.items(), key=lambda one: one[0] == "pump"):
-            follows = part in _FOLLOWERS and (lasting or bool(hold) or message in said)
+            follows = (part in _FOLLOWERS or misses_forecast(node, part)) and (
+                lasting or bool(hold) or message in said
+            )
             if follows or (part == "pump" and bad.keys() - {"pump", "drive file"}):
                 continue
             said.add(message)

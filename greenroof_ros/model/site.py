@@ -521,7 +521,7 @@ def _climate(path: Path, mapping: YamlMapping) -> tuple[float, ...] | None:
         return None
     months = mapping[_CLIMATE]
     if not isinstance(months, list) or len(months) != 12 or not all(
-        isinstance(one, (int, float)) and 0 <= one <= _LARGEST_MONTH for one in months
+        type(one) in (int, float) and 0 <= one <= _LARGEST_MONTH for one in months
     ):
         raise ConfigurationError(
             "must be twelve numbers in brackets, January to December, each from 0 to "
