@@ -127,7 +127,7 @@ class _Record:
             "parameters": summary.finite(site.parameters),
             "site": str(site.site_file),
             "sensors": str(site.sensors or EXTERNAL),
-            "forecast": str(site.forecast or EXTERNAL),
+            "forecast": str(site.forecast) if site.forecast else None if site.weather else EXTERNAL,
             "drive": str(site.drive.file if site.drive else EXTERNAL),
             "drive_at": site.drive.at if site.drive else None,
             "versions": versions(),
@@ -239,9 +239,10 @@ def _expected(site: LiveSite) -> dict[tuple[str, str], Expected]:
     if site.forecast is not None:
         expected["weather", "forecast"] = Expected(
             "forecast", str(site.forecast),
-            "put a newer file in its place, which is read by itself",
+            "put a newer file in its place, which is read by itself; without one on/off waters",
+            needed=False,
         )
-    if site.sensors is None or site.forecast is None:
+    if site.sensors is None or not site.weather:
         expected[site.controller.name, "inputs"] = Expected(
             f"inputs of {site.controller.name}", "your own nodes",
             "start the nodes that publish them",
@@ -251,6 +252,13 @@ def _expected(site: LiveSite) -> dict[tuple[str, str], Expected]:
             "drive", site.drive.at,
             "check its power and cable, and the address of --drive-at",
         )
+    if site.weather:
+        expected["weather", "frost"] = Expected(
+            "frost", "/gauge/temperature" if site.forecast is None else "the forecast",
+            "start the node that publishes /gauge/temperature (degC)" if site.forecast is None else
+            "let the forecast have a column of temperature, or a node publish /gauge/temperature",
+            well=("OK", "WARN"),
+        )
     return expected
 
 
@@ -259,7 +267,7 @@ def nodes_of(site: LiveSite) -> Iterator[tuple[str, ...]]:
     if site.sensors is not None:
         for tank in _TANKS:
             yield f"{tank}_sensor", f"{_NODES}.level_sensor", "--tank", tank
-    if site.forecast is not None:
+    if site.weather:
         yield "weather", f"{_NODES}.weather"
     controller = site.controller
     yield controller.name, f"{_NODES}.controller", "--controller", controller.reference
@@ -384,10 +392,10 @@ def _parameters(
             "total_limit": site.bag_limit,
         },
     }
-    if site.forecast is not None:
+    if site.weather:
         parameters["weather"] = {
             **common,
-            "forecast": str(site.forecast),
+            "forecast": str(site.forecast or ""),
             "horizon": site.parameters.get("horizon", 0.0),
             "all_members": site.controller.ensemble,
         }

@@ -96,6 +96,21 @@ def test_what_follows_from_a_loss_is_none_of_its_own(monkeypatch: pytest.MonkeyP
     assert [one.part for one in log.incidents] == ["sensor", "levels"]
 
 
+def test_a_forecast_that_is_lost_is_one_incident(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Said by the weather node, and by the controller only where that says nothing."""
+    clock = iter(range(1000))
+    monkeypatch.setattr(time, "monotonic", lambda: next(clock))
+    log = IncidentLog(lambda _: None)
+    for _ in range(40):
+        log.look({**says("mpc", forecast="WARN"), **says("weather", forecast="ERROR")})
+    assert [one.node for one in log.incidents] == ["weather"]
+    log.look({**says("mpc", forecast="OK"), **says("weather", forecast="OK")})
+    assert not log.lasting
+    for _ in range(40):
+        log.look(says("mpc", forecast="WARN"))
+    assert [one.node for one in log.incidents] == ["weather", "mpc"]
+
+
 def test_what_has_not_come_yet_is_not_lost() -> None:
     log = IncidentLog(lambda _: None)
     for level in ("WARN", "ERROR"):

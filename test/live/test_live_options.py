@@ -50,7 +50,10 @@ def test_a_live_site_has_no_simulation(tmp_path: Path, option: tuple[str, ...]) 
 
 @pytest.mark.parametrize(
     "option",
-    [("--sensors", "x.yaml"), ("--restarts", "3"), ("--bag-limit", "50")],
+    [
+        ("--sensors", "x.yaml"), ("--thermometer", "external"), ("--restarts", "3"),
+        ("--bag-limit", "50"),
+    ],
     ids=" ".join,
 )
 def test_a_simulation_has_no_site(tmp_path: Path, option: tuple[str, ...]) -> None:
@@ -96,6 +99,15 @@ WRONG = {
     ),
     "forecast": (
         (*LIVE, "--sensors", "external", "--pump", "external"),
+        "--forecast FILE.csv: is missing: live, it is what mpc knows of the weather to come",
+    ),
+    "neither forecast nor thermometer": (
+        (*LIVE, "--sensors", "external", "--pump", "external", "--controller", "onoff"),
+        "--thermometer external: is missing: without --forecast FILE.csv only a thermometer can "
+        "say whether there is frost; let a node of your own publish /gauge/temperature (degC) and",
+    ),
+    "a thermometer in place of a forecast that is needed": (
+        (*LIVE, "--sensors", "external", "--pump", "external", "--thermometer", "external"),
         "--forecast FILE.csv: is missing: live",
     ),
     "a model of forecasts": (

@@ -440,10 +440,11 @@ def test_a_start_at_which_everything_is_missing(domain: int, tmp_path: Path) -> 
         # Before any node was started: in the time that an import takes.
         assert not process.nodes()
         first = process.stderr().partition("missing:\n")[2].splitlines()
-        assert [line.partition(":")[0].strip() for line in first[:4]] == [
-            "level of the cistern", "level of the roof", "forecast", "drive",
+        assert [line.partition(":")[0].strip() for line in first[:5]] == [
+            "level of the cistern", "level of the roof", "forecast", "drive", "frost",
         ]
-        assert all("check " in line or "put a newer file" in line for line in first[:4])
+        to_do = ("check ", "put a newer file", "let the forecast have a column of temperature")
+        assert all(any(words in line for words in to_do) for line in first[:5])
         reasons = (
             f"level of the roof: tcp://127.0.0.1:{roof}, device 1: cannot connect; check",
             "is older than 2 h; put a newer file in its place, which is read by itself",
@@ -452,11 +453,68 @@ def test_a_start_at_which_everything_is_missing(domain: int, tmp_path: Path) -> 
         assert "  drive:" not in _last_list(process)
         write_forecast(tmp_path / "forecast.csv", timedelta(minutes=1), 0.0, 12.0)
         wait_for(lambda: "  forecast:" not in _last_list(process), 60, "the forecast")
+        wait_for(lambda: "  frost:" not in _last_list(process), 60, "the temperature")
         assert "  level of the roof:" in _last_list(process)
 
 
 def _last_list(process: Process) -> str:
     return process.stderr().rpartition("missing:\n")[2]
+
+
+LEVELS = {name: DRY[name] for name in ("/cistern/level", "/roof/level")}
+WITHOUT_FORECAST = (
+    "--sensors", "external", "--pump", "external", "--controller", "onoff",
+    "--thermometer", "external",
+)
+
+
+def test_a_site_without_a_forecast(
+    domain: int, tmp_path: Path, site: Site,  # noqa: F811
+) -> None:
+    """On/off pumps as soon as a thermometer says that there is no frost; nothing is lost."""
+    commands = site.listen("/pump/command")
+    with live(domain, tmp_path, *WITHOUT_FORECAST) as process:
+        site.values = {**LEVELS, "/pump/flow": 0.0}
+        frost = "  frost: the temperature is unknown, and so whether there is frost"
+        site.until(lambda: frost in process.stderr(), 60, "what is missing")
+        assert "start the node that publishes /gauge/temperature (degC)" in process.stderr()
+        site.until(lambda: len(commands) > 12, 60, "commands")
+        assert not any(value for _, value in commands)
+        site.values["/gauge/temperature"] = 8.0
+        site.until(lambda: commands[-1][1] == 1.0, 60, "a command")
+        site.until(lambda: "running: cistern 2.400 m" in process.stderr(), 60, "the end of it")
+        site.values["/gauge/temperature"] = -1.0
+        site.until(lambda: commands[-1][1] == 0.0, 60, "the stop in frost")
+        site.values["/gauge/temperature"] = 8.0
+        site.until(lambda: commands[-1][1] == 1.0, 60, "a command again")
+    summary = summary_of(tmp_path / "run")
+    assert (summary["status"], summary["incidents"]) == ("done", [])
+    assert summary["forecast"] is None
+    assert "forecast" not in process.stderr()
+
+
+def test_a_forecast_that_is_lost_at_a_site(
+    domain: int, tmp_path: Path, site: Site,  # noqa: F811
+) -> None:
+    """The start does not wait for it; on/off pumps, and the loss is one incident until it ends."""
+    commands = site.listen("/pump/command")
+    write_forecast(tmp_path / "forecast.csv", timedelta(days=2000), 0.0, 12.0)
+    with live(
+        domain, tmp_path, "--sensors", "external", "--pump", "external", "--max-command", "0.4",
+        "--forecast", "forecast.csv", code=1,
+    ) as process:
+        site.values = {**LEVELS, "/pump/flow": 0.0, "/gauge/temperature": 8.0}
+        missing = "  forecast: the newest forecast, issued at "
+        site.until(lambda: missing in process.stderr(), 60, "what is missing")
+        site.until(lambda: commands and commands[-1][1] == 1.0, 90, "on/off")
+        site.until(lambda: "running: cistern 2.400 m" in process.stderr(), 90, "the end of it")
+        site.until(lambda: "incident 1: weather: " in process.stderr(), 60, "the incident")
+        write_forecast(tmp_path / "forecast.csv", timedelta(minutes=1), 0.0, 12.0)
+        site.until(lambda: 0 < commands[-1][1] <= 0.4, 60, "mpc")
+        site.until(lambda: "incident 1 is over" in process.stderr(), 60, "its end")
+    (incident,) = summary_of(tmp_path / "run")["incidents"]
+    assert (incident["node"], incident["part"]) == ("weather", "forecast")
+    assert "warning" not in process.stderr()
 
 
 def test_the_drive_of_the_readme(domain: int, tmp_path: Path) -> None:
