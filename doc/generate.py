@@ -9,6 +9,7 @@ this writes. The nodes' tables need a ROS 2; without one they stay as they are. 
 from __future__ import annotations
 
 import argparse
+import csv
 import importlib
 import importlib.util
 import itertools
@@ -333,6 +334,24 @@ def pump_settings() -> str:
     )
 
 
+def mutation() -> str:
+    """Return the outcome of the baseline of mutation testing."""
+    path = DOC.parent / "tools" / "mutation" / "baseline.csv"
+    with path.open(newline="", encoding="utf-8") as stream:
+        rows = list(csv.DictReader(stream))
+    counted = ("folder", "mutants", "sampled", "killed", "survived", "timeouts")
+    return markdown(
+        (*counted, "share that survived", "its interval of 95 %"),
+        (
+            (
+                *(row[name] for name in counted), f"{float(row['share']):.0%}",
+                f"{float(row['low']):.0%} to {float(row['high']):.0%}",
+            )
+            for row in rows
+        ),
+    )
+
+
 # --- commands -------------------------------------------------------------------------------------
 
 
@@ -476,6 +495,7 @@ TABLES: dict[str, Callable[[], str | None]] = {
     "metrics": metrics,
     "site": site,
     "pump settings": pump_settings,
+    "mutation": mutation,
     "commands": commands,
     "nodes": nodes,
     **{name: partial(drawing, way) for name, way in WAYS.items()},
