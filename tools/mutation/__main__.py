@@ -100,27 +100,32 @@ def _annotations(module: Path) -> Iterator[tuple[tuple[int, int], tuple[int, int
                 yield (each.lineno, each.col_offset), (each.end_lineno, each.end_col_offset)
 
 
-def command_of(judges: list[str], without: list[str]) -> str:
+def command_of(judges: list[str], without: list[str], reruns: int) -> str:
     """Return what runs the tests that judge a module, up to the first that fails."""
     words = [sys.executable, "-m", "pytest", "-x", "-q", "-p", "no:cacheprovider"]
+    # No other plugins: they take as long to be loaded as a mutant's tests.
+    words += ["-p", "xdist.plugin", "-p", "pytest_rerunfailures", "--reruns", str(reruns)]
     words += [f"test/{judge}" for judge in judges]
     words += [f"--deselect=test/{test}" for test in without]
     return shlex.join(words)
 
 
+def limit_of(command: str) -> float:
+    """Return how long the tests may take on a mutant (s), by how long they take on the code."""
+    began = time.monotonic()
+    done = subprocess.run(shlex.split(command), check=False, capture_output=True, text=True)
+    if done.returncode != 0:
+        raise SystemExit(f"{done.stdout}\nthe tests fail on the code as it is: {command}")
+    return _LEAST_LIMIT_S + _TIMES_AS_LONG * (time.monotonic() - began)
+
+
 def judge(folder: str, entry: dict[str, Any], size: int, seed: int) -> tuple[Row, list[Survivor]]:
     """Judge a sample of a folder's mutants; the working directory is the copy of the checkout."""
     commands = {
-        Path("greenroof_ros", module): command_of(judges, entry["without"])
+        Path("greenroof_ros", module): command_of(judges, entry["without"], entry["reruns"])
         for module, judges in entry["modules"].items()
     }
     limits: dict[str, float] = {}
-    for command in dict.fromkeys(commands.values()):
-        began = time.monotonic()
-        done = subprocess.run(shlex.split(command), check=False, capture_output=True, text=True)
-        if done.returncode != 0:
-            raise SystemExit(f"{done.stdout}\nthe tests fail on the code as it is: {command}")
-        limits[command] = _LEAST_LIMIT_S + _TIMES_AS_LONG * (time.monotonic() - began)
     mutants = mutants_of(list(commands), Path("mutants.sqlite"))
     sample = random.Random(seed).sample(mutants, min(size, len(mutants)))  # noqa: S311
     killed = timeouts = 0
@@ -130,6 +135,8 @@ def judge(folder: str, entry: dict[str, Any], size: int, seed: int) -> tuple[Row
             break
         (mutation,) = item.mutations
         command = commands[mutation.module_path]
+        if command not in limits:
+            limits[command] = limit_of(command)
         result = mutate_and_test(item.mutations, command, limits[command])
         outcome = "killed"
         if result.test_outcome == TestOutcome.SURVIVED:
@@ -209,6 +216,7 @@ def main() -> int:
         shutil.copytree(CHECKOUT, copy, ignore=ignored)
         os.chdir(copy)
         os.environ["PYTHONPATH"] = str(copy)
+        os.environ["PYTEST_DISABLE_PLUGIN_AUTOLOAD"] = "1"
         for folder in arguments.folders or folders:
             if _interrupted:
                 return 130
