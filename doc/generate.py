@@ -9,6 +9,7 @@ this writes. The nodes' tables need a ROS 2; without one they stay as they are. 
 from __future__ import annotations
 
 import argparse
+import csv
 import importlib
 import importlib.util
 import itertools
@@ -318,6 +319,24 @@ def pump_settings() -> str:
     )
 
 
+def mutation() -> str:
+    """Return the outcome of the baseline of mutation testing."""
+    path = DOC.parent / "tools" / "mutation" / "baseline.csv"
+    with path.open(newline="", encoding="utf-8") as stream:
+        rows = list(csv.DictReader(stream))
+    counted = ("folder", "mutants", "sampled", "killed", "survived", "timeouts")
+    return markdown(
+        (*counted, "share that survived", "its interval of 95 %"),
+        (
+            (
+                *(row[name] for name in counted), f"{float(row['share']):.0%}",
+                f"{float(row['low']):.0%} to {float(row['high']):.0%}",
+            )
+            for row in rows
+        ),
+    )
+
+
 # --- commands -------------------------------------------------------------------------------------
 
 
@@ -462,6 +481,7 @@ TABLES: dict[str, Callable[[], str | None]] = {
     "metrics": metrics,
     "site": site,
     "pump settings": pump_settings,
+    "mutation": mutation,
     "commands": commands,
     "command groups": command_groups,
     "nodes": nodes,
