@@ -27,6 +27,7 @@ _LOSSES: dict[str, tuple[frozenset[str], float]] = {
     "drive": (_LOST, 0.0),
     "pump": (_LOST, 0.0),
     "state file": (_LOST, 0.0),
+    "suspend": (_LOST, 0.0),
     "recording": (_LOST, 0.0),
     "sensor": (_LOST, 3.0),
     "forecast": (_NOT_GOOD, 3.0),

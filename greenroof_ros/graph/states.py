@@ -17,5 +17,5 @@ REPORT_PIPE = "GREENROOF_ROS_REPORT_PIPE"
 
 # The environment variable that holds the file descriptor from which a started pump node reads, four
 # times a second, whether it may run: one JSON object a line, with the key "hold", empty or why it
-# may not, and "at", the steady clock (CLOCK_MONOTONIC, s) at which that was so.
+# may not, and "at", the time since the machine started (CLOCK_BOOTTIME, s) at which that was so.
 PERMIT_PIPE = "GREENROOF_ROS_PERMIT_PIPE"
