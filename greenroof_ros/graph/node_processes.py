@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import atexit
 import contextlib
-import json
 import logging
 import os
 import selectors
@@ -22,7 +21,7 @@ from typing import Any
 
 from greenroof_ros.common.disk import DISK
 from greenroof_ros.common.processes import asked_to_end_with_this
-from greenroof_ros.graph.states import PUMP, REPORT_PIPE
+from greenroof_ros.graph.states import PUMP, REPORT_PIPE, read_report
 
 # How long to wait for a process that was asked to end, before the kernel ends it (s); and the pump
 # node, which waits until the pump stands: as long as the speed falls.
@@ -84,12 +83,8 @@ class NodeProcess:
         self.spoke = True
         self.heard = time.monotonic()
         *lines, self._cut = (self._cut + data).split(b"\n")
-        reports = []
-        for line in lines:
-            # A line that did not fit into a full pipe is cut short; the next one says it again.
-            with contextlib.suppress(json.JSONDecodeError):
-                reports.append(json.loads(line))
-        return reports
+        # A line that did not fit into a full pipe is cut short; the next one says it again.
+        return [report for report in map(read_report, lines) if report is not None]
 
     @property
     def is_stopped(self) -> bool:

@@ -22,9 +22,11 @@ from places import CHECKOUT
 
 from greenroof_ros.common.clock import boot_time
 from greenroof_ros.common.disk import DISK
+from greenroof_ros.experiment.incidents import IncidentLog
 from greenroof_ros.graph import live_supervisor
 from greenroof_ros.graph.live_supervisor import Failure, LiveSupervisor
 from greenroof_ros.graph.node_processes import NodeFailed, NodeProcesses
+from greenroof_ros.live.status import troubles_of, values_of
 
 TOO_LONG_S = 60
 
@@ -426,3 +428,43 @@ def test_a_recorder_that_cannot_be_started_at_all(
             "cannot be started: Too many open files; tried again every 10 s; "
             "nothing is recorded until then"
         ]
+
+
+# What a node of another version may say, or one that is broken.
+_STRANGE = [
+    [], 7, "ready", {}, {"state": "flying"}, {"state": ["ready"]},
+    *(
+        {"state": "ready", key: value}
+        for key in ("diagnoses", "warnings", "waiting", "refused", "pump", "stands", "command",
+                    "cistern_level", "roof_level", "tick", "failure")
+        for value in (None, 7, "x", [1], {"x": [1]}, {"x": ["OK"]}, {"x": "y"}, [["OK", "well"]])
+    ),
+]
+
+
+def test_what_a_node_of_another_version_says(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Whoever reads it goes on, and shows what can be read."""
+    shown: list[str] = []
+    with site(tmp_path, monkeypatch) as (here, failures, _):
+        here.add("weather", "pump", "recorder")
+        here.until(lambda: here.supervisor.all_ready and not here.supervisor.hold)
+        log = IncidentLog(shown.append)
+        for strange in _STRANGE:
+            raw = here.marks / "pump-raw"
+            raw.with_suffix(".new").write_bytes(json.dumps(strange).encode() + b"\n")
+            raw.with_suffix(".new").rename(raw)
+            ended = time.monotonic() + 0.12
+
+            def shows(ended: float = ended) -> bool:
+                for reports in ({"pump": here.supervisor.last["pump"]}, here.supervisor.last):
+                    troubles_of(reports, "")
+                    values_of(reports)
+                    log.look(reports)
+                return time.monotonic() > ended
+
+            here.until(shows)
+        raw.unlink()
+        here.until(lambda: here.supervisor.all_ready and not here.supervisor.hold)
+    assert not failures and not shown
