@@ -157,7 +157,7 @@ def _watch(
                 waiting.discard(node)
             if report["state"] == FINISHED:
                 running.discard(node)
-            if node == "plant" and not waiting and _SHOWN <= report.keys():
+            if node == "plant" and not waiting and report.keys() >= _SHOWN:
                 progress.update(
                     report["tick"], report["cistern_level"], report["roof_level"],
                     report["command"],
