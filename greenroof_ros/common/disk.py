@@ -7,11 +7,12 @@ import time
 import traceback
 from collections import deque
 from collections.abc import Callable
+from itertools import islice
 
 # So much may wait (bytes), with what a job costs itself: minutes of a live site.
 _ROOM, _JOB = 32_000_000, 200
 # What waits for longer is late (s): the disk hangs.
-_PATIENCE_S = 2.0
+PATIENCE_S = 2.0
 
 
 class DiskThread:
@@ -40,11 +41,14 @@ class DiskThread:
         """Have a job done, and return whether there was room for it.
 
         Args:
-            job: sees to its own errors.
+            job: sees to its own errors. A method that writes what is newest waits once only,
+                however often it is asked for.
             size: of what it keeps in memory (bytes).
         """
         size += _JOB
         with self._changed:
+            if any(job == waiting for waiting, *_ in islice(self._jobs, 1, None)):
+                return True
             if size > self._room or not self._started():
                 self.refused += 1
                 return False
@@ -57,7 +61,7 @@ class DiskThread:
     def late(self) -> bool:
         """Whether a job has waited for more than 2 s, or is being done for so long."""
         with self._changed:
-            return bool(self._jobs) and time.monotonic() - self._jobs[0][2] > _PATIENCE_S
+            return bool(self._jobs) and time.monotonic() - self._jobs[0][2] > PATIENCE_S
 
     def wait(self, within: float) -> bool:
         """Wait until all is done, for so long at most (s); return whether it is."""

@@ -297,4 +297,5 @@ class NodeProcesses:
                     killed.add(node)
                     process.kill()
         self._read_pipes(0.0)
-        DISK.wait(_WRITTEN_S)
+        if all(node.process.poll() is not None for node in self.nodes.values()):
+            DISK.wait(_WRITTEN_S)

@@ -125,7 +125,6 @@ class _Record:
         self._began = _now()
         self._written = 0
         self._content: dict[str, Any] = {}
-        self._waits = False  # whether the newest content is still to be written
         self._problem = self._said = ""
         self._disk_is_late = False
         self._what = summary.RUNNING
@@ -215,14 +214,10 @@ class _Record:
             **self._setting,
         }
         self._written = self.log.changes
-        if not self._waits:
-            self._waits = True
-            if not DISK.do(self._write_newest):
-                self._waits = False
+        DISK.do(self._write_newest)
 
     def _write_newest(self) -> None:
         """Write it, on the disk's thread."""
-        self._waits = False
         try:
             summary.write(self._content, self._state)
             self._problem = ""

@@ -58,10 +58,8 @@ class BagWriter:
         Raises:
             OSError: for instance on a full disk; the file then ends with the safe ticks.
         """
-        write = self._file.write
         try:
-            for index, message in enumerate(messages):
-                write(index, time_ns, message)
+            self._file.write(time_ns, enumerate(messages))
         except OSError:
             self._file.cut()
             raise

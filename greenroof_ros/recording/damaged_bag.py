@@ -110,7 +110,7 @@ def _rewrite(
     new: McapFile | None = None
     for name, time_ns, message in _whole(file, first):
         new = new or McapFile(copy, topics, first=first or 0)
-        new.write(indices[name], time_ns, message)
+        new.write(time_ns, [(indices[name], message)])
     if new is None:
         return None
     new.close()

@@ -96,7 +96,7 @@ class LiveBag:
             file = self._file or self._open(now)
             self._unsafe += 1
             added = True
-            file.write(self._index[topic], time_ns, message)
+            file.write(time_ns, [(self._index[topic], message)])
         except OSError as error:
             self.lost += not added  # else it is among those that were not flushed
             self._fail(error, now)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from contextlib import suppress
 from pathlib import Path
 from typing import BinaryIO
@@ -69,22 +69,23 @@ class McapFile:
             )
         self._add = self._writer.add_message
 
-    def write(self, index: int, time_ns: int, message: bytes) -> None:
-        """Add a message.
+    def write(self, time_ns: int, messages: Iterable[tuple[int, bytes]]) -> None:
+        """Add messages.
 
         Args:
-            index: of its topic.
-            time_ns: its time, nanoseconds since 1970.
-            message: serialised (CDR).
+            time_ns: their time, nanoseconds since 1970.
+            messages: of each the index of its topic, and the message, serialised (CDR).
 
         Raises:
             OSError: for instance on a full disk; it calls for :meth:`cut`.
         """
-        sequence = self._next[index]
-        self._next[index] = sequence + 1
         self.first_ns = self.first_ns or time_ns
         self._last_ns = max(self._last_ns, time_ns)
-        self._add(self._channels[index], time_ns, message, time_ns, sequence)
+        add, channels, following = self._add, self._channels, self._next
+        for index, message in messages:
+            sequence = following[index]
+            following[index] = sequence + 1
+            add(channels[index], time_ns, message, time_ns, sequence)
 
     @property
     def content(self) -> FileContent:
