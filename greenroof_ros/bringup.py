@@ -50,6 +50,7 @@ from greenroof_ros.recording.bag_reader import count_ticks
 from greenroof_ros.watch.beside import watcher
 
 _NODES = "greenroof_ros.nodes"
+_SHOWN = {"tick", "cistern_level", "roof_level", "command"}  # of what the plant says
 # From the start of the processes to all being ready (s): imports on a busy machine take seconds.
 _START_LIMIT_S = 30.0
 # How long a drive may take until it may run (s); an ABB's timeout guards 30 s after power-up only.
@@ -141,7 +142,7 @@ def _watch(
                 waiting.discard(node)
             if report["state"] == FINISHED:
                 running.discard(node)
-            if node == "plant" and not waiting:
+            if node == "plant" and not waiting and report.keys() >= _SHOWN:
                 progress.update(
                     report["tick"], report["cistern_level"], report["roof_level"],
                     report["command"],
@@ -155,7 +156,7 @@ def _watch(
 
 def _tick(supervisor: Supervisor) -> int:
     """Return the tick that the plant has reached."""
-    return int(supervisor.last["plant"]["tick"])
+    return int(supervisor.last["plant"].get("tick", -1))
 
 
 def _missing(run: Run, waiting: set[str], supervisor: Supervisor) -> list[str]:
@@ -303,7 +304,7 @@ def _wait_for_drive(
             )
             raise NodeFailed(reason, "", EXIT_FAILED, [PUMP], "no drive")
     said = supervisor.last[PUMP]
-    latched = said["fault"] or said["held"]
+    latched = said.get("fault") or said.get("held")
     if latched:
         print(
             f"warning: the pump stays off, by {state_file}: {latched}; a fault is cleared by the "

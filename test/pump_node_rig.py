@@ -78,7 +78,7 @@ class PumpRig:
 
     def __init__(self, domain: int, cwd: Path, observer: Observer) -> None:
         self.cwd, self.observer = cwd, observer
-        self._domain = domain
+        self.domain = domain
         self.node = observer.node
         self.flows: list[float] = []
         self.states: list[str] = []
@@ -135,7 +135,7 @@ class PumpRig:
                 *(word for name, value in given.items() if value is not None
                 for word in ("-p", f"{name}:={value}")),
             ],
-            cwd=self.cwd, **{"env": environment(self._domain), **(popen or {})},
+            cwd=self.cwd, **{"env": environment(self.domain), **(popen or {})},
         )
         self._processes.append(process)
         return process

@@ -14,7 +14,7 @@ from typing import TypeVar
 
 from places import CHECKOUT
 
-from greenroof_ros.common.processes import end_with_parent
+from greenroof_ros.common.processes import asked_to_end_with_this
 from greenroof_ros.drives.address import Address
 from greenroof_ros.simulators.faults import DEFAULT, DRIVE_FAULTS, SITE_FAULTS
 from greenroof_ros.simulators.workbench import Workbench
@@ -33,7 +33,7 @@ class Simulator:
         self.process = subprocess.Popen(
             [sys.executable, "-m", f"greenroof_ros.{module}", *options],
             cwd=CHECKOUT, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
-            stdin=subprocess.DEVNULL, preexec_fn=end_with_parent,
+            stdin=subprocess.DEVNULL, env=asked_to_end_with_this(),
         )
         assert self.process.stdout is not None
         self.ready = self.process.stdout.readline()

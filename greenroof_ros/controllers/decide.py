@@ -46,6 +46,7 @@ def decide(
     if isinstance(command, (float, int)) and 0 <= command < math.inf:
         return command
     raise NoCommandError(
-        "must be a finite number, not negative (greenroof check-controller finds this before a run)",
+        "must be a finite number, not negative (greenroof check-controller finds this before a "
+        "run)",
         key=f"the command of {type(controller).__name__}", value=command,
     )

@@ -8,8 +8,11 @@ from collections import deque
 from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass, replace
 from datetime import datetime, timezone
+from functools import partial
 from pathlib import Path
 from typing import Any
+
+from greenroof_ros.common.disk import DISK
 
 # The file's name in the directory of a run, beside the bag.
 INCIDENTS = "incidents.jsonl"
@@ -29,6 +32,7 @@ _LOSSES: dict[str, tuple[frozenset[str], float]] = {
     "drive": (_LOST, 0.0),
     "pump": (_LOST, 0.0),
     "state file": (_LOST, 0.0),
+    "suspend": (_LOST, 0.0),
     "recording": (_LOST, 0.0),
     "sensor": (_LOST, 3.0),
     _FORECAST: (_NOT_GOOD, 3.0),
@@ -138,7 +142,7 @@ class IncidentLog:
 
         Args:
             say: prints a line for people.
-            file: where each change is kept at once; None for nowhere.
+            file: where each change is kept at once, by the disk's thread; None for nowhere.
         """
         self.incidents: deque[Incident] = deque(maxlen=MOST)
         self.count = self.changes = 0
@@ -263,13 +267,16 @@ class IncidentLog:
 
     def _keep(self, incident: Incident) -> None:
         self.changes += 1
-        if self._file is None:
-            return
+        if self._file is not None:
+            DISK.do(partial(self._write, self._file, json.dumps(asdict(incident)) + "\n"))
+
+    def _write(self, file: Path, line: str) -> None:
+        """Write a line, on the disk's thread; a full disk stops nobody, the summary has it, too."""
         try:
-            with self._file.open("a", encoding="utf-8") as stream:
-                stream.write(json.dumps(asdict(incident)) + "\n")
-        except OSError as error:  # a full disk stops nobody; the summary has it, too
-            self._say(f"warning: {self._file}: {error.strerror}")
+            with file.open("a", encoding="utf-8") as stream:
+                stream.write(line)
+        except OSError as error:
+            self._say(f"warning: {file}: {error.strerror}")
 
 
 def with_incidents(text: str, count: int) -> str:

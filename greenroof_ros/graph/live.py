@@ -15,6 +15,7 @@ from typing import Any, Protocol
 
 from rclpy.node import Node
 
+from greenroof_ros.common.clock import boot_time
 from greenroof_ros.graph.errors import LockstepError
 from greenroof_ros.graph.inputs import Inputs
 from greenroof_ros.graph.parameters import NodeParameter
@@ -94,18 +95,20 @@ class _LiveInput:
         self.rules = rules
         self.publishers = publishers
         self.verdict = Verdict()
-        self.judge(time.monotonic())
-        publishers.on_change = lambda: self.judge(time.monotonic())
+        self.judge(boot_time())
+        publishers.on_change = lambda: self.judge(boot_time())
 
     def judge(self, now: float) -> None:
-        """Judge the input as it is now (s), and show at it how it is."""
-        self.verdict = self.rules.judge(now, self.publishers.problem(now))
+        """Judge the input as it is now (s since the machine started), and show at it how it is."""
+        self.verdict = self.rules.judge(now, self.publishers.problem(time.monotonic()))
         self.entry.good = self.verdict.good
         self.entry.why = self.verdict.why
 
 
 class Live:
     """Makes a node act every period of the steady clock; a peer's end is not its own.
+
+    That clock goes on while the machine is suspended: what came before is then too old.
 
     Attributes:
         simulated_time: whether the node's clock is that of a run; here it is the system's.
@@ -128,13 +131,13 @@ class Live:
         self._due = math.inf
         self._inputs: dict[str, _LiveInput] = {}
         self._needed: list[_LiveInput] = []
-        self._looked = time.monotonic()
+        self._looked = boot_time()
         self._deaf_until = self._looked
 
     def act_every(self, period: float) -> None:
         """Let the node act from now on every period (s)."""
         self._period = period
-        self._due = time.monotonic() + period
+        self._due = boot_time() + period
 
     def open(
         self, entry: Input, callback: Callable[[Any], None] | None, *, raw: bool,
@@ -145,7 +148,7 @@ class Live:
         publishers = Publishers(node, entry.topic, self.peers)
         limit = LIMITS[entry.topic.name].name
         rules = InputRules(
-            time.monotonic(), node.get_parameter(limit).value,
+            boot_time(), node.get_parameter(limit).value,
             node.get_parameter(RECOVERY.name).value, limit_name=limit, level=level,
         )
         self._inputs[entry.topic.name] = one = _LiveInput(entry, rules, publishers)
@@ -153,7 +156,7 @@ class Live:
             self._needed.append(one)
 
         def on_message(message: bytes) -> None:
-            now = time.monotonic()
+            now = boot_time()
             self._note_pause(now)
             if now < self._deaf_until:
                 return
@@ -175,14 +178,14 @@ class Live:
         """Refuse the newest value of an input: who acts on it cannot."""
         one = self._inputs[name]
         one.entry.refused += 1
-        now = time.monotonic()
+        now = boot_time()
         one.rules.refuse(now, f"was refused: {why}")
         one.judge(now)
         self._say()
 
     def good(self) -> bool:
         """Whether all that the node needs is good now."""
-        now = time.monotonic()
+        now = boot_time()
         for one in self._inputs.values():
             one.judge(now)
         return all(one.entry.good for one in self._needed)
@@ -193,11 +196,11 @@ class Live:
 
     def due_in(self) -> float:
         """How long until the node acts (s)."""
-        return max(0.0, self._due - time.monotonic())
+        return max(0.0, self._due - boot_time())
 
     def act_if_due(self) -> None:
         """Act once in a period; of periods that were missed, by a pause, none is made good."""
-        now = time.monotonic()
+        now = boot_time()
         if now < self._due:
             return
         self._note_pause(now)
@@ -207,11 +210,11 @@ class Live:
         self._say()
         self._node.on_inputs()
         # What a node takes to decide is no pause: what it decides on must not be too old then.
-        self._looked = time.monotonic()
+        self._looked = boot_time()
 
     def look(self, now: float) -> None:
-        """Look whether the process was stopped."""
-        self._note_pause(now)
+        """Look whether the process was stopped, or the machine suspended."""
+        self._note_pause(boot_time())
 
     def hear(self, report: Report) -> None:
         """Take a peer's report."""

@@ -16,7 +16,7 @@ from rclpy.node import Node
 
 from greenroof_ros.common.interface import read_topics
 from greenroof_ros.graph.qos import qos_profile
-from greenroof_ros.graph.states import REPORT_PIPE, STARTING, STATES
+from greenroof_ros.graph.states import REPORT_PIPE, STARTING, STATES, as_expected
 
 # How a part of a node is, as tools know it.
 OK, WARN = DiagnosticStatus.OK, DiagnosticStatus.WARN
@@ -149,7 +149,8 @@ class Reports:
             ):
                 continue
             try:
-                values = {entry.key: json.loads(entry.value) for entry in status.values}
+                said = {entry.key: json.loads(entry.value) for entry in status.values}
+                values = as_expected(said)
                 role, process = values["role"], values["process"]
             except (ValueError, RecursionError, KeyError):
                 continue  # another's status of that name

@@ -22,7 +22,7 @@ from statistics import median
 from typing import Any
 
 import pytest
-from graphs import environment
+from graphs import environment, free_ports
 from places import CONFIG
 
 rclpy = pytest.importorskip("rclpy", reason="nodes need ROS 2")
@@ -168,6 +168,18 @@ def dry_site(site: Site) -> list[tuple[float, Any]]:
 
 def newest(values: list[tuple[float, Any]]) -> Any:
     return values[-1][1] if values else None
+
+
+# Lets a process find that the machine was suspended for an hour while there is a file *suspended*.
+SUSPENDED = """
+import time
+from pathlib import Path
+awake = time.clock_gettime
+def clock_gettime(clock):
+    asleep = clock == time.CLOCK_BOOTTIME and Path("suspended").exists()
+    return awake(clock) + (3600.0 if asleep else 0.0)
+time.clock_gettime = clock_gettime
+"""
 
 
 def other_node(site: Site) -> Node:
@@ -433,6 +445,43 @@ def test_a_forecast_whose_layout_is_wrong(domain: int, tmp_path: Path, site: Sit
             ))
             site.until(site.says("/mpc: forecast", WARN, why), LATE, "why")
             site.until(lambda: newest(commands) == 1.0, LATE, "on/off")
+
+
+def test_no_command_of_what_was_before_a_suspend(
+    domain: int, tmp_path: Path, site: Site, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """In which the clock stands still by which a process otherwise tells how old a value is."""
+    (tmp_path / "sitecustomize.py").write_text(SUSPENDED)
+    monkeypatch.setenv("PYTHONPATH", str(tmp_path))
+    commands = dry_site(site)
+    with live_node(domain, tmp_path, "controller --controller onoff", recovery_time=1.0):
+        site.until(lambda: newest(commands), 60, "a command")
+        (tmp_path / "suspended").touch()
+        site.until(lambda: newest(commands) == 0.0, LATE, "no command")
+        site.until(lambda: any("stood still for 3600 s" in said for said in site.said), LATE, "why")
+        site.until(lambda: newest(commands), LATE, "a command of what is new")
+
+
+@pytest.mark.parametrize(("live", "policy"), [("true", "OTHER"), ("false", "BATCH")])
+@pytest.mark.parametrize("node", ["controller --controller onoff", "pump"])
+def test_who_may_be_preempted(
+    domain: int, tmp_path: Path, site: Site, node: str, live: str, policy: str
+) -> None:
+    """A node of a simulation lets the others go on; one of a live site must be in time."""
+    parameters: dict[str, object] = {"live": live}
+    if node == "pump":
+        parameters |= {
+            "drive": "abb_acs880", "address": f"gateway://127.0.0.1:{free_ports(1)[0]}",
+            "state_file": tmp_path / "state.json",
+        }
+    name = "/pump" if node == "pump" else "/onoff"
+    with live_node(domain, tmp_path, node, **parameters) as process:
+        site.until(lambda: name in site.diagnoses, 60, "the node")
+        threads = [int(one.name) for one in Path(f"/proc/{process.pid}/task").iterdir()]
+        assert len(threads) > 1
+        assert {os.sched_getscheduler(thread) for thread in threads} == {
+            getattr(os, f"SCHED_{policy}")
+        }
 
 
 def test_no_command_of_what_was_before_a_stop(domain: int, tmp_path: Path, site: Site) -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 import re
+import resource
 import signal
 import socket
 import subprocess
@@ -20,7 +21,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from disks import small_disk
+from disks import disk_that_hangs, small_disk
 from graphs import Process, alive, bring_up, environment, free_ports, summary_of, wait_for
 from modbus_wire import Wire, acs880
 from places import CHECKOUT, CONFIG, guarding
@@ -304,6 +305,59 @@ def test_a_live_site_with_drive_and_sensors(
         assert node == expected
         assert re.match(pattern, cause), cause
     assert (tmp_path / "run" / "pump.json").is_file()
+
+
+def test_a_disk_that_hangs_stops_no_pump(domain: int, tmp_path: Path) -> None:
+    """Half a minute in which nothing can be written: the pump turns on, and no node is killed."""
+    hardware = Hardware(domain, tmp_path)
+    hardware.add_tanks()
+    write_forecast(tmp_path / "forecast.csv", timedelta(minutes=5), 0.0, 12.0)
+    (tmp_path / "nodes.yaml").write_text(
+        "/**:\n  ros__parameters:\n    recovery_time: 1.0\n    least_off: 1.0\n"
+    )
+    with disk_that_hangs(tmp_path / "run") as hang:
+        with live(
+            domain, tmp_path, "--controller", "onoff", "--sensors", "sensors.yaml",
+            "--forecast", "forecast.csv", "--drive", hardware.file, "--drive-at", hardware.drive,
+            "--node-parameters", "nodes.yaml", code=1,
+        ) as process:
+            wait_for(lambda: hardware.speed() > 0.9, 90, "the pump")
+            nodes = process.nodes()
+            hang(True)
+            ended = time.monotonic() + 30
+            speeds = []
+            while time.monotonic() < ended:
+                speeds.append(hardware.speed())
+            assert process.nodes() == nodes
+            hang(False)
+            wait_for(lambda: "s: bringup: disk" in process.stderr(), 60, "the end of the hang")
+        summary = summary_of(tmp_path / "run")
+        with AnyReader([tmp_path / "run" / "bag"]) as reader:
+            stamps = [
+                stamp / 1e9 for connection, stamp, _ in reader.messages()
+                if connection.topic == "/pump/flow"
+            ]
+    assert min(speeds) > 0.9
+    assert max(b - a for a, b in pairwise(stamps)) < 5  # the site's tick is 1 s
+    incidents = {(one["node"], one["part"]) for one in summary["incidents"]}
+    assert incidents >= {("bringup", "disk"), ("recorder", "recording")}
+    assert not any(part == "process" for _, part in incidents)
+
+
+def test_too_few_files_end_no_site(domain: int, tmp_path: Path) -> None:
+    """A node that died is started again when there are some, and the summary says what was."""
+    with live(domain, tmp_path, *NOBODY, code=1) as process:
+        wait_for(lambda: len(process.nodes()) == 2, 60, "nodes")
+        bringup = process.process.pid
+        limits = resource.prlimit(bringup, resource.RLIMIT_NOFILE)
+        resource.prlimit(bringup, resource.RLIMIT_NOFILE, (3, limits[1]))
+        os.kill(process.nodes()["controller"], signal.SIGKILL)
+        said = "mpc: cannot be started: Too many open files; tried again every 10 s"
+        wait_for(lambda: said in process.stderr(), 60, "the incident")
+        resource.prlimit(bringup, resource.RLIMIT_NOFILE, limits)
+        wait_for(lambda: len(process.nodes()) == 2, 60, "the controller")
+        time.sleep(1)
+    assert summary_of(tmp_path / "run")["status"] == "done"
 
 
 def test_a_full_disk_keeps_no_site_from_starting(domain: int, tmp_path: Path) -> None:
