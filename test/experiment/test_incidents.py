@@ -169,12 +169,14 @@ def test_another_start_keeps_what_was_before(tmp_path: Path) -> None:
     first = IncidentLog(lambda _: None, tmp_path / INCIDENTS)
     for level in ("OK", "ERROR", "OK", "ERROR"):
         first.look(says("pump", drive=level))
+    assert DISK.wait(60)
     with (tmp_path / INCIDENTS).open("a") as stream:
         stream.write('{"number": 3, "no')
     second = IncidentLog(lambda _: None, tmp_path / INCIDENTS)
     second.go_on()
     second.look(says("pump", drive="OK"))
     second.look(says("pump", drive="ERROR"))
+    assert DISK.wait(60)
     found = read_incidents(tmp_path)
     assert [one.number for one in found] == [1, 2, 3]
     assert [one.ended is None for one in found] == [False, False, True]
