@@ -140,10 +140,18 @@ def command(main: Callable[[], int]) -> Callable[[], NoReturn]:
 
 
 def within(
-    low: float, high: float, kind: Callable[[str], float] = float
+    low: float, high: float, kind: Callable[[str], float] = float, *, word: str = ""
 ) -> Callable[[str], float]:
-    """Return what parses an option that must be a number, with ``int`` a whole one, in a range."""
+    """Return what parses an option that must be a number, with ``int`` a whole one, in a range.
+
+    Args:
+        low: the least.
+        high: the greatest.
+        kind: ``float`` or ``int``.
+        word: that the option takes instead of a number, for messages; the caller knows its meaning.
+    """
     what = "a whole number" if kind is int else "a number"
+    what = f"{word}, or {what}" if word else what
     limits = f"from {low} to {high}" if kind is int else f"from {low:g} to {high:g}"
 
     def parse(text: str) -> float:

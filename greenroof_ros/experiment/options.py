@@ -235,19 +235,14 @@ def _skill(text: str) -> str:
 _skill.__name__ = f"skill: {', '.join(SKILLS)}, or a FILE.yaml"
 
 
+_factor = within(1e-9, 1e9, word="max")
+
+
 def _speed(text: str) -> float:
-    if text == "max":
-        return 0.0
-    try:
-        return within(1e-9, 1e9)(text)
-    except argparse.ArgumentTypeError as error:
-        raise argparse.ArgumentTypeError(
-            str(error).replace("must be ", "must be max, or ")
-        ) from error
+    return 0.0 if text == "max" else _factor(text)
 
 
-# What it takes, where it is documented.
-_speed.__name__ = "max, or a number from 1e-09 to 1e+09"
+_speed.__name__ = _factor.__name__
 
 
 def add_output_arguments(parser: argparse.ArgumentParser) -> argparse._ArgumentGroup:

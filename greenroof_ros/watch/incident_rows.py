@@ -64,8 +64,8 @@ class Dated:
 def read_dated(bag: Path) -> list[Dated]:
     """Return the incidents of a run whose bag is read, in the order in which they began.
 
-    Of a simulated site they stand in a file of their own, and nodes that were started again in the
-    summary; of a live site all do.
+    They stand in a file of their own, and in the summary where that could not be written; nodes of
+    a simulated site that were started again stand in the summary alone.
 
     Raises:
         ValueError: they cannot be read, or not when they were.
@@ -76,8 +76,7 @@ def read_dated(bag: Path) -> list[Dated]:
         if not (directory / SUMMARY).exists():
             return _all_dated(found, {})
         summary = json.loads(read_text(directory / SUMMARY))
-        before = summary.get("last_time") or {}
-        kept = [*before.get("incidents", ()), *summary.get("incidents", ())]
+        kept = summary.get("incidents", ())
         found = found or [Incident(**one) for one in kept if "began" in one]
         restarted = [
             Incident(0, one["node"], PROCESS, one["how"], "", None, one["tick"], one["tick"])
