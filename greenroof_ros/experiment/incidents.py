@@ -127,15 +127,14 @@ class IncidentLog:
         """
         self.incidents: deque[Incident] = deque(maxlen=MOST)
         self.count = self.changes = 0
-        self._began = (_now(), time.monotonic())
+        self._began = _now()
         self._before = 0  # number of the last incident that the file has of before
         self._say = say
         self._file = file
-        self._open: dict[tuple[str, str], tuple[Incident, float]] = {}
+        self._open: dict[tuple[str, str], Incident] = {}
         self._good: set[tuple[str, str]] = set()
-        # Lost, for not long enough yet: first seen and since when (steady clock, s), and what it
-        # would be.
-        self._pending: dict[tuple[str, str], tuple[float, float, Incident]] = {}
+        # Lost, for not long enough yet: when first seen (steady clock, s), and what it would be.
+        self._pending: dict[tuple[str, str], tuple[float, Incident]] = {}
 
     @property
     def lasting(self) -> bool:
@@ -166,7 +165,7 @@ class IncidentLog:
         for incident in read_incidents(self._file.parent):
             self._before = incident.number
             if incident.ended is None:
-                self._keep(replace(incident, ended=self._began[0]))
+                self._keep(replace(incident, ended=self._began))
 
     def look(
         self, reports: Mapping[str, Mapping[str, Any]], tick: int | None = None, *,
@@ -199,29 +198,27 @@ class IncidentLog:
         """Begin an incident that has lasted long enough."""
         now = time.monotonic()
         node, part = about
-        wall, since = _now(), now
+        began = _now()
         if tick is None and about not in self._good:
-            cause = f"since the start: {cause}"
-            wall, since = self._began
-        seen, since, incident = self._pending.setdefault(
-            about, (now, since, Incident(0, node, part, cause, wall, began_tick=tick))
+            cause, began = f"since the start: {cause}", self._began
+        seen, incident = self._pending.setdefault(
+            about, (now, Incident(0, node, part, cause, began, began_tick=tick))
         )
         if part in _FOLLOWERS and self.lasting:
             self._pending.pop(about)
         elif now - seen >= lasts_s:
             del self._pending[about]
-            self._begin(incident, since)
+            self._begin(incident)
 
     def begin(self, node: str, part: str, cause: str, tick: int | None = None) -> None:
         """Begin an incident; one that lasts of the same part ends."""
         self.end(node, part, tick)
-        incident = Incident(0, node, part, cause, _now(), began_tick=tick)
-        self._begin(incident, time.monotonic())
+        self._begin(Incident(0, node, part, cause, _now(), began_tick=tick))
 
-    def _begin(self, incident: Incident, since: float) -> None:
+    def _begin(self, incident: Incident) -> None:
         self.count += 1
         incident = replace(incident, number=self._before + self.count)
-        self._open[incident.node, incident.part] = (incident, since)
+        self._open[incident.node, incident.part] = incident
         self.incidents.append(incident)
         self._keep(incident)
         at = "" if incident.began_tick is None else f" at tick {incident.began_tick}"
@@ -229,17 +226,18 @@ class IncidentLog:
 
     def end(self, node: str, part: str, tick: int | None = None) -> None:
         """End the incident of a part, if there is one."""
-        found = self._open.pop((node, part), None)
-        if found is None:
+        before = self._open.pop((node, part), None)
+        if before is None:
             return
-        before, since = found
         incident = replace(before, ended=_now(), ended_tick=tick)
         if before in self.incidents:
             self.incidents[self.incidents.index(before)] = incident
         self._keep(incident)
-        lasted = time.monotonic() - since
         at = "" if tick is None else f" at tick {tick}"
-        self._say(f"incident {incident.number} is over{at}, after {lasted:.1f} s: {incident.what}")
+        self._say(
+            f"incident {incident.number} is over{at}, after {incident.seconds:.1f} s: "
+            f"{incident.what}"
+        )
 
     def _keep(self, incident: Incident) -> None:
         self.changes += 1

@@ -5,11 +5,13 @@ from __future__ import annotations
 import json
 import time
 from dataclasses import asdict
+from datetime import datetime, timedelta, timezone
 from pathlib import Path
 from typing import Any
 
 import pytest
 
+from greenroof_ros.experiment import incidents
 from greenroof_ros.experiment.incidents import INCIDENTS, Incident, IncidentLog, read_incidents
 
 
@@ -130,13 +132,13 @@ def test_a_file_that_is_read_back(tmp_path: Path) -> None:
 
 def test_what_never_came_is_missing_since_the_start(monkeypatch: pytest.MonkeyPatch) -> None:
     """Not since a minute later, when it is no longer waited for."""
-    now = 100.0
-    monkeypatch.setattr(time, "monotonic", lambda: now)
+    now = datetime(2026, 11, 23, 20, 0, tzinfo=timezone.utc)
+    monkeypatch.setattr(incidents, "_now", lambda: now.isoformat())
     said: list[str] = []
     log = IncidentLog(said.append)
-    now = 160.0
+    now += timedelta(seconds=60)
     log.look(says("pump", drive="ERROR"))
-    now = 170.0
+    now += timedelta(seconds=10)
     log.look(says("pump", drive="OK"))
     assert said == [
         "incident 1: pump: since the start: drive ERROR",
