@@ -105,8 +105,9 @@ def test_a_port_that_is_taken(domain: int, tmp_path: Path) -> None:
     first, port = watcher(domain, tmp_path)
     second, other = watcher(domain, tmp_path)
     assert other != port
-    assert min(port, other) >= 8080  # another one's may have ended meanwhile
-    assert "port 8080 is taken" in second.stderr()
+    assert min(port, other) >= 8080
+    if other != 8080:  # another test's may have ended meanwhile
+        assert "port 8080 is taken" in second.stderr()
     third = Process(domain, "watch", "--port", str(port), cwd=tmp_path)
     assert third.wait(300) == 2
     assert f"error: --port = '{port}': cannot be listened on: Address" in third.stderr()
@@ -339,7 +340,7 @@ def test_a_drive_that_is_lost_is_an_alarm_and_stands_in_the_recording(
     lost = Simulator("drive_simulator", *options, *ports)
     process = Process(
         domain, "bringup", *options, "--drive-at", lost.ready.split()[2].rstrip(","),
-        "--controller", "onoff", "--hours", "0.5", "--watch", "--output", "run", cwd=tmp_path,
+        "--controller", "onoff", "--hours", "0.75", "--watch", "--output", "run", cwd=tmp_path,
     )
     port = wait_for(lambda: port_of(process.stderr()), 60, "an address")
     wait_for(lambda: document(port)["tiles"]["pump"]["state"] == "running", 60, "a running pump")
@@ -353,7 +354,7 @@ def test_a_drive_that_is_lost_is_an_alarm_and_stands_in_the_recording(
     assert found["alarms"][0]["id"] == "/pump: pump"
     with Simulator("drive_simulator", *options, *ports):
         wait_for(lambda: not document(port)["tiles"]["pump"]["alarm"], 60, "the drive again")
-        assert process.wait(200) == 1  # done, with an incident
+        assert process.wait(300) == 1  # done, with an incident
     viewer, port = watcher(domain, tmp_path, "--bag", str(tmp_path / "run" / "bag"))
     found = wait_for(
         lambda: (one := document(port))["alarms"] and one["account"]["since_text"] and one, 30,
