@@ -1,4 +1,4 @@
-"""The site as a ROS 2 graph, from one command: ``python -m greenroof_ros.bringup``."""
+"""The site as a ROS 2 graph: ``greenroof run`` and ``greenroof live``."""
 
 from __future__ import annotations
 
@@ -36,7 +36,6 @@ from greenroof_ros.experiment.run_directory import make_run_directory, write_con
 from greenroof_ros.graph.domain import only_bringup, refuse_other_nodes
 from greenroof_ros.graph.errors import no_ros
 from greenroof_ros.graph.node_processes import NodeFailed
-from greenroof_ros.graph.restarts import MOST, Restarts
 from greenroof_ros.graph.states import FINISHED, PUMP, READY, RECORDER, ROLES
 from greenroof_ros.graph.supervisor import Supervisor
 from greenroof_ros.live.drive import (
@@ -51,36 +50,34 @@ from greenroof_ros.recording.bag_reader import count_ticks
 from greenroof_ros.watch.beside import watcher
 
 _NODES = "greenroof_ros.nodes"
+_SHOWN = {"tick", "cistern_level", "roof_level", "command"}  # of what the plant says
 # From the start of the processes to all being ready (s): imports on a busy machine take seconds.
 _START_LIMIT_S = 30.0
 # How long a drive may take until it may run (s); an ABB's timeout guards 30 s after power-up only.
 _DRIVE_LIMIT_S = 60.0
-_NOT_AT_REAL_TIME = (
-    "not at real time, which is for a simulated drive alone: a real motor would start and run as "
-    "many times more often as time goes faster, since starts of an hour, times on and off and the "
-    "day's limits count in simulated time"
-)
 
 
-def _parser() -> argparse.ArgumentParser:
+def make_parser() -> argparse.ArgumentParser:
+    """Return what reads the command line."""
     parser = argparse.ArgumentParser(
-        prog="python -m greenroof_ros.bringup",
+        prog="greenroof {run,live}",
         usage="%(prog)s [options]",
         description="Start plant, weather, controller and recorder as ROS 2 nodes, each its own\n"
         "process, run them in lockstep on simulated time, and end them. While it runs,\n"
         "'ros2 topic echo --qos-durability volatile /roof/level' shows the roof.\n\n"
         "Three ways to run:\n"
-        "  simulated             as it is, or with any option but those below\n"
-        "  hardware in the loop  with --drive and --drive-at: a drive, not a simulated pump\n"
-        "  live                  with --plant external: a site with sensors, nothing is simulated",
+        "  simulated             run, with any option but those below\n"
+        "  hardware in the loop  run with --drive and --drive-at: a drive, not a simulated pump\n"
+        "  live                  live: a site with sensors, nothing is simulated\n\n"
+        "python -m greenroof_ros.bringup is both, by its option --plant.",
         epilog="examples:\n"
-        "  python -m greenroof_ros.bringup --controller planning_mpc --initial high-low\n"
-        "  python -m greenroof_ros.bringup --weather mine.csv --start 2024-06-01 --hours 24\n"
-        "  python -m greenroof_ros.bringup --namespace site1 --site site1.yaml\n"
-        "  python -m greenroof_ros.bringup --speed 60 --no-record\n"
-        "  python -m greenroof_ros.bringup --drive danfoss_fc202 --drive-at gateway://127.0.0.1:5020\n"
-        "  python -m greenroof_ros.bringup --plant external --sensors sensors.yaml \\\n"
-        "    --forecast forecast.csv --drive danfoss_fc202 --drive-at /dev/ttyUSB0\n\n"
+        "  greenroof run --controller planning_mpc --initial high-low\n"
+        "  greenroof run --weather mine.csv --start 2024-06-01 --hours 24\n"
+        "  greenroof run --namespace site1 --site site1.yaml\n"
+        "  greenroof run --speed 60 --no-record\n"
+        "  greenroof run --drive danfoss_fc202 --drive-at gateway://127.0.0.1:5020\n"
+        "  greenroof live --sensors sensors.yaml --forecast forecast.csv \\\n"
+        "    --drive danfoss_fc202 --drive-at /dev/ttyUSB0\n\n"
         "exit codes: 0 done, or live and asked to stop, 1 a node failed, the pump may run on, or\n"
         "done with incidents: a drive or a sensor was lost for a while, 2 bad usage or\n"
         "configuration, 3 a graph is there already, 130 interrupted",
@@ -105,17 +102,9 @@ def _parser() -> argparse.ArgumentParser:
         "second (default: %(default)s s)",
     )
     group.add_argument(
-        "--on-node-failure", choices=["end", "restart"], default="end",
-        help="restart: start weather, controller, pump node or recorder again when one dies or "
-        f"hangs, up to {MOST} times each, and go on from the same tick: the controller as one that "
-        "begins there, with the configured parameters, the pump node with what it keeps over "
-        "restarts, the recorder in another file of the bag; the end of the plant, or what cannot "
-        "be gone on with exactly, ends the run (default: %(default)s the run)",
-    )
-    group.add_argument(
         "--watch", action="store_true",
         help="show the run on a page in a browser, whose address is printed. It ends with the run, "
-        "which goes on without it; python -m greenroof_ros.watch is a page that stays. Needs "
+        "which goes on without it; greenroof watch is a page that stays. Needs "
         "greenroof_ros[watch]",
     )
     add_drive_arguments(parser)
@@ -125,8 +114,8 @@ def _parser() -> argparse.ArgumentParser:
 
 
 def _watch(
-    run: Run, limit: float, supervisor: Supervisor, signals: Signals, restarts: Restarts | None,
-    log: IncidentLog, progress: RunProgress,
+    run: Run, limit: float, supervisor: Supervisor, signals: Signals, log: IncidentLog,
+    progress: RunProgress,
 ) -> None:
     """Watch the nodes until all have reported the end of the run.
 
@@ -135,7 +124,6 @@ def _watch(
         limit: longest silence of a node (s).
         supervisor: has started the nodes.
         signals: looked at ten times a second.
-        restarts: starts nodes again that fail; None where their failure ends the run.
         log: finds what is lost in the run.
         progress: the bar.
 
@@ -150,13 +138,11 @@ def _watch(
         supervisor.permit.tell("waiting for nodes" if waiting - {RECORDER} else "")
         for node, report in supervisor.reports():
             progress.warn(report["warnings"])
-            if restarts is not None:
-                restarts.hear(node, report)
             if report["state"] in (READY, FINISHED):
                 waiting.discard(node)
             if report["state"] == FINISHED:
                 running.discard(node)
-            if node == "plant" and not waiting:
+            if node == "plant" and not waiting and report.keys() >= _SHOWN:
                 progress.update(
                     report["tick"], report["cistern_level"], report["roof_level"],
                     report["command"],
@@ -165,17 +151,12 @@ def _watch(
             log.look(supervisor.last, _tick(supervisor))
         if waiting:
             progress.waiting(f"waiting for {', '.join(_missing(run, waiting, supervisor))}")
-        try:
-            supervisor.check(_START_LIMIT_S if waiting else limit)
-        except NodeFailed as failure:
-            if restarts is None:
-                raise
-            waiting |= restarts.start_again(failure)
+        supervisor.check(_START_LIMIT_S if waiting else limit)
 
 
 def _tick(supervisor: Supervisor) -> int:
     """Return the tick that the plant has reached."""
-    return int(supervisor.last["plant"]["tick"])
+    return int(supervisor.last["plant"].get("tick", -1))
 
 
 def _missing(run: Run, waiting: set[str], supervisor: Supervisor) -> list[str]:
@@ -203,7 +184,6 @@ def _run_graph(run: Run, arguments: argparse.Namespace, signals: Signals) -> int
     controller = run.controller
     drive, own = chosen_drive(arguments), own_parameters(arguments)
     stop_drive = drive.stopper() if drive is not None else None
-    restart = arguments.on_node_failure == "restart"
     nodes = {
         **({} if drive is None else {PUMP: f"{_NODES}.pump"}),
         "plant": f"{_NODES}.plant",
@@ -212,20 +192,21 @@ def _run_graph(run: Run, arguments: argparse.Namespace, signals: Signals) -> int
         **({} if arguments.no_record else {RECORDER: f"{_NODES}.recorder"}),
     }
     _refuse_unknown(own, namespace, nodes, controller)
+    speed = _speed(arguments.speed, drive)
+    if drive is not None:
+        drive.refuse_speed(speed, signals.check)
     names = {*nodes, RECORDER, *controller_names()}
     with only_bringup(namespace):
         refuse_other_nodes(namespace, names, signals.check)
         directory = make_run_directory(arguments.output, controller.name)
         of_drive = {} if drive is None else drive.parameters(arguments.state)
-        speed = _speed(arguments.speed, drive)
         parameters = write_configuration(
             directory, run,
             {
                 "speed": speed,
                 "pump": arguments.pump if drive is None else "external",
                 "record": not arguments.no_record,
-                # The plant, and the recorder at the end, wait for a node that is started again.
-                "peer_limit": arguments.peer_limit + (_START_LIMIT_S if restart else 0.0),
+                "peer_limit": arguments.peer_limit,
             },
             {} if drive is None else {PUMP: {
                 **of_drive,
@@ -236,7 +217,6 @@ def _run_graph(run: Run, arguments: argparse.Namespace, signals: Signals) -> int
         supervisor = Supervisor(
             directory / "log", [parameters, *([] if own is None else [own])], namespace, stop_drive
         )
-        restarts = Restarts(supervisor) if restart else None
         progress = RunProgress(run.steps, run.site.tau)
         log = IncidentLog(progress.say, directory / INCIDENTS)
         try:
@@ -247,8 +227,6 @@ def _run_graph(run: Run, arguments: argparse.Namespace, signals: Signals) -> int
                         f"stops and faults of the drive are kept in {of_drive['state_file']}",
                         file=sys.stderr,
                     )
-                    if speed != 1:
-                        print(_NOT_AT_REAL_TIME, file=sys.stderr)
                 with progress:
                     if drive is not None:
                         _wait_for_drive(supervisor, signals, of_drive["state_file"], progress)
@@ -257,24 +235,18 @@ def _run_graph(run: Run, arguments: argparse.Namespace, signals: Signals) -> int
                             supervisor.add(name, module, "--controller", controller.reference)
                         elif name != PUMP:
                             supervisor.add(name, module)
-                    _watch(
-                        run, arguments.peer_limit, supervisor, signals, restarts, log, progress
-                    )
+                    _watch(run, arguments.peer_limit, supervisor, signals, log, progress)
         except InterruptedRun as error:
             signals.ignore()
             print(error, file=sys.stderr)
-            _end_early(
-                run, directory, supervisor, restarts, log, summary.INTERRUPTED, str(error)
-            )
+            _end_early(run, directory, supervisor, log, summary.INTERRUPTED, str(error))
             return EXIT_FAILED if supervisor.may_run else EXIT_INTERRUPTED
         except NodeFailed as error:
             signals.ignore()
             print(f"error: {error}", file=sys.stderr)
-            _end_early(
-                run, directory, supervisor, restarts, log, summary.FAILED, error.reason
-            )
+            _end_early(run, directory, supervisor, log, summary.FAILED, error.reason)
             return EXIT_FAILED if supervisor.may_run else error.code
-        _end_whole(run, directory, supervisor, restarts, log, as_json=arguments.json)
+        _end_whole(run, directory, supervisor, log, as_json=arguments.json)
         return EXIT_FAILED if supervisor.may_run or log.count else EXIT_DONE
 
 
@@ -332,7 +304,7 @@ def _wait_for_drive(
             )
             raise NodeFailed(reason, "", EXIT_FAILED, [PUMP], "no drive")
     said = supervisor.last[PUMP]
-    latched = said["fault"] or said["held"]
+    latched = said.get("fault") or said.get("held")
     if latched:
         print(
             f"warning: the pump stays off, by {state_file}: {latched}; a fault is cleared by the "
@@ -353,32 +325,25 @@ def _speed(asked: float | None, drive: DriveChoice | None) -> float:
     return 0.0 if drive is None else 1.0
 
 
-def _refused(supervisor: Supervisor, restarts: Restarts | None) -> dict[str, int]:
+def _refused(supervisor: Supervisor) -> dict[str, int]:
     """Return how many values of each topic the nodes refused."""
-    refused: dict[str, int] = {} if restarts is None else dict(restarts.refused)
+    refused: dict[str, int] = {}
     for report in supervisor.last.values():
         for topic, count in report["refused"].items():
             refused[topic] = refused.get(topic, 0) + count
     return refused
 
 
-def _parameter_changes(
-    run: Run, supervisor: Supervisor, restarts: Restarts | None
-) -> list[dict[str, Any]]:
-    """Return the parameters that changed in the run, in whichever process of the controller."""
-    last = supervisor.last.get(run.controller.name, {})
-    before = [] if restarts is None else restarts.parameter_changes
-    return [*before, *last.get("parameter_changes", [])]
-
-
-def _incidents(restarts: Restarts | None, log: IncidentLog) -> list[dict[str, Any]]:
-    """Return what was lost in the run: nodes that were started again, then drives and sensors."""
-    return [*([] if restarts is None else restarts.incidents), *log.as_dicts()]
+def _parameter_changes(run: Run, supervisor: Supervisor) -> list[dict[str, Any]]:
+    """Return the parameters of the controller that changed in the run."""
+    changes: list[dict[str, Any]] = supervisor.last.get(run.controller.name, {}).get(
+        "parameter_changes", []
+    )
+    return changes
 
 
 def _end_whole(
-    run: Run, directory: Path, supervisor: Supervisor, restarts: Restarts | None,
-    log: IncidentLog, *, as_json: bool,
+    run: Run, directory: Path, supervisor: Supervisor, log: IncidentLog, *, as_json: bool,
 ) -> None:
     """Write and print the summary of a run that is done."""
     plant, controller = supervisor.last["plant"], supervisor.last[run.controller.name]
@@ -389,17 +354,16 @@ def _end_whole(
         wall_s=plant["wall_s"],
         solver=controller["solver"],
         messages=supervisor.last.get(RECORDER, {}).get("messages"),
-        refused=_refused(supervisor, restarts),
-        parameter_changes=_parameter_changes(run, supervisor, restarts),
-        incidents=_incidents(restarts, log),
+        refused=_refused(supervisor),
+        parameter_changes=_parameter_changes(run, supervisor),
+        incidents=log.as_dicts(),
     )
     summary.write(result, directory)
     summary_table.show(result, directory, as_json=as_json)
 
 
 def _end_early(
-    run: Run, directory: Path, supervisor: Supervisor, restarts: Restarts | None,
-    log: IncidentLog, status: str, reason: str,
+    run: Run, directory: Path, supervisor: Supervisor, log: IncidentLog, status: str, reason: str,
 ) -> None:
     """Write how far a run came that is not done, and say how its bag is opened."""
     bag = directory / "bag"
@@ -412,9 +376,9 @@ def _end_early(
     summary.write(
         summary.build_unfinished(
             run, status, reason=reason, last_tick=reached if reached >= 0 else None,
-            refused=_refused(supervisor, restarts),
-            parameter_changes=_parameter_changes(run, supervisor, restarts),
-            incidents=_incidents(restarts, log),
+            refused=_refused(supervisor),
+            parameter_changes=_parameter_changes(run, supervisor),
+            incidents=log.as_dicts(),
         ),
         directory,
     )
@@ -431,8 +395,8 @@ def _bag_lines(directory: Path, bag: Path, ticks: int | None) -> list[str]:
     recover, report, info = (
         f"  {tool} {shlex.quote(str(path))}"
         for tool, path in (
-            ("python -m greenroof_ros.recover", directory),
-            ("python -m greenroof_ros.report", directory),
+            ("greenroof recover", directory),
+            ("greenroof report", directory),
             ("ros2 bag info", bag),
         )
     )
@@ -446,7 +410,7 @@ def _bag_lines(directory: Path, bag: Path, ticks: int | None) -> list[str]:
 @command
 def main() -> int:
     """Bring the graph up, watch it, and end it."""
-    parser = _parser()
+    parser = make_parser()
     arguments = parse_run_arguments(parser)
     signals = Signals()
     try:

@@ -63,6 +63,7 @@ class _Node:
     starts_again: float | None = None  # at what time, where it does not run
     restarts: deque[float] = field(default_factory=deque)  # when, within the window
     was_ready: bool = False
+    cannot_start: str = ""  # why the system gives no process for it
 
 
 class LiveSupervisor(NodeProcesses):
@@ -115,6 +116,7 @@ class LiveSupervisor(NodeProcesses):
         self._restarts = restarts
         self._stop_drive = stop_drive
         self._stopper = ThreadPoolExecutor(1)
+        self._stopper.submit(int)  # its thread is here before the system may have none to give
         self._stopping: Future[tuple[bool, str]] | None = None
         self._on_failure = on_failure
         self._permit = Permit()
@@ -151,13 +153,23 @@ class LiveSupervisor(NodeProcesses):
     def add(self, node: str, module: str, *arguments: str) -> None:
         """Start a node, now and whenever it has failed; see :meth:`NodeProcesses.start`."""
         self._known[node] = _Node(module, arguments)
-        self._start(node)
+        self._start(node, time.monotonic())
 
-    def _start(self, name: str) -> None:
+    def _start(self, name: str, now: float) -> None:
+        """Start a node; one for which the system has no process or file is tried again for ever."""
         known = self._known[name]
-        known.started, known.starts_again = time.monotonic(), None
-        pipes = self._permit.open() if name == PUMP else {}
-        self.start(name, known.module, *known.arguments, pipes=pipes)
+        known.started, known.starts_again = now, None
+        try:
+            pipes = self._permit.open() if name == PUMP else {}
+            self.start(name, known.module, *known.arguments, pipes=pipes)
+            known.cannot_start = ""
+        except OSError as error:
+            known.starts_again = now + _LONGEST_WAIT_S
+            why, before = error.strerror or str(error), known.cannot_start
+            known.cannot_start = why
+            if why != before:
+                done = f"tried again every {_LONGEST_WAIT_S:g} s"
+                self._note(name, f"cannot be started: {why}", done + _unrecorded(name))
 
     def look(self) -> None:
         """Restart what failed, and tell the pump node whether it may run; called all the time.
@@ -171,7 +183,7 @@ class LiveSupervisor(NodeProcesses):
             if known.starts_again is not None:
                 drive_is_being_stopped = name == PUMP and self._stopping is not None
                 if now >= known.starts_again and not drive_is_being_stopped:
-                    self._start(name)
+                    self._start(name, now)
                 continue
             node = self.nodes[name]
             known.was_ready |= self._is_ready(name)
@@ -228,7 +240,7 @@ class LiveSupervisor(NodeProcesses):
         """Whether every node runs and has all that it needs, but for a recorder that failed."""
         return all(
             self._is_ready(name) for name, known in self._known.items()
-            if name != RECORDER or not known.restarts
+            if name != RECORDER or not (known.restarts or known.cannot_start)
         )
 
     @property
@@ -268,8 +280,7 @@ class LiveSupervisor(NodeProcesses):
         wait = _WINDOW_S if too_often else min(2.0 ** len(known.restarts), _LONGEST_WAIT_S)
         known.restarts.append(now)
         known.starts_again = now + wait
-        unrecorded = "; nothing is recorded until then" if name == RECORDER else ""
-        self._note(name, what, f"starts again in {wait:g} s{unrecorded}")
+        self._note(name, what, f"starts again in {wait:g} s{_unrecorded(name)}")
         if name == PUMP and self._stop_drive is not None:
             self._stopping = self._stopper.submit(self._stop_drive, self.nodes[name].process.pid)
 
@@ -292,3 +303,7 @@ class LiveSupervisor(NodeProcesses):
             elif now - self.nodes[name].heard > _SILENT_S:
                 reasons.append(f"{name} is silent")
         return ", ".join(reasons)
+
+
+def _unrecorded(name: str) -> str:
+    return "; nothing is recorded until then" if name == RECORDER else ""

@@ -5,8 +5,8 @@ from __future__ import annotations
 import contextlib
 import json
 import os
-import time
 
+from greenroof_ros.common.clock import boot_time
 from greenroof_ros.graph.states import PERMIT_PIPE
 
 # How often it is given, and how old it may be (s).
@@ -41,7 +41,7 @@ class Permit:
         Args:
             hold: why it may not; empty where it may.
         """
-        now = time.monotonic()
+        now = boot_time()
         if self._writing is None or (hold == self._hold and now - self._told < _PERIOD_S):
             return
         self._told, self._hold = now, hold
@@ -78,7 +78,7 @@ class PermitReader:
         """Return why the pump may not run; empty where it may.
 
         Args:
-            now: of the steady clock, the machine's (s).
+            now: since the machine started (s), a suspend included: no permit outlasts one.
         """
         if not self.given:
             return ""
@@ -101,5 +101,7 @@ class PermitReader:
                 data += read
         *lines, self._rest = (self._rest + data).split(b"\n")
         if lines:
-            line = json.loads(lines[-1])
-            self._hold, self._at = str(line["hold"]), float(line["at"])
+            # What a bringup of another version says is no permit where it says something else.
+            with contextlib.suppress(ValueError, KeyError, TypeError):
+                line = json.loads(lines[-1])
+                self._hold, self._at = str(line["hold"]), float(line["at"])

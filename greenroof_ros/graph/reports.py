@@ -16,7 +16,7 @@ from rclpy.node import Node
 
 from greenroof_ros.common.interface import read_topics
 from greenroof_ros.graph.qos import qos_profile
-from greenroof_ros.graph.states import REPORT_PIPE, STARTING, STATES
+from greenroof_ros.graph.states import REPORT_PIPE, STARTING, STATES, as_expected
 
 # How a part of a node is, as tools know it.
 OK, WARN = DiagnosticStatus.OK, DiagnosticStatus.WARN
@@ -73,20 +73,21 @@ class Reports:
         supervised: whether the process that started the node wants its reports, and ends it.
     """
 
-    def __init__(self, node: Node, role: str, on_report: Callable[[Report], None]) -> None:
+    def __init__(
+        self, node: Node, role: str, on_report: Callable[[Report], None] | None
+    ) -> None:
         """Open the topic and, where a parent process wants reports, the pipe to it.
 
         Args:
             node: whose state it is.
             role: what the interface calls it.
-            on_report: called with each report of another node.
+            on_report: called with each report of another node; None: they are not heard.
         """
         self.state = STARTING
         self.diagnoses: dict[str, Diagnosis] = {}
         self.hardware = ""
         self._node = node
         self._role = role
-        self._on_report = on_report
         self._machine = socket.gethostname()
         self.process = f"{self._machine} {os.getpid()}"
         self._pipe: int | None = None
@@ -97,7 +98,11 @@ class Reports:
         topic = read_topics()["/diagnostics"]
         profile = qos_profile(topic.qos)
         self.publisher = node.create_publisher(DiagnosticArray, topic.graph_name, profile)
-        node.create_subscription(DiagnosticArray, topic.graph_name, self._on_reports, profile)
+        if on_report is not None:
+            node.create_subscription(
+                DiagnosticArray, topic.graph_name,
+                lambda array: self._hear(array, on_report), profile,
+            )
 
     def say(self, values: dict[str, Any]) -> None:
         """Publish the node's state with these values.
@@ -135,7 +140,7 @@ class Reports:
                 line = json.dumps({"state": self.state, **values})
                 os.write(self._pipe, f"{line}\n".encode())
 
-    def _on_reports(self, array: DiagnosticArray) -> None:
+    def _hear(self, array: DiagnosticArray, on_report: Callable[[Report], None]) -> None:
         for status in array.status:
             namespace, _, name = status.name.rpartition("/")
             if (
@@ -144,11 +149,12 @@ class Reports:
             ):
                 continue
             try:
-                values = {entry.key: json.loads(entry.value) for entry in status.values}
+                said = {entry.key: json.loads(entry.value) for entry in status.values}
+                values = as_expected(said)
                 role, process = values["role"], values["process"]
             except (ValueError, RecursionError, KeyError):
                 continue  # another's status of that name
             if not isinstance(role, str) or not isinstance(process, str):
                 continue
             if process != self.process:
-                self._on_report(Report(name, role, process, status.message, values))
+                on_report(Report(name, role, process, status.message, values))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import re
+import time
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -20,6 +21,8 @@ _MAY_RUN = (
     "THE PUMP MAY BE RUNNING: only the drive's own communication timeout stops it now, if that is "
     "on; look at the pump, and stop it at the drive's panel or its switch"
 )
+# How long the drive simulator, which may have been started just before, may take to answer (s).
+_SIMULATOR_S = 30.0
 # Parameters of the pump node that bringup alone decides, and its options for them.
 _OF_BRINGUP = {
     "drive": "--drive",
@@ -91,6 +94,42 @@ class DriveChoice:
             "autostart": True,
         }
 
+    def refuse_speed(self, speed: float, check: Callable[[], None]) -> None:
+        """Refuse a speed other than real time but for the drive simulator, which is waited for.
+
+        Any other drive may turn a real motor, by levels that are made up, and start it as many
+        times more often as time goes faster.
+
+        Args:
+            speed: simulated time per wall time; 0 for as fast as it goes.
+            check: called again and again; raises what ends the wait.
+
+        Raises:
+            ConfigurationError: it is not that simulator, or nobody answers.
+        """
+        if speed == 1:
+            return
+        from greenroof_ros.drives.identity import why_no_simulator
+        from greenroof_ros.drives.modbus_line import DriveError
+
+        file, address = self.read()
+        until = time.monotonic() + _SIMULATOR_S
+        why: str | None = None
+        while why is None:
+            check()
+            try:
+                why = why_no_simulator(file, address)
+            except DriveError as error:
+                if time.monotonic() > until:
+                    why = f"nobody answers there ({error})"
+                time.sleep(0.1)
+        if why:
+            raise ConfigurationError(
+                "is for the drive simulator alone, at loopback or on a pseudo-terminal, since "
+                f"another drive may turn a real pump by made-up levels: {why}",
+                key="--speed", value=f"{speed:g}" if speed else "max",
+            )
+
     def stopper(self) -> Callable[[int], tuple[bool, str]]:
         """Return what stops the drive without the pump node, of which it is told the process.
 
@@ -130,7 +169,8 @@ def add_drive_arguments(parser: argparse.ArgumentParser) -> None:
     group = parser.add_argument_group(
         "hardware in the loop, and live",
         "With --drive the pump node takes the commands and runs a drive by Modbus, real or\n"
-        "simulated. The site is simulated, at real time unless --speed is given, or live.",
+        "simulated. The site is simulated, at real time, or with the drive simulator at another\n"
+        "--speed; or it is live.",
     )
     group.add_argument(
         "--drive", metavar="{NAME,FILE}",

@@ -18,6 +18,7 @@ from typing import Any
 import yaml
 
 from greenroof_ros.common.command_line import EXIT_DONE, EXIT_FAILED
+from greenroof_ros.common.disk import DISK
 from greenroof_ros.common.errors import ConfigurationError, OccupiedError
 from greenroof_ros.common.signals import InterruptedRun, Signals
 from greenroof_ros.common.systemd import notify
@@ -35,11 +36,14 @@ from greenroof_ros.live.status import Expected, Status, values_of
 
 _NODES = "greenroof_ros.nodes"
 _TANKS = ("cistern", "roof")
+_BRINGUP = "bringup"  # among the nodes that something was lost of
 # How often systemd is told (s), and how long the start may then still take (microseconds).
 _NOTIFY_S = 1.0
 _STILL_STARTING = "EXTEND_TIMEOUT_USEC=30000000"
 # Size of one file of the bag (MB), where the whole may be ten times that.
 _BAG_FILE_MB = 100.0
+# How long the end of a site waits for its summary to be written (s).
+_WRITTEN_S = 5.0
 # Files that are in memory (Linux).
 _IN_MEMORY = "/dev/shm"
 
@@ -52,7 +56,6 @@ def run_live(site: LiveSite, signals: Signals) -> int:
 
     Raises:
         ConfigurationError: there is a graph already, no ROS 2, or the directory cannot be made.
-        OSError: the summary cannot be written.
     """
     names = {name for name, *_ in nodes_of(site)} | {"plant", *controller_names()}
     with (
@@ -81,7 +84,7 @@ def run_live(site: LiveSite, signals: Signals) -> int:
         except InterruptedRun as error:
             signals.ignore()
             if not supervisor.may_run:
-                record.write(summary.DONE, str(error))
+                record.write_last(summary.DONE, str(error))
                 status.say(f"{error}: the pump and the nodes are stopped")
                 status.say(with_incidents("done", record.log.count))
                 return EXIT_FAILED if record.log.count else EXIT_DONE
@@ -92,18 +95,24 @@ def run_live(site: LiveSite, signals: Signals) -> int:
             reason = "; ".join(filter(None, (error.reason, supervisor.may_run)))
             _fail(record, status, reason, error.last_lines)
             return EXIT_FAILED if supervisor.may_run else error.code
+        except Exception as error:  # whatever it is, the summary must not say that the site runs
+            reason = f"{type(error).__name__}: {error}"
+            _fail(record, status, "; ".join(filter(None, (reason, supervisor.may_run))))
+            raise
     raise AssertionError("a live site ends by a signal or a failure")
 
 
 def _fail(record: _Record, status: Status, reason: str, *last_lines: str) -> None:
     """Keep and say why the site ended, so that somebody looks at it."""
-    record.write(summary.FAILED, reason)
+    record.write_last(summary.FAILED, reason)
     notify(f"STATUS={reason}")
     status.say("\n".join([f"error: {reason}", *last_lines]))
 
 
 class _Record:
-    """What is kept of a site since its start, ``summary.json``; a full disk stops nobody.
+    """What is kept of a site since its start, ``summary.json``.
+
+    The disk's thread writes it: a disk that is full, or hangs, stops nobody.
 
     Attributes:
         log: of the incidents.
@@ -119,6 +128,9 @@ class _Record:
         self._status = status
         self._began = _now()
         self._written = 0
+        self._content: dict[str, Any] = {}
+        self._problem = self._said = ""
+        self._disk_is_late = False
         self._what = summary.RUNNING
         self._reason: str | None = None
         self._last_time = _last_time(state)
@@ -127,7 +139,7 @@ class _Record:
             "parameters": summary.finite(site.parameters),
             "site": str(site.site_file),
             "sensors": str(site.sensors or EXTERNAL),
-            "forecast": str(site.forecast or EXTERNAL),
+            "forecast": str(site.forecast) if site.forecast else None if site.weather else EXTERNAL,
             "drive": str(site.drive.file if site.drive else EXTERNAL),
             "drive_at": site.drive.at if site.drive else None,
             "versions": versions(),
@@ -154,8 +166,40 @@ class _Record:
         for node in supervisor.ready:
             self.log.end(node, PROCESS)
         self.log.look(supervisor.last, starting=starting)
+        self._look_at_disk()
         if self.log.changes != self._written:
             self._write()
+        self._say_problem()
+
+    def _look_at_disk(self) -> None:
+        """Find that the disk hangs, and that it does no more."""
+        before, self._disk_is_late = self._disk_is_late, DISK.late
+        if self._disk_is_late and not before:
+            self.log.begin(
+                _BRINGUP, "disk",
+                f"{self._state}: the disk takes nothing; logs and summary wait in memory",
+            )
+        elif before and not self._disk_is_late:
+            self.log.end(_BRINGUP, "disk")
+            if DISK.refused:
+                self._status.say(
+                    f"warning: {self._state}: {DISK.refused} pieces of logs found no room in "
+                    "memory since the start, and are lost"
+                )
+
+    def _say_problem(self) -> None:
+        problem, before = self._problem, self._said
+        if problem != before:
+            self._said = problem
+            if problem:
+                self._status.say(f"warning: {problem}")
+
+    def write_last(self, what: str, reason: str | None = None) -> None:
+        """Keep how the site ended, and say where that is not on the disk within 5 s."""
+        self.write(what, reason)
+        if not DISK.wait(_WRITTEN_S):
+            self._problem = f"{self._state}: the disk takes nothing; {summary.SUMMARY} is not kept"
+        self._say_problem()
 
     def write(self, what: str, reason: str | None = None) -> None:
         """Keep how the site is: one of those of :mod:`greenroof_ros.experiment.summary`."""
@@ -163,8 +207,7 @@ class _Record:
         self._write()
 
     def _write(self) -> None:
-        self._written = self.log.changes
-        content = {
+        self._content = {
             "status": self._what,
             "reason": self._reason,
             "began": self._began,
@@ -174,10 +217,16 @@ class _Record:
             "incidents": self.log.as_dicts(),
             **self._setting,
         }
+        self._written = self.log.changes
+        DISK.do(self._write_newest)
+
+    def _write_newest(self) -> None:
+        """Write it, on the disk's thread."""
         try:
-            summary.write(content, self._state)
+            summary.write(self._content, self._state)
+            self._problem = ""
         except OSError as error:
-            self._status.say(f"warning: {error.filename or self._state}: {error.strerror}")
+            self._problem = f"{error.filename or self._state}: {error.strerror}"
 
 
 def _last_time(state: Path) -> dict[str, Any] | None:
@@ -239,9 +288,10 @@ def _expected(site: LiveSite) -> dict[tuple[str, str], Expected]:
     if site.forecast is not None:
         expected["weather", "forecast"] = Expected(
             "forecast", str(site.forecast),
-            "put a newer file in its place, which is read by itself",
+            "put a newer file in its place, which is read by itself; without one on/off waters",
+            needed=False,
         )
-    if site.sensors is None or site.forecast is None:
+    if site.sensors is None or not site.weather:
         expected[site.controller.name, "inputs"] = Expected(
             f"inputs of {site.controller.name}", "your own nodes",
             "start the nodes that publish them",
@@ -251,6 +301,13 @@ def _expected(site: LiveSite) -> dict[tuple[str, str], Expected]:
             "drive", site.drive.at,
             "check its power and cable, and the address of --drive-at",
         )
+    if site.weather:
+        expected["weather", "frost"] = Expected(
+            "frost", "/gauge/temperature" if site.forecast is None else "the forecast",
+            "start the node that publishes /gauge/temperature (degC)" if site.forecast is None else
+            "let the forecast have a column of temperature, or a node publish /gauge/temperature",
+            well=("OK", "WARN"),
+        )
     return expected
 
 
@@ -259,7 +316,7 @@ def nodes_of(site: LiveSite) -> Iterator[tuple[str, ...]]:
     if site.sensors is not None:
         for tank in _TANKS:
             yield f"{tank}_sensor", f"{_NODES}.level_sensor", "--tank", tank
-    if site.forecast is not None:
+    if site.weather:
         yield "weather", f"{_NODES}.weather"
     controller = site.controller
     yield controller.name, f"{_NODES}.controller", "--controller", controller.reference
@@ -384,10 +441,10 @@ def _parameters(
             "total_limit": site.bag_limit,
         },
     }
-    if site.forecast is not None:
+    if site.weather:
         parameters["weather"] = {
             **common,
-            "forecast": str(site.forecast),
+            "forecast": str(site.forecast or ""),
             "horizon": site.parameters.get("horizon", 0.0),
             "all_members": site.controller.ensemble,
         }

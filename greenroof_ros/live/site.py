@@ -25,7 +25,7 @@ _SIMULATED = (
     "forecast_seed", "forecast_members", "forecast_delay", "roof_noise", "roof_offset",
     "noise_seed", "minimum_on", "minimum_off", "output", "speed", "json",
 )
-_LIVE = ("sensors", "restarts", "bag_limit")
+_LIVE = ("sensors", "thermometer", "restarts", "bag_limit")
 
 
 @dataclass(frozen=True)
@@ -37,7 +37,8 @@ class LiveSite:
         controller: which.
         parameters: its parameters, all of them.
         sensors: sensor file; None where the levels come from somebody else's nodes.
-        forecast: forecast file; None where the weather comes from somebody else's node.
+        weather: whether the weather node is bringup's, and not somebody else's.
+        forecast: forecast file; None where there is none, or the weather is somebody else's.
         drive: of the pump; None where it is somebody else's.
         state: the directory of all that is kept.
         namespace: such as ``/site1``; empty for none.
@@ -52,6 +53,7 @@ class LiveSite:
     controller: ControllerChoice
     parameters: dict[str, float]
     sensors: Path | None
+    weather: bool
     forecast: Path | None
     drive: DriveChoice | None
     state: Path
@@ -68,17 +70,23 @@ def add_live_arguments(parser: argparse.ArgumentParser) -> None:
     group = parser.add_argument_group(
         "live",
         "A site with sensors, at the system's time. It has no end: Ctrl-C or SIGTERM stops the\n"
-        "pump, and then the nodes. --forecast FILE.csv is read again when it is replaced; with\n"
-        "--weather external the weather, now and ahead, is from a node of somebody else's.",
+        "pump, and then the nodes. --forecast FILE.csv is read again when it is replaced; onoff\n"
+        "needs none beside a thermometer. With --weather external the weather, now and ahead, is\n"
+        "from a node of somebody else's.",
     )
     group.add_argument(
         "--plant", choices=["internal", EXTERNAL], default="internal",
-        help="external: no plant is simulated, the site is live (default: %(default)s)",
+        help="of bringup. external: no plant is simulated, the site is live (default: %(default)s)",
     )
     group.add_argument(
         "--sensors", metavar="{FILE,external}",
         help="sensor file of the level sensors (see config/sensors.yaml); external: somebody "
         "else's nodes publish the levels",
+    )
+    group.add_argument(
+        "--thermometer", choices=[EXTERNAL],
+        help="external: a node of your own publishes /gauge/temperature (degC); without --forecast "
+        "nothing else can say whether there is frost",
     )
     group.add_argument(
         "--restarts", type=within(0, 1000, int), default=10, metavar="N",
@@ -99,13 +107,8 @@ def live_site(parser: argparse.ArgumentParser, arguments: argparse.Namespace) ->
     """
     for name in _given(parser, arguments, _SIMULATED):
         raise ConfigurationError(
-            "is for a simulated site; with --plant external time, weather and levels are the "
-            "site's own", key=_option(name),
-        )
-    if arguments.on_node_failure != parser.get_default("on_node_failure"):
-        raise ConfigurationError(
-            "is for a simulated site; live, nodes are always started again, see --restarts",
-            key="--on-node-failure", value=arguments.on_node_failure,
+            "is for a simulated site; live, time, weather and levels are the site's own",
+            key=_option(name),
         )
     controller, parameters = controller_from_arguments(arguments)
     site_file: Path = arguments.site or shared_directory() / "config" / "site.yaml"
@@ -131,7 +134,8 @@ def live_site(parser: argparse.ArgumentParser, arguments: argparse.Namespace) ->
         controller=controller,
         parameters=parameters,
         sensors=sensors,
-        forecast=_forecast(parser, arguments),
+        weather=arguments.weather is None,
+        forecast=_forecast(parser, arguments, controller),
         drive=drive,
         state=arguments.state or Path("live"),
         namespace=arguments.namespace,
@@ -168,16 +172,19 @@ def refuse_live_options(parser: argparse.ArgumentParser, arguments: argparse.Nam
     """
     for name in _given(parser, arguments, _LIVE):
         raise ConfigurationError(
-            "is for a live site, and needs --plant external", key=_option(name)
+            "is for a live site: greenroof live, or bringup --plant external", key=_option(name)
         )
     if arguments.weather == [EXTERNAL]:
         raise ConfigurationError(
-            "is for a live site, and needs --plant external", key="--weather", value=EXTERNAL
+            "is for a live site: greenroof live, or bringup --plant external",
+            key="--weather", value=EXTERNAL,
         )
 
 
-def _forecast(parser: argparse.ArgumentParser, arguments: argparse.Namespace) -> Path | None:
-    """Return the forecast file; None where somebody else's node has the weather."""
+def _forecast(
+    parser: argparse.ArgumentParser, arguments: argparse.Namespace, controller: ControllerChoice
+) -> Path | None:
+    """Return the forecast file; None where there is none, or the weather is somebody else's."""
     given = arguments.forecast != parser.get_default("forecast")
     if arguments.weather is not None and arguments.weather != [EXTERNAL]:
         raise ConfigurationError(
@@ -191,11 +198,20 @@ def _forecast(parser: argparse.ArgumentParser, arguments: argparse.Namespace) ->
                 key="--forecast", value=arguments.forecast,
             )
         return None
-    if not given:
+    if not given and controller.needs_forecast:
         raise ConfigurationError(
-            "is missing: live, it is what is known of the weather; or --weather external, where a "
-            "node of your own publishes it", key="--forecast FILE.csv",
+            f"is missing: live, it is what {controller.name} knows of the weather to come; or "
+            "--weather external, where a node of your own publishes it; or --controller onoff, "
+            "which needs none", key="--forecast FILE.csv",
         )
+    if not given and arguments.thermometer is None:
+        raise ConfigurationError(
+            "is missing: without --forecast FILE.csv only a thermometer can say whether there is "
+            "frost; let a node of your own publish /gauge/temperature (degC) and give "
+            "--thermometer external, or give a forecast", key="--thermometer external",
+        )
+    if not given:
+        return None
     try:
         choice = choose(arguments.forecast)
     except ValueError:

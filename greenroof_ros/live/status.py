@@ -14,7 +14,7 @@ from rich.console import Console
 from rich.live import Live
 from rich.text import Text
 
-from greenroof_ros.experiment.incidents import IncidentLog
+from greenroof_ros.experiment.incidents import IncidentLog, misses_forecast
 
 # Often enough for an eye, seldom enough to cost nothing.
 _INTERVAL_S = 0.25
@@ -30,21 +30,27 @@ _OF_BRINGUP = "supervisor"
 # Parts of nodes that are not well because of something else, as a rule.
 _INPUTS = ("levels", "command", "inputs")
 _FOLLOWERS = (*_INPUTS, "delivery", "pump")
+# For these the end of the start waits a while, once nothing is missing that the pump needs.
+_AWAITED = (*_INPUTS, "forecast")
 
 
 @dataclass(frozen=True)
 class Expected:
-    """Something that a site needs before it can pump.
+    """Something that is expected at the start of a site.
 
     Attributes:
         what: it is.
         where: it comes from.
         to_do: while it does not come.
+        needed: whether the pump stands without it.
+        well: levels of the diagnosis at which it is there.
     """
 
     what: str
     where: str
     to_do: str
+    needed: bool = True
+    well: tuple[str, ...] = ("OK",)
 
 
 class Status:
@@ -123,7 +129,7 @@ class Status:
         if self.starting:
             lines = self._say_missing(reports, hold, troubles, now)
         else:
-            own = {about: text for about, text in troubles.items() if not log.keeps(about[1])}
+            own = {about: text for about, text in troubles.items() if not log.keeps(*about)}
             self._say_changes(own, reports.keys(), now)
         if self._live is not None:
             text = Text("\n".join([values_of(reports), *lines]), no_wrap=True, overflow="ellipsis")
@@ -134,13 +140,15 @@ class Status:
         troubles: Mapping[tuple[str, str], str], now: float,
     ) -> list[str]:
         """Print what is missing where that has changed, and the end of the start; return it."""
-        lines = self._missing(reports) or ([f"the pump is held: {hold}"] if hold else [])
-        if lines:
+        missing = self._missing(reports)
+        lines = list(missing) or ([f"the pump is held: {hold}"] if hold else [])
+        complete = not (hold or any(missing.values()))
+        if not complete:
             self._complete_at = math.inf
         elif self._complete_at == math.inf:
             self._complete_at = now
-        recovering = any(part in _INPUTS for _, part in troubles)
-        if not lines and (not recovering or now - self._complete_at > _INPUTS_S):
+        awaited = any(part in _AWAITED for _, part in troubles)
+        if complete and (not awaited or now - self._complete_at > _INPUTS_S):
             self.starting = False
             self.say(f"running: {', '.join(_levels_of(_values(reports)))}")
             return []
@@ -159,16 +167,15 @@ class Status:
                 )
         return [line if line == _ALL_HERE else f"missing: {line}" for line in lines]
 
-    def _missing(self, reports: Mapping[str, Mapping[str, Any]]) -> list[str]:
-        """Return what is expected and has not come, a line each, with what to do."""
-        lines = []
+    def _missing(self, reports: Mapping[str, Mapping[str, Any]]) -> dict[str, bool]:
+        """Return what is expected and has not come, a line each, and whether it is needed."""
+        lines = {}
         for (node, part), it in self._expected.items():
             level, message = reports.get(node, {}).get("diagnoses", {}).get(part, ("", ""))
-            if level != "OK":
+            if level not in it.well:
+                why = message or f"nothing yet from {it.where}"
                 to_do = it.to_do if message else f"if it does not come, {it.to_do}"
-                lines.append(
-                    f"{it.what}: {message or f'nothing yet from {it.where}'}; {to_do}"
-                )
+                lines[f"{it.what}: {why}; {to_do}"] = it.needed
         return lines
 
     def _say_changes(
@@ -221,7 +228,9 @@ def troubles_of(
             if level != "OK" and part != _OF_BRINGUP
         }
         for part, message in sorted(bad.items(), key=lambda one: one[0] == "pump"):
-            follows = part in _FOLLOWERS and (lasting or bool(hold) or message in said)
+            follows = (part in _FOLLOWERS or misses_forecast(node, part)) and (
+                lasting or bool(hold) or message in said
+            )
             if follows or (part == "pump" and bad.keys() - {"pump", "drive file"}):
                 continue
             said.add(message)

@@ -14,10 +14,11 @@ import re
 import threading
 import time
 from pathlib import Path
-from typing import Any, cast
+from typing import Any
 
 from std_srvs.srv import SetBool, Trigger
 
+from greenroof_ros.common.clock import boot_time, suspended_time
 from greenroof_ros.common.command_line import EXIT_DONE, command
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.drives.address import parse_drive_address
@@ -33,15 +34,15 @@ from greenroof_ros.graph.lifecycle import (
     Lifecycle,
     RefusedError,
 )
-from greenroof_ros.graph.link import CLOCK, LISTEN_S, LinkedNode
+from greenroof_ros.graph.link import LISTEN_S, LinkedNode
 from greenroof_ros.graph.live import (
     FROZEN_MOVEMENT,
     JUMP_TOLERANCE,
     LEVEL_PARAMETERS,
     LIMITS,
-    LivePublishers,
     live_parameters,
 )
+from greenroof_ros.graph.lockstep import CLOCK
 from greenroof_ros.graph.node_help import NodeParser, node_help
 from greenroof_ros.graph.node_process import run_node
 from greenroof_ros.graph.parameters import (
@@ -77,8 +78,9 @@ _WAIT_S = 1.0
 # How old what the drive said may be (s). Nothing is known of it during a start, of some seconds; a
 # lost connection is noticed by the exchange, sooner.
 _DRIVE_AGE_S = 10.0
-# A pause of this process itself (s), after which what waited for it is no command of now.
-_PAUSE_S = 1.0
+# A pause of this process itself (s), after which what waited for it is no command of now; and for
+# how long it is said that the whole machine was suspended (s).
+_PAUSE_S, _SAID_S = 1.0, 60.0
 # How often a node that is to start by itself tries to, and how often the drive is looked at (s).
 _AGAIN_S, _LOOK_S = 0.5, 0.2
 
@@ -284,8 +286,10 @@ class PumpNode(Lifecycle, LinkedNode):
         self._state = self._logged = ""
         self._reasons: tuple[object, ...] = ()
         now = time.monotonic()
+        # Both of the clock that goes on in a suspend, as the permit's.
         self._commanded = -math.inf
-        self._idle_at = now
+        self._idle_at = boot_time()
+        self._suspended, self._suspend_seen = suspended_time(), -math.inf
         self._simulated = 0.0
         self._stepped: float | None = None
         self._decided = now
@@ -478,20 +482,16 @@ class PumpNode(Lifecycle, LinkedNode):
 
     def _on_command(self, value: float) -> None:
         """Note that a command came, in a live graph; in lockstep the node acts on each."""
-        self._commanded = time.monotonic()
+        self._commanded = boot_time()
 
     def _on_clock(self, message: bytes) -> None:
         self.set_time(decode_clock(message))
-
-    def on_begin(self, tick: int) -> None:
-        """Go on from a tick on, where the node was started again in the run."""
-        self._simulated = tick * self._site.tau
 
     def on_inputs(self) -> None:
         """Act on a command, in lockstep; in a live graph, act because it is time to."""
         now = time.monotonic()
         if not self.live:
-            self._commanded = now
+            self._commanded = boot_time()
             self._simulated += self._site.tau
         self._step(now, self._passed(now))
         if self.live:
@@ -506,6 +506,7 @@ class PumpNode(Lifecycle, LinkedNode):
     def on_idle(self) -> float:
         """Stop where something speaks against running, whether or not commands come."""
         now = time.monotonic()
+        self._look_for_suspend(now)
         status = self._drive.status(now)
         reasons = (
             self._problem(now), _fault(status),
@@ -516,7 +517,7 @@ class PumpNode(Lifecycle, LinkedNode):
         if reasons != self._reasons:
             self._reasons = reasons
             self._step(now, 0.0)
-        self._idle_at = now
+        self._idle_at = boot_time()
         self._drive.demand(self._decision.speed)
         if self._autostart:
             self._start_by_itself(now)
@@ -553,20 +554,34 @@ class PumpNode(Lifecycle, LinkedNode):
             if not self._without_timeout:
                 reasons.append(self._drive.timeout_problem())
             reasons.append(self._drive.snapshot.hold)
-        reasons += [self._permit.hold(now), self._two_publishers(now)]
+        reasons += [self._permit.hold(boot_time()), self._two_publishers(now)]
         if self.live:
             # Another pump node may have the same drive: neither runs it then.
             reasons.append(self._rival(now))
-        reasons.append(self._silence(now))
+        reasons.append(self._silence())
         return "; ".join(filter(None, reasons))
 
     def _two_publishers(self, now: float) -> str:
-        publishers = cast(LivePublishers, self.inputs.publishers["/pump/command"])
-        problem = publishers.problem(now)
+        problem = self.inputs.publishers["/pump/command"].problem(now)
         return f"{self._command.name} {problem}" if problem else ""
 
-    def _silence(self, now: float) -> str:
+    def _look_for_suspend(self, now: float) -> None:
+        """Say, for a minute, that the machine was suspended while the pump was on."""
+        before, self._suspended = self._suspended, suspended_time()
+        seconds = self._suspended - before
+        if seconds > _PAUSE_S and not self._decision.stands:
+            self._suspend_seen = now
+            self.diagnose(
+                "suspend", ERROR, f"the machine was suspended for {seconds:.0f} s while the pump "
+                "was on, and only the drive's own communication timeout could stop it: keep this "
+                "machine from suspending",
+            )
+        elif now - self._suspend_seen > _SAID_S:
+            self.diagnose("suspend", OK, "the machine stays awake while the pump is on")
+
+    def _silence(self) -> str:
         """Return that commands are missing, by the steady clock alone."""
+        now = boot_time()
         if self._commanded < 0:
             return "no command has come yet"
         if now - self._commanded > self._command_limit:
@@ -630,7 +645,7 @@ class PumpNode(Lifecycle, LinkedNode):
         trouble = self._two_publishers(now) or (
             "" if self._command.good else f"{self._command.name} {self._command.why}"
         )
-        silence = self._silence(now)
+        silence = self._silence()
         self.diagnose(
             "command", ERROR if trouble else STALE if silence and self.acted else OK,
             trouble or silence or "commands come",
@@ -655,7 +670,7 @@ class PumpNode(Lifecycle, LinkedNode):
         self.diagnose("state file", ERROR if kept else OK, kept or "stops and faults are kept")
         self.diagnose("frost", WARN if frost else OK, frost or "there is no frost")
         if self._permit.given:
-            hold = self._permit.hold(now)
+            hold = self._permit.hold(boot_time())
             self.diagnose("supervisor", WARN if hold else OK, hold or "bringup lets the pump run")
         self._diagnose_drive(now)
 

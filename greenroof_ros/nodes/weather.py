@@ -1,13 +1,15 @@
 """The weather node: the weather now, and the forecast of the look-ahead.
 
-In a simulation it answers each ``/clock`` from records; live it ticks on the system clock, from a
-file of forecasts and the site's gauges.
+In a simulation it answers each ``/clock`` from records; live it ticks on the system clock, from
+the site's gauges and a file of forecasts, if there is one.
 """
 
 from __future__ import annotations
 
 import math
 from dataclasses import replace
+from datetime import datetime, timedelta, timezone
+from pathlib import Path
 from typing import Any
 
 from greenroof_ros.common.command_line import EXIT_DONE, command
@@ -38,8 +40,9 @@ from greenroof_ros.forecast.live_forecast import (
 from greenroof_ros.forecast.resampling import make_forecast
 from greenroof_ros.forecast.skill import SKILLS
 from greenroof_ros.graph.errors import LockstepError
-from greenroof_ros.graph.link import CLOCK, LinkedNode
+from greenroof_ros.graph.link import LinkedNode
 from greenroof_ros.graph.live import live_parameters
+from greenroof_ros.graph.lockstep import CLOCK
 from greenroof_ros.graph.node_help import NodeParser, node_help
 from greenroof_ros.graph.node_process import run_node
 from greenroof_ros.graph.parameters import (
@@ -88,7 +91,7 @@ def parameters(site: Site) -> list[NodeParameter]:
         ),
         NodeParameter(
             "forecast", str(forecast), f"{', '.join(MODELS)}, or a file or directory of archived "
-            "ones; live: a FILE.csv, read again whenever it is replaced",
+            "ones; live: a FILE.csv, read again whenever it is replaced, or empty: there is none",
         ),
         NodeParameter(
             "forecast_skill", forecast.skill,
@@ -139,6 +142,17 @@ def _forecast(values: dict[str, Any]) -> ForecastChoice:
     return replace(choice, **given)
 
 
+def _forecast_file(values: dict[str, Any]) -> Path:
+    """Return the file of forecasts of a live graph."""
+    file = _forecast(values).file
+    if file is None:
+        raise ConfigurationError(
+            "must be a FILE.csv in a live graph, or empty where there is none",
+            key="parameter forecast of weather", value=values["forecast"],
+        )
+    return file
+
+
 class _Records:
     """The weather of a simulated run, from records."""
 
@@ -179,9 +193,7 @@ class _Records:
 
 
 class WeatherNode(LinkedNode):
-    """Holds the weather: of a run, or live a file of forecasts and what the site's gauges say."""
-
-    repeats = True
+    """Holds the weather: of a run, or live what the site's gauges and a file of forecasts say."""
 
     def __init__(self) -> None:
         """Declare the parameters and open the topics."""
@@ -189,17 +201,12 @@ class WeatherNode(LinkedNode):
         site = self.declare_site()
         self.act_every(site.tau)
         values = declare(self, parameters(site))
+        self._site = site
         if self.live:
             self._unknown_frost = 0.0 if values["unknown_frost_may_pump"] else math.nan
-            file = _forecast(values).file
-            if file is None:
-                raise ConfigurationError(
-                    "must be a FILE.csv in a live graph", key="parameter forecast of weather",
-                    value=values["forecast"],
-                )
-            self._live_forecast = LiveForecast(
-                ForecastFile(file), site, values["horizon"], values["issue_limit"],
-                values["all_members"],
+            self._live_forecast = None if not values["forecast"] else LiveForecast(
+                ForecastFile(_forecast_file(values)), site, values["horizon"],
+                values["issue_limit"], values["all_members"],
             )
             self._rain_gauge, self._thermometer = (
                 self.subscribe(name, optional=True) for name in _GAUGES
@@ -233,11 +240,10 @@ class WeatherNode(LinkedNode):
 
     def _publish_live(self) -> None:
         """Publish what is known now; what is not is not published, and so its readers find out."""
-        forecast = self._live_forecast
-        if forecast.file.look():
-            self.get_logger().info("the file of forecasts was read")
+        now = from_epoch_ns(self.get_clock().now().nanoseconds)
         rain = self._rain_gauge.value if self._rain_gauge.good else None
-        outlook = self._outlook(rain)
+        forecast = self._live_forecast
+        outlook = None if forecast is None else self._outlook(forecast, now, rain)
         temperature = math.nan if outlook is None else outlook.temperature
         if self._thermometer.good:
             temperature = self._thermometer.value
@@ -247,21 +253,38 @@ class WeatherNode(LinkedNode):
             self._publish_evapotranspiration_forecast(outlook.evapotranspiration)
             self._publish_rain(outlook.rain_now)
             self._publish_evapotranspiration(outlook.evapotranspiration_now)
-        elif rain is not None:
-            self._publish_rain(rain)
-        self._say_gauge("rain gauge", self._rain_gauge, "the present rain is forecast")
-        self._say_gauge("thermometer", self._thermometer, "the present temperature is forecast")
+        else:
+            if rain is not None:
+                self._publish_rain(rain)
+            self._publish_climate(now)
+        instead = "unknown" if forecast is None else "forecast"
+        self._say_gauge("rain gauge", self._rain_gauge, f"the present rain is {instead}")
+        self._say_gauge(
+            "thermometer", self._thermometer, f"the present temperature is {instead}"
+        )
 
-    def _outlook(self, rain: float | None) -> Outlook | None:
+    def _publish_climate(self, now: datetime) -> None:
+        """Publish the evapotranspiration that is usual in this month, where the site says it."""
+        zone = timezone(timedelta(hours=self._site.utc_offset or 0.0))
+        usual = self._site.climatic_evapotranspiration(now.astimezone(zone).month)
+        if usual is not None:
+            self._publish_evapotranspiration(usual)
+
+    def _outlook(
+        self, forecast: LiveForecast, now: datetime, rain: float | None
+    ) -> Outlook | None:
         """Return what is forecast now, if anything, and say of when, or why nothing is.
 
         Args:
+            forecast: from its file.
+            now: the time.
             rain: that the gauge measures (m/s).
         """
-        problem = self._live_forecast.file.problem
-        now = from_epoch_ns(self.get_clock().now().nanoseconds)
+        if forecast.file.look():
+            self.get_logger().info("the file of forecasts was read")
+        problem = forecast.file.problem
         try:
-            outlook = self._live_forecast.at(now, rain)
+            outlook = forecast.at(now, rain)
         except NoForecastError as error:
             self.diagnose("forecast", ERROR, "; ".join(filter(None, [str(error), problem])))
             return None

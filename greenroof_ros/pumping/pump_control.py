@@ -119,6 +119,9 @@ class PumpControl:
         self._pulses = Pulses(site, settings)
         self._delivery = DeliveryCheck(site, settings)
         self._asked: float | None = None
+        # What the slowest drive that is allowed turns at on its way to the speed asked for, share
+        # of the rated speed; before the first step it may have run.
+        self._ramped = 1.0
         self._astray_for = 0.0
         self._unknown_for = 0.0
         self._blind_for = 0.0
@@ -278,14 +281,33 @@ class PumpControl:
         asked = self._asked or 0.0
         return speed is not None and abs(speed - asked) > self._settings.follow_tolerance
 
+    def _is_beyond_ramp(self, speed: float, drive_dt: float) -> bool:
+        """Whether the pump is at a speed that the drive's ramp does not explain.
+
+        What obeys is between what the slowest ramp has reached and the speed asked for; the ramp
+        goes on from there, so that it counts from where a drive is when it is asked anew. It begins
+        when a pump that stood turns.
+        """
+        if self._asked is not None and speed <= _STANDS:
+            self._ramped = speed
+            return True
+        asked, ramp, tolerance = (
+            self._asked or 0.0, self._settings.drive_ramp, self._settings.follow_tolerance
+        )
+        most = drive_dt / ramp if ramp else math.inf
+        self._ramped += min(max(asked - self._ramped, -most), most)
+        least, greatest = sorted((asked, self._ramped))
+        if least <= speed <= greatest:
+            self._ramped = speed
+        return not least - tolerance <= speed <= greatest + tolerance
+
     def _latch(
         self, drive_dt: float, seen: Observation, backwards: str, undelivered: str
     ) -> None:
         """Look for faults; the first one stays until it is reset."""
-        if self._is_astray(seen.speed):
-            self._astray_for += drive_dt
-        elif seen.speed is not None:  # what is not heard for a moment may go on
-            self._astray_for = 0.0
+        if seen.speed is not None:  # what is not heard for a moment may go on
+            astray = self._is_beyond_ramp(seen.speed, drive_dt)
+            self._astray_for = self._astray_for + drive_dt if astray else 0.0
         found = undelivered
         if seen.speed is not None and self._astray_for > self._settings.follow_time:
             asked = "it is told to stop"
@@ -293,7 +315,8 @@ class PumpControl:
                 asked = f"{self._asked:.2f} is asked for"
             found = (
                 f"the speed does not follow: the pump turns at {seen.speed:.2f} of its speed, and "
-                f"{asked}, for {self._astray_for:.0f} s"
+                f"{asked}, for {self._astray_for:.0f} s, which a ramp of "
+                f"{self._settings.drive_ramp:g} s (drive_ramp) does not explain"
             )
         found = backwards or found
         if seen.drive_fault:

@@ -6,6 +6,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, field, fields
 from typing import Any
 
+from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.parameter import Parameter
 from greenroof_ros.model.plant import maximum_pump_flow
 from greenroof_ros.model.site import Site
@@ -95,12 +96,18 @@ class PumpSettings:
         0.02, "m", 0.0, 10.0,
         "how far above the level of a dry-run cut the cistern must be before the pump runs again",
     )
+    drive_ramp: float = _setting(
+        30.0, "s", 0.0, 30.0,
+        "the drive's own ramp, from rest to rated speed and back, the longer of both; no drive may "
+        "have a longer one than by default",
+    )
     follow_tolerance: float = _setting(
-        0.1, "1", 0.01, 1.0, "how far the speed may be from the asked one, share of the rated one"
+        0.1, "1", 0.01, 1.0,
+        "how far the speed may be from the asked one, or from what the ramp has reached on the way "
+        "there, share of the rated one; less than the least speed",
     )
     follow_time: float = _setting(
-        15.0, "s", 0.1, 600.0,
-        "how long it may be farther, before that is a fault; more than the drive's own ramps",
+        12.0, "s", 0.1, 600.0, "how long it may be farther, before that is a fault"
     )
     averaging_time: float = _setting(
         60.0, "s", 1.0, 3600.0, "time over which the delivery check averages levels and volumes"
@@ -123,6 +130,20 @@ class PumpSettings:
         1.0, "mm/h", 0.01, 1000.0,
         "greatest evapotranspiration of an hour, and greatest drift of a level sensor",
     )
+
+    def __post_init__(self) -> None:
+        """Refuse what contradicts itself.
+
+        Raises:
+            ConfigurationError: a pump at its least speed would count as one that stands.
+        """
+        if self.follow_tolerance >= self.least_speed:
+            raise ConfigurationError(
+                f"must be less than least_speed, {self.least_speed:g}: a pump that stands would "
+                "count as one that runs, and one that is told to stop and runs on as one that "
+                "stands",
+                key="follow_tolerance", value=self.follow_tolerance,
+            )
 
 
 def pump_parameters(site: Site) -> tuple[Parameter, ...]:

@@ -1,9 +1,12 @@
-"""What is whole in a bag whose writer was killed, and where it is put."""
+"""What is whole in a bag whose writer was killed, and a new bag of it."""
 
 from __future__ import annotations
 
+import os
+import shutil
 import struct
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import BinaryIO
 
@@ -12,11 +15,118 @@ from mcap.exceptions import McapError
 from mcap.records import Channel, McapRecord, Message, Schema
 from mcap.stream_reader import StreamReader
 
+from greenroof_ros.common.errors import ConfigurationError
+from greenroof_ros.common.interface import Topic, find_namespace, read_topics
+from greenroof_ros.recording.bag_files import content_of, numbered_files
+from greenroof_ros.recording.bag_metadata import FileContent, write_metadata
+from greenroof_ros.recording.mcap_file import McapFile
+
 
 def recovered_bag(bag: Path) -> Path:
     """Return where the recovery of a damaged bag goes unless it is told otherwise: beside it."""
     place = bag.resolve()
     return place.parent / f"{place.name}-recovered"
+
+
+def restore(bag: Path, target: Path) -> str:
+    """Make a bag of all that is whole in another one: ticks of a simulation, or live messages.
+
+    A file of a live site that was closed is the same in both, where the disk can do that; else it
+    is copied: there may be months of them.
+
+    Args:
+        bag: that was recorded.
+        target: the new one; must not exist.
+
+    Returns:
+        How much there is in it, for people.
+
+    Raises:
+        ConfigurationError: nothing is whole, or it holds topics that are not this package's.
+        OSError: the new one cannot be written.
+    """
+    files = [path for _, path in numbered_files(bag)]
+    names = list(dict.fromkeys(c.topic for file in files for c in read_channels(file)))
+    live = not any(name.endswith("/clock") for name in names)  # which a live site has not
+    what = "message" if live else "tick"
+    if not names:
+        raise ConfigurationError(f"holds not one whole {what}", file=bag)
+    topics = _topics(bag, names, "/roof/level" if live else "/clock")
+    target.mkdir(parents=True)
+    contents: list[FileContent] = []
+    for file in files:
+        copy = target / f"{target.name}_{len(contents)}.mcap"
+        content = content_of(file) if live else None
+        if content is not None:
+            _link(file, copy)
+            contents.append(replace(content, name=copy.name))
+            continue
+        first = None if live else sum(content.ticks for content in contents)
+        content = _rewrite(file, copy, topics, first)
+        if content is not None:
+            contents.append(content)
+    if not contents:
+        target.rmdir()
+        raise ConfigurationError(f"holds not one whole {what}", file=bag)
+    write_metadata(target, topics, contents)
+    number = sum(content.count if live else content.ticks for content in contents)
+    return f"{number} {what}s"
+
+
+def _topics(bag: Path, names: list[str], needed: str) -> list[Topic]:
+    """Return the topics of a bag, with the names that they have there."""
+    interface = read_topics()
+    namespace = find_namespace(names, [needed], bag)
+    plain = {
+        name: name if name in interface else name.removeprefix(namespace) for name in names
+    }
+    foreign = [name for name in names if plain[name] not in interface]
+    if foreign:
+        raise ConfigurationError(
+            f"holds {', '.join(foreign)}, which is no topic of this graph", file=bag
+        )
+    return [replace(interface[plain[name]], name=name) for name in names]
+
+
+def _link(file: Path, copy: Path) -> None:
+    try:
+        os.link(file, copy)
+    except OSError:  # another disk, or one that knows no links
+        shutil.copyfile(file, copy)
+
+
+def _rewrite(
+    file: Path, copy: Path, topics: list[Topic], first: int | None
+) -> FileContent | None:
+    """Write what is whole in a file into another; None where nothing is.
+
+    Args:
+        file: that was recorded.
+        copy: the new one.
+        topics: of the bag.
+        first: the tick with which it begins; None where it is of a live site.
+    """
+    indices = {topic.name: index for index, topic in enumerate(topics)}
+    new: McapFile | None = None
+    for name, time_ns, message in _whole(file, first):
+        new = new or McapFile(copy, topics, first=first or 0)
+        new.write(time_ns, [(indices[name], message)])
+    if new is None:
+        return None
+    new.close()
+    return new.content
+
+
+def _whole(file: Path, first: int | None) -> Iterator[tuple[str, int, bytes]]:
+    """Yield topic, time (ns) and data of what is whole, by ticks or by messages."""
+    if first is None:
+        names = {channel.id: channel.topic for channel in read_channels(file)}
+        for message in read_messages(file):
+            yield names[message.channel_id], message.log_time, message.data
+    else:
+        for channels, time_ns, messages in read_ticks(file, first):
+            for channel, data in zip(channels, messages, strict=True):
+                yield channel.topic, time_ns, data
 
 
 def read_head(path: Path) -> tuple[list[Schema], list[Channel]]:

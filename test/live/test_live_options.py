@@ -42,21 +42,52 @@ def test_a_live_site_has_no_simulation(tmp_path: Path, option: tuple[str, ...]) 
     done = bringup(tmp_path, *LIVE, *NOBODY, *option)
     assert done.returncode == 2
     assert done.stderr == (
-        f"error: {option[0]}: is for a simulated site; with --plant external time, weather and "
-        "levels are the site's own\n"
+        f"error: {option[0]}: is for a simulated site; live, time, weather and levels are the "
+        "site's own\n"
     )
     assert not list(tmp_path.iterdir())
 
 
 @pytest.mark.parametrize(
     "option",
-    [("--sensors", "x.yaml"), ("--restarts", "3"), ("--bag-limit", "50")],
+    [
+        ("--sensors", "x.yaml"), ("--thermometer", "external"), ("--restarts", "3"),
+        ("--bag-limit", "50"),
+    ],
     ids=" ".join,
 )
 def test_a_simulation_has_no_site(tmp_path: Path, option: tuple[str, ...]) -> None:
     done = bringup(tmp_path, *option)
     assert done.returncode == 2
-    assert done.stderr == f"error: {option[0]}: is for a live site, and needs --plant external\n"
+    assert done.stderr == (
+        f"error: {option[0]}: is for a live site: greenroof live, or bringup --plant external\n"
+    )
+
+
+@pytest.mark.parametrize("speed", ["60", "max"])
+def test_what_is_not_this_packages_simulator_runs_at_real_time_alone(
+    tmp_path: Path, speed: str
+) -> None:
+    """A real motor would run on made-up levels, with sixty times the starts per hour."""
+    drive = acs880()
+    wire = Wire(drive)
+    options = ("--drive", "abb_acs880", "--state", "state", "--hours", "0.01", "--speed", speed)
+    try:
+        done = bringup(tmp_path, *options, "--drive-at", wire.gateway)
+        assert not drive.written and len(wire.seen) == 1
+    finally:
+        wire.close()
+    assert done.returncode == 2
+    assert done.stderr.startswith(
+        f"error: --speed = '{speed}': is for the drive simulator alone, at loopback or on a pseudo-"
+    )
+    assert "what is there does not identify itself as that" in done.stderr
+    assert done.stderr.count("\n") == 1
+    # Of a network for documentation, RFC 5737.
+    done = bringup(tmp_path, *options, "--drive-at", "tcp://192.0.2.1")
+    assert done.returncode == 2
+    assert "tcp://192.0.2.1 is neither at loopback nor a pseudo-terminal" in done.stderr
+    assert not list(tmp_path.iterdir())
 
 
 WRONG = {
@@ -68,6 +99,15 @@ WRONG = {
     ),
     "forecast": (
         (*LIVE, "--sensors", "external", "--pump", "external"),
+        "--forecast FILE.csv: is missing: live, it is what mpc knows of the weather to come",
+    ),
+    "neither forecast nor thermometer": (
+        (*LIVE, "--sensors", "external", "--pump", "external", "--controller", "onoff"),
+        "--thermometer external: is missing: without --forecast FILE.csv only a thermometer can "
+        "say whether there is frost; let a node of your own publish /gauge/temperature (degC) and",
+    ),
+    "a thermometer in place of a forecast that is needed": (
+        (*LIVE, "--sensors", "external", "--pump", "external", "--thermometer", "external"),
         "--forecast FILE.csv: is missing: live",
     ),
     "a model of forecasts": (

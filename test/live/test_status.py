@@ -22,6 +22,14 @@ def test_the_pump_says_nothing_beside_the_reason() -> None:
     assert troubles_of(reports, "") == {("pump", "drive"): f"pump: {LOST[1]}"}
 
 
+def test_who_misses_a_lost_forecast_says_nothing_beside_the_loss() -> None:
+    """But the weather node does, and everybody where nothing is lost."""
+    bad = {"diagnoses": {"forecast": ("WARN", "none")}}
+    assert troubles_of({"weather": bad}, "", lasting=True) != {}
+    assert troubles_of({"mpc": bad}, "", lasting=True) == {}
+    assert troubles_of({"mpc": bad}, "") != {}
+
+
 def test_what_follows_from_a_loss_is_not_said() -> None:
     reports = {"mpc": {"diagnoses": {"inputs": ("WARN", "/roof/level is older than 5 s")}}}
     assert troubles_of(reports, "", lasting=True) == {}

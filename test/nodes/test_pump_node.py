@@ -36,9 +36,11 @@ from rclpy.node import Node  # noqa: E402
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy  # noqa: E402
 from std_msgs.msg import Float64, String  # noqa: E402
 from std_srvs.srv import SetBool, Trigger  # noqa: E402
-from test_live import impostor  # noqa: E402
+from test_live import SUSPENDED, impostor  # noqa: E402
 from test_node_help import check_topics, parameters_of, run_module, section  # noqa: E402
 from test_nodes import Observer, observer, qos  # noqa: E402, F401
+
+from greenroof_ros.common.clock import boot_time  # noqa: E402
 
 
 @pytest.fixture
@@ -554,7 +556,7 @@ def test_it_runs_only_with_a_fresh_permit_of_bringup(
     with os.fdopen(writing, "w") as permits:
 
         def give(hold: str) -> None:
-            permits.write(json.dumps({"hold": hold, "at": time.monotonic()}) + "\n")
+            permits.write(json.dumps({"hold": hold, "at": boot_time()}) + "\n")
             permits.flush()
 
         env = {**environment(domain), "GREENROOF_ROS_PERMIT_PIPE": str(reading)}
@@ -583,6 +585,21 @@ def test_it_runs_only_with_a_fresh_permit_of_bringup(
     taken = rig.tick_until(0.5, lambda: drive.speed() == 0.0, 60, "a stop")
     assert taken < 2
     assert "bringup has ended" in rig.state
+
+
+def test_a_suspend_of_the_machine_is_no_short_pause(
+    tmp_path: Path, rig: PumpRig, drive: SimulatedDrive, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """What the node had is of before; that nobody watched over the pump meanwhile is said."""
+    (tmp_path / "sitecustomize.py").write_text(SUSPENDED)
+    monkeypatch.setenv("PYTHONPATH", str(tmp_path))
+    rig.start(drive.address, popen={"env": environment(rig.domain)})
+    rig.run(drive)
+    (tmp_path / "suspended").touch()
+    rig.tick_until(
+        0.5, lambda: rig.says("suspend", ERROR, "for 3600 s while the pump was on"), 10, "the alarm"
+    )
+    assert "stopping: no command has come for 3 s (command_limit)" in rig.states
 
 
 def test_check_pump_finds_it_right(domain: int, tmp_path: Path, rig: PumpRig) -> None:

@@ -21,6 +21,7 @@ from paper import PAPER_SITE
 from pump_rig import Rig
 
 from greenroof_ros.pumping.ledger import Ledger, Record, state_directory
+from greenroof_ros.pumping.pump_control import PumpControl
 from greenroof_ros.pumping.settings import settings_for
 
 
@@ -213,7 +214,7 @@ def test_what_nobody_saw_counts_at_worst(
     flow = site.b * math.sqrt(site.z_o + site.c_hat - site.d)
     for attempt in range(2):  # once, and no second time
         ledger = Ledger(file, clock)
-        ledger.count_unseen(25.0, flow)
+        PumpControl(site, settings_for(site), ledger, drive_stops_after=15.0)
         ledger.close()
         assert ledger.record.day_run == pytest.approx(run), attempt
         assert ledger.record.day_volume == pytest.approx(run * flow), attempt

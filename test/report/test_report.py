@@ -1512,7 +1512,7 @@ WRONG: dict[str, tuple[Callable[[Path], Any], str, tuple[str, ...]]] = {
     "an-empty-directory": (lambda at: (at / "in").mkdir(), "", ("results.csv", "metadata.yaml")),
     "no-metadata": (
         lambda at: broken_bag(at, lambda bag: (bag / "metadata.yaml").unlink()), "",
-        ("no metadata.yaml", "python -m greenroof_ros.recover in"),
+        ("no metadata.yaml", "greenroof recover in"),
     ),
     "metadata-empty": (
         lambda at: broken_bag(at, lambda bag: cut(bag / "metadata.yaml", 0)), "",
@@ -1524,7 +1524,7 @@ WRONG: dict[str, tuple[Callable[[Path], Any], str, tuple[str, ...]]] = {
     ),
     "mcap-cut": (
         lambda at: broken_bag(at, lambda bag: cut(bag / "in.mcap", 300)), "",
-        ("cannot be read as a bag", "python -m greenroof_ros.recover in"),
+        ("cannot be read as a bag", "greenroof recover in"),
     ),
     "mcap-empty": (
         lambda at: broken_bag(at, lambda bag: cut(bag / "in.mcap", 0)), "",

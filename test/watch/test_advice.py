@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import asyncio
 import json
 import time
 from collections.abc import Iterator
@@ -15,6 +14,7 @@ from modbus_wire import Answer, Registers, Wire, acs880
 from paper import PAPER_SITE
 from pump_rig import Rig
 
+from greenroof_ros.common.clock import boot_time
 from greenroof_ros.drives.level_sensor import LevelSensor
 from greenroof_ros.drives.modbus_line import DriveError
 from greenroof_ros.drives.sensor_file import Sensor
@@ -191,9 +191,9 @@ def test_bringups_permit(monkeypatch: pytest.MonkeyPatch) -> None:
     permit = Permit()
     monkeypatch.setenv(PERMIT_PIPE, str(permit.open()[PERMIT_PIPE]))
     reader = PermitReader()
-    said = [reader.hold(time.monotonic())]
+    said = [reader.hold(boot_time())]
     permit.tell("cistern_sensor is missing, mpc waits for weather")
-    now = time.monotonic()
+    now = boot_time()
     said += [reader.hold(now), reader.hold(now + 3.0)]
     permit.close()
     said.append(reader.hold(now))
@@ -348,7 +348,7 @@ def test_a_level_sensor(data: str, advice: str, given: dict[str, Any]) -> None:
     sensor = LevelSensor(Sensor(**{**values, **given}), timeout_s=0.3)
     try:
         with pytest.raises(DriveError) as caught:
-            asyncio.run(sensor.read())
+            sensor.read()
     finally:
         wire.close()
     for tank in ("cistern", "roof"):

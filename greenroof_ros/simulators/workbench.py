@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-from greenroof_ros.drives import faults
 from greenroof_ros.drives.address import Address, Serial
-from greenroof_ros.drives.faults import DRIVE_FAULTS, Fault
 from greenroof_ros.drives.modbus_line import DriveError, ModbusLine
+from greenroof_ros.simulators import faults
+from greenroof_ros.simulators.faults import DRIVE_FAULTS, Fault
 
 _NO_LINE = Serial(19200, "even", 1, faults.DEVICE_ID)  # it is always TCP
 
@@ -34,37 +34,37 @@ class Workbench:
         self._address, self._faults, self._timeout_s = address, known, timeout_s
         self._line: ModbusLine | None = None
 
-    async def speed(self) -> float:
+    def speed(self) -> float:
         """Return the true speed of the motor (share of rated)."""
-        line = await self._connected()
+        line = self._connected()
         try:
-            return faults.SPEED_UNIT * (await line.read(faults.SPEED, 1))[0]
+            return faults.SPEED_UNIT * (line.read(faults.SPEED, 1))[0]
         except DriveError:
             self.close()
             raise
 
-    async def inject(self, fault: str, parameter: int = faults.DEFAULT) -> None:
+    def inject(self, fault: str, parameter: int = faults.DEFAULT) -> None:
         """Ask for a fault, of which there is one at a time; ``none`` ends it.
 
         Args:
             fault: its name.
             parameter: see there.
         """
-        await self._write(faults.PARAMETER, parameter)
-        await self._write(faults.FAULT, self._faults[fault].number)
+        self._write(faults.PARAMETER, parameter)
+        self._write(faults.FAULT, self._faults[fault].number)
 
-    async def power_cycle(self) -> None:
+    def power_cycle(self) -> None:
         """Take the drive's power away for a moment."""
-        await self._write(faults.POWER_CYCLE, 1)
+        self._write(faults.POWER_CYCLE, 1)
 
-    async def take_over(self, local: bool) -> None:
+    def take_over(self, local: bool) -> None:
         """Take the drive over at its panel, or hand it back to the bus."""
-        await self._write(faults.LOCAL, int(local))
+        self._write(faults.LOCAL, int(local))
 
-    async def set_cistern_level(self, level: float) -> None:
+    def set_cistern_level(self, level: float) -> None:
         """Say how deep the water is (m), for drives that report their flow."""
         raw = min(max(round(level / faults.LEVEL_UNIT), 0), 0xFFFF)
-        await self._write(faults.CISTERN_LEVEL, raw)
+        self._write(faults.CISTERN_LEVEL, raw)
 
     def close(self) -> None:
         """Let go of the connection."""
@@ -72,15 +72,15 @@ class Workbench:
             self._line.close()
             self._line = None
 
-    async def _write(self, register: int, value: int) -> None:
-        line = await self._connected()
+    def _write(self, register: int, value: int) -> None:
+        line = self._connected()
         try:
-            await line.write(register, value)
+            line.write(register, value)
         except DriveError:
             self.close()
             raise
 
-    async def _connected(self) -> ModbusLine:
+    def _connected(self) -> ModbusLine:
         if self._line is not None and not self._line.connected:
             self.close()
         if self._line is None:
@@ -88,6 +88,6 @@ class Workbench:
                 self._address, port=0, device_id=faults.DEVICE_ID, serial=_NO_LINE,
                 timeout_s=self._timeout_s,
             )
-            await line.connect()
+            line.connect()
             self._line = line
         return self._line

@@ -9,15 +9,16 @@ from dataclasses import replace
 
 from pymodbus.constants import ExcCodes
 
-from greenroof_ros.drives import faults
 from greenroof_ros.drives.address import Address
 from greenroof_ros.drives.drive_file import DriveFile
-from greenroof_ros.drives.faults import DRIVE_FAULTS
-from greenroof_ros.drives.faulty_server import FaultyServer, Wire, make_device
-from greenroof_ros.drives.simulated_drive import DriveSettings, SimulatedDrive
+from greenroof_ros.drives.identity import PRODUCT, VENDOR
 from greenroof_ros.model.initial_state import default_state
 from greenroof_ros.model.pump_speed import flow_at
 from greenroof_ros.model.site import Site
+from greenroof_ros.simulators import faults
+from greenroof_ros.simulators.faults import DRIVE_FAULTS
+from greenroof_ros.simulators.faulty_server import FaultyServer, Wire, make_device, make_workbench
+from greenroof_ros.simulators.simulated_drive import DriveSettings, SimulatedDrive
 
 _STEP_S = 0.01
 
@@ -74,17 +75,10 @@ class DriveBench:
                 self.device_id, self.drive.addresses(),
                 lambda: self.drive.registers(time.monotonic()), self._write,
             )],
-            self._wire,
+            self._wire, (VENDOR, PRODUCT),
         )
         self._registers = [0, 0, faults.DEFAULT, 0, 0, round(self._level / faults.LEVEL_UNIT)]
-        self._workbench = FaultyServer(
-            workbench_address, file.serial,
-            [make_device(
-                faults.DEVICE_ID,
-                {number: number != faults.SPEED for number in range(len(self._registers))},
-                self._read_workbench, self._write_workbench,
-            )],
-        )
+        self._workbench = make_workbench(workbench_address, self._read_workbench, self._put)
 
     @property
     def address(self) -> Address:
@@ -146,14 +140,11 @@ class DriveBench:
         """Let time pass until the end."""
         while not ended.is_set():
             self.drive.advance(time.monotonic())
-            await self._tend()
+            # The drive's port is open while it has power and does not refuse.
+            await self._server.be_open(self._answers())
             await asyncio.sleep(_STEP_S)
         self._server.close()
         self._workbench.close()
-
-    async def _tend(self) -> None:
-        """Have the drive's port open while it has power and does not refuse."""
-        await self._server.be_open(self._answers())
 
     def _answers(self) -> bool:
         return self.drive.answers(time.monotonic()) and self._wire.fault != "refused"
@@ -161,24 +152,16 @@ class DriveBench:
     def _write(self, address: int, values: list[int]) -> ExcCodes | None:
         return self.drive.write(address, values, time.monotonic())
 
-    def _read_workbench(self) -> dict[int, int]:
+    def _read_workbench(self) -> list[int]:
         self.drive.advance(time.monotonic())
         self._registers[faults.SPEED] = round(self.drive.speed / faults.SPEED_UNIT)
-        return dict(enumerate(self._registers))
+        return self._registers
 
-    def _write_workbench(self, address: int, values: list[int]) -> ExcCodes | None:
-        for register, value in enumerate(values, start=address):
-            if not self._set(register, value):
-                return ExcCodes.ILLEGAL_VALUE
-        return None
-
-    def _set(self, register: int, value: int) -> bool:
+    def _put(self, register: int, value: int) -> bool:
         """Do what a register of the workbench stands for; tell whether it can."""
         if register == faults.FAULT:
-            names = {fault.number: name for name, fault in DRIVE_FAULTS.items()}
-            return value in names and self.inject(
-                names[value], self._registers[faults.PARAMETER]
-            )
+            name = faults.name_of(value, DRIVE_FAULTS)
+            return name != "" and self.inject(name, self._registers[faults.PARAMETER])
         if register == faults.PARAMETER:
             self._registers[register] = value
         elif register == faults.POWER_CYCLE and value:

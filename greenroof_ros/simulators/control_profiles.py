@@ -106,8 +106,7 @@ class ControlProfile(ABC):
         """Tell whether being read starts the timeout anew."""
         return False
 
-    @abstractmethod
-    def standstill(self) -> None:
+    def standstill(self) -> None:  # noqa: B027 - some wait for nothing
         """Take in that the motor has come to rest; called again and again."""
 
     def trip(self, fault: int) -> None:
@@ -267,9 +266,6 @@ class FcProfile(ControlProfile):
         """Begin at rest, without a valid control word."""
         self._word = 0
 
-    def standstill(self) -> None:
-        """Nothing waits for that."""
-
     def wrote(self, name: str) -> bool:
         """Only a control word with bit 10, "data valid", is one."""
         if name == "control" and not self.raw["control"] & 0x0400:
@@ -329,9 +325,6 @@ class CimProfile(ControlProfile):
         """Begin in local control."""
         self._word = 0
         self.raw["control_mode"] = self._POWER_UP_MODE
-
-    def standstill(self) -> None:
-        """Nothing waits for that."""
 
     def read(self) -> bool:
         """Any message counts."""

@@ -18,7 +18,7 @@ from places import CHECKOUT
 from simulators import Bus, Simulator, until
 
 from greenroof_ros.drives.drive_file import find_drive_file, read_drive_file
-from greenroof_ros.drives.simulated_drive import DriveSettings, SimulatedDrive
+from greenroof_ros.simulators.simulated_drive import DriveSettings, SimulatedDrive
 
 FREE = ("--port", "0", "--workbench", "0")
 

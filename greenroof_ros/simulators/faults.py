@@ -90,6 +90,11 @@ SITE_FAULTS: Mapping[str, Fault] = {
 }
 
 
+def name_of(number: int, known: Mapping[str, Fault]) -> str:
+    """Return the name of a fault; empty where there is none of that number."""
+    return next((name for name, fault in known.items() if fault.number == number), "")
+
+
 def read_fault(text: str, known: Mapping[str, Fault]) -> tuple[str, int]:
     """Return name and parameter of a fault that ``--fault slow=300`` asks for.
 

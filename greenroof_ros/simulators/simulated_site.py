@@ -10,20 +10,19 @@ from collections.abc import Callable, Sequence
 from typing import NamedTuple, TextIO
 
 from pymodbus.constants import ExcCodes
-from pymodbus.simulator import SimDevice
 
 from greenroof_ros.common.errors import ConfigurationError
-from greenroof_ros.drives import faults
-from greenroof_ros.drives.address import Address, Serial, parse_address
-from greenroof_ros.drives.faults import SITE_FAULTS
-from greenroof_ros.drives.faulty_server import FaultyServer, Wire, make_device
+from greenroof_ros.drives.address import Address, parse_address
 from greenroof_ros.drives.modbus_line import DriveError
 from greenroof_ros.drives.sensor_file import TANKS, Sensor, Sensors
 from greenroof_ros.drives.values import encode
-from greenroof_ros.drives.workbench import Workbench
 from greenroof_ros.model.plant import Plant
 from greenroof_ros.model.pump_speed import flow_at
 from greenroof_ros.model.site import Site
+from greenroof_ros.simulators import faults
+from greenroof_ros.simulators.faults import SITE_FAULTS
+from greenroof_ros.simulators.faulty_server import FaultyServer, Wire, make_device, make_workbench
+from greenroof_ros.simulators.workbench import Workbench
 
 # How often the drive's speed is looked at within a tick, as far as there is time for it.
 _LOOKS = 20
@@ -173,100 +172,73 @@ class SiteBench:
             ConfigurationError: both sensors answer to the same register.
         """
         self.site = site
-        self._sensors = {tank: getattr(sensors, tank) for tank in TANKS}
+        self._sensors: dict[str, Sensor] = {tank: getattr(sensors, tank) for tank in TANKS}
         self._drive, self._output, self._say = drive, output, say
         self._tau, self._tick_s = tau, tau / factor
         self._drive_gone = False
         self._asked = faults.DEFAULT
-        self._servers = self._make_servers()
-        self._workbench = FaultyServer(
-            workbench_address, Serial(19200, "even", 1, faults.DEVICE_ID),
-            [make_device(
-                faults.DEVICE_ID,
-                {number: number != 0 for number in range(faults.PARAMETER + 1)},
-                self._read_workbench, self._write_workbench,
-            )],
-        )
+        addresses = dict.fromkeys(sensor.address for sensor in self._sensors.values())
+        self._servers = [self._make_server(address) for address in addresses]
+        self._workbench = make_workbench(workbench_address, self._read_workbench, self._put)
 
     @property
     def workbench_address(self) -> Address:
         """Where the workbench is; its port is known when it has started."""
         return self._workbench.address
 
-    def _make_servers(self) -> list[FaultyServer]:
-        """Return a server for each port or line, of the sensors that are on it."""
-        tanks_at: dict[str, list[str]] = {}
-        for tank, sensor in self._sensors.items():
-            tanks_at.setdefault(sensor.address, []).append(tank)
-        return [
-            FaultyServer(
-                parse_address(address), self._sensors[tanks[0]].serial, self._devices(tanks),
-                Wire(ignores=functools.partial(self._ignores, tanks)),
-            )
-            for address, tanks in tanks_at.items()
-        ]
-
-    def _devices(self, tanks: list[str]) -> list[SimDevice]:
-        """Return the devices of sensors on one port or line."""
-        by_id: dict[int, list[str]] = {}
-        for tank in tanks:
-            by_id.setdefault(self._sensors[tank].device_id, []).append(tank)
-        devices = []
-        for number, own in by_id.items():
-            addresses = [each for tank in own for each in self._registers(tank)]
-            if len(set(addresses)) < len(addresses):
-                raise ConfigurationError(
-                    "both sensors answer to the same register: this cannot be simulated, input "
-                    "and holding registers are one here",
-                    key="register", value=addresses[0],
-                )
-            devices.append(make_device(
-                number, dict.fromkeys(addresses, False), functools.partial(self._read, own),
-                lambda address, values: ExcCodes.ILLEGAL_ADDRESS,
-            ))
-        return devices
-
-    def _registers(self, tank: str) -> range:
-        sensor = self._sensors[tank]
-        return range(sensor.register, sensor.register + sensor.registers)
-
-    def _read(self, tanks: list[str]) -> dict[int, int]:
-        return {
-            register: word
-            for tank in tanks
-            for register, word in zip(
-                self._registers(tank), self.site.reading(tank, self._sensors[tank]), strict=True
-            )
+    def _make_server(self, address: str) -> FaultyServer:
+        """Return the server of a port or line, of the sensors that are on it."""
+        here = {tank: each for tank, each in self._sensors.items() if each.address == address}
+        # Of each device and register the tank, and which of the words of its level.
+        places = {
+            (sensor.device_id, sensor.register + offset): (tank, offset)
+            for tank, sensor in here.items() for offset in range(sensor.registers)
         }
+        if len(places) < sum(sensor.registers for sensor in here.values()):
+            raise ConfigurationError(
+                "both sensors answer to the same register: this cannot be simulated, input and "
+                "holding registers are one here",
+                key="register", value=max(sensor.register for sensor in here.values()),
+            )
 
-    def _ignores(self, tanks: list[str], device_id: int, register: int) -> bool:
-        """Tell whether a request is for one of some sensors, which is silent."""
-        return any(
-            self.site.fault == f"{tank}_silent" and self._sensors[tank].device_id == device_id
-            and register in self._registers(tank)
-            for tank in tanks
-        )
+        def silent(device: int, register: int) -> bool:
+            place = places.get((device, register))
+            return place is not None and self.site.fault == f"{place[0]}_silent"
+
+        def read(device: int) -> dict[int, int]:
+            words = {tank: self.site.reading(tank, sensor) for tank, sensor in here.items()}
+            return {
+                register: words[tank][offset]
+                for (number, register), (tank, offset) in places.items() if number == device
+            }
+
+        devices = [
+            make_device(
+                device, {register: False for number, register in places if number == device},
+                functools.partial(read, device), lambda address, values: ExcCodes.ILLEGAL_ADDRESS,
+            )
+            for device in {number for number, _ in places}
+        ]
+        line = next(iter(here.values())).serial
+        return FaultyServer(parse_address(address), line, devices, Wire(ignores=silent))
 
     def inject(self, name: str, parameter: int) -> None:
         """Let a fault stand instead of the present one; see `SimulatedSite.inject`."""
         self.site.inject(name, parameter)
         self._say(f"fault {name}: {SITE_FAULTS[name].meaning}")
 
-    def _read_workbench(self) -> dict[int, int]:
-        return {
-            0: 0, faults.FAULT: SITE_FAULTS[self.site.fault].number, faults.PARAMETER: self._asked
-        }
+    def _read_workbench(self) -> list[int]:
+        return [0, SITE_FAULTS[self.site.fault].number, self._asked]
 
-    def _write_workbench(self, address: int, values: list[int]) -> ExcCodes | None:
-        names = {fault.number: name for name, fault in SITE_FAULTS.items()}
-        for register, value in enumerate(values, start=address):
-            if register == faults.PARAMETER:
-                self._asked = value
-            elif value in names:
-                self.inject(names[value], self._asked)
-            else:
-                return ExcCodes.ILLEGAL_VALUE
-        return None
+    def _put(self, register: int, value: int) -> bool:
+        """Do what a register of the workbench stands for; tell whether it can."""
+        if register == faults.PARAMETER:
+            self._asked = value
+            return True
+        name = faults.name_of(value, SITE_FAULTS)
+        if name:
+            self.inject(name, self._asked)
+        return name != ""
 
     async def start(self) -> None:
         """Open all ports.
@@ -314,11 +286,14 @@ class SiteBench:
 
     async def _speed(self) -> float:
         """Return the true speed of the drive (share of rated); 0 if it is gone."""
-        if self._drive is None:
-            return 0.0
+        return await asyncio.to_thread(self._ask) if self._drive is not None else 0.0
+
+    def _ask(self) -> float:
+        """Ask the drive for its speed, and tell it how deep the water is."""
+        assert self._drive is not None
         try:
-            speed = await self._drive.speed()
-            await self._drive.set_cistern_level(self.site.plant.levels()[0])
+            speed = self._drive.speed()
+            self._drive.set_cistern_level(self.site.plant.levels()[0])
         except DriveError as error:
             if not self._drive_gone:
                 self._say(f"{error}: the pump counts as standing")

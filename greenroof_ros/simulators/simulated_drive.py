@@ -12,9 +12,9 @@ from dataclasses import dataclass
 from pymodbus.constants import ExcCodes
 
 from greenroof_ros.common.errors import ConfigurationError
-from greenroof_ros.drives.control_profiles import ControlProfile, Motion, Seen, profile_of
 from greenroof_ros.drives.drive_file import DriveFile, Register
 from greenroof_ros.drives.values import encode
+from greenroof_ros.simulators.control_profiles import ControlProfile, Motion, Seen, profile_of
 
 _RATED_RPM = 1500.0
 _RATED_FREQUENCY = 50.0

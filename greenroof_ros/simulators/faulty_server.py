@@ -11,6 +11,7 @@ from typing import Any
 from pymodbus import FramerType
 from pymodbus.constants import ExcCodes
 from pymodbus.pdu import ExceptionResponse, ModbusPDU
+from pymodbus.pdu.device import ModbusDeviceIdentification
 from pymodbus.server import ModbusSerialServer, ModbusTcpServer
 from pymodbus.server.requesthandler import ServerRequestHandler
 from pymodbus.simulator import DataType, SimData, SimDevice
@@ -18,6 +19,7 @@ from pymodbus.transport import CommType
 
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.drives.address import Address, Serial
+from greenroof_ros.simulators import faults
 
 Read = Callable[[], dict[int, int]]
 Write = Callable[[int, list[int]], ExcCodes | None]
@@ -154,6 +156,29 @@ class _Handler(ServerRequestHandler):
             self.transport.write(data)  # type: ignore[attr-defined]
 
 
+def make_workbench(
+    address: Address, read: Callable[[], list[int]], put: Callable[[int, int], bool]
+) -> FaultyServer:
+    """Return the server of a workbench.
+
+    Args:
+        address: TCP port; port 0 takes a free one.
+        read: returns what all registers hold.
+        put: takes a register and what is written to it, but to that of the speed; tells whether it
+            can be so.
+    """
+
+    def write(address: int, values: list[int]) -> ExcCodes | None:
+        good = all(put(register, value) for register, value in enumerate(values, start=address))
+        return None if good else ExcCodes.ILLEGAL_VALUE
+
+    writable = {register: register != faults.SPEED for register in range(len(read()))}
+    return FaultyServer(
+        address, Serial(19200, "even", 1, faults.DEVICE_ID),
+        [make_device(faults.DEVICE_ID, writable, lambda: dict(enumerate(read())), write)],
+    )
+
+
 class FaultyServer:
     """A server of devices on a TCP port or a serial line, which can be closed and opened again.
 
@@ -163,7 +188,8 @@ class FaultyServer:
     """
 
     def __init__(
-        self, address: Address, line: Serial, devices: list[SimDevice], wire: Wire | None = None
+        self, address: Address, line: Serial, devices: list[SimDevice], wire: Wire | None = None,
+        identity: tuple[str, str] | None = None,
     ) -> None:
         """Prepare it; nothing is opened yet.
 
@@ -172,15 +198,16 @@ class FaultyServer:
             line: settings of the serial line.
             devices: that are there.
             wire: what is wrong with it; nothing if None.
+            identity: maker and product that function 43/14 names; one for all servers of a process.
         """
         self.address, self._line, self._devices = address, line, devices
         self.wire = wire or Wire()
+        self._identity = None
+        if identity is not None:
+            self._identity = ModbusDeviceIdentification(  # type: ignore[no-untyped-call]
+                dict(enumerate(identity))
+            )
         self._server: ModbusTcpServer | ModbusSerialServer | None = None
-
-    @property
-    def is_open(self) -> bool:
-        """Whether it accepts connections."""
-        return self._server is not None
 
     async def open(self) -> None:
         """Accept connections.
@@ -202,10 +229,13 @@ class FaultyServer:
             server: ModbusTcpServer | ModbusSerialServer = Rtu(
                 self._devices, framer=FramerType.RTU, port=self.address.line,
                 baudrate=self._line.baud_rate, parity=self._line.parity_letter(self.address.line),
-                stopbits=self._line.stop_bits, bytesize=8,
+                stopbits=self._line.stop_bits, bytesize=8, identity=self._identity,
             )
         else:
-            server = Tcp(self._devices, address=(self.address.host, self.address.port or 0))
+            server = Tcp(
+                self._devices, identity=self._identity,
+                address=(self.address.host, self.address.port or 0),
+            )
         if not await server.listen():
             raise ConfigurationError(
                 "cannot be opened: the port is taken, not of this machine, or not allowed; or "
@@ -230,7 +260,7 @@ class FaultyServer:
         """Open or close it, if it is not so already; a serial line stays open."""
         if self.address.line:
             return
-        if wanted and not self.is_open:
+        if wanted and self._server is None:
             await self.open()
         elif not wanted:
             self.close()
