@@ -43,6 +43,8 @@ from greenroof_ros.forecast.climate import Climate
 from greenroof_ros.forecast.skill import Errors
 from greenroof_ros.model.metrics import METRICS
 from greenroof_ros.model.site import read_site, site_parameters
+from greenroof_ros.pumping.conditions import CONDITIONS
+from greenroof_ros.pumping.interlocks import INTERLOCKS
 from greenroof_ros.pumping.settings import pump_parameters
 from greenroof_ros.simulators.faults import DRIVE_FAULTS, SITE_FAULTS, Fault
 
@@ -319,6 +321,28 @@ def pump_settings() -> str:
     )
 
 
+def interlocks() -> str:
+    """Return what keeps the pump off, in its order."""
+    return markdown(
+        ("code", "stands when", "found by", "limit (parameter)", "kind"),
+        (
+            (
+                f"`{one.code}`", one.reason, one.source,
+                ", ".join(f"`{name}`" for name in one.limit.split(", ") if name), one.kind.value,
+            )
+            for one in INTERLOCKS
+        ),
+    )
+
+
+def conditions() -> str:
+    """Return each code that a status may have."""
+    return markdown(
+        ("code", "meaning", "what to do"),
+        ((f"`{code}`", one.meaning, one.advice) for code, one in CONDITIONS.items()),
+    )
+
+
 def mutation() -> str:
     """Return the outcome of the baseline of mutation testing."""
     path = DOC.parent / "tools" / "mutation" / "baseline.csv"
@@ -481,6 +505,8 @@ TABLES: dict[str, Callable[[], str | None]] = {
     "metrics": metrics,
     "site": site,
     "pump settings": pump_settings,
+    "interlocks": interlocks,
+    "conditions": conditions,
     "mutation": mutation,
     "commands": commands,
     "command groups": command_groups,

@@ -293,7 +293,7 @@ def _wait_for_drive(
         said = supervisor.last.get(PUMP, {}).get("diagnoses", {})
         trouble = "; ".join(
             message for part in ("drive", "drive timeout", "state file")
-            for level, message in [said.get(part, ("OK", ""))] if level != "OK"
+            for level, message, _ in [said.get(part, ("OK", "", ""))] if level != "OK"
         )
         progress.waiting(f"waiting for the drive: {trouble or 'the pump node starts'}")
         supervisor.check(_START_LIMIT_S)

@@ -60,7 +60,7 @@ EXTRA_KEYS = {
     "dask": {"distributed": []},
 }
 # What a developer of this package installs beside them, or another ROS 2.
-OTHER_EXTRAS = {"ros", "test", "docs", "swmm", "bench"}
+OTHER_EXTRAS = {"ros", "test", "docs", "swmm", "bench", "mutation"}
 # Of these what `colcon test` needs.
 TEST_KEYS = {
     "pytest": "python3-pytest",

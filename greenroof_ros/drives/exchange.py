@@ -74,7 +74,7 @@ class Snapshot(Known):
         timeout_s: its own communication timeout (s); None for off.
         timeout_known: the timeout could be read.
         timeout_note: why it counts as off, or could not be read.
-        hold: why the drive is kept off although it is connected; empty where nothing does.
+        inhibit: why the drive is kept off although it is connected; empty where nothing does.
         errors: how often anything went wrong.
     """
 
@@ -84,7 +84,7 @@ class Snapshot(Known):
     timeout_s: float | None = None
     timeout_known: bool = False
     timeout_note: str = ""
-    hold: str = ""
+    inhibit: str = ""
     errors: int = 0
 
     @property
@@ -106,7 +106,7 @@ class DriveExchange(DeviceThread[Snapshot]):
         CONNECTING ---> STOPPING <----> STOPPED     *stop* is written; it turns, or stands
           ^    ^         |    ^            |
           |    |         v    |            |
-          |    |         RUNNING <---------+        a speed is asked for, and nothing holds it
+          |    |         RUNNING <---------+        a speed is asked for, and nothing inhibits it
           |    |            |
           |    |            |                       from each of these three:
           |    +------------+                       two rounds without a valid answer, or closed
@@ -221,9 +221,9 @@ class DriveExchange(DeviceThread[Snapshot]):
     def _wanted(self) -> float | None:
         speed, at = self._demand
         fresh = time.monotonic() - at <= self._dead_man_s
-        return speed if fresh and not self._closing and not self._hold() else None
+        return speed if fresh and not self._closing and not self._inhibit() else None
 
-    def _hold(self) -> str:
+    def _inhibit(self) -> str:
         """Return why the drive must not run although it is connected.
 
         Since the connection before, it may have been without power, which looks like a cut cable.
@@ -330,7 +330,7 @@ class DriveExchange(DeviceThread[Snapshot]):
         self._wait_s = FIRST_WAIT_S
         self._update(
             state=State.STOPPED if status.stands else State.STOPPING, status=status,
-            read_at=time.monotonic(), problem="", identity=identity, hold=self._hold(),
+            read_at=time.monotonic(), problem="", identity=identity, inhibit=self._inhibit(),
         )
 
     def _take(self) -> None:
@@ -379,7 +379,7 @@ class DriveExchange(DeviceThread[Snapshot]):
         standing = State.STOPPED if status.stands else State.STOPPING
         self._update(
             state=State.RUNNING if runs else standing, status=status, read_at=time.monotonic(),
-            problem=problem or self._lasting(), hold=self._hold(),
+            problem=problem or self._lasting(), inhibit=self._inhibit(),
         )
         if not self._closing:
             self._pause(self._period_s - (time.monotonic() - started))

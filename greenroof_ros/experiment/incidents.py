@@ -202,7 +202,7 @@ class IncidentLog:
             starting: only what was good before can be lost; the rest has not come yet.
         """
         for node, report in reports.items():
-            for part, (level, message) in report.get("diagnoses", {}).items():
+            for part, (level, message, _) in report.get("diagnoses", {}).items():
                 rule = _rule(node, part)
                 if rule is None:
                     continue

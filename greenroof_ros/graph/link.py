@@ -30,7 +30,7 @@ from greenroof_ros.graph.lockstep import CLOCK, PLANT, RUN, Lockstep
 from greenroof_ros.graph.parameters import LIVE, declare, site_file
 from greenroof_ros.graph.publishers import Publishers
 from greenroof_ros.graph.qos import message_class, qos_profile
-from greenroof_ros.graph.reports import OK, WARN, Diagnosis, Reports
+from greenroof_ros.graph.reports import OK, WARN, Reports
 from greenroof_ros.graph.serialization import decoder, encoder
 from greenroof_ros.graph.states import ENDED, FINISHED, READY, STARTING
 from greenroof_ros.graph.unfit_publishers import UnfitPublishers
@@ -313,19 +313,21 @@ class LinkedNode(Node):
         if isinstance(self._trigger, Live):
             self._trigger.refuse(name, why)
 
-    def diagnose(self, part: str, level: bytes, message: str) -> None:
+    def diagnose(
+        self, part: str, level: bytes, message: str, code: str = "", cause: str = ""
+    ) -> None:
         """Say how a part of the node is; a change is logged.
 
         Args:
             part: its name.
             level: of :mod:`greenroof_ros.graph.reports`: ``OK``, ``WARN``, ``ERROR`` or ``STALE``.
             message: a sentence.
+            code: of :data:`greenroof_ros.pumping.conditions.CONDITIONS`; empty where all is well.
+            cause: the code that it follows from, if that is known.
         """
         before = self.reports.diagnoses.get(part)
-        now = Diagnosis(level, message)
-        if now == before:
+        if not self.reports.diagnose(part, level, message, code, cause):
             return
-        self.reports.diagnoses[part] = now
         self._reported = 0.0  # at once
         if level == OK:
             if before is not None:

@@ -83,7 +83,7 @@ class LiveNode(Protocol):
     def on_inputs(self) -> None:
         """Act."""
 
-    def diagnose(self, part: str, level: bytes, message: str) -> None:
+    def diagnose(self, part: str, level: bytes, message: str, code: str = "") -> None:
         """Say how a part of the node is."""
 
 
@@ -103,6 +103,7 @@ class _LiveInput:
         self.verdict = self.rules.judge(now, self.publishers.problem(time.monotonic()))
         self.entry.good = self.verdict.good
         self.entry.why = self.verdict.why
+        self.entry.code = self.verdict.code
 
 
 class Live:
@@ -236,7 +237,9 @@ class Live:
             if self._needed:
                 self._node.diagnose("inputs", OK, "all inputs are good")
             return
-        level = ERROR if any(one.verdict.alarming for one in bad) else WARN
+        alarming = [one for one in bad if one.verdict.alarming]
         self._node.diagnose(
-            "inputs", level, "; ".join(f"{one.entry.name} {one.verdict.why}" for one in bad)
+            "inputs", ERROR if alarming else WARN,
+            "; ".join(f"{one.entry.name} {one.verdict.why}" for one in bad),
+            (alarming or bad)[0].verdict.code,
         )

@@ -76,7 +76,7 @@ class LiveSupervisor(NodeProcesses):
     recorder is never given up, and ends nothing: recording must not stop control.
 
     Attributes:
-        hold: why the pump may not run; empty where it may.
+        inhibit: why the pump may not run; empty where it may.
         may_run: that the pump may run after the end, and what protects; empty where it stands.
     """
 
@@ -107,9 +107,9 @@ class LiveSupervisor(NodeProcesses):
         super().__init__(logs, parameters, namespace)
         # Files of rcl's own, besides what a node prints, would grow for months.
         self._ros_arguments.append("--disable-external-lib-logs")
-        self.hold = "starting"
+        self.inhibit = "starting"
         self.may_run = ""
-        self._held_since = time.monotonic()
+        self._inhibited_since = time.monotonic()
         self._met = False
         self._known: dict[str, _Node] = {}
         self._silence_s = silence_s
@@ -205,14 +205,14 @@ class LiveSupervisor(NodeProcesses):
         if self._stopping is not None and self._stopping.done():
             self._note(PUMP, "could not stop the drive", self._stopping.result()[1])
             self._stopping = None
-        held, self.hold = self.hold, self._reason_to_hold(now)
-        if self.hold and not held:
-            self._held_since, self._met = now, False
-        self._permit.tell(self.hold)
+        before, self.inhibit = self.inhibit, self._reason_to_inhibit(now)
+        if self.inhibit and not before:
+            self._inhibited_since, self._met = now, False
+        self._permit.tell(self.inhibit)
 
     def _pump_state(self) -> str:
         """Return the state of the pump that its node said last; empty before it said one."""
-        return str(self.last.get(PUMP, {}).get("pump", "")).partition(":")[0]
+        return str(self.last.get(PUMP, {}).get("pump_state", ""))
 
     def _says_it_stands(self) -> bool:
         """Whether the pump node said last that the pump stands: it was seen to, or must by now."""
@@ -224,15 +224,15 @@ class LiveSupervisor(NodeProcesses):
         A pump that turns although the node says that it is told to stop is met once while the pump
         is held: the node is right perhaps, and another stop no use.
         """
-        if not self.hold or self._says_it_stands():
+        if not self.inhibit or self._says_it_stands():
             return ""
-        passed = now - max(self._held_since, self._known[PUMP].started, self.awake_since)
+        passed = now - max(self._inhibited_since, self._known[PUMP].started, self.awake_since)
         state = self._pump_state()
         if passed > _OBEYS_S and state in ("running", "starting"):
-            return f"ran the pump for {_OBEYS_S:g} s after it was forbidden ({self.hold})"
+            return f"ran the pump for {_OBEYS_S:g} s after it was forbidden ({self.inhibit})"
         if passed > _OBEYS_S + LONGEST_RAMP_S and state and not self._met:
             self._met = True
-            return f"did not stop the pump within {_OBEYS_S + LONGEST_RAMP_S:g} s ({self.hold})"
+            return f"did not stop the pump within {_OBEYS_S + LONGEST_RAMP_S:g} s ({self.inhibit})"
         return ""
 
     @property
@@ -287,7 +287,7 @@ class LiveSupervisor(NodeProcesses):
     def _note(self, node: str, what: str, done: str) -> None:
         self._on_failure(Failure(node, what, done))
 
-    def _reason_to_hold(self, now: float) -> str:
+    def _reason_to_inhibit(self, now: float) -> str:
         """Return why the pump may not run; empty where it may."""
         reasons = []
         for name, known in self._known.items():

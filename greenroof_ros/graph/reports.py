@@ -6,8 +6,10 @@ import contextlib
 import json
 import os
 import socket
+import time
 from collections.abc import Callable
 from dataclasses import dataclass
+from datetime import datetime, timezone
 from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
@@ -17,6 +19,7 @@ from rclpy.node import Node
 from greenroof_ros.common.interface import read_topics
 from greenroof_ros.graph.qos import qos_profile
 from greenroof_ros.graph.states import REPORT_PIPE, STARTING, STATES, as_expected
+from greenroof_ros.pumping.conditions import CONDITIONS
 
 # How a part of a node is, as tools know it.
 OK, WARN = DiagnosticStatus.OK, DiagnosticStatus.WARN
@@ -31,10 +34,16 @@ class Diagnosis:
     Attributes:
         level: ``OK``, ``WARN``, ``ERROR`` or ``STALE``.
         message: a sentence.
+        code: for programs; empty where all is well.
+        cause: the code that it follows from; empty where that is not known.
+        since: when it began to have this code, by the system's clock (s since 1970).
     """
 
     level: bytes
     message: str
+    code: str
+    cause: str
+    since: float
 
 
 @dataclass(frozen=True)
@@ -104,6 +113,20 @@ class Reports:
                 lambda array: self._hear(array, on_report), profile,
             )
 
+    def diagnose(self, part: str, level: bytes, message: str, code: str, cause: str) -> bool:
+        """Keep how a part is, and return whether that is another diagnosis than before.
+
+        Raises:
+            KeyError: the code is none of the table.
+        """
+        before = self.diagnoses.get(part)
+        since = time.time() if before is None or before.code != code else before.since
+        now = Diagnosis(level, message, code, cause, since)
+        if code:
+            CONDITIONS[code]
+        self.diagnoses[part] = now
+        return now != before
+
     def say(self, values: dict[str, Any]) -> None:
         """Publish the node's state with these values.
 
@@ -121,7 +144,7 @@ class Reports:
         parts = [
             DiagnosticStatus(
                 level=one.level, name=f"{name}: {part}", message=one.message,
-                hardware_id=self.hardware or self._machine,
+                hardware_id=self.hardware or self._machine, values=_values(one),
             )
             for part, one in self.diagnoses.items()
         ]
@@ -134,7 +157,8 @@ class Reports:
             # said again a moment later.
             if self.diagnoses:
                 values["diagnoses"] = {
-                    part: [LEVELS[one.level], one.message] for part, one in self.diagnoses.items()
+                    part: [LEVELS[one.level], one.message, one.code]
+                    for part, one in self.diagnoses.items()
                 }
             with contextlib.suppress(BlockingIOError, BrokenPipeError):
                 line = json.dumps({"state": self.state, **values})
@@ -158,3 +182,12 @@ class Reports:
                 continue
             if process != self.process:
                 on_report(Report(name, role, process, status.message, values))
+
+
+def _values(diagnosis: Diagnosis) -> list[KeyValue]:
+    """Return what a status says to programs: none where all is well."""
+    if not diagnosis.code:
+        return []
+    since = datetime.fromtimestamp(diagnosis.since, timezone.utc).isoformat(timespec="seconds")
+    values = {"code": diagnosis.code, "since": since, "cause": diagnosis.cause}
+    return [KeyValue(key=key, value=value) for key, value in values.items() if value]

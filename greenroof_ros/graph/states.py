@@ -20,8 +20,8 @@ PUMP, RECORDER = "pump", "recorder"
 REPORT_PIPE = "GREENROOF_ROS_REPORT_PIPE"
 
 # The environment variable that holds the file descriptor from which a started pump node reads, four
-# times a second, whether it may run: one JSON object a line, with the key "hold", empty or why it
-# may not, and "at", the time since the machine started (CLOCK_BOOTTIME, s) at which that was so.
+# times a second, whether it may run: one JSON object a line, with the key "inhibit", empty or why
+# it may not, and "at", the time since the machine started (CLOCK_BOOTTIME, s) at which that was so.
 PERMIT_PIPE = "GREENROOF_ROS_PERMIT_PIPE"
 
 
@@ -40,7 +40,7 @@ def _is_list(value: object) -> bool:
 
 # What its readers take for granted of what a report says.
 _IS_AS_EXPECTED: dict[str, Callable[[Any], bool]] = {
-    **dict.fromkeys(("pump", "failure", "fault", "held"), _is_text),
+    **dict.fromkeys(("pump", "pump_state", "failure", "fault", "held"), _is_text),
     **dict.fromkeys(("cistern_level", "roof_level", "command", "flow", "speed"), _is_number),
     **dict.fromkeys(("warnings", "waiting"), _is_list),
     **dict.fromkeys(("stands", "active"), lambda value: isinstance(value, bool)),
@@ -48,7 +48,7 @@ _IS_AS_EXPECTED: dict[str, Callable[[Any], bool]] = {
     "refused": lambda value: isinstance(value, dict)
     and all(type(count) is int for count in value.values()),
     "diagnoses": lambda value: isinstance(value, dict)
-    and all(_is_list(said) and len(said) == 2 for said in value.values()),
+    and all(_is_list(said) and len(said) == 3 for said in value.values()),
 }
 
 

@@ -258,7 +258,7 @@ def _keep_up(
             signals.check()  # a service manager signals the nodes, too: their end is no failure
             supervisor.look()
             record.look(supervisor, starting=status.late)
-            status.update(supervisor.last, supervisor.hold, record.log)
+            status.update(supervisor.last, supervisor.inhibit, record.log)
             if not ready and supervisor.all_ready:
                 ready = True
                 status.say("all nodes are here")
@@ -266,7 +266,8 @@ def _keep_up(
             now = time.monotonic()
             if now - notified >= _NOTIFY_S:
                 notified = now
-                how = f"held: {supervisor.hold}" if supervisor.hold else values_of(supervisor.last)
+                held = supervisor.inhibit
+                how = f"held: {held}" if held else values_of(supervisor.last)
                 notify("WATCHDOG=1", f"STATUS={how}", *([] if ready else [_STILL_STARTING]))
     finally:
         notify("STOPPING=1")

@@ -171,7 +171,7 @@ class Status:
         """Return what is expected and has not come, a line each, and whether it is needed."""
         lines = {}
         for (node, part), it in self._expected.items():
-            level, message = reports.get(node, {}).get("diagnoses", {}).get(part, ("", ""))
+            level, message, _ = reports.get(node, {}).get("diagnoses", {}).get(part, ("", "", ""))
             if level not in it.well:
                 why = message or f"nothing yet from {it.where}"
                 to_do = it.to_do if message else f"if it does not come, {it.to_do}"
@@ -224,7 +224,7 @@ def troubles_of(
     said = set()
     for node, report in reports.items():
         bad = {
-            part: message for part, (level, message) in report.get("diagnoses", {}).items()
+            part: message for part, (level, message, _) in report.get("diagnoses", {}).items()
             if level != "OK" and part != _OF_BRINGUP
         }
         for part, message in sorted(bad.items(), key=lambda one: one[0] == "pump"):

@@ -194,7 +194,7 @@ class ControllerNode(LinkedNode):
                 decides = allowed and not problem
                 command = self._decide(decides)
         except ConfigurationError as error:
-            self.diagnose("command", ERROR, str(error))
+            self.diagnose("command", ERROR, str(error), "controller_failed")
             command, decides = 0.0, False
         else:
             if decides and "command" in self.reports.diagnoses:
@@ -240,7 +240,8 @@ class ControllerNode(LinkedNode):
             self._without_since = to_people(wall.replace(microsecond=0))
         if self._without_since:
             problem = f"on/off commands since {self._without_since}, without a forecast: {problem}"
-        self.diagnose("forecast", WARN, problem)
+        cause = next(one.code for one in (self._rain, self._evapotranspiration) if not one.good)
+        self.diagnose("forecast", WARN, problem, "no_forecast", cause)
 
     def _rain_forecast(self) -> Any:
         """Return the forecast of rain in the shape that the controller takes.

@@ -57,12 +57,15 @@ class LevelSensorNode(LinkedNode):
         reading, now = self._exchange.snapshot, time.monotonic()
         if now - max(reading.read_at, self._started) > _PERIODS * self._sensor.period:
             self._level = None
-            self.diagnose("sensor", STALE, "the sensor is not read any more: the reader hangs")
+            self.diagnose(
+                "sensor", STALE, "the sensor is not read any more: the reader hangs",
+                "sensor_hangs",
+            )
         elif reading.read_at > self._published:
             self._published = reading.read_at
             self._level = reading.level
             if reading.level is None:
-                self.diagnose("sensor", ERROR, reading.problem)
+                self.diagnose("sensor", ERROR, reading.problem, "sensor_lost")
             else:
                 self._publish(reading.level)
                 self.diagnose("sensor", OK, "the sensor is read")

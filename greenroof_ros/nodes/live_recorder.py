@@ -90,7 +90,7 @@ class LiveRecorderNode(LinkedNode):
         if DISK.late:
             problem = f"{self._bag.directory}: the disk takes nothing; what comes waits in memory"
         if problem:
-            self.diagnose("recording", ERROR, f"nothing is recorded: {problem}")
+            self.diagnose("recording", ERROR, f"nothing is recorded: {problem}", "not_recorded")
         else:
             self.diagnose("recording", OK, f"recording to {self._bag.directory}")
         return LISTEN_S

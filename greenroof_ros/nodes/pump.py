@@ -2,7 +2,7 @@
 
 It is a lifecycle node. *configure* connects to the drive and reads its nameplate and its own
 communication timeout; *activate* lets the pump run, unless that timeout is off, too long or
-unreadable; *deactivate* ramps down, *cleanup* lets go. ``~/stop`` (std_srvs/SetBool) holds the pump
+unreadable; *deactivate* ramps down, *cleanup* lets go. ``~/stop`` (std_srvs/SetBool) keeps the pump
 off over anything, after a restart too; ``~/reset`` (std_srvs/Trigger) clears a latched fault. In
 any state each command is answered by the flow, and /pump/state says why the pump stands.
 """
@@ -54,7 +54,7 @@ from greenroof_ros.graph.parameters import (
     site_file,
 )
 from greenroof_ros.graph.permit import PermitReader
-from greenroof_ros.graph.reports import ERROR, OK, STALE, WARN, Diagnosis
+from greenroof_ros.graph.reports import ERROR, OK, STALE, WARN
 from greenroof_ros.graph.serialization import decode_clock
 from greenroof_ros.graph.validation import Input
 from greenroof_ros.model.site import Site
@@ -280,7 +280,7 @@ class PumpNode(Lifecycle, LinkedNode):
         self._without_timeout = self._drive.without_timeout
         self._resetting_until = 0.0
         self._decision = Decision(
-            None, "off", "not started", 0.0, "", "", 0.0, stands=False, turns_at=None,
+            None, "off", "not started", (), 0.0, "", "", 0.0, stands=False, turns_at=None,
             flow_known=False, blind_for=0.0,
         )
         self._state = self._logged = ""
@@ -343,9 +343,10 @@ class PumpNode(Lifecycle, LinkedNode):
         self._begin_with(ledger)
         self._reasons = ()  # decide anew
         if held != mine.found.held:
-            ledger.hold(held or ledger.record.held)
+            ledger.stop(held or ledger.record.held)
         if fault != mine.found.fault:
-            ledger.fault(fault or ledger.record.fault)
+            kept = mine.record if fault else ledger.record
+            ledger.fault(kept.fault, kept.fault_code)
 
     def _place_of_state(self, values: dict[str, Any]) -> Path:
         if values["state_file"]:
@@ -400,6 +401,7 @@ class PumpNode(Lifecycle, LinkedNode):
             self.diagnose(
                 "drive file", WARN, f"{self._drive.file.path} was not verified against a manual "
                 f"in: {', '.join(unverified)}; watch the pump start and stop before you rely on it",
+                "drive_file_unverified",
             )
 
     def deactivate(self) -> None:
@@ -456,7 +458,7 @@ class PumpNode(Lifecycle, LinkedNode):
         self, request: SetBool.Request, response: SetBool.Response
     ) -> SetBool.Response:
         self._take_state()
-        self._control.hold(request.data)
+        self._control.stop(request.data)
         self._step(time.monotonic(), 0.0)
         problem = self._ledger.kept()
         response.success = not problem
@@ -509,7 +511,7 @@ class PumpNode(Lifecycle, LinkedNode):
         self._look_for_suspend(now)
         status = self._drive.status(now)
         reasons = (
-            self._problem(now), _fault(status),
+            self._reasons_against(now), _fault(status),
             status is not None and status.stands,
             # Once a second, whether a drive that is not heard must stand by now.
             status is None and not self._decision.stands and now // 1,
@@ -530,36 +532,38 @@ class PumpNode(Lifecycle, LinkedNode):
     def progress(self) -> dict[str, Any]:
         """Return what bringup shows, and waits for."""
         return {
-            "pump": self._state, "stands": self._decision.stands,
+            "pump": self._state, "pump_state": self._decision.state,
+            "stands": self._decision.stands,
             "speed": self._decision.turns_at,
             "flow": self._decision.flow if self._decision.flow_known else None,
-            "active": self.lifecycle_state == ACTIVE and not self._drive.snapshot.hold,
+            "active": self.lifecycle_state == ACTIVE and not self._drive.snapshot.inhibit,
             "fault": self._ledger.record.fault, "held": self._ledger.record.held,
         }
 
     # --- the pump -------------------------------------------------------------------------------
 
-    def _problem(self, now: float) -> str:
-        """Return the reasons of this node to have the pump off; empty where there is none."""
+    def _reasons_against(self, now: float) -> dict[str, str]:
+        """Return what this node has against running the pump, by interlock."""
         status, absence = self._drive.status(now), self._drive.absence(now)
         if self.lifecycle_state != ACTIVE:
             refusal = self.refusal or "the node is not active"
-            return refusal if absence in refusal else f"{refusal}; {absence}"
-        reasons = [absence]
+            return {"not_active": refusal, "drive_lost": "" if absence in refusal else absence}
+        reasons = {"drive_lost": absence}
         if status is not None:
             if not status.remote:
-                reasons.append(
+                reasons["drive_local"] = (
                     "the drive is in local control: hand it over to the bus at its panel"
                 )
             if not self._without_timeout:
-                reasons.append(self._drive.timeout_problem())
-            reasons.append(self._drive.snapshot.hold)
-        reasons += [self._permit.hold(boot_time()), self._two_publishers(now)]
+                reasons["drive_timeout"] = self._drive.timeout_problem()
+            reasons["drive_guards_later"] = self._drive.snapshot.inhibit
+        reasons["no_permit"] = self._permit.inhibit(boot_time())
+        reasons["two_controllers"] = self._two_publishers(now)
         if self.live:
             # Another pump node may have the same drive: neither runs it then.
-            reasons.append(self._rival(now))
-        reasons.append(self._silence())
-        return "; ".join(filter(None, reasons))
+            reasons["two_pumps"] = self._rival(now)
+        reasons["no_command"] = self._silence()
+        return reasons
 
     def _two_publishers(self, now: float) -> str:
         problem = self.inputs.publishers["/pump/command"].problem(now)
@@ -574,7 +578,7 @@ class PumpNode(Lifecycle, LinkedNode):
             self.diagnose(
                 "suspend", ERROR, f"the machine was suspended for {seconds:.0f} s while the pump "
                 "was on, and only the drive's own communication timeout could stop it: keep this "
-                "machine from suspending",
+                "machine from suspending", "suspended",
             )
         elif now - self._suspend_seen > _SAID_S:
             self.diagnose("suspend", OK, "the machine stays awake while the pump is on")
@@ -608,7 +612,7 @@ class PumpNode(Lifecycle, LinkedNode):
             drive_flow=None if status is None else status.flow,
             drive_ready=status is not None and (status.ready or status.running),
             drive_fault="" if now < self._resetting_until else _fault(status),
-            problem=self._problem(now),
+            reasons=self._reasons_against(now),
         )
         time_now = now if self.live else self._simulated
         drive_dt, self._decided = now - self._decided, now
@@ -635,25 +639,29 @@ class PumpNode(Lifecycle, LinkedNode):
     def _diagnose(self, now: float) -> None:
         """Say how each part is; what has numbers in it changes too often for the log."""
         decision = self._decision
-        healthy = decision.state in ("running", "starting", "stopping")
-        commanded = decision.state == "off" and not self._problem(now)
-        level = ERROR if decision.state == "fault" else OK if healthy or commanded else WARN
-        self.reports.diagnoses["pump"] = Diagnosis(level, self._state)
+        code = decision.standing[0].interlock.code if decision.standing else ""
+        level = ERROR if decision.state == "fault" else WARN if code else OK
+        say = self.reports.diagnose
+        say("pump", level, self._state, code, self._cause(code))
         limits = decision.warning or "nothing limits the pump"
-        self.reports.diagnoses["limits"] = Diagnosis(WARN if decision.warning else OK, limits)
-        self.reports.diagnoses["flow"] = Diagnosis(OK, f"known so: {decision.source}")
+        say("limits", WARN if decision.warning else OK, limits,
+            "limited" if decision.warning else "", "")
+        say("flow", OK, f"known so: {decision.source}", "", "")
         trouble = self._two_publishers(now) or (
             "" if self._command.good else f"{self._command.name} {self._command.why}"
         )
         silence = self._silence()
+        late = bool(silence) and self.acted
         self.diagnose(
-            "command", ERROR if trouble else STALE if silence and self.acted else OK,
+            "command", ERROR if trouble else STALE if late else OK,
             trouble or silence or "commands come",
+            self._command.code or "two_controllers" if trouble else "no_command" if late else "",
         )
         bad = [one for one in (self._cistern, self._roof) if not one.good]
         self.diagnose(
             "levels", ERROR if bad else OK,
             "; ".join(f"{one.name} {one.why}" for one in bad) or "both levels are good",
+            bad[0].code if bad else "",
         )
         frost = f"{self._frost.name} {self._frost.why}" if not self._frost.good else ""
         if self._frost.good and self._frost.value > 0:
@@ -664,41 +672,68 @@ class PumpNode(Lifecycle, LinkedNode):
         )
         self.diagnose(
             "delivery", WARN if decision.blind_for else OK,
-            blind if decision.blind_for else "what is pumped is held against both levels",
+            blind if decision.blind_for else "what is pumped is compared with both levels",
+            "delivery_blind" if decision.blind_for else "",
         )
         kept = self._ledger.problem
-        self.diagnose("state file", ERROR if kept else OK, kept or "stops and faults are kept")
-        self.diagnose("frost", WARN if frost else OK, frost or "there is no frost")
+        self.diagnose(
+            "state file", ERROR if kept else OK, kept or "stops and faults are kept",
+            "state_not_kept" if kept else "",
+        )
+        self.diagnose(
+            "frost", WARN if frost else OK, frost or "there is no frost",
+            self._frost.code or "frost" if frost else "",
+        )
         if self._permit.given:
-            hold = self._permit.hold(boot_time())
-            self.diagnose("supervisor", WARN if hold else OK, hold or "bringup lets the pump run")
+            why = self._permit.inhibit(boot_time())
+            self.diagnose(
+                "supervisor", WARN if why else OK, why or "bringup lets the pump run",
+                "no_permit" if why else "",
+            )
         self._diagnose_drive(now)
+
+    def _cause(self, code: str) -> str:
+        """Return the code from which an interlock follows; empty where that is not known."""
+        inputs = {
+            "cistern_level_unknown": self._cistern, "roof_level_unknown": self._roof,
+            "frost_unknown": self._frost, "command_unknown": self._command,
+        }
+        return inputs[code].code if code in inputs else ""
 
     def _diagnose_drive(self, now: float) -> None:
         if self.lifecycle_state == UNCONFIGURED and not self._autostart:
-            self.diagnose("drive", WARN, self.refusal or "the node is not configured")
+            self.diagnose(
+                "drive", WARN, self.refusal or "the node is not configured", "not_active"
+            )
             return
         snapshot, status = self._drive.snapshot, self._drive.status(now)
         if status is None:
-            level = ERROR if snapshot.errors else WARN
-            self.diagnose("drive", level, self._drive.absence(now))
+            level, code = (ERROR, "drive_lost") if snapshot.errors else (WARN, "drive_awaited")
+            self.diagnose("drive", level, self._drive.absence(now), code)
             return
         self.reports.hardware = snapshot.identity
         if status.fault:
-            self.diagnose("drive", ERROR, f"the drive reports a fault: {status.fault}")
+            self.diagnose(
+                "drive", ERROR, f"the drive reports a fault: {status.fault}", "drive_fault"
+            )
         elif snapshot.problem or status.warning or not status.remote:
             local = "" if status.remote else "it is in local control"
             said = "; ".join(filter(None, (snapshot.problem, status.warning, local)))
-            self.diagnose("drive", WARN, f"the drive: {said}")
+            code = "drive_warning" if status.remote else "drive_local"
+            self.diagnose("drive", WARN, f"the drive: {said}", code)
         else:
             self.diagnose("drive", OK, f"connected to {snapshot.identity}")
-        problem, hold = self._drive.timeout_problem(), snapshot.hold
-        level = ERROR if problem and not self._without_timeout else WARN if problem or hold else OK
-        said = problem or hold or (
+        problem, later = self._drive.timeout_problem(), snapshot.inhibit
+        level, code = (
+            (WARN, "drive_timeout_waived") if problem and self._without_timeout
+            else (ERROR, "drive_timeout") if problem
+            else (WARN, "drive_guards_later") if later else (OK, "")
+        )
+        said = problem or later or (
             f"without this machine the drive stops after {snapshot.timeout_s:g} s"
         )
         traps = self._drive.timeout_traps
-        self.diagnose("drive timeout", level, f"{said}; beware: {traps}" if traps else said)
+        self.diagnose("drive timeout", level, f"{said}; beware: {traps}" if traps else said, code)
 
 
 def _fault(status: DriveStatus | None) -> str:

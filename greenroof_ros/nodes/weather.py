@@ -286,11 +286,15 @@ class WeatherNode(LinkedNode):
         try:
             outlook = forecast.at(now, rain)
         except NoForecastError as error:
-            self.diagnose("forecast", ERROR, "; ".join(filter(None, [str(error), problem])))
+            why = "; ".join(filter(None, [str(error), problem]))
+            self.diagnose("forecast", ERROR, why, "forecast_missing")
             return None
         issued = f"the newest forecast was issued at {to_people(outlook.issued)}"
         if problem:
-            self.diagnose("forecast", WARN, f"{issued}; what was read before holds on: {problem}")
+            self.diagnose(
+                "forecast", WARN, f"{issued}; what was read before holds on: {problem}",
+                "forecast_unreadable",
+            )
         else:
             self.diagnose("forecast", OK, issued)
         return outlook
@@ -303,12 +307,12 @@ class WeatherNode(LinkedNode):
         if math.isnan(self._unknown_frost):
             self.diagnose(
                 "frost", ERROR, "the temperature is unknown, and so whether there is frost: the "
-                "pumps stand (unknown_frost_may_pump)",
+                "pumps stand (unknown_frost_may_pump)", "temperature_unknown",
             )
         else:
             self.diagnose(
                 "frost", WARN, "the temperature is unknown, and so whether there is frost: the "
-                "pumps may run all the same (unknown_frost_may_pump)",
+                "pumps may run all the same (unknown_frost_may_pump)", "temperature_unknown",
             )
         return self._unknown_frost
 
@@ -317,7 +321,9 @@ class WeatherNode(LinkedNode):
         if gauge.good:
             self.diagnose(part, OK, f"{gauge.name} is good")
         elif gauge.heard:
-            self.diagnose(part, WARN, f"{gauge.name} {gauge.why}; {instead}")
+            self.diagnose(
+                part, WARN, f"{gauge.name} {gauge.why}; {instead}", "gauge_bad", gauge.code
+            )
 
 
 def _help() -> str:

@@ -50,6 +50,7 @@ class Record:
     Attributes:
         held: why the pump is held by somebody; empty where it is not.
         fault: the latched fault; empty where there is none.
+        fault_code: its interlock's code.
         elapsed: since the ledger's first step (s).
         day_run: how long the pump was on in the present day (s).
         day_volume: what it pumped in it (m3).
@@ -60,6 +61,7 @@ class Record:
 
     held: str = ""
     fault: str = ""
+    fault_code: str = ""
     elapsed: float = 0.0
     day_run: float = 0.0
     day_volume: float = 0.0
@@ -136,14 +138,14 @@ class Ledger:
             return f"{self._file} could not be written within {PATIENCE_S:g} s"
         return self._problem
 
-    def hold(self, reason: str) -> None:
-        """Hold the pump, or release it (empty)."""
+    def stop(self, reason: str) -> None:
+        """Keep the pump off, or release it (empty)."""
         self.record = replace(self.record, held=reason)
         self._save()
 
-    def fault(self, text: str) -> None:
-        """Latch a fault, or clear it (empty)."""
-        self.record = replace(self.record, fault=text)
+    def fault(self, text: str, code: str) -> None:
+        """Latch a fault with its interlock's code, or clear it (empty)."""
+        self.record = replace(self.record, fault=text, fault_code=code)
         self._save()
 
     def switch(self, on: bool) -> None:

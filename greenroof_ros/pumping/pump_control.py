@@ -1,13 +1,15 @@
-"""What the pump does at each step: the one place where all that may stop it comes together."""
+"""What the pump does at each step: it follows the command, unless an interlock stands."""
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
 
 from greenroof_ros.model.pump_speed import flow_at
 from greenroof_ros.model.site import Site
 from greenroof_ros.pumping.delivery import DeliveryCheck
+from greenroof_ros.pumping.interlocks import Kind, Standing, evaluate
 from greenroof_ros.pumping.ledger import SAVE_EVERY_S, Ledger
 from greenroof_ros.pumping.limits import SiteLimits, SwitchLimits
 from greenroof_ros.pumping.pulses import Pulses
@@ -25,6 +27,8 @@ _GREATEST_FLOW = 1.5
 # No pump turns faster (share of its rated speed), and no level is beyond this (m, as of its topic).
 _GREATEST_SPEED = 2.0
 _GREATEST_LEVEL = 100.0
+# The state of a pump that an interlock keeps off, by the first that stands.
+_STATES = {Kind.LATCHED: "fault", Kind.INHIBIT: "held", Kind.ENABLE: "off"}
 
 
 @dataclass(frozen=True)
@@ -42,8 +46,7 @@ class Observation:
         drive_flow: of the drive's own (m3/s).
         drive_ready: whether it runs, or would if it were asked to.
         drive_fault: its fault, as text; empty where there is none.
-        problem: a reason to be off that passes by itself, such as a lost connection; empty where
-            there is none.
+        reasons: what the node itself has against running, by interlock.
     """
 
     command: float | None = None
@@ -56,7 +59,7 @@ class Observation:
     drive_flow: float | None = None
     drive_ready: bool = False
     drive_fault: str = ""
-    problem: str = ""
+    reasons: Mapping[str, str] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -68,6 +71,7 @@ class Decision:
         state: off, starting, running, stopping, fault, held, or unknown: it is asked to be off, and
             nobody knows whether it stands.
         why: in words.
+        standing: the interlocks that keep the pump off, the first of the table first.
         flow: the best present estimate (m3/s).
         source: how the flow is known.
         warning: what an operator should know although it stops nothing; empty where nothing.
@@ -83,6 +87,7 @@ class Decision:
     speed: float | None
     state: str
     why: str
+    standing: tuple[Standing, ...]
     flow: float
     source: str
     warning: str
@@ -129,19 +134,19 @@ class PumpControl:
         # it is not known to stand.
         self._turned = 1.0
 
-    def hold(self, on: bool) -> None:
-        """Hold the pump off over anything, or release it; kept over restarts.
+    def stop(self, on: bool) -> None:
+        """Keep the pump off over anything, or release it; kept over restarts.
 
         It takes effect with the next step.
         """
         reason = self._ledger.record.held or OPERATOR_STOPPED
-        self._ledger.hold(reason if on else "")
+        self._ledger.stop(reason if on else "")
 
     def reset(self) -> str:
         """Clear a latched fault, and return what it was; what still is latches again."""
         cleared = self._ledger.record.fault
         if cleared:
-            self._ledger.fault("")
+            self._ledger.fault("", "")
             self._delivery.restart()
             self._astray_for = 0.0
         return cleared
@@ -183,23 +188,20 @@ class PumpControl:
         sees = seen.cistern_level is not None and seen.roof_level is not None
         self._blind_for = 0.0 if sees and self._delivery.watches else self._blind_for + dt
         self._latch(drive_dt, seen, backwards, undelivered)
-        command, refusal, warning = _command(seen.command)
-        if warning:
-            warnings.append(warning)
-        record = self._ledger.record
-        held = [record.held] if record.held else []
-        held += self._limits.reasons(command, seen.cistern_level, seen.roof_level, seen.frost)
-        # One that turns backwards is a fault, and its speed is known.
-        trouble = seen.problem or refusal or ("" if backwards else _trouble(seen))
-
+        command, refused = _command(seen.command)
+        if command is not None and seen.command is not None and seen.command > 1:
+            warnings.append(f"the command {seen.command:g} is above 1 and taken as 1")
+        standing = evaluate({
+            **self._kept(),
+            **self._limits.reasons(command, seen.cistern_level, seen.roof_level, seen.frost),
+            **seen.reasons, **refused,
+            # One that turns backwards is a fault, and its speed is known.
+            **({} if backwards else _drive_trouble(seen)),
+        })
         asked = None
-        against = [one for one in (record.fault, *held, trouble) if one]
-        if record.fault:
-            state, why = "fault", "; ".join(against)
-        elif held:
-            state, why = "held", "; ".join(against)
-        elif trouble:
-            state, why = "off", trouble
+        if standing:
+            state = _STATES[standing[0].interlock.kind]
+            why = "; ".join(one.why for one in standing)
         else:
             assert command is not None
             assert seen.cistern_level is not None
@@ -207,7 +209,7 @@ class PumpControl:
             full = seen.roof_level >= self._site.z_veg
             asked, why = self._follow(now, dt, command, full, seen.cistern_level, warnings)
             state = "off" if asked is None else "running"
-        if against:
+        if standing:
             self._pulses.drop()
         self._switch_to(now, asked)
 
@@ -227,8 +229,8 @@ class PumpControl:
         else:
             stands = asked is None and not turning
         return Decision(
-            asked, state, why, flow, source, "; ".join(warnings), self._pulses.owed, stands,
-            turns_at, stands or known_flow is not None, self._blind_for,
+            asked, state, why, standing, flow, source, "; ".join(warnings), self._pulses.owed,
+            stands, turns_at, stands or known_flow is not None, self._blind_for,
         )
 
     def _computed_flow(self, seen: Observation) -> float:
@@ -308,21 +310,28 @@ class PumpControl:
         if seen.speed is not None:  # what is not heard for a moment may go on
             astray = self._is_beyond_ramp(seen.speed, drive_dt)
             self._astray_for = self._astray_for + drive_dt if astray else 0.0
-        found = undelivered
+        found = {"delivery": undelivered}
         if seen.speed is not None and self._astray_for > self._settings.follow_time:
             asked = "it is told to stop"
             if self._asked is not None:
                 asked = f"{self._asked:.2f} is asked for"
-            found = (
+            found["speed_not_followed"] = (
                 f"the speed does not follow: the pump turns at {seen.speed:.2f} of its speed, and "
                 f"{asked}, for {self._astray_for:.0f} s, which a ramp of "
                 f"{self._settings.drive_ramp:g} s (drive_ramp) does not explain"
             )
-        found = backwards or found
-        if seen.drive_fault:
-            found = f"the drive reports: {seen.drive_fault}"
-        if found and not self._ledger.record.fault:
-            self._ledger.fault(found)
+        found["turns_backwards"] = backwards
+        found["drive_fault"] = f"the drive reports: {seen.drive_fault}" if seen.drive_fault else ""
+        faults = evaluate(found)
+        if faults and not self._ledger.record.fault:
+            self._ledger.fault(faults[0].why, faults[0].interlock.code)
+
+    def _kept(self) -> dict[str, str]:
+        """Return what keeps the pump off over restarts: the latched fault, and who stopped it."""
+        record = self._ledger.record
+        stopped = "operator_stop" if record.held == OPERATOR_STOPPED else "record_unknown"
+        fault = {record.fault_code: record.fault} if record.fault else {}
+        return {**fault, stopped: record.held}
 
     def _follow(
         self, now: float, dt: float, command: float, full: bool, cistern_level: float,
@@ -390,19 +399,20 @@ def _believable(seen: Observation) -> Observation:
     )
 
 
-def _trouble(seen: Observation) -> str:
-    """Return why a drive cannot be used now; empty where it can."""
+def _drive_trouble(seen: Observation) -> dict[str, str]:
+    """Return why a drive cannot be used now."""
     if seen.speed is None:
-        return "the speed of the drive is unknown"
-    return "" if seen.drive_ready else "the drive is not ready"
+        return {"drive_speed_unknown": "the speed of the drive is unknown"}
+    return {} if seen.drive_ready else {"drive_not_ready": "the drive is not ready"}
 
 
-def _command(command: float | None) -> tuple[float | None, str, str]:
-    """Return a command that may be followed or None, why it is refused, and a warning."""
+def _command(command: float | None) -> tuple[float | None, dict[str, str]]:
+    """Return a command that may be followed, at most 1, or None and why it may not."""
     if command is None:
-        return None, "there is no command", ""
+        return None, {"command_unknown": "there is no command"}
     if not 0 <= command < math.inf:
-        return None, f"the command {command:g} is refused: it must be a number from 0 to 1", ""
-    if command > 1:
-        return 1.0, "", f"the command {command:g} is above 1 and taken as 1"
-    return command, "", ""
+        return None, {
+            "command_refused": f"the command {command:g} is refused: it must be a number from 0 "
+            "to 1",
+        }
+    return min(command, 1.0), {}

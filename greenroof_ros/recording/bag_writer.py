@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from greenroof_ros.common.interface import Topic
-from greenroof_ros.recording.bag_metadata import FileContent, write_metadata
+from greenroof_ros.recording.bag_metadata import write_metadata
 from greenroof_ros.recording.mcap_file import McapFile
 
 # How many ticks go to the operating system together. What a kill -9 can cost is what the plant is
@@ -20,33 +20,27 @@ class BagWriter:
     Two equal runs give equal bytes.
 
     Attributes:
-        directory: the bag, ``metadata.yaml`` and one ``.mcap`` file, or more where it was gone on
-            with.
-        ticks: how many ticks were written, those of earlier files included.
+        directory: the bag, ``metadata.yaml`` and one ``.mcap`` file.
+        ticks: how many ticks were written.
         safe: how many of them a killed process would leave behind.
     """
 
-    def __init__(
-        self, directory: Path, topics: Sequence[Topic], before: Sequence[FileContent] | None = None
-    ) -> None:
+    def __init__(self, directory: Path, topics: Sequence[Topic]) -> None:
         """Make the bag's directory and write the head of its file.
 
         Args:
-            directory: must not exist, unless the bag is gone on with.
+            directory: must not exist.
             topics: those of each tick, in the order in which they are written.
-            before: the files of a bag that is gone on with, closed; the ticks go into another one.
 
         Raises:
             FileExistsError: the directory exists.
             OSError: it cannot be written.
         """
         self.directory = directory
-        self._before = list(before or ())
-        self.ticks = self.safe = sum(file.ticks for file in self._before)
+        self.ticks = self.safe = 0
         self._topics = list(topics)
-        directory.mkdir(parents=True, exist_ok=before is not None)
-        path = directory / f"{directory.name}_{len(self._before)}.mcap"
-        self._file = McapFile(path, self._topics, first=self.ticks)
+        directory.mkdir(parents=True)
+        self._file = McapFile(directory / f"{directory.name}_0.mcap", self._topics)
 
     def write_tick(self, time_ns: int, messages: Sequence[bytes]) -> None:
         """Write one tick.
@@ -85,9 +79,4 @@ class BagWriter:
         """
         self._file.close()
         self.safe = self.ticks
-        files = list(self._before)
-        if self._file.content.count or not files:
-            files.append(self._file.content)
-        else:
-            self._file.path.unlink()  # a reader has no use for a file without a message
-        write_metadata(self.directory, self._topics, files)
+        write_metadata(self.directory, self._topics, [self._file.content])

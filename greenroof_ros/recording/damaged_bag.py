@@ -19,6 +19,7 @@ from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.interface import Topic, find_namespace, read_topics
 from greenroof_ros.recording.bag_files import content_of, numbered_files
 from greenroof_ros.recording.bag_metadata import FileContent, write_metadata
+from greenroof_ros.recording.bag_writer import BagWriter
 from greenroof_ros.recording.mcap_file import McapFile
 
 
@@ -52,25 +53,23 @@ def restore(bag: Path, target: Path) -> str:
     if not names:
         raise ConfigurationError(f"holds not one whole {what}", file=bag)
     topics = _topics(bag, names, "/roof/level" if live else "/clock")
+    if not live:
+        return f"{_rewrite_ticks(files[0], target, topics)} ticks"
     target.mkdir(parents=True)
     contents: list[FileContent] = []
     for file in files:
         copy = target / f"{target.name}_{len(contents)}.mcap"
-        content = content_of(file) if live else None
+        content = content_of(file)
         if content is not None:
             _link(file, copy)
             contents.append(replace(content, name=copy.name))
-            continue
-        first = None if live else sum(content.ticks for content in contents)
-        content = _rewrite(file, copy, topics, first)
-        if content is not None:
+        elif (content := _rewrite(file, copy, topics)) is not None:
             contents.append(content)
     if not contents:
         target.rmdir()
-        raise ConfigurationError(f"holds not one whole {what}", file=bag)
+        raise ConfigurationError("holds not one whole message", file=bag)
     write_metadata(target, topics, contents)
-    number = sum(content.count if live else content.ticks for content in contents)
-    return f"{number} {what}s"
+    return f"{sum(content.count for content in contents)} messages"
 
 
 def _topics(bag: Path, names: list[str], needed: str) -> list[Topic]:
@@ -95,38 +94,30 @@ def _link(file: Path, copy: Path) -> None:
         shutil.copyfile(file, copy)
 
 
-def _rewrite(
-    file: Path, copy: Path, topics: list[Topic], first: int | None
-) -> FileContent | None:
-    """Write what is whole in a file into another; None where nothing is.
+def _rewrite_ticks(file: Path, target: Path, topics: list[Topic]) -> int:
+    """Write the whole ticks of a simulated run into a new bag; return how many there are."""
+    writer = BagWriter(target, topics)
+    for _, time_ns, messages in read_ticks(file):
+        writer.write_tick(time_ns, messages)
+    writer.close()
+    if not writer.ticks:
+        shutil.rmtree(target)
+        raise ConfigurationError("holds not one whole tick", file=file)
+    return writer.ticks
 
-    Args:
-        file: that was recorded.
-        copy: the new one.
-        topics: of the bag.
-        first: the tick with which it begins; None where it is of a live site.
-    """
+
+def _rewrite(file: Path, copy: Path, topics: list[Topic]) -> FileContent | None:
+    """Write the whole messages of a file into another; None where it has none."""
     indices = {topic.name: index for index, topic in enumerate(topics)}
+    names = {channel.id: channel.topic for channel in read_channels(file)}
     new: McapFile | None = None
-    for name, time_ns, message in _whole(file, first):
-        new = new or McapFile(copy, topics, first=first or 0)
-        new.write(time_ns, [(indices[name], message)])
+    for message in read_messages(file):
+        new = new or McapFile(copy, topics)
+        new.write(message.log_time, [(indices[names[message.channel_id]], message.data)])
     if new is None:
         return None
     new.close()
     return new.content
-
-
-def _whole(file: Path, first: int | None) -> Iterator[tuple[str, int, bytes]]:
-    """Yield topic, time (ns) and data of what is whole, by ticks or by messages."""
-    if first is None:
-        names = {channel.id: channel.topic for channel in read_channels(file)}
-        for message in read_messages(file):
-            yield names[message.channel_id], message.log_time, message.data
-    else:
-        for channels, time_ns, messages in read_ticks(file, first):
-            for channel, data in zip(channels, messages, strict=True):
-                yield channel.topic, time_ns, data
 
 
 def read_head(path: Path) -> tuple[list[Schema], list[Channel]]:
@@ -156,19 +147,18 @@ def read_messages(path: Path) -> Iterator[Message]:
                 yield record
 
 
-def read_ticks(path: Path, first: int = 0) -> Iterator[tuple[list[Channel], int, list[bytes]]]:
+def read_ticks(path: Path) -> Iterator[tuple[list[Channel], int, list[bytes]]]:
     """Read the whole ticks of a bag file, up to where its writer was killed.
 
     Args:
         path: an ``.mcap`` file of :class:`BagWriter`, whole or cut short.
-        first: the tick with which it begins.
 
     Yields:
         For each tick the channels, its time (ns) and the serialised message of each channel.
     """
     channels: list[Channel] = []
     tick: list[Message] = []
-    index = first
+    index = 0
     with path.open("rb") as stream:
         for record in _records(stream):
             if isinstance(record, Channel) and all(record.id != c.id for c in channels):

@@ -27,13 +27,12 @@ class McapFile:
         first_ns: time of its first message, nanoseconds since 1970; 0 before there is one.
     """
 
-    def __init__(self, path: Path, topics: Sequence[Topic], first: int = 0) -> None:
+    def __init__(self, path: Path, topics: Sequence[Topic]) -> None:
         """Make the file and write its head.
 
         Args:
             path: must not exist.
             topics: those that it can hold.
-            first: the sequence number of the first message of each.
 
         Raises:
             FileExistsError: the file exists.
@@ -42,8 +41,7 @@ class McapFile:
         self.path = path
         self.first_ns = self._last_ns = 0
         self._topics = list(topics)
-        self._first = first
-        self._next = [first] * len(self._topics)  # sequence numbers
+        self._counts = [0] * len(self._topics)
         self._safe_bytes = 0
         self._stream: BinaryIO = path.open("xb")
         self._writer = Writer(self._stream, compression=CompressionType.ZSTD)
@@ -81,19 +79,16 @@ class McapFile:
         """
         self.first_ns = self.first_ns or time_ns
         self._last_ns = max(self._last_ns, time_ns)
-        add, channels, following = self._add, self._channels, self._next
+        add, channels, counts = self._add, self._channels, self._counts
         for index, message in messages:
-            sequence = following[index]
-            following[index] = sequence + 1
-            add(channels[index], time_ns, message, time_ns, sequence)
+            add(channels[index], time_ns, message, time_ns, counts[index])
+            counts[index] += 1
 
     @property
     def content(self) -> FileContent:
         """What was added."""
-        counts = {
-            topic.name: number - self._first
-            for topic, number in zip(self._topics, self._next, strict=True)
-        }
+        names = [topic.name for topic in self._topics]
+        counts = dict(zip(names, self._counts, strict=True))
         return FileContent(self.path.name, self.first_ns, self._last_ns, counts)
 
     @property

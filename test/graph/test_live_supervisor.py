@@ -98,13 +98,13 @@ def test_a_node_that_died_is_started_again(
     """After 1 s, then 2 s; the pump is held until it is there, and told why."""
     with site(tmp_path, monkeypatch) as (here, failures, stops):
         here.add("weather", "controller", "pump")
-        here.until(lambda: here.supervisor.all_ready and not here.supervisor.hold)
+        here.until(lambda: here.supervisor.all_ready and not here.supervisor.inhibit)
         for wait in (1.0, 2.0):
             killed = here.pid("controller")
             died = time.monotonic()
             os.kill(killed, signal.SIGKILL)
-            here.until(lambda: here.supervisor.hold == "controller is missing")
-            here.until(lambda: not here.supervisor.hold)
+            here.until(lambda: here.supervisor.inhibit == "controller is missing")
+            here.until(lambda: not here.supervisor.inhibit)
             _, started = here.starts("controller")[-1]
             assert started - died >= wait
             assert here.pid("controller") != killed
@@ -112,8 +112,8 @@ def test_a_node_that_died_is_started_again(
             ("controller", "ended (SIGKILL)", "starts again in 1 s"),
             ("controller", "ended (SIGKILL)", "starts again in 2 s"),
         ]
-        here.until(lambda: here.permits()[-1]["hold"] == "")
-        holds = [permit["hold"] for permit in here.permits()]
+        here.until(lambda: here.permits()[-1]["inhibit"] == "")
+        holds = [permit["inhibit"] for permit in here.permits()]
         assert "controller is missing" in holds and "controller is starting" in holds
         assert set(holds) <= {"", "controller is missing", "controller is starting", holds[0]}
         times = [float(str(permit["at"])) for permit in here.permits()]
@@ -131,14 +131,14 @@ def test_a_node_that_hangs_is_killed_and_started_again(
     """Held when it is silent for 2 s, killed at the limit."""
     with site(tmp_path, monkeypatch, silence_s=5.0) as (here, failures, _):
         here.add("weather", "pump")
-        here.until(lambda: here.supervisor.all_ready and not here.supervisor.hold)
+        here.until(lambda: here.supervisor.all_ready and not here.supervisor.inhibit)
         hung = here.pid("weather")
         os.kill(hung, signal.SIGSTOP)
-        here.until(lambda: here.supervisor.hold == "weather is silent")
+        here.until(lambda: here.supervisor.inhibit == "weather is silent")
         assert alive(hung)
-        here.until(lambda: here.supervisor.hold == "weather is missing")
+        here.until(lambda: here.supervisor.inhibit == "weather is missing")
         assert not alive(hung)
-        here.until(lambda: not here.supervisor.hold)
+        here.until(lambda: not here.supervisor.inhibit)
         assert [(i.node, i.what) for i in failures] == [
             ("weather", "had not answered for 5 s (stopped): killed")
         ]
@@ -151,7 +151,7 @@ def test_the_drive_is_stopped_for_a_pump_node_that_cannot(
     """Once, and before the node is started again."""
     with site(tmp_path, monkeypatch, silence_s=5.0) as (here, failures, stops):
         here.add("weather", "pump")
-        here.until(lambda: here.supervisor.all_ready and not here.supervisor.hold)
+        here.until(lambda: here.supervisor.all_ready and not here.supervisor.inhibit)
         os.kill(here.pid("pump"), how)
         here.until(lambda: len(here.starts("pump")) == 2)
         (stopped,) = stops
@@ -168,7 +168,7 @@ def test_a_pump_that_turns_on_is_stopped_once_more(
     monkeypatch.setattr(live_supervisor, "LONGEST_RAMP_S", 1.0)
     with site(tmp_path, monkeypatch, silence_s=9.0) as (here, failures, stops):
         here.add("weather", "pump")
-        here.until(lambda: here.supervisor.all_ready and not here.supervisor.hold)
+        here.until(lambda: here.supervisor.all_ready and not here.supervisor.inhibit)
         (here.marks / "pump-says").write_text("stopping: the weather is missing")
         ended = time.monotonic() + 5
         here.until(lambda: time.monotonic() > ended)
@@ -237,7 +237,7 @@ def test_a_recorder_ends_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch
         here.add("weather", "pump")
         here.supervisor.add("recorder", "small_node", "wrong", str(here.marks))
         here.until(lambda: len(failures) == 2)
-        here.until(lambda: here.supervisor.all_ready and not here.supervisor.hold)
+        here.until(lambda: here.supervisor.all_ready and not here.supervisor.inhibit)
     assert [(i.node, i.what, i.done) for i in failures] == [
         ("recorder", "ended (exit code 2): parameter x must be a number",
          f"starts again in {wait} s; nothing is recorded until then") for wait in (1, 600)
@@ -266,14 +266,14 @@ def test_what_a_node_waits_for_holds_the_pump(
         (here.marks / "weather-waits").touch()
         here.add("weather", "recorder", "pump")
         here.until(lambda: here.supervisor.last.keys() == {"weather", "recorder", "pump"})
-        here.until(lambda: here.supervisor.hold == "weather is starting")
+        here.until(lambda: here.supervisor.inhibit == "weather is starting")
         (here.marks / "weather-waits").unlink()
-        here.until(lambda: not here.supervisor.hold)
+        here.until(lambda: not here.supervisor.inhibit)
         # The recorder is none of the pump's.
         os.kill(here.pid("recorder"), signal.SIGKILL)
         here.until(lambda: len(here.starts("recorder")) == 2)
-        assert len(failures) == 1 and not here.supervisor.hold
-        assert "recorder" not in str([permit["hold"] for permit in here.permits()])
+        assert len(failures) == 1 and not here.supervisor.inhibit
+        assert "recorder" not in str([permit["inhibit"] for permit in here.permits()])
 
 
 _STOPPED = """
@@ -346,7 +346,7 @@ def test_a_log_that_cannot_be_written_delays_nobody(
     os.mkfifo(log)  # who opens it to write waits until somebody reads
     with site(tmp_path, monkeypatch) as (here, failures, _):
         here.add("weather", "pump")
-        here.until(lambda: here.supervisor.all_ready and not here.supervisor.hold)
+        here.until(lambda: here.supervisor.all_ready and not here.supervisor.inhibit)
         ended = time.monotonic() + 5
         here.until(lambda: time.monotonic() > ended)
         assert DISK.late
@@ -399,15 +399,15 @@ def test_a_node_that_cannot_be_started_again_for_now(
     monkeypatch.setattr(live_supervisor, "_LONGEST_WAIT_S", 1.0)
     with site(tmp_path, monkeypatch) as (here, failures, _):
         here.add("weather", "pump", "recorder")
-        here.until(lambda: here.supervisor.all_ready and not here.supervisor.hold)
+        here.until(lambda: here.supervisor.all_ready and not here.supervisor.inhibit)
         with few_files_left(1):
             os.kill(here.pid(node), signal.SIGKILL)
             here.until(lambda: "cannot be started" in failures[-1].what if failures else False)
             ended = time.monotonic() + 4
             here.until(lambda: time.monotonic() > ended)
-            assert here.supervisor.hold == ("weather is missing" if node == "weather" else "")
+            assert here.supervisor.inhibit == ("weather is missing" if node == "weather" else "")
         here.until(lambda: len(here.starts(node)) == 2)
-        here.until(lambda: here.supervisor.all_ready and not here.supervisor.hold)
+        here.until(lambda: here.supervisor.all_ready and not here.supervisor.inhibit)
     unrecorded = "; nothing is recorded until then" if node == "recorder" else ""
     assert [(i.what, i.done) for i in failures if i.done != "the drive stands"] == [
         ("ended (SIGKILL)", f"starts again in 1 s{unrecorded}"),
@@ -423,7 +423,7 @@ def test_a_recorder_that_cannot_be_started_at_all(
         here.add("weather", "pump")
         with few_files_left(1):
             here.add("recorder")
-        here.until(lambda: here.supervisor.all_ready and not here.supervisor.hold)
+        here.until(lambda: here.supervisor.all_ready and not here.supervisor.inhibit)
         assert [str(one) for one in failures] == [
             "cannot be started: Too many open files; tried again every 10 s; "
             "nothing is recorded until then"
@@ -449,7 +449,7 @@ def test_what_a_node_of_another_version_says(
     shown: list[str] = []
     with site(tmp_path, monkeypatch) as (here, failures, _):
         here.add("weather", "pump", "recorder")
-        here.until(lambda: here.supervisor.all_ready and not here.supervisor.hold)
+        here.until(lambda: here.supervisor.all_ready and not here.supervisor.inhibit)
         log = IncidentLog(shown.append)
         for strange in _STRANGE:
             raw = here.marks / "pump-raw"
@@ -466,5 +466,5 @@ def test_what_a_node_of_another_version_says(
 
             here.until(shows)
         raw.unlink()
-        here.until(lambda: here.supervisor.all_ready and not here.supervisor.hold)
+        here.until(lambda: here.supervisor.all_ready and not here.supervisor.inhibit)
     assert not failures and not shown

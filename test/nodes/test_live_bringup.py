@@ -219,8 +219,8 @@ import sys
 if "greenroof_ros.nodes.pump" in sys.orig_argv:
     from pathlib import Path
     from greenroof_ros.graph.permit import PermitReader
-    obeyed = PermitReader.hold
-    PermitReader.hold = lambda self, now: "" if Path("deaf").exists() else obeyed(self, now)
+    obeyed = PermitReader.inhibit
+    PermitReader.inhibit = lambda self, now: "" if Path("deaf").exists() else obeyed(self, now)
 """
 
 
@@ -611,7 +611,7 @@ import sys, time
 from pathlib import Path
 from greenroof_ros.pumping.ledger import Ledger
 ledger = Ledger(Path(sys.argv[1]), time.time)
-ledger.fault("the drive reports: overload")
+ledger.fault("the drive reports: overload", "drive_fault")
 assert ledger.close() == ""
 """
 

@@ -306,7 +306,7 @@ ledger = Ledger(Path(sys.argv[1]), time.time)
 ledger.kept()
 print("has it", flush=True)
 sys.stdin.readline()
-ledger.fault("burst pipe")
+ledger.fault("burst pipe", "delivery")
 ledger.close()
 """
 
@@ -556,7 +556,7 @@ def test_it_runs_only_with_a_fresh_permit_of_bringup(
     with os.fdopen(writing, "w") as permits:
 
         def give(hold: str) -> None:
-            permits.write(json.dumps({"hold": hold, "at": boot_time()}) + "\n")
+            permits.write(json.dumps({"inhibit": hold, "at": boot_time()}) + "\n")
             permits.flush()
 
         env = {**environment(domain), "GREENROOF_ROS_PERMIT_PIPE": str(reading)}

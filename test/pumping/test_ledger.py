@@ -77,8 +77,8 @@ def test_a_missing_file_is_a_fresh_record_and_is_made(tmp_path: Path, clock: Clo
     ledger = Ledger(file, clock)
     assert (ledger.record.held, ledger.record.fault, ledger.kept()) == ("", "", "")
     size = file.stat().st_size
-    ledger.fault("x" * 100_000)
-    ledger.hold('"\\\x00\U0001f4a7' * 10_000)
+    ledger.fault("x" * 100_000, "delivery")
+    ledger.stop('"\\\x00\U0001f4a7' * 10_000)
     assert ledger.kept() == ""
     assert file.stat().st_size == size
     again = Ledger(file, clock).record
@@ -90,16 +90,16 @@ def test_held_and_fault_are_written_at_once(tmp_path: Path, clock: Clock) -> Non
     """And nothing but the lock is left beside."""
     file = tmp_path / "state" / "pump.json"
     ledger = Ledger(file, clock)
-    ledger.hold("an operator stopped it")
-    ledger.fault("the drive reports: overload")
+    ledger.stop("an operator stopped it")
+    ledger.fault("the drive reports: overload", "drive_fault")
     wait_for(lambda: written(file)["fault"], 5, "the fault")
     again = Ledger(file, clock)
     assert again.record.held == "an operator stopped it"
     assert again.record.fault == "the drive reports: overload"
     ledger.close()
     again = Ledger(file, clock)
-    again.hold("")
-    again.fault("")
+    again.stop("")
+    again.fault("", "")
     again.kept()
     last = Ledger(file, clock).record
     assert (last.held, last.fault) == ("", "")
@@ -115,8 +115,8 @@ def test_a_second_ledger_erases_nothing(tmp_path: Path, clock: Clock) -> None:
     second = Ledger(file, clock)
     assert not second.writes
     second.count_unseen(25.0, 0.001)
-    first.fault("burst pipe")
-    first.hold("an operator stopped it")
+    first.fault("burst pipe", "delivery")
+    first.stop("an operator stopped it")
     first.switch(False)
     assert first.kept() == ""
     problem = second.kept()
@@ -124,7 +124,7 @@ def test_a_second_ledger_erases_nothing(tmp_path: Path, clock: Clock) -> None:
         f"{file} cannot be written: process {os.getpid()} has it already; end that one"
     )
     assert "--state, state_file" in problem
-    second.hold("")
+    second.stop("")
     second.count(100.0, 10.0, 1.0)
     assert second.close() == problem
     assert first.close() == ""
@@ -142,8 +142,8 @@ def test_whatever_is_in_a_text_has_room(first: str, tmp_path: Path, clock: Clock
     ledger.count(1e8 + 0.5, 0.0, 0.0)
     for _ in range(100):
         ledger.switch(True)
-    ledger.fault(first)
-    ledger.hold(first)
+    ledger.fault(first, "delivery")
+    ledger.stop(first)
     assert ledger.kept(20.0) == ""
     assert (len(read(file, clock).starts), file.stat().st_size) == (100, 8192)
 
@@ -154,7 +154,7 @@ def test_an_error_that_nobody_foresaw_ends_no_saving(tmp_path: Path, clock: Cloc
     ledger = Ledger(file, clock)
     assert ledger.kept(20.0) == ""
     clock.now = Fraction(1_800_000_000)  # type: ignore[assignment]
-    ledger.hold("an operator stopped it")
+    ledger.stop("an operator stopped it")
     assert ledger.kept(20.0).startswith(f"{file} cannot be written: TypeError")
     clock.now = 1_800_000_000.0
     assert ledger.kept(20.0) == ""
@@ -225,7 +225,7 @@ def test_a_broken_line_holds_the_pump(tmp_path: Path, clock: Clock) -> None:
     file = tmp_path / "pump.json"
     for torn in range(2):
         ledger = Ledger(file, clock)
-        ledger.hold("")
+        ledger.stop("")
         ledger.count(1.0, 1.0, 0.5)
         ledger.close()
         before = ledger.record
@@ -239,7 +239,7 @@ def test_a_broken_line_holds_the_pump(tmp_path: Path, clock: Clock) -> None:
         assert before.day_volume - 0.5 <= again.record.day_volume <= before.day_volume
         assert again.kept() == ""
         assert Ledger(file, clock).record.held == again.record.held
-        again.hold("")
+        again.stop("")
         again.close()
         assert Ledger(file, clock).record.held == ""
         file.unlink()
@@ -258,9 +258,9 @@ def test_a_broken_file_holds_the_pump(content: bytes, tmp_path: Path) -> None:
     assert rig.ledger.kept() == ""
     assert (tmp_path / "pump.json.broken").read_bytes() == content
     assert Rig(file=file).run(30, 1.0).state == "held"
-    rig.control.hold(True)
+    rig.control.stop(True)
     assert rig.step(1.0).why == decision.why
-    rig.control.hold(False)
+    rig.control.stop(False)
     assert rig.run(30, 1.0).state == "running"
     rig.ledger.kept()
     assert Ledger(file, time.time).record.held == ""
@@ -281,8 +281,8 @@ def test_a_full_disk_takes_a_stop(disk: Path, clock: Clock) -> None:
     assert ledger.kept() == ""
     fill(disk)
     for number in range(3):
-        ledger.hold(f"stop {number}")
-        ledger.fault(f"fault {number}")
+        ledger.stop(f"stop {number}")
+        ledger.fault(f"fault {number}", "delivery")
         assert ledger.kept() == ""
         again = Ledger(file, clock).record
         assert (again.held, again.fault) == (f"stop {number}", f"fault {number}")
@@ -293,9 +293,9 @@ def test_a_disk_that_was_full_before(disk: Path) -> None:
     fill(disk)
     file = disk / "pump.json"
     rig = Rig(file=file)
-    rig.control.hold(True)
+    rig.control.stop(True)
     assert rig.step(1.0).state == "held"
-    rig.control.hold(False)
+    rig.control.stop(False)
     assert rig.ledger.kept().startswith(
         f"{file} cannot be written: No space left on device; a restart would not know"
     )
@@ -315,7 +315,7 @@ def test_killed_at_any_moment(tmp_path: Path) -> None:
         "from greenroof_ros.pumping.ledger import Ledger\n"
         "ledger = Ledger(Path(sys.argv[1]), time.time)\n"
         "while True:\n"
-        "    ledger.hold('x' * 350)\n"
+        "    ledger.stop('x' * 350)\n"
         "    ledger.kept()\n"
     )
     for attempt in range(10):
@@ -336,7 +336,7 @@ def test_fault_and_stop_survive_the_pump(tmp_path: Path) -> None:
     rig = Rig(file=file)
     rig.change = {"drive_fault": "overload"}
     rig.step(1.0)
-    rig.control.hold(True)
+    rig.control.stop(True)
     rig.ledger.close()
     again = Rig(file=file)
     decision = again.run(30, 1.0)
@@ -344,7 +344,7 @@ def test_fault_and_stop_survive_the_pump(tmp_path: Path) -> None:
     assert decision.why == "the drive reports: overload; an operator stopped it"
     assert again.control.reset() == "the drive reports: overload"
     assert again.run(30, 1.0).state == "held"
-    again.control.hold(False)
+    again.control.stop(False)
     assert again.run(30, 1.0).state == "running"
 
 

@@ -158,7 +158,7 @@ def test_every_reason_is_named() -> None:
     """Not only the first."""
     rig = Rig(x1=10.0)
     rig.change = {"frost": None, "roof_level": None}
-    rig.control.hold(True)
+    rig.control.stop(True)
     assert rig.step(0.5).why == (
         "an operator stopped it; the cistern is at 0.400 m, not above 0.77 m; the level of the "
         "roof is unknown; it is unknown whether there is frost"
@@ -229,8 +229,8 @@ def reasons_to_be_off(rig: Rig, command: float | None, change: dict[str, object]
 
 CHANGES: list[dict[str, object]] = [
     {}, {"frost": True}, {"frost": None}, {"cistern_level": None}, {"roof_level": math.nan},
-    {"speed": None}, {"speed": math.nan}, {"drive_ready": False}, {"problem": "the cable is out"},
-    {"drive_fault": "overload"},
+    {"speed": None}, {"speed": math.nan}, {"drive_ready": False},
+    {"reasons": {"drive_lost": "the cable is out"}}, {"drive_fault": "overload"},
 ]
 
 

@@ -89,7 +89,7 @@ def test_commands_above_one() -> None:
 @pytest.mark.parametrize(
     ("change", "why"),
     [
-        ({"problem": "no answer from 10.0.0.7:502"}, "no answer from 10.0.0.7:502"),
+        ({"reasons": {"drive_lost": "no answer from 10.0.0.7:502"}}, "no answer from 10.0.0.7:502"),
         ({"drive_ready": False}, "the drive is not ready"),
         ({"speed": None},
          "the speed of the drive is unknown; whether the pump stands is not known"),
@@ -223,7 +223,7 @@ def test_a_drive_that_is_heard_again_may_begin_its_ramp_then() -> None:
     """It had not heard that it is to stop, and its own timeout comes 15 s later; then 30 s."""
     rig = Rig(drive_ramp=1 / 30)
     rig.run(60, 1.0)
-    rig.change, rig.stuck_speed = {"speed": None, "problem": "no connection"}, 1.0
+    rig.change, rig.stuck_speed = {"speed": None, "reasons": {"drive_lost": "no connection"}}, 1.0
     rig.run(15, 1.0)
     rig.change, rig.stuck_speed = {}, None
     rig.run(40, 0.0)
@@ -242,8 +242,9 @@ def test_a_drive_that_does_not_stop_behind_a_bad_line(every: int) -> None:
     rig = Rig()
     rig.run(30, 0.8)
     rig.stuck_speed = 0.8
+    lost: dict[str, object] = {"speed": None, "reasons": {"drive_lost": "no connection"}}
     for second in range(200):
-        rig.change = {} if second % every else {"speed": None, "problem": "no connection"}
+        rig.change = {} if second % every else lost
         if rig.step(0.0).state == "fault":
             break
     assert second <= 12 + 16 * every / (every - 1)
@@ -258,7 +259,7 @@ def test_a_drive_has_its_own_time() -> None:
     control = PumpControl(PAPER_SITE, settings_for(PAPER_SITE), Ledger(None, time.time), 15.0)
     seen = Observation(
         command=1.0, cistern_level=2.8, roof_level=0.01, frost=False, speed=0.05, flow=0.0,
-        drive_flow=None, drive_ready=True, drive_fault="", problem="",
+        drive_flow=None, drive_ready=True, drive_fault="",
     )
     states = [control.step(float(k), 1.0, seen, 1 / 60).state for k in range(1000)]
     first = states.index("fault")
@@ -278,12 +279,12 @@ def test_hold_and_release() -> None:
     """At once, over anything; released it goes on."""
     rig = Rig()
     rig.run(15, 0.5)
-    rig.control.hold(True)
+    rig.control.stop(True)
     decision = rig.step(0.5)
     assert (decision.speed, decision.state) == (None, "held")
     assert decision.why.startswith("an operator stopped it; the pump still turns, at 0.6")
     assert rig.run(600, 0.5).why == "an operator stopped it"
-    rig.control.hold(False)
+    rig.control.stop(False)
     assert rig.step(0.5).speed is not None
 
 
@@ -291,14 +292,14 @@ def test_a_stop_hides_no_trouble() -> None:
     """An operator who stops a pump is told that its drive is not heard."""
     rig = Rig()
     rig.run(15, 0.5)
-    rig.change = {"speed": None, "problem": "no connection to the drive"}
-    rig.control.hold(True)
+    rig.change = {"speed": None, "reasons": {"drive_lost": "no connection to the drive"}}
+    rig.control.stop(True)
     decision = rig.step(0.5)
     assert (decision.speed, decision.state, decision.stands) == (None, "held", False)
     assert decision.why == (
         "an operator stopped it; no connection to the drive; whether the pump stands is not known"
     )
-    rig.ledger.fault("burst pipe")
+    rig.ledger.fault("burst pipe", "delivery")
     assert rig.step(0.5).why.startswith("burst pipe; an operator stopped it; no connection to")
 
 
@@ -308,7 +309,7 @@ def test_whether_the_pump_stands() -> None:
     assert rig.step(0.0).stands
     rig.run(30, 0.5)
     assert not rig.decisions[-1].stands
-    rig.change = {"speed": None, "problem": "connection lost"}
+    rig.change = {"speed": None, "reasons": {"drive_lost": "connection lost"}}
     rig.run(14, 0.5)
     assert {(one.state, one.flow, one.stands) for one in rig.decisions[-14:]} == {
         ("unknown", 0.0, False)
@@ -327,7 +328,7 @@ def test_whether_the_pump_stands() -> None:
 def test_a_fault_is_shown_over_a_stop() -> None:
     """Both are named, and both must go."""
     rig = Rig()
-    rig.control.hold(True)
+    rig.control.stop(True)
     rig.change = {"drive_fault": "overload"}
     decision = rig.step(0.5)
     assert decision.state == "fault"
@@ -422,7 +423,7 @@ def test_what_is_not_heard_counts_at_worst() -> None:
     rig = Rig(x1=70.0)
     rig.run(60, 1.0)
     before = rig.ledger.record
-    rig.change = {"speed": None, "problem": "connection lost", "cistern_level": 2.8}
+    rig.change = {"speed": None, "reasons": {"drive_lost": "connection lost"}, "cistern_level": 2.8}
     rig.run(75, 1.0)
     after = rig.ledger.record
     assert after.day_run - before.day_run == pytest.approx(15, abs=1)
@@ -437,7 +438,7 @@ def test_a_pump_at_rest_that_is_not_heard_counts_nothing() -> None:
     """It stood, and was not asked to run."""
     rig = Rig()
     rig.run(60, 0.0)
-    rig.change = {"speed": None, "problem": "connection lost"}
+    rig.change = {"speed": None, "reasons": {"drive_lost": "connection lost"}}
     rig.run(60, 1.0)
     assert (rig.ledger.record.day_run, rig.ledger.record.day_volume) == (0, 0)
 

@@ -1,0 +1,188 @@
+"""The table of what keeps the pump off: each row by what brings it about, and their order."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+
+import pytest
+from paper import PAPER_SITE
+from pump_rig import Rig
+
+from greenroof_ros.pumping.conditions import CONDITIONS
+from greenroof_ros.pumping.interlocks import CODES, INTERLOCKS, Kind, evaluate
+from greenroof_ros.pumping.ledger import Record
+from greenroof_ros.pumping.pump_control import Decision
+from greenroof_ros.pumping.settings import pump_parameters, settings_for
+
+
+def codes(decision: Decision) -> list[str]:
+    """Return the codes of a decision."""
+    return [one.interlock.code for one in decision.standing]
+
+
+def changed(**change: object) -> Callable[[], Decision]:
+    """Return what runs a pump and then changes what is known."""
+
+    def run() -> Decision:
+        rig = Rig()
+        rig.run(30, 0.5)
+        assert rig.decisions[-1].standing == ()
+        rig.change = change
+        return rig.step(0.5)
+
+    return run
+
+
+def commanded(command: float | None) -> Callable[[], Decision]:
+    def run() -> Decision:
+        rig = Rig()
+        rig.run(30, 0.5)
+        return rig.step(command)
+
+    return run
+
+
+def stuck() -> Decision:
+    rig = Rig()
+    rig.stuck_speed = 0.05
+    return rig.run(60, 1.0, lambda one: one.state == "fault")
+
+
+def closed_valve() -> Decision:
+    rig = Rig()
+    rig.arriving = rig.leaving = 0.0
+    return rig.run(600, 1.0, lambda one: one.state == "fault")
+
+
+def stopped() -> Decision:
+    rig = Rig()
+    rig.control.stop(True)
+    return rig.step(0.5)
+
+
+def unreadable() -> Decision:
+    rig = Rig()
+    rig.ledger.record = Record(held="state.json cannot be read")
+    return rig.step(0.5)
+
+
+def used(**use: float) -> Callable[[], Decision]:
+    def run() -> Decision:
+        rig = Rig()
+        rig.ledger.record = Record(**use)  # type: ignore[arg-type]
+        return rig.step(0.5)
+
+    return run
+
+
+def long_run() -> Decision:
+    rig = Rig(x2=0.0, settings=settings_for(PAPER_SITE, greatest_run=30.0))
+    return rig.run(60, 1.0, lambda one: "longest_run" in codes(one))
+
+
+NODE = [
+    "not_active", "drive_lost", "drive_local", "drive_timeout", "drive_guards_later", "no_permit",
+    "two_controllers", "two_pumps", "no_command",
+]
+CAUSES: dict[str, Callable[[], Decision]] = {
+    "drive_fault": changed(drive_fault="overload"),
+    "turns_backwards": changed(speed=-0.1),
+    "speed_not_followed": stuck,
+    "delivery": closed_valve,
+    "operator_stop": stopped,
+    "record_unknown": unreadable,
+    "cistern_level_unknown": changed(cistern_level=None),
+    "cistern_low": changed(cistern_level=0.1),
+    "roof_level_unknown": changed(roof_level=None),
+    "frost_unknown": changed(frost=None),
+    "frost": changed(frost=True),
+    "longest_run": long_run,
+    "daily_volume": used(day_volume=1e6),
+    "daily_run": used(day_run=86_400.0),
+    **{code: changed(reasons={code: "it is so"}) for code in NODE},
+    "command_unknown": commanded(None),
+    "command_refused": commanded(math.nan),
+    "drive_speed_unknown": changed(speed=None),
+    "drive_not_ready": changed(drive_ready=False),
+}
+
+
+@pytest.mark.parametrize("code", CODES)
+def test_each_keeps_the_pump_off_alone(code: str) -> None:
+    """By what brings it about in a running pump; the state is its kind's."""
+    decision = CAUSES[code]()
+    assert (codes(decision), decision.speed) == ([code], None)
+    kind = decision.standing[0].interlock.kind
+    states = {Kind.LATCHED: {"fault"}, Kind.INHIBIT: {"held"},
+              Kind.ENABLE: {"off", "stopping", "unknown"}}
+    assert decision.state in states[kind]
+    assert decision.why.startswith(decision.standing[0].why)
+
+
+@pytest.mark.parametrize("code", CODES)
+def test_what_latches_stays(code: str) -> None:
+    """The cause gone, a latched one stands until it is reset; the others clear by themselves."""
+    (row,) = [one for one in INTERLOCKS if one.code == code]
+    rig = Rig()
+    rig.run(30, 0.5)
+    if row.kind is Kind.LATCHED:
+        rig.ledger.fault("it was so", code)
+        rig.run(60, 0.5)
+        assert codes(rig.decisions[-1]) == [code]
+        assert rig.control.reset() == "it was so"
+    elif code in NODE:
+        rig.change = {"reasons": {code: "it is so"}}
+        rig.run(60, 0.5)
+        rig.change = {}
+    assert rig.run(30, 0.5).standing == ()
+
+
+def test_they_are_named_in_the_order_of_the_table() -> None:
+    rig = Rig()
+    rig.control.stop(True)
+    rig.ledger.fault("burst pipe", "delivery")
+    rig.change = {"frost": True, "roof_level": None, "reasons": {"no_permit": "bringup has ended"}}
+    decision = rig.step(0.5)
+    assert codes(decision) == [
+        "delivery", "operator_stop", "roof_level_unknown", "frost", "no_permit",
+    ]
+    assert decision.state == "fault"
+    assert decision.why == (
+        "burst pipe; an operator stopped it; the level of the roof is unknown; there is frost; "
+        "bringup has ended"
+    )
+
+
+def test_what_follows_is_not_said_beside_its_cause() -> None:
+    """A drive that is lost has no speed, and a node that is not active no command."""
+    rig = Rig()
+    rig.change = {"speed": None, "reasons": {"drive_lost": "no connection"}}
+    assert codes(rig.step(None)) == ["drive_lost"]
+    rig.change = {"drive_ready": False}
+    assert codes(rig.step(None)) == ["command_unknown"]
+    assert evaluate({"drive_not_ready": "x", "no_command": ""})[0].interlock.code == (
+        "drive_not_ready"
+    )
+
+
+def test_a_code_that_there_is_not() -> None:
+    with pytest.raises(KeyError):
+        evaluate({"operator_stops": "x"})
+
+
+def test_the_table_is_whole() -> None:
+    """Each code once, with advice, and with limits that there are."""
+    assert len(set(CODES)) == len(CODES)
+    assert {code for one in INTERLOCKS for code in one.follows} <= set(CODES)
+    assert [one.kind for one in INTERLOCKS] == sorted(
+        (one.kind for one in INTERLOCKS), key=[Kind.LATCHED, Kind.INHIBIT, Kind.ENABLE].index
+    )
+    assert all(one.meaning and one.advice for one in CONDITIONS.values())
+    settings = {one.name for one in pump_parameters(Rig().site)}
+    of_nodes = {
+        "state_file", "level_limit", "frost_limit", "command_limit", "recovery_time", "autostart",
+        "exchange_period", "drive_timeout_limit", "local_settings_stop_the_pump",
+    }
+    named = {name for one in INTERLOCKS for name in one.limit.split(", ") if name}
+    assert named <= settings | of_nodes
