@@ -83,6 +83,7 @@ class PumpRig:
         self.flows: list[float] = []
         self.states: list[str] = []
         self.diagnoses: dict[str, tuple[bytes, str, str]] = {}
+        self.values: dict[str, dict[str, str]] = {}
         self.every_tick: Callable[[], None] = lambda: None
         self._ticks = 0
         self._volumes = [75.0, 0.3]
@@ -115,6 +116,11 @@ class PumpRig:
     def _on_diagnostics(self, message: DiagnosticArray) -> None:
         for status in message.status:
             self.diagnoses[status.name] = (status.level, status.message, status.hardware_id)
+            self.values[status.name] = {one.key: one.value for one in status.values}
+
+    def code(self, part: str) -> str:
+        """Return the condition code of a part; empty where it is well."""
+        return self.values.get(f"/pump: {part}", {}).get("code", "")
 
     def start(
         self, address: str, *, drive: str = "abb_acs880", popen: dict[str, Any] | None = None,

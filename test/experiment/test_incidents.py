@@ -19,7 +19,7 @@ from greenroof_ros.experiment.incidents import INCIDENTS, Incident, IncidentLog,
 
 def says(node: str, **parts: str) -> dict[str, dict[str, Any]]:
     """Return a node's report in which each of these parts is at a level, and says why."""
-    diagnoses = {part: [level, f"{part} {level}"] for part, level in parts.items()}
+    diagnoses = {part: [level, f"{part} {level}", ""] for part, level in parts.items()}
     return {node: {"diagnoses": diagnoses}}
 
 
@@ -66,7 +66,7 @@ def test_a_loss_and_its_return(tmp_path: Path) -> None:
 def test_what_counts_at_once(part: str, level: str, counts: bool) -> None:
     """A pump that is held, frost and limits are no loss; a sensor may miss one reading."""
     log = IncidentLog(lambda _: None)
-    log.look({"node": {"diagnoses": {part: [level, "why"]}}})
+    log.look({"node": {"diagnoses": {part: [level, "why", ""]}}})
     assert log.count == counts
 
 

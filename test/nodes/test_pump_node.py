@@ -13,6 +13,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable, Iterator
+from datetime import datetime
 from pathlib import Path
 from typing import Any
 
@@ -405,6 +406,8 @@ def test_commands_that_must_not_pump(rig: PumpRig, drive: SimulatedDrive) -> Non
     for bad in (math.nan, math.inf, -1.0):
         rig.tick_until(bad, lambda: drive.speed() == 0.0 and rig.flows[-1] == 0.0, 4, f"{bad}")
         rig.tick_until(bad, lambda: rig.says("command", ERROR, "refused"), 4, "the reason")
+        rig.tick_until(bad, lambda: rig.code("pump") == "command_unknown", 4, "its code")
+        assert rig.code("command") == rig.values["/pump: pump"]["cause"] == "input_refused"
     rig.run(drive)
     rig.tick_until(5.0, lambda: drive.speed() > 0.99, 10, "full speed, and no more")
     rig.tick_until(5.0, lambda: rig.says("limits", WARN, "taken as 1"), 4, "the warning")
@@ -412,9 +415,11 @@ def test_commands_that_must_not_pump(rig: PumpRig, drive: SimulatedDrive) -> Non
     intruder.create_publisher(Float64, "/pump/command", qos("/pump/command"))
     rig.tick_until(0.5, lambda: drive.speed() == 0.0 and rig.flows[-1] == 0.0, 4, "its stop")
     rig.tick_until(0.5, lambda: rig.says("command", ERROR, "intruder"), 6, "the intruder's name")
+    rig.tick_until(0.5, lambda: rig.code("pump") == "two_controllers", 4, "its code")
     intruder.destroy_node()
     rig.run(drive)
     assert rig.says("command", OK)
+    rig.tick_until(0.5, lambda: rig.values["/pump: pump"] == {}, 4, "no code")
     # One that a graph cannot hear, as by ros2 topic pub: whoever publishes 0 means a stop.
     unheard = Node("unheard", context=rig.observer.context)
     unheard.create_publisher(Float64, "/pump/command", 10)
@@ -435,6 +440,9 @@ def test_a_drive_that_is_lost_stops_and_comes_back(rig: PumpRig, drive: Simulate
             0.5, lambda: rig.state.startswith("unknown: no connection to the drive"), 6, fault
         )
         assert rig.tick(0.5) == 0.0
+        rig.tick_until(0.5, lambda: rig.code("drive") == "drive_lost", 4, "its code")
+        since = rig.values["/pump: drive"]["since"]
+        assert abs(datetime.fromisoformat(since).timestamp() - time.time()) < 60
         if fault != "power_cycle":
             stands_within(drive, 3)
             drive.inject("none")
