@@ -463,7 +463,7 @@ def nodes() -> str | None:
     """Return the parameters that each node declares; None without a ROS 2."""
     if importlib.util.find_spec("rclpy") is None:
         return None
-    from greenroof_ros.graph.parameters import LIVE, default_site, site_file
+    from greenroof_ros.graph.parameters import LIVE, default_site, site_file, type_name
     from greenroof_ros.nodes import (
         controller,
         level_sensor,
@@ -489,7 +489,10 @@ def nodes() -> str | None:
         + markdown(
             ("parameter", "type", "default", "range", "meaning, unit"),
             (
-                (f"`{one.name}`", one.type_name, number(one.default), one.limits, one.meaning)
+                (
+                    f"`{one.name}`", type_name(one), number(one.default), one.limits,
+                    one.description,
+                )
                 for one in parameters
             ),
         )

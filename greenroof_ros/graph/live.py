@@ -16,9 +16,9 @@ from typing import Any, Protocol
 from rclpy.node import Node
 
 from greenroof_ros.common.clock import boot_time
+from greenroof_ros.common.parameter import Parameter
 from greenroof_ros.graph.errors import LockstepError
 from greenroof_ros.graph.inputs import Inputs
-from greenroof_ros.graph.parameters import NodeParameter
 from greenroof_ros.graph.peers import Peers
 from greenroof_ros.graph.publishers import Publishers
 from greenroof_ros.graph.reports import ERROR, OK, WARN, Report
@@ -29,24 +29,24 @@ from greenroof_ros.pumping.input_rules import InputRules, LevelRule, Verdict
 # comes may have waited.
 _PAUSE_S = 1.0
 
-RECOVERY = NodeParameter(
-    "recovery_time", 10.0, "live: for how long an input that was not good must be good again (s)",
-    0.0, 86400.0,
+RECOVERY = Parameter(
+    "recovery_time", 10.0, "s", 0.0, 86400.0, "live: for how long an input that was not good "
+    "must be good again",
 )
-FROZEN_MOVEMENT = NodeParameter(
-    "frozen_movement", 0.01, "live: a level that shows no change while pump and rain must have "
-    "moved it by so much is frozen (m); above the sensor's resolution", 1e-6, 10.0,
+FROZEN_MOVEMENT = Parameter(
+    "frozen_movement", 0.01, "", 1e-6, 10.0, "live: a level that shows no change while pump and "
+    "rain must have moved it by so much is frozen (m); above the sensor's resolution",
 )
-JUMP_TOLERANCE = NodeParameter(
-    "jump_tolerance", 0.02, "live: how far two values of a level may be apart beyond what water "
-    "can do between them (m); at least 10 times the sensor's noise (standard deviation)",
-    1e-6, 10.0,
+JUMP_TOLERANCE = Parameter(
+    "jump_tolerance", 0.02, "", 1e-6, 10.0, "live: how far two values of a level may be apart "
+    "beyond what water can do between them (m); at least 10 times the sensor's noise (standard "
+    "deviation)",
 )
 LEVEL_PARAMETERS = [FROZEN_MOVEMENT, JUMP_TOLERANCE]
 
 
-def _limit(name: str, default: float, most: float, what: str) -> NodeParameter:
-    return NodeParameter(name, default, f"live: greatest age of {what} (s)", 0.1, most)
+def _limit(name: str, default: float, most: float, what: str) -> Parameter:
+    return Parameter(name, default, "s", 0.1, most, f"live: greatest age of {what}")
 
 
 _LEVEL = _limit("level_limit", 5.0, 60.0, "a level")
@@ -69,7 +69,7 @@ LIMITS = {
 }
 
 
-def live_parameters(topics: Iterable[str]) -> list[NodeParameter]:
+def live_parameters(topics: Iterable[str]) -> list[Parameter]:
     """Return the parameters of a node that acts on some topics in a live graph, but ``live``."""
     return [*dict.fromkeys(LIMITS[topic] for topic in topics), RECOVERY]
 

@@ -36,7 +36,7 @@ from greenroof_ros.graph.live import (
 from greenroof_ros.graph.lockstep import CLOCK
 from greenroof_ros.graph.node_help import NodeParser, node_help
 from greenroof_ros.graph.node_process import run_node
-from greenroof_ros.graph.parameters import LIVE, declare, of_controller, site_file
+from greenroof_ros.graph.parameters import LIVE, declare, site_file
 from greenroof_ros.graph.reports import ERROR, OK, WARN
 from greenroof_ros.graph.serialization import decode_clock
 from greenroof_ros.graph.validation import Input
@@ -103,7 +103,7 @@ class ControllerNode(LinkedNode):
         super().__init__(choice.name, "controller")
         site = self.declare_site()
         self.act_every(site.tau)
-        values = declare(self, of_controller(choice.kind.parameters))
+        values = declare(self, choice.kind.parameters)
         live = declare(self, LIVE_PARAMETERS)
         self._site = site
         self._choice = choice
@@ -296,7 +296,7 @@ def _finite(value: float) -> float | None:
 
 def _help(choice: ControllerChoice | None) -> str:
     """Return the help of a controller's node; without a controller, what all have in common."""
-    own = [] if choice is None else of_controller(choice.kind.parameters)
+    own = [] if choice is None else choice.kind.parameters
     return node_help(
         f"controller --controller {'NAME' if choice is None else choice.reference}",
         "controller",

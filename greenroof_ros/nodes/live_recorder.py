@@ -18,23 +18,23 @@ from typing import Any
 from greenroof_ros.common.command_line import EXIT_DONE, command
 from greenroof_ros.common.disk import DISK
 from greenroof_ros.common.errors import ConfigurationError
+from greenroof_ros.common.parameter import Parameter
 from greenroof_ros.graph.link import LISTEN_S, LinkedNode
 from greenroof_ros.graph.node_help import NodeParser, node_help
 from greenroof_ros.graph.node_process import run_node
-from greenroof_ros.graph.parameters import NodeParameter, declare
+from greenroof_ros.graph.parameters import declare
 from greenroof_ros.graph.reports import ERROR, OK
 from greenroof_ros.recording.live_bag import LiveBag
 
 PARAMETERS = (
-    NodeParameter("directory", "bag", "the bag; goes on with one that is there"),
-    NodeParameter(
-        "file_limit", 100.0, "size at which a file of the bag ends and the next begins (MB)",
-        0.1, 1e6,
+    Parameter("directory", "bag", meaning="the bag; goes on with one that is there"),
+    Parameter(
+        "file_limit", 100.0, "MB", 0.1, 1e6, "size at which a file of the bag ends and the next "
+        "begins",
     ),
-    NodeParameter(
-        "total_limit", 10_000.0,
-        "size beyond which the bag's oldest files are removed, at least twice file_limit (MB)",
-        0.2, 1e9,
+    Parameter(
+        "total_limit", 10_000.0, "MB", 0.2, 1e9, "size beyond which the bag's oldest files are "
+        "removed, at least twice file_limit",
     ),
 )
 

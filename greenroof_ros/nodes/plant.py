@@ -12,6 +12,7 @@ from typing import Any
 
 from greenroof_ros.common.command_line import EXIT_DONE, command
 from greenroof_ros.common.errors import OccupiedError
+from greenroof_ros.common.parameter import Parameter
 from greenroof_ros.common.times import DEFAULT_START, epoch_ns, read_start
 from greenroof_ros.graph.errors import LockstepError
 from greenroof_ros.graph.link import LISTEN_S, LinkedNode
@@ -19,7 +20,6 @@ from greenroof_ros.graph.lockstep import CLOCK, RUN, RunIdentity
 from greenroof_ros.graph.node_help import NodeParser, node_help
 from greenroof_ros.graph.node_process import run_node
 from greenroof_ros.graph.parameters import (
-    NodeParameter,
     declare,
     default_site,
     site_file,
@@ -45,31 +45,34 @@ _SENSOR_PUMP_ERRORS = {
 }
 
 
-def parameters(site: Site) -> list[NodeParameter]:
+def parameters(site: Site) -> list[Parameter]:
     """Return the node's parameters, but that of the site."""
     _, (cistern, roof) = default_state(site)
     perfect = SensorPumpErrors().values()
     return [
-        NodeParameter(
-            "initial_cistern_volume", cistern, "volume in the cistern at tick 0 (m3)", 0, 1e9
+        Parameter(
+            "initial_cistern_volume", cistern, "m3", 0, 1e9, "volume in the cistern at tick 0",
         ),
-        NodeParameter("initial_roof_volume", roof, "volume on the roof at tick 0 (m3)", 0, 1e9),
-        NodeParameter("start", DEFAULT_START, "time of tick 0, ISO 8601 with its offset"),
-        NodeParameter("run_length", site.N, "N (ticks)", 1, 2**40),
-        NodeParameter("speed", 0.0, "simulated per wall time, 0 = as fast as it goes", 0, 1e9),
-        NodeParameter(
-            "pump", "internal", "internal, or external: /pump/flow is a driver's",
+        Parameter("initial_roof_volume", roof, "m3", 0, 1e9, "volume on the roof at tick 0"),
+        Parameter("start", DEFAULT_START, meaning="time of tick 0, ISO 8601 with its offset"),
+        Parameter("run_length", site.N, "ticks", 1, 2**40, "N"),
+        Parameter("speed", 0.0, "", 0, 1e9, "simulated per wall time, 0 = as fast as it goes"),
+        Parameter(
+            "pump", "internal", meaning="internal, or external: /pump/flow is a driver's",
             among=("internal", "external"),
         ),
         *(
-            NodeParameter(name, perfect[name], meaning, *RANGES[name])
+            Parameter(
+                name, perfect[name], "", *RANGES[name],
+                meaning,
+            )
             for name, meaning in _SENSOR_PUMP_ERRORS.items()
         ),
-        NodeParameter("record", False, "wait for a recorder"),
-        NodeParameter("peer_limit", 5.0, "longest wait for another node (s of wall time)", 2, 1e6),
-        NodeParameter(
-            "start_limit", 30.0, "longest wait for the other nodes to come (s of wall time)",
-            0.1, 1e6,
+        Parameter("record", False, meaning="wait for a recorder"),
+        Parameter("peer_limit", 5.0, "", 2, 1e6, "longest wait for another node (s of wall time)"),
+        Parameter(
+            "start_limit", 30.0, "", 0.1, 1e6, "longest wait for the other nodes to come (s of "
+            "wall time)",
         ),
     ]
 

@@ -21,6 +21,7 @@ from std_srvs.srv import SetBool, Trigger
 from greenroof_ros.common.clock import boot_time, suspended_time
 from greenroof_ros.common.command_line import EXIT_DONE, command
 from greenroof_ros.common.errors import ConfigurationError
+from greenroof_ros.common.parameter import Parameter
 from greenroof_ros.drives.address import parse_drive_address
 from greenroof_ros.drives.drive import DriveStatus
 from greenroof_ros.drives.drive_file import LONGEST_RAMP_S, find_drive_file, read_drive_file
@@ -47,10 +48,8 @@ from greenroof_ros.graph.node_help import NodeParser, node_help
 from greenroof_ros.graph.node_process import run_node
 from greenroof_ros.graph.parameters import (
     LIVE,
-    NodeParameter,
     declare,
     default_site,
-    of_controller,
     site_file,
 )
 from greenroof_ros.graph.permit import PermitReader
@@ -85,39 +84,41 @@ _PAUSE_S, _SAID_S = 1.0, 60.0
 _AGAIN_S, _LOOK_S = 0.5, 0.2
 
 _OWN = (
-    NodeParameter("drive", "", "make of drive, a file of config/drives, or a file's path"),
-    NodeParameter(
-        "address", "", "of the drive: tcp://HOST:PORT where it has an Ethernet port of its own, "
-        "gateway://HOST:PORT of a gateway to its serial port, or /dev/tty... of a serial line; "
-        "after a comma its device id, where that is not its file's, such as gateway://HOST:PORT,17",
+    Parameter("drive", "", meaning="make of drive, a file of config/drives, or a file's path"),
+    Parameter(
+        "address", "", meaning="of the drive: tcp://HOST:PORT where it has an Ethernet port of "
+        "its own, gateway://HOST:PORT of a gateway to its serial port, or /dev/tty... of a "
+        "serial line; after a comma its device id, where that is not its file's, such as "
+        "gateway://HOST:PORT,17",
     ),
-    NodeParameter(
-        "exchange_period", 0.1, "time between two rounds of requests to the drive (s)", 0.02, 1.0
+    Parameter(
+        "exchange_period", 0.1, "s", 0.02, 1.0, "time between two rounds of requests to the drive",
     ),
-    NodeParameter("autostart", False, "configure and activate by itself, until that works"),
-    NodeParameter(
-        "drive_timeout_limit", 10.0, "greatest communication timeout that the drive itself may "
-        "have (s)", 0.1, 60.0,
+    Parameter("autostart", False, meaning="configure and activate by itself, until that works"),
+    Parameter(
+        "drive_timeout_limit", 10.0, "s", 0.1, 60.0, "greatest communication timeout that the "
+        "drive itself may have",
     ),
-    NodeParameter(
-        "activate_without_drive_timeout", False, "activate although the drive itself would run on "
-        "when this machine fails: DANGEROUS",
+    Parameter(
+        "activate_without_drive_timeout", False, meaning="activate although the drive itself "
+        "would run on when this machine fails: DANGEROUS",
     ),
-    NodeParameter(
-        "local_settings_stop_the_pump", False, "a person has set the pump so that it stands when "
-        "the bus lets go of it, and has seen that it does; needed where that cannot be read",
+    Parameter(
+        "local_settings_stop_the_pump", False, meaning="a person has set the pump so that it "
+        "stands when the bus lets go of it, and has seen that it does; needed where that cannot "
+        "be read",
     ),
-    NodeParameter(
-        "state_file", "", "keeps a stop, a fault and the day's use over restarts; without it "
-        "greenroof_ros/NAME.json in $XDG_STATE_HOME or ~/.local/state",
+    Parameter(
+        "state_file", "", meaning="keeps a stop, a fault and the day's use over restarts; "
+        "without it greenroof_ros/NAME.json in $XDG_STATE_HOME or ~/.local/state",
     ),
 )
 
 
-def parameters(site: Site) -> list[NodeParameter]:
+def parameters(site: Site) -> list[Parameter]:
     """Return the node's parameters, but for the site."""
     return [
-        LIVE, *_OWN, *of_controller(pump_parameters(site)), *live_parameters([*_NEEDED, _METER]),
+        LIVE, *_OWN, *pump_parameters(site), *live_parameters([*_NEEDED, _METER]),
         *LEVEL_PARAMETERS,
     ]
 

@@ -12,22 +12,23 @@ from typing import Any
 from greenroof_ros.common.command_line import EXIT_DONE, command
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.interface import recorded_topics
+from greenroof_ros.common.parameter import Parameter
 from greenroof_ros.controllers.registry import DEFAULT, find_controller
 from greenroof_ros.graph.errors import LockstepError
 from greenroof_ros.graph.link import LISTEN_S, LinkedNode
 from greenroof_ros.graph.lockstep import CLOCK
 from greenroof_ros.graph.node_help import NodeParser, node_help
 from greenroof_ros.graph.node_process import run_node
-from greenroof_ros.graph.parameters import NodeParameter, declare
+from greenroof_ros.graph.parameters import declare
 from greenroof_ros.graph.serialization import decode_clock
 from greenroof_ros.recording.bag_writer import BagWriter
 
 PARAMETERS = (
-    NodeParameter("directory", "bag", "the bag; must not exist"),
-    NodeParameter(
-        "controller", DEFAULT, "the active controller: a name, or package.module:Class"
+    Parameter("directory", "bag", meaning="the bag; must not exist"),
+    Parameter(
+        "controller", DEFAULT, meaning="the active controller: a name, or package.module:Class",
     ),
-    NodeParameter("peer_limit", 5.0, "longest wait for the last messages (s)", 0.1, 1e6),
+    Parameter("peer_limit", 5.0, "s", 0.1, 1e6, "longest wait for the last messages"),
 )
 
 

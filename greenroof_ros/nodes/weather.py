@@ -14,6 +14,7 @@ from typing import Any
 
 from greenroof_ros.common.command_line import EXIT_DONE, command
 from greenroof_ros.common.errors import ConfigurationError
+from greenroof_ros.common.parameter import Parameter
 from greenroof_ros.common.times import (
     DEFAULT_START,
     epoch_ns,
@@ -47,7 +48,6 @@ from greenroof_ros.graph.node_help import NodeParser, node_help
 from greenroof_ros.graph.node_process import run_node
 from greenroof_ros.graph.parameters import (
     LIVE,
-    NodeParameter,
     declare,
     default_site,
     site_file,
@@ -65,57 +65,60 @@ _GAUGES = ("/gauge/precipitation", "/gauge/temperature")
 _USUAL = -1.0
 
 
-def parameters(site: Site) -> list[NodeParameter]:
+def parameters(site: Site) -> list[Parameter]:
     """Return the node's parameters, but that of the site."""
     forecast = ForecastChoice()
     return [
-        NodeParameter("weather_files", [str(default_weather())], "hourly records, joined"),
-        NodeParameter("start", DEFAULT_START, "time of tick 0, ISO 8601"),
-        NodeParameter("run_length", site.N, "N (ticks)", 1, 2**40),
-        NodeParameter(
-            "evapotranspiration", "",
-            "fao56, or the name of the file's own column; empty: the file's own if it has one",
+        Parameter("weather_files", [str(default_weather())], meaning="hourly records, joined"),
+        Parameter("start", DEFAULT_START, meaning="time of tick 0, ISO 8601"),
+        Parameter("run_length", site.N, "ticks", 1, 2**40, "N"),
+        Parameter(
+            "evapotranspiration", "", meaning="fao56, or the name of the file's own column; "
+            "empty: the file's own if it has one",
         ),
-        NodeParameter(
-            "gaps", REFUSE, "refuse a run of which an hour is missing, or fill it: rain with none, "
-            "all else with the mean at that time of day over three days before and after",
+        Parameter(
+            "gaps", REFUSE, meaning="refuse a run of which an hour is missing, or fill it: rain "
+            "with none, all else with the mean at that time of day over three days before and "
+            "after",
             among=GAPS,
         ),
-        NodeParameter(
-            "horizon", 0.0,
-            "h that the forecasts reach, in steps that grow; 0: the M ticks that come",
-            0.0, HORIZON.high,
+        Parameter(
+            "horizon", 0.0, "", 0.0, HORIZON.high, "h that the forecasts reach, in steps that "
+            "grow; 0: the M ticks that come",
         ),
-        NodeParameter(
-            "all_members", False, "of an ensemble: for scenario_mpc; otherwise the first"
+        Parameter(
+            "all_members", False, meaning="of an ensemble: for scenario_mpc; otherwise the first",
         ),
-        NodeParameter(
-            "forecast", str(forecast), f"{', '.join(MODELS)}, or a file or directory of archived "
+        Parameter(
+            "forecast", str(forecast),
+            meaning=f"{', '.join(MODELS)}, or a file or directory of archived "
             "ones; live: a FILE.csv, read again whenever it is replaced, or empty: there is none",
         ),
-        NodeParameter(
+        Parameter(
             "forecast_skill", forecast.skill,
-            f"errors, ensemble: how good they are: {', '.join(SKILLS)}, or a FILE.yaml",
+            meaning=f"errors, ensemble: how good they are: {', '.join(SKILLS)}, or a FILE.yaml",
         ),
-        NodeParameter(
-            "forecast_seed", forecast.seed, "errors, ensemble: of the errors", *NUMBERS["seed"]
+        Parameter(
+            "forecast_seed", forecast.seed, "", *NUMBERS["seed"], "errors, ensemble: of the "
+            "errors",
         ),
-        NodeParameter(
-            "forecast_members", forecast.members, "ensemble: number of its members",
-            *NUMBERS["members"],
+        Parameter(
+            "forecast_members", forecast.members, "", *NUMBERS["members"], "ensemble: number of "
+            "its members",
         ),
-        NodeParameter(
-            "forecast_delay", _USUAL, "errors, ensemble, a file: h after its nominal time from "
+        Parameter(
+            "forecast_delay", _USUAL, "", _USUAL, NUMBERS["delay"][1],
+            "errors, ensemble, a file: h after its nominal time from "
             f"which an issue is known; {_USUAL:g}: {SERVICE_DELAY_H:g} of the first two, and what "
-            "is usual of a file's kind", _USUAL, NUMBERS["delay"][1],
+            "is usual of a file's kind",
         ),
-        NodeParameter(
-            "issue_limit", 7200.0, "live: how long ago the newest forecast of the file may have "
-            "been issued (s)", 1.0, 1e6,
+        Parameter(
+            "issue_limit", 7200.0, "s", 1.0, 1e6, "live: how long ago the newest forecast of the "
+            "file may have been issued",
         ),
-        NodeParameter(
-            "unknown_frost_may_pump", False, "live: without a temperature there is no frost; "
-            "otherwise the pumps stand",
+        Parameter(
+            "unknown_frost_may_pump", False, meaning="live: without a temperature there is no "
+            "frost; otherwise the pumps stand",
         ),
         *live_parameters(_GAUGES),
     ]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field, fields, replace
 from typing import Any
 
 from greenroof_ros.common.errors import ConfigurationError
@@ -49,9 +49,7 @@ def _setting(
     default: float | Callable[[Site], float], unit: str, low: float, high: float, meaning: str
 ) -> Any:
     """Return the field of a setting; its default may follow from the site."""
-    return field(
-        metadata={"default": default, "unit": unit, "low": low, "high": high, "meaning": meaning}
-    )
+    return field(metadata={"parameter": Parameter("", default, unit, low, high, meaning)})
 
 
 @dataclass(frozen=True)
@@ -150,13 +148,9 @@ def pump_parameters(site: Site) -> tuple[Parameter, ...]:
     """Return each setting as a parameter, with its default for a site."""
     parameters = []
     for each in fields(PumpSettings):
-        given = each.metadata
-        default = given["default"](site) if callable(given["default"]) else given["default"]
-        parameters.append(
-            Parameter(
-                each.name, default, given["unit"], given["low"], given["high"], given["meaning"]
-            )
-        )
+        one: Parameter = each.metadata["parameter"]
+        default = one.default(site) if callable(one.default) else one.default
+        parameters.append(replace(one, name=each.name, default=default))
     return tuple(parameters)
 
 
