@@ -30,7 +30,7 @@ _SET_UP = (
 _INTERRUPTED = {0, 130}
 _CTRL_C_TAKES_S = 30.0
 _READY_TAKES_S = 120.0
-_TAKES_S = 1800.0
+_TAKES_S = 4 * 3600.0
 
 
 @dataclass(frozen=True)
