@@ -15,7 +15,7 @@ NODES = ("plant", "weather", "controller", "recorder", "live_recorder", "pump", 
 CONTROLLERS = ("mpc", "onoff", "planning_mpc", "anticipating_onoff", "scenario_mpc")
 # ... and the commands, each by the name of its module. ``greenroof`` has them all, everywhere.
 COMMANDS = (
-    "bringup", "simulate", "bound", "recover", "topics", "check_controller", "check_pump",
+    "bringup.__main__", "simulate", "bound", "recover", "topics", "check_controller", "check_pump",
     "drive_simulator", "site_simulator", "calibrate", "verify", "study.__main__",
     "report.__main__", "watch.__main__",
 )

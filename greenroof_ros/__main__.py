@@ -31,10 +31,10 @@ class Command:
 GROUPS = {
     "run the roof": {
         "run": Command(
-            "bringup", "the node graph: simulated, or with a drive in the loop", "internal"
+            "bringup.__main__", "the node graph: simulated, or with a drive in the loop", "internal"
         ),
         "live": Command(
-            "bringup", "a site with sensors and a pump, until it is stopped", "external"
+            "bringup.__main__", "a site with sensors and a pump, until it is stopped", "external"
         ),
     },
     "see what it does, or did": {

@@ -20,13 +20,13 @@ import pytest
 from graphs import alive, wait_for
 from places import CHECKOUT
 
+from greenroof_ros.bringup.status import troubles_of, values_of
 from greenroof_ros.common.clock import boot_time
 from greenroof_ros.common.disk import DISK
 from greenroof_ros.experiment.incidents import IncidentLog
 from greenroof_ros.graph import live_supervisor
 from greenroof_ros.graph.live_supervisor import Failure, LiveSupervisor
 from greenroof_ros.graph.node_processes import NodeFailed, NodeProcesses
-from greenroof_ros.live.status import troubles_of, values_of
 
 TOO_LONG_S = 60
 

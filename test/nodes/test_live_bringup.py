@@ -37,11 +37,11 @@ from std_msgs.msg import Float64, String  # noqa: E402
 from test_live import Site, observer, site, write_forecast  # noqa: E402, F401
 from test_nodes import qos  # noqa: E402
 
+from greenroof_ros.bringup.drive import DriveChoice  # noqa: E402
 from greenroof_ros.drives.address import parse_address  # noqa: E402
 from greenroof_ros.drives.drive_file import find_drive_file  # noqa: E402
 from greenroof_ros.drives.exchange import DriveExchange  # noqa: E402
 from greenroof_ros.experiment.incidents import read_incidents  # noqa: E402
-from greenroof_ros.live.drive import DriveChoice  # noqa: E402
 from greenroof_ros.simulators.workbench import Workbench  # noqa: E402
 
 NOBODY = ("--sensors", "external", "--pump", "external", "--weather", "external")

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from greenroof_ros.live.status import troubles_of
+from greenroof_ros.bringup.status import troubles_of
 
 FILE = ("WARN", "danfoss_fc202.yaml was not verified against a manual", "drive_file_unverified")
 STOPPED = ("WARN", "held: an operator stopped it", "operator_stop")

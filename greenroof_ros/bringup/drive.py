@@ -5,15 +5,17 @@ from __future__ import annotations
 import argparse
 import re
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.files import YamlMapping, read_yaml
+from greenroof_ros.controllers.registry import ControllerChoice
 from greenroof_ros.drives.address import Address, parse_drive_address
 from greenroof_ros.drives.drive_file import DriveFile, find_drive_file, read_drive_file
+from greenroof_ros.graph.errors import no_ros
 from greenroof_ros.graph.states import PUMP
 from greenroof_ros.pumping.ledger import state_directory
 
@@ -265,3 +267,27 @@ def _refuse_drive(file: Path, content: YamlMapping, node: str) -> None:
                     f"{_OF_BRINGUP[key]} says it",
                     file=file, line=part.lines[key], key=f"{node}: {key}", value=part[key],
                 )
+
+
+def refuse_unknown(
+    file: Path | None, namespace: str, nodes: Mapping[str, str], controller: ControllerChoice
+) -> None:
+    """Refuse what would have no effect in a parameter file of a user's own.
+
+    Args:
+        file: which, if there is one.
+        namespace: of the graph.
+        nodes: of each node the module.
+        controller: of the graph.
+
+    Raises:
+        ConfigurationError: there is something, or no ROS 2.
+    """
+    if file is None:
+        return
+    try:
+        from greenroof_ros.nodes.parameter_file import refuse_unknown_in
+    except ImportError as error:
+        raise no_ros(error) from error
+    whole = {f"{namespace}/{name}": module for name, module in nodes.items()}
+    refuse_unknown_in(file, whole, controller)

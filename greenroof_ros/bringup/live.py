@@ -17,6 +17,8 @@ from typing import Any
 
 import yaml
 
+from greenroof_ros.bringup.live_options import EXTERNAL, LiveSite
+from greenroof_ros.bringup.status import Expected, Status, values_of
 from greenroof_ros.common.command_line import EXIT_DONE, EXIT_FAILED
 from greenroof_ros.common.disk import DISK
 from greenroof_ros.common.errors import ConfigurationError, OccupiedError
@@ -31,8 +33,6 @@ from greenroof_ros.graph.domain import only_bringup, refuse_other_nodes
 from greenroof_ros.graph.live_supervisor import Failure, LiveSupervisor
 from greenroof_ros.graph.node_processes import NodeFailed
 from greenroof_ros.graph.states import PUMP, RECORDER
-from greenroof_ros.live.site import EXTERNAL, LiveSite
-from greenroof_ros.live.status import Expected, Status, values_of
 
 _NODES = "greenroof_ros.nodes"
 _TANKS = ("cistern", "roof")

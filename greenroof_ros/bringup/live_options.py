@@ -6,6 +6,7 @@ import argparse
 from dataclasses import dataclass
 from pathlib import Path
 
+from greenroof_ros.bringup.drive import DriveChoice, chosen_drive, own_parameters
 from greenroof_ros.common.command_line import within
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.files import shared_directory
@@ -14,7 +15,6 @@ from greenroof_ros.drives.address import parse_address
 from greenroof_ros.drives.sensor_file import TANKS, read_sensors
 from greenroof_ros.experiment.options import controller_from_arguments
 from greenroof_ros.forecast.choice import FILE, choose
-from greenroof_ros.live.drive import DriveChoice, chosen_drive, own_parameters
 from greenroof_ros.model.site import read_site
 
 EXTERNAL = "external"

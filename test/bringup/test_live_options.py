@@ -12,11 +12,11 @@ from graphs import environment, wait_for
 from modbus_wire import Wire, acs880
 from places import CHECKOUT
 
+from greenroof_ros.bringup.drive import DriveChoice
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.controllers.registry import find_controller
 from greenroof_ros.drives.drive_file import find_drive_file
 from greenroof_ros.drives.exchange import DriveExchange
-from greenroof_ros.live.drive import DriveChoice
 
 LIVE = ("--plant", "external")
 NOBODY = ("--sensors", "external", "--pump", "external", "--weather", "external")
