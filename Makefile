@@ -46,12 +46,13 @@ FOR_MUTATION := $(VENV)/.for-mutation
 # It says what it installs: the first time it takes a minute or two.
 PIP_INSTALL = $(BIN)/python -m pip --disable-pip-version-check install --editable
 
-.PHONY: help run study test lint docs bench doc-commands faults mutation clean
+.PHONY: help run study test lint docs bench doc-commands faults test-kilted mutation clean
 
 help:
 	@echo "make run    the 12 h of the paper with the predictive controller, as a node graph"
 	@echo "make study  the 30 runs of the paper, and their report: no ROS"
 	@echo "make test   every test"
+	@echo "make test-kilted  the tests that start nodes, with the next ROS 2"
 	@echo "make lint   ruff, mypy, and which room imports from which"
 	@echo "make docs   the documentation, doc/_build/index.html"
 	@echo "make bench  the speed of graph and controller, as ratios"
@@ -75,6 +76,20 @@ ifeq ($(ARGS),)
 else
 	@$(BIN)/python -m pytest $(ARGS)
 endif
+
+# The next ROS 2, in an environment of its own: its wheels stand in for those of the extra [ros].
+KILTED := .venv-kilted
+KILTED_WHEELS := "ros-kilted-rclpy[fastrtps]>=9.1,<10" $(addprefix ros-kilted-, \
+    std-msgs rosgraph-msgs diagnostic-msgs rcl-interfaces lifecycle-msgs std-srvs)
+
+test-kilted: $(KILTED)/.made
+	@$(KILTED)/bin/python -m pytest --numprocesses $$(($$(nproc) + 3)) --dist loadgroup -m graph $(ARGS)
+
+$(KILTED)/.made: setup.py
+	$(PYTHON) -m venv $(KILTED)
+	$(KILTED)/bin/python -m pip --disable-pip-version-check install $(KILTED_WHEELS) \
+	    --editable ".[pump,watch,study,netcdf,dask,test]"
+	@touch $@
 
 lint: $(FOR_TEST)
 	$(BIN)/python -m ruff check .
@@ -147,6 +162,6 @@ $(FOR_MUTATION): $(FOR_TEST)
 	@touch $@
 
 clean:
-	rm -rf $(VENV) build dist install log *.egg-info doc/_build doc/api/modules
+	rm -rf $(VENV) $(KILTED) build dist install log *.egg-info doc/_build doc/api/modules
 	rm -rf .mypy_cache .ruff_cache .pytest_cache .hypothesis
 	find . -name __pycache__ -type d -prune -exec rm -rf {} +
