@@ -324,10 +324,10 @@ def pump_settings() -> str:
 def interlocks() -> str:
     """Return what keeps the pump off, in its order."""
     return markdown(
-        ("code", "stands when", "found by", "limit (parameter)", "kind"),
+        ("code", "active when", "found in", "limit (parameter)", "kind"),
         (
             (
-                f"`{one.code}`", one.reason, one.source,
+                f"`{one.code}`", one.reason, f"`{one.source}`",
                 ", ".join(f"`{name}`" for name in one.limit.split(", ") if name), one.kind.value,
             )
             for one in INTERLOCKS

@@ -34,6 +34,7 @@ class DriveStatus:
         flow: m3/s; None where the drive has none.
         remote: it obeys the bus.
         timed_out: the fault is that its own communication timeout has passed, and no other.
+        runs_on: the fault is that it was told to stop, and its speed does not fall.
     """
 
     ready: bool
@@ -44,6 +45,7 @@ class DriveStatus:
     flow: float | None
     remote: bool
     timed_out: bool = False
+    runs_on: bool = False
 
     @property
     def stands(self) -> bool:

@@ -74,7 +74,8 @@ class Snapshot(Known):
         timeout_s: its own communication timeout (s); None for off.
         timeout_known: the timeout could be read.
         timeout_note: why it counts as off, or could not be read.
-        inhibit: why the drive is kept off although it is connected; empty where nothing does.
+        unguarded: why the drive is kept off although it is connected: its own timeout may not guard
+            yet; empty where it does.
         errors: how often anything went wrong.
     """
 
@@ -84,7 +85,7 @@ class Snapshot(Known):
     timeout_s: float | None = None
     timeout_known: bool = False
     timeout_note: str = ""
-    inhibit: str = ""
+    unguarded: str = ""
     errors: int = 0
 
     @property
@@ -106,7 +107,7 @@ class DriveExchange(DeviceThread[Snapshot]):
         CONNECTING ---> STOPPING <----> STOPPED     *stop* is written; it turns, or stands
           ^    ^         |    ^            |
           |    |         v    |            |
-          |    |         RUNNING <---------+        a speed is asked for, and nothing inhibits it
+          |    |         RUNNING <---------+        a speed is asked for, and its timeout guards
           |    |            |
           |    |            |                       from each of these three:
           |    +------------+                       two rounds without a valid answer, or closed
@@ -221,9 +222,9 @@ class DriveExchange(DeviceThread[Snapshot]):
     def _wanted(self) -> float | None:
         speed, at = self._demand
         fresh = time.monotonic() - at <= self._dead_man_s
-        return speed if fresh and not self._closing and not self._inhibit() else None
+        return speed if fresh and not self._closing and not self._unguarded() else None
 
-    def _inhibit(self) -> str:
+    def _unguarded(self) -> str:
         """Return why the drive must not run although it is connected.
 
         Since the connection before, it may have been without power, which looks like a cut cable.
@@ -330,7 +331,7 @@ class DriveExchange(DeviceThread[Snapshot]):
         self._wait_s = FIRST_WAIT_S
         self._update(
             state=State.STOPPED if status.stands else State.STOPPING, status=status,
-            read_at=time.monotonic(), problem="", identity=identity, inhibit=self._inhibit(),
+            read_at=time.monotonic(), problem="", identity=identity, unguarded=self._unguarded(),
         )
 
     def _take(self) -> None:
@@ -379,7 +380,7 @@ class DriveExchange(DeviceThread[Snapshot]):
         standing = State.STOPPED if status.stands else State.STOPPING
         self._update(
             state=State.RUNNING if runs else standing, status=status, read_at=time.monotonic(),
-            problem=problem or self._lasting(), inhibit=self._inhibit(),
+            problem=problem or self._lasting(), unguarded=self._unguarded(),
         )
         if not self._closing:
             self._pause(self._period_s - (time.monotonic() - started))
@@ -415,7 +416,7 @@ class DriveExchange(DeviceThread[Snapshot]):
         if fall.seen_s > SEEN_S and now - self._left_at > RUNS_ON_AGAIN_S:
             raise _LeaveError("drive", f"{self._address}: {says} (it is {status.speed:.1%})")
         fault = "; ".join(filter(None, (status.fault, says)))
-        return replace(status, fault=fault, timed_out=False)
+        return replace(status, fault=fault, timed_out=False, runs_on=True)
 
     def _read(self) -> DriveStatus:
         """Return what the drive says, after acknowledging that its communication timeout passed.

@@ -74,7 +74,7 @@ class PermitReader:
         self._inhibit = ""
         self._at: float | None = None
 
-    def inhibit(self, now: float) -> str:
+    def missing(self, now: float) -> str:
         """Return why the pump may not run; empty where it may.
 
         Args:

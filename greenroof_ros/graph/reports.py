@@ -19,7 +19,6 @@ from rclpy.node import Node
 from greenroof_ros.common.interface import read_topics
 from greenroof_ros.graph.qos import qos_profile
 from greenroof_ros.graph.states import REPORT_PIPE, STARTING, STATES, as_expected
-from greenroof_ros.pumping.conditions import CONDITIONS
 
 # How a part of a node is, as tools know it.
 OK, WARN = DiagnosticStatus.OK, DiagnosticStatus.WARN
@@ -114,16 +113,10 @@ class Reports:
             )
 
     def diagnose(self, part: str, level: bytes, message: str, code: str, cause: str) -> bool:
-        """Keep how a part is, and return whether that is another diagnosis than before.
-
-        Raises:
-            KeyError: the code is none of the table.
-        """
+        """Keep how a part is, and return whether that is another diagnosis than before."""
         before = self.diagnoses.get(part)
         since = time.time() if before is None or before.code != code else before.since
         now = Diagnosis(level, message, code, cause, since)
-        if code:
-            CONDITIONS[code]
         self.diagnoses[part] = now
         return now != before
 

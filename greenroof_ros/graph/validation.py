@@ -52,6 +52,8 @@ class Input:
     def receive(self, message: bytes) -> None:
         """Read a message's value and keep it, or 0 where it must be refused."""
         value = self._decode(message)
+        if not self.good:
+            self.why = self.code = ""
         low, high = self._low, self._high
         if isinstance(value, float):
             if low <= value <= high:  # a NaN is neither

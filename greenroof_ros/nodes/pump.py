@@ -227,20 +227,20 @@ class _Drive:
         own = self.file.timeout.over(self._address)
         return "" if own is None else own.traps
 
-    def timeout_problem(self) -> str:
+    def timeout_problem(self, snapshot: Snapshot) -> str:
         """Return what is wrong with its own communication timeout; empty where nothing is."""
-        known, seconds = self.snapshot.timeout_known, self.snapshot.timeout_s
+        known, seconds = snapshot.timeout_known, snapshot.timeout_s
         own = self.file.timeout.over(self._address)
         repair = f"; to set it: {own.how_to_set}" if own is not None else ""
         if not known:
             return (
                 "the drive's own communication timeout could not be read "
-                f"({self.snapshot.timeout_note}){repair}"
+                f"({snapshot.timeout_note}){repair}"
             )
         if seconds is None:
             return (
                 "the drive's own communication timeout is off "
-                f"({self.snapshot.timeout_note}){repair}"
+                f"({snapshot.timeout_note}){repair}"
             )
         if seconds > self._limit:
             return (
@@ -324,10 +324,9 @@ class PumpNode(Lifecycle, LinkedNode):
             self._site, self._settings, ledger, self._drive_stops_after
         )
         kept = ledger.record
-        if kept.fault or kept.held:
-            self.get_logger().warning(
-                f"{self._state_file} keeps the pump off: {kept.fault or kept.held}"
-            )
+        why = kept.fault or kept.held or kept.unknown
+        if why:
+            self.get_logger().warning(f"{self._state_file} keeps the pump off: {why}")
 
     def _take_state(self) -> None:
         """Take the state file over, as it is by now, if another had it or it could not be made.
@@ -390,7 +389,7 @@ class PumpNode(Lifecycle, LinkedNode):
         absence = self._drive.absence(time.monotonic())
         if absence:
             raise RefusedError(f"not activated: {absence}")
-        problem = self._drive.timeout_problem()
+        problem = self._drive.timeout_problem(self._drive.snapshot)
         if problem and not self._without_timeout:
             raise RefusedError(f"not activated: {problem}")
         self._take_state()
@@ -532,13 +531,14 @@ class PumpNode(Lifecycle, LinkedNode):
 
     def progress(self) -> dict[str, Any]:
         """Return what bringup shows, and waits for."""
+        kept = self._ledger.record
         return {
             "pump": self._state, "pump_state": self._decision.state,
             "stands": self._decision.stands,
             "speed": self._decision.turns_at,
             "flow": self._decision.flow if self._decision.flow_known else None,
-            "active": self.lifecycle_state == ACTIVE and not self._drive.snapshot.inhibit,
-            "fault": self._ledger.record.fault, "held": self._ledger.record.held,
+            "active": self.lifecycle_state == ACTIVE and not self._drive.snapshot.unguarded,
+            "fault": kept.fault, "held": kept.held or kept.unknown,
         }
 
     # --- the pump -------------------------------------------------------------------------------
@@ -556,9 +556,9 @@ class PumpNode(Lifecycle, LinkedNode):
                     "the drive is in local control: hand it over to the bus at its panel"
                 )
             if not self._without_timeout:
-                reasons["drive_timeout"] = self._drive.timeout_problem()
-            reasons["drive_guards_later"] = self._drive.snapshot.inhibit
-        reasons["no_permit"] = self._permit.inhibit(boot_time())
+                reasons["drive_timeout"] = self._drive.timeout_problem(self._drive.snapshot)
+            reasons["drive_guards_later"] = self._drive.snapshot.unguarded
+        reasons["no_permit"] = self._permit.missing(boot_time())
         reasons["two_controllers"] = self._two_publishers(now)
         if self.live:
             # Another pump node may have the same drive: neither runs it then.
@@ -613,6 +613,7 @@ class PumpNode(Lifecycle, LinkedNode):
             drive_flow=None if status is None else status.flow,
             drive_ready=status is not None and (status.ready or status.running),
             drive_fault="" if now < self._resetting_until else _fault(status),
+            runs_on=status is not None and status.runs_on,
             reasons=self._reasons_against(now),
         )
         time_now = now if self.live else self._simulated
@@ -640,7 +641,7 @@ class PumpNode(Lifecycle, LinkedNode):
     def _diagnose(self, now: float) -> None:
         """Say how each part is; what has numbers in it changes too often for the log."""
         decision = self._decision
-        code = decision.standing[0].interlock.code if decision.standing else ""
+        code = decision.interlocks[0].interlock.code if decision.interlocks else ""
         level = ERROR if decision.state == "fault" else WARN if code else OK
         say = self.reports.diagnose
         say("pump", level, self._state, code, self._cause(code))
@@ -683,10 +684,10 @@ class PumpNode(Lifecycle, LinkedNode):
         )
         self.diagnose(
             "frost", WARN if frost else OK, frost or "there is no frost",
-            self._frost.code or "frost" if frost else "",
+            "frost" if self._frost.good and frost else self._cause("frost_unknown"),
         )
         if self._permit.given:
-            why = self._permit.inhibit(boot_time())
+            why = self._permit.missing(boot_time())
             self.diagnose(
                 "supervisor", WARN if why else OK, why or "bringup lets the pump run",
                 "no_permit" if why else "",
@@ -699,7 +700,9 @@ class PumpNode(Lifecycle, LinkedNode):
             "cistern_level_unknown": self._cistern, "roof_level_unknown": self._roof,
             "frost_unknown": self._frost, "command_unknown": self._command,
         }
-        return inputs[code].code if code in inputs else ""
+        cause = inputs[code].code if code in inputs else ""
+        unknown = code == "frost_unknown" and cause == "input_refused"  # a NaN says so
+        return "temperature_unknown" if unknown else cause
 
     def _diagnose_drive(self, now: float) -> None:
         if self.lifecycle_state == UNCONFIGURED and not self._autostart:
@@ -724,7 +727,7 @@ class PumpNode(Lifecycle, LinkedNode):
             self.diagnose("drive", WARN, f"the drive: {said}", code)
         else:
             self.diagnose("drive", OK, f"connected to {snapshot.identity}")
-        problem, later = self._drive.timeout_problem(), snapshot.inhibit
+        problem, later = self._drive.timeout_problem(snapshot), snapshot.unguarded
         level, code = (
             (WARN, "drive_timeout_waived") if problem and self._without_timeout
             else (ERROR, "drive_timeout") if problem

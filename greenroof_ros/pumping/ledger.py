@@ -48,7 +48,8 @@ class Record:
     """What is kept.
 
     Attributes:
-        held: why the pump is held by somebody; empty where it is not.
+        held: why the pump is stopped by somebody; empty where it is not.
+        unknown: why it is not known whether there was a stop or a fault; empty where it is.
         fault: the latched fault; empty where there is none.
         fault_code: its interlock's code.
         elapsed: since the ledger's first step (s).
@@ -60,6 +61,7 @@ class Record:
     """
 
     held: str = ""
+    unknown: str = ""
     fault: str = ""
     fault_code: str = ""
     elapsed: float = 0.0
@@ -139,8 +141,9 @@ class Ledger:
         return self._problem
 
     def stop(self, reason: str) -> None:
-        """Keep the pump off, or release it (empty)."""
-        self.record = replace(self.record, held=reason)
+        """Keep the pump off, or release it (empty), also where a stop or a fault is unknown."""
+        unknown = self.record.unknown if reason else ""
+        self.record = replace(self.record, held=reason, unknown=unknown)
         self._save()
 
     def fault(self, text: str, code: str) -> None:
@@ -277,7 +280,9 @@ def _line(sequence: int, record: Record) -> bytes:
         printable = "".join(one if one.isprintable() else " " for one in text[:_TEXT])
         return printable.encode()[:_TEXT].decode(errors="ignore")
 
-    record = replace(record, held=short(record.held), fault=short(record.fault))
+    record = replace(
+        record, held=short(record.held), unknown=short(record.unknown), fault=short(record.fault)
+    )
     content = {"sequence": sequence, **asdict(record)}
     content["starts"] = [round(one, 1) for one in record.starts]
     text = json.dumps(content, ensure_ascii=False).encode()
@@ -339,10 +344,10 @@ def _read(file: Path) -> tuple[Record, int, bool]:
     except FileNotFoundError:
         return Record(), 0, False
     except (OSError, ValueError) as error:
-        return Record(held=_unknown(file, str(error))), 0, False
+        return Record(unknown=_unknown(file, str(error))), 0, False
     if len(content) != 2 * _LINE:
         why = f"it must be {2 * _LINE} bytes long"
-        return Record(held=_unknown(file, why)), 0, False
+        return Record(unknown=_unknown(file, why)), 0, False
     found, problems = [], []
     for number in range(2):
         try:
@@ -350,11 +355,11 @@ def _read(file: Path) -> tuple[Record, int, bool]:
         except ValueError as error:
             problems.append(f"line {number + 1}: {error}")
     if not found:
-        return Record(held=_unknown(file, "; ".join(problems))), 0, False
+        return Record(unknown=_unknown(file, "; ".join(problems))), 0, False
     sequence, record = max(found, key=lambda one: one[0])
     if problems:
         # The broken line's turn is next, so that the file is whole again then.
-        record = replace(record, held=record.held or _unknown(file, problems[0]))
+        record = replace(record, unknown=record.unknown or _unknown(file, problems[0]))
     return record, sequence, not problems
 
 
@@ -376,6 +381,7 @@ def _parse(line: bytes, number: int) -> tuple[int, Record]:
         raise ValueError("its checksum is wrong")
     content: dict[str, Any] = json.loads(text)
     sequence = content.pop("sequence")
+    content = asdict(Record()) | content  # an older version knew fewer
     names = asdict(Record()).keys()
     if content.keys() != names or (sequence + 1) % 2 != number:
         raise ValueError(f"it must hold sequence, {', '.join(names)}")

@@ -1,4 +1,4 @@
-"""What the pump does at each step: it follows the command, unless an interlock stands."""
+"""What the pump does at each step: it follows the command, unless an interlock is active."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from dataclasses import dataclass, field, replace
 from greenroof_ros.model.pump_speed import flow_at
 from greenroof_ros.model.site import Site
 from greenroof_ros.pumping.delivery import DeliveryCheck
-from greenroof_ros.pumping.interlocks import Kind, Standing, evaluate
+from greenroof_ros.pumping.interlocks import LATCHED, ActiveInterlock, Kind, evaluate
 from greenroof_ros.pumping.ledger import SAVE_EVERY_S, Ledger
 from greenroof_ros.pumping.limits import SiteLimits, SwitchLimits
 from greenroof_ros.pumping.pulses import Pulses
@@ -27,7 +27,7 @@ _GREATEST_FLOW = 1.5
 # No pump turns faster (share of its rated speed), and no level is beyond this (m, as of its topic).
 _GREATEST_SPEED = 2.0
 _GREATEST_LEVEL = 100.0
-# The state of a pump that an interlock keeps off, by the first that stands.
+# The state of a pump that an interlock keeps off, by the first that is active.
 _STATES = {Kind.LATCHED: "fault", Kind.INHIBIT: "held", Kind.ENABLE: "off"}
 
 
@@ -46,6 +46,7 @@ class Observation:
         drive_flow: of the drive's own (m3/s).
         drive_ready: whether it runs, or would if it were asked to.
         drive_fault: its fault, as text; empty where there is none.
+        runs_on: whether that is that it does not obey a stop.
         reasons: what the node itself has against running, by interlock.
     """
 
@@ -59,6 +60,7 @@ class Observation:
     drive_flow: float | None = None
     drive_ready: bool = False
     drive_fault: str = ""
+    runs_on: bool = False
     reasons: Mapping[str, str] = field(default_factory=dict)
 
 
@@ -71,7 +73,7 @@ class Decision:
         state: off, starting, running, stopping, fault, held, or unknown: it is asked to be off, and
             nobody knows whether it stands.
         why: in words.
-        standing: the interlocks that keep the pump off, the first of the table first.
+        interlocks: those that are active, in the order of their table.
         flow: the best present estimate (m3/s).
         source: how the flow is known.
         warning: what an operator should know although it stops nothing; empty where nothing.
@@ -87,7 +89,7 @@ class Decision:
     speed: float | None
     state: str
     why: str
-    standing: tuple[Standing, ...]
+    interlocks: tuple[ActiveInterlock, ...]
     flow: float
     source: str
     warning: str
@@ -139,8 +141,7 @@ class PumpControl:
 
         It takes effect with the next step.
         """
-        reason = self._ledger.record.held or OPERATOR_STOPPED
-        self._ledger.stop(reason if on else "")
+        self._ledger.stop(OPERATOR_STOPPED if on else "")
 
     def reset(self) -> str:
         """Clear a latched fault, and return what it was; what still is latches again."""
@@ -187,21 +188,22 @@ class PumpControl:
         )
         sees = seen.cistern_level is not None and seen.roof_level is not None
         self._blind_for = 0.0 if sees and self._delivery.watches else self._blind_for + dt
-        self._latch(drive_dt, seen, backwards, undelivered)
+        faults = self._faults(drive_dt, seen, backwards, undelivered)
+        self._latch(faults)
         command, refused = _command(seen.command)
         if command is not None and seen.command is not None and seen.command > 1:
             warnings.append(f"the command {seen.command:g} is above 1 and taken as 1")
-        standing = evaluate({
-            **self._kept(),
+        active = evaluate({
+            **faults, **self._kept(),
             **self._limits.reasons(command, seen.cistern_level, seen.roof_level, seen.frost),
             **seen.reasons, **refused,
             # One that turns backwards is a fault, and its speed is known.
             **({} if backwards else _drive_trouble(seen)),
         })
         asked = None
-        if standing:
-            state = _STATES[standing[0].interlock.kind]
-            why = "; ".join(one.why for one in standing)
+        if active:
+            state = _STATES[active[0].interlock.kind]
+            why = "; ".join(one.why for one in active)
         else:
             assert command is not None
             assert seen.cistern_level is not None
@@ -209,7 +211,7 @@ class PumpControl:
             full = seen.roof_level >= self._site.z_veg
             asked, why = self._follow(now, dt, command, full, seen.cistern_level, warnings)
             state = "off" if asked is None else "running"
-        if standing:
+        if active:
             self._pulses.drop()
         self._switch_to(now, asked)
 
@@ -229,7 +231,7 @@ class PumpControl:
         else:
             stands = asked is None and not turning
         return Decision(
-            asked, state, why, standing, flow, source, "; ".join(warnings), self._pulses.owed,
+            asked, state, why, active, flow, source, "; ".join(warnings), self._pulses.owed,
             stands, turns_at, stands or known_flow is not None, self._blind_for,
         )
 
@@ -303,10 +305,10 @@ class PumpControl:
             self._ramped = speed
         return not least - tolerance <= speed <= greatest + tolerance
 
-    def _latch(
+    def _faults(
         self, drive_dt: float, seen: Observation, backwards: str, undelivered: str
-    ) -> None:
-        """Look for faults; the first one stays until it is reset."""
+    ) -> dict[str, str]:
+        """Return the faults that there are now, by interlock."""
         if seen.speed is not None:  # what is not heard for a moment may go on
             astray = self._is_beyond_ramp(seen.speed, drive_dt)
             self._astray_for = self._astray_for + drive_dt if astray else 0.0
@@ -315,23 +317,31 @@ class PumpControl:
             asked = "it is told to stop"
             if self._asked is not None:
                 asked = f"{self._asked:.2f} is asked for"
-            found["speed_not_followed"] = (
+            found["runs_on" if self._asked is None else "speed_not_followed"] = (
                 f"the speed does not follow: the pump turns at {seen.speed:.2f} of its speed, and "
                 f"{asked}, for {self._astray_for:.0f} s, which a ramp of "
                 f"{self._settings.drive_ramp:g} s (drive_ramp) does not explain"
             )
         found["turns_backwards"] = backwards
-        found["drive_fault"] = f"the drive reports: {seen.drive_fault}" if seen.drive_fault else ""
-        faults = evaluate(found)
-        if faults and not self._ledger.record.fault:
-            self._ledger.fault(faults[0].why, faults[0].interlock.code)
+        if seen.drive_fault:
+            code = "runs_on" if seen.runs_on else "drive_fault"
+            found[code] = f"the drive reports: {seen.drive_fault}"
+        return found
+
+    def _latch(self, faults: Mapping[str, str]) -> None:
+        """Keep the first fault until it is reset."""
+        found = evaluate(faults)
+        if found and not self._ledger.record.fault:
+            self._ledger.fault(found[0].why, found[0].interlock.code)
 
     def _kept(self) -> dict[str, str]:
-        """Return what keeps the pump off over restarts: the latched fault, and who stopped it."""
+        """Return what keeps the pump off over restarts: a latched fault, and who stopped it."""
         record = self._ledger.record
-        stopped = "operator_stop" if record.held == OPERATOR_STOPPED else "record_unknown"
-        fault = {record.fault_code: record.fault} if record.fault else {}
-        return {**fault, stopped: record.held}
+        kept = {"operator_stop": record.held, "record_unknown": record.unknown}
+        if record.fault:
+            code = record.fault_code
+            kept[code if code in LATCHED else "fault_unknown"] = record.fault
+        return kept
 
     def _follow(
         self, now: float, dt: float, command: float, full: bool, cistern_level: float,

@@ -318,10 +318,10 @@ def test_after_each_connection_the_drive_is_off_while_it_may_not_guard(
     with driving(slow, wire.gateway, 0.5) as exchange:
         for _ in range(2):
             wait(lambda: exchange.snapshot.connected)
-            assert "does not guard for 1 s after power-up" in exchange.snapshot.inhibit
+            assert "does not guard for 1 s after power-up" in exchange.snapshot.unguarded
             wait(lambda: RUN in drive.written)
             assert time.monotonic() - began > 1.0
-            wait(lambda: exchange.snapshot.inhibit == "" and drive.values[4] == 10000)
+            wait(lambda: exchange.snapshot.unguarded == "" and drive.values[4] == 10000)
             assert exchange.snapshot.problem == ""
             began = time.monotonic()
             wire.drop()

@@ -18,7 +18,7 @@ from greenroof_ros.pumping.settings import pump_parameters, settings_for
 
 def codes(decision: Decision) -> list[str]:
     """Return the codes of a decision."""
-    return [one.interlock.code for one in decision.standing]
+    return [one.interlock.code for one in decision.interlocks]
 
 
 def changed(**change: object) -> Callable[[], Decision]:
@@ -27,7 +27,7 @@ def changed(**change: object) -> Callable[[], Decision]:
     def run() -> Decision:
         rig = Rig()
         rig.run(30, 0.5)
-        assert rig.decisions[-1].standing == ()
+        assert rig.decisions[-1].interlocks == ()
         rig.change = change
         return rig.step(0.5)
 
@@ -49,6 +49,19 @@ def stuck() -> Decision:
     return rig.run(60, 1.0, lambda one: one.state == "fault")
 
 
+def told_to_stop() -> Decision:
+    rig = Rig()
+    rig.run(30, 0.5)
+    rig.stuck_speed = rig.speed
+    return rig.run(120, 0.0, lambda one: one.state == "fault")
+
+
+def of_another_version() -> Decision:
+    rig = Rig()
+    rig.ledger.fault("its phase is lost", "phase_lost")
+    return rig.step(0.5)
+
+
 def closed_valve() -> Decision:
     rig = Rig()
     rig.arriving = rig.leaving = 0.0
@@ -63,7 +76,7 @@ def stopped() -> Decision:
 
 def unreadable() -> Decision:
     rig = Rig()
-    rig.ledger.record = Record(held="state.json cannot be read")
+    rig.ledger.record = Record(unknown="state.json cannot be read")
     return rig.step(0.5)
 
 
@@ -88,8 +101,10 @@ NODE = [
 CAUSES: dict[str, Callable[[], Decision]] = {
     "drive_fault": changed(drive_fault="overload"),
     "turns_backwards": changed(speed=-0.1),
+    "runs_on": told_to_stop,
     "speed_not_followed": stuck,
     "delivery": closed_valve,
+    "fault_unknown": of_another_version,
     "operator_stop": stopped,
     "record_unknown": unreadable,
     "cistern_level_unknown": changed(cistern_level=None),
@@ -113,11 +128,11 @@ def test_each_keeps_the_pump_off_alone(code: str) -> None:
     """By what brings it about in a running pump; the state is its kind's."""
     decision = CAUSES[code]()
     assert (codes(decision), decision.speed) == ([code], None)
-    kind = decision.standing[0].interlock.kind
+    kind = decision.interlocks[0].interlock.kind
     states = {Kind.LATCHED: {"fault"}, Kind.INHIBIT: {"held"},
               Kind.ENABLE: {"off", "stopping", "unknown"}}
     assert decision.state in states[kind]
-    assert decision.why.startswith(decision.standing[0].why)
+    assert decision.why.startswith(decision.interlocks[0].why)
 
 
 @pytest.mark.parametrize("code", CODES)
@@ -135,7 +150,7 @@ def test_what_latches_stays(code: str) -> None:
         rig.change = {"reasons": {code: "it is so"}}
         rig.run(60, 0.5)
         rig.change = {}
-    assert rig.run(30, 0.5).standing == ()
+    assert rig.run(30, 0.5).interlocks == ()
 
 
 def test_they_are_named_in_the_order_of_the_table() -> None:
@@ -166,6 +181,46 @@ def test_what_follows_is_not_said_beside_its_cause() -> None:
     )
 
 
+@pytest.mark.parametrize("code", ["", "phase_lost", "frost", *NODE])
+def test_a_kept_fault_keeps_the_pump_off_whatever_its_code(code: str) -> None:
+    """A record of another version of this package may have any."""
+    rig = Rig()
+    rig.ledger.record = Record(fault="it was so", fault_code=code)
+    rig.change = {"reasons": dict.fromkeys(NODE, "")}
+    decision = rig.run(30, 0.5)
+    assert (codes(decision), decision.state, decision.speed) == (["fault_unknown"], "fault", None)
+    assert rig.control.reset() == "it was so"
+    assert rig.run(30, 0.5).interlocks == ()
+
+
+def test_a_second_fault_is_named_beside_the_latched_one() -> None:
+    rig = Rig()
+    rig.ledger.fault("burst pipe", "delivery")
+    rig.change = {"drive_fault": "overload"}
+    assert codes(rig.step(0.5)) == ["drive_fault", "delivery"]
+    rig.change = {"speed": -0.3, "drive_fault": "the pump turns backwards"}
+    assert codes(rig.step(0.5)) == ["turns_backwards", "delivery"]
+    rig.change = {}
+    assert codes(rig.step(0.5)) == ["delivery"]
+
+
+def test_a_drive_that_does_not_obey_a_stop_is_no_fault_of_its_own() -> None:
+    """As the exchange finds it: a person must stop it, whatever the drive's manual says."""
+    rig = Rig()
+    rig.change = {"drive_fault": "it acknowledges *stop*", "runs_on": True}
+    assert codes(rig.step(0.5)) == ["runs_on"]
+
+
+def test_a_stop_is_not_lost_beside_a_record_that_cannot_be_read() -> None:
+    """Who works at the pump has stopped it; both are named, and one release ends both."""
+    rig = Rig()
+    rig.ledger.record = Record(unknown="state.json cannot be read")
+    rig.control.stop(True)
+    assert codes(rig.step(0.5)) == ["operator_stop", "record_unknown"]
+    rig.control.stop(False)
+    assert rig.run(30, 0.5).interlocks == ()
+
+
 def test_a_code_that_there_is_not() -> None:
     with pytest.raises(KeyError):
         evaluate({"operator_stops": "x"})
@@ -183,6 +238,8 @@ def test_the_table_is_whole() -> None:
     of_nodes = {
         "state_file", "level_limit", "frost_limit", "command_limit", "recovery_time", "autostart",
         "exchange_period", "drive_timeout_limit", "local_settings_stop_the_pump",
+        "activate_without_drive_timeout", "unknown_frost_may_pump", "frozen_movement",
+        "jump_tolerance",
     }
     named = {name for one in INTERLOCKS for name in one.limit.split(", ") if name}
     assert named <= settings | of_nodes

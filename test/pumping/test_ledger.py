@@ -9,6 +9,7 @@ import signal
 import subprocess
 import sys
 import time
+import zlib
 from collections.abc import Iterator
 from fractions import Fraction
 from pathlib import Path
@@ -234,15 +235,32 @@ def test_a_broken_line_holds_the_pump(tmp_path: Path, clock: Clock) -> None:
         file.write_bytes(content)
         again = Ledger(file, clock)
         assert f"{file} cannot be read (line {torn + 1}: its checksum is wrong)" in (
-            again.record.held
+            again.record.unknown
         )
         assert before.day_volume - 0.5 <= again.record.day_volume <= before.day_volume
         assert again.kept() == ""
-        assert Ledger(file, clock).record.held == again.record.held
+        assert Ledger(file, clock).record.unknown == again.record.unknown
         again.stop("")
         again.close()
-        assert Ledger(file, clock).record.held == ""
+        assert Ledger(file, clock).record.unknown == ""
         file.unlink()
+
+
+def test_a_record_of_an_older_version_is_read(tmp_path: Path, clock: Clock) -> None:
+    """It knew no codes; its fault and the day's use count on."""
+    old = {
+        "sequence": 2, "held": "", "fault": "burst pipe", "elapsed": 60.0, "day_run": 30.0,
+        "day_volume": 0.2, "starts": [10.0], "on": False, "written_at": clock.now,
+    }
+    lines = b""
+    for sequence in (1, 2):
+        text = json.dumps(old | {"sequence": sequence}).encode()
+        lines += (b"%08x " % zlib.crc32(text) + text).ljust(4095) + b"\n"
+    file = tmp_path / "pump.json"
+    file.write_bytes(lines)
+    record = Ledger(file, clock).record
+    assert (record.fault, record.fault_code, record.unknown) == ("burst pipe", "", "")
+    assert (record.day_run, record.day_volume, record.starts) == (30.0, 0.2, (10.0,))
 
 
 @pytest.mark.parametrize("content", [b"", b"{}", b"\xff" * 8192, b" " * 8192, b"[" * 100_000])
@@ -259,7 +277,7 @@ def test_a_broken_file_holds_the_pump(content: bytes, tmp_path: Path) -> None:
     assert (tmp_path / "pump.json.broken").read_bytes() == content
     assert Rig(file=file).run(30, 1.0).state == "held"
     rig.control.stop(True)
-    assert rig.step(1.0).why == decision.why
+    assert rig.step(1.0).why == f"an operator stopped it; {decision.why}"
     rig.control.stop(False)
     assert rig.run(30, 1.0).state == "running"
     rig.ledger.kept()
@@ -269,7 +287,7 @@ def test_a_broken_file_holds_the_pump(content: bytes, tmp_path: Path) -> None:
 def test_what_is_no_file_holds_the_pump_and_stays(tmp_path: Path, clock: Clock) -> None:
     """A directory where the file should be."""
     ledger = Ledger(tmp_path, clock)
-    assert "cannot be read" in ledger.record.held
+    assert "cannot be read" in ledger.record.unknown
     assert "no file" in ledger.kept()
     assert tmp_path.is_dir()
 

@@ -191,12 +191,12 @@ def test_bringups_permit(monkeypatch: pytest.MonkeyPatch) -> None:
     permit = Permit()
     monkeypatch.setenv(PERMIT_PIPE, str(permit.open()[PERMIT_PIPE]))
     reader = PermitReader()
-    said = [reader.inhibit(boot_time())]
+    said = [reader.missing(boot_time())]
     permit.tell("cistern_sensor is missing, mpc waits for weather")
     now = boot_time()
-    said += [reader.inhibit(now), reader.inhibit(now + 3.0)]
+    said += [reader.missing(now), reader.missing(now + 3.0)]
     permit.close()
-    said.append(reader.inhibit(now))
+    said.append(reader.missing(now))
     program, site = "The program that watches over", "A program of the site is not there"
     for hold, advice in zip(said, (program, site, program, program), strict=True):
         assert on_pump("supervisor", hold).startswith(advice), hold
