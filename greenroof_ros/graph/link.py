@@ -300,8 +300,8 @@ class LinkedNode(Node):
         return self.inputs.say(self.inputs.absent())
 
     def missing(self) -> str:
-        """Name the topics that the node waits for, and who should publish them."""
-        return self._trigger.missing()
+        """Name the topics that a node in lockstep waits for, and who should publish them."""
+        return cast(Lockstep, self._trigger).missing()
 
     def refuse(self, name: str, why: str) -> None:
         """Refuse the newest value of an input in a live graph: it cannot be acted on.

@@ -191,10 +191,6 @@ class Live:
             one.judge(now)
         return all(one.entry.good for one in self._needed)
 
-    def missing(self) -> str:
-        """Name the topics without a publisher, and who should publish them."""
-        return self._node.inputs.say(self._node.inputs.absent())
-
     def due_in(self) -> float:
         """How long until the node acts (s)."""
         return max(0.0, self._due - boot_time())

@@ -1,8 +1,8 @@
 """Lockstep over topics: a node acts once each of its inputs has its message of the tick.
 
-Each topic of a tick has exactly one message per tick, k = 0..N, and says nothing of its tick: none
-is needed, since no node publishes tick k + 1 before it has acted on tick k. The rule, for every
-node:
+Each topic of a tick has exactly one message per tick, k = 0..N, and but for ``/clock`` says nothing
+of its tick: none is needed, since no node publishes tick k + 1 before it has acted on tick k. The
+rule, for every node but the recorder, which only counts:
 
 1. *wait*: a message arrives (:meth:`Lockstep.receive`), and its input is fresh;
 2. *act*: all inputs are fresh; they are stale again from here on (:meth:`Lockstep.act`);

@@ -1,7 +1,8 @@
 """The plant node: simulates cistern and roof, and is the heartbeat of the graph.
 
-Tick k: it publishes ``/clock`` and the levels, waits for the weather and the command (or, with an
-external pump, the flow), publishes what moved, and steps the exact model to k + 1.
+Tick k: it publishes ``/clock`` and the levels, waits for the weather, the command and, with an
+external pump, the flow, steps the exact model, and publishes clock and levels of tick k + 1, then
+the flows of tick k.
 """
 
 from __future__ import annotations

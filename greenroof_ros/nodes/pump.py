@@ -281,7 +281,7 @@ class PumpNode(Lifecycle, LinkedNode):
         self._without_timeout = self._drive.without_timeout
         self._resetting_until = 0.0
         self._decision = Decision(
-            None, "off", "not started", (), 0.0, "", "", 0.0, stands=False, turns_at=None,
+            None, "off", "not started", (), 0.0, "", "", stands=False, turns_at=None,
             flow_known=False, blind_for=0.0,
         )
         self._state = self._logged = ""

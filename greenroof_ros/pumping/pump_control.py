@@ -77,7 +77,6 @@ class Decision:
         flow: the best present estimate (m3/s).
         source: how the flow is known.
         warning: what an operator should know although it stops nothing; empty where nothing.
-        owed: commanded less delivered (m3).
         stands: whether the pump was seen to stand, or must by the drive's own timeout by now.
         turns_at: what the drive says that it turns at, share of the rated speed, backwards below
             0; None where it is not heard, or says what cannot be.
@@ -93,7 +92,6 @@ class Decision:
     flow: float
     source: str
     warning: str
-    owed: float
     stands: bool
     turns_at: float | None
     flow_known: bool
@@ -231,8 +229,8 @@ class PumpControl:
         else:
             stands = asked is None and not turning
         return Decision(
-            asked, state, why, active, flow, source, "; ".join(warnings), self._pulses.owed,
-            stands, turns_at, stands or known_flow is not None, self._blind_for,
+            asked, state, why, active, flow, source, "; ".join(warnings), stands, turns_at,
+            stands or known_flow is not None, self._blind_for,
         )
 
     def _computed_flow(self, seen: Observation) -> float:

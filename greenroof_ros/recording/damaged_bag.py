@@ -12,7 +12,7 @@ from typing import BinaryIO
 
 import zstandard
 from mcap.exceptions import McapError
-from mcap.records import Channel, McapRecord, Message, Schema
+from mcap.records import Channel, McapRecord, Message
 from mcap.stream_reader import StreamReader
 
 from greenroof_ros.common.errors import ConfigurationError
@@ -120,23 +120,16 @@ def _rewrite(file: Path, copy: Path, topics: list[Topic]) -> FileContent | None:
     return new.content
 
 
-def read_head(path: Path) -> tuple[list[Schema], list[Channel]]:
-    """Return the schemas and channels of a bag file, which stand before its first message."""
-    schemas, channels = [], []
+def read_channels(path: Path) -> list[Channel]:
+    """Return the channels of a bag file, which stand before its first message."""
+    channels = []
     with path.open("rb") as stream:
         for record in _records(stream):
             if isinstance(record, Message):
                 break
-            if isinstance(record, Schema):
-                schemas.append(record)
-            elif isinstance(record, Channel):
+            if isinstance(record, Channel):
                 channels.append(record)
-    return schemas, channels
-
-
-def read_channels(path: Path) -> list[Channel]:
-    """Return the channels of a bag file."""
-    return read_head(path)[1]
+    return channels
 
 
 def read_messages(path: Path) -> Iterator[Message]:
