@@ -35,7 +35,9 @@ def main() -> None:
     permits = os.environ.get("GREENROOF_ROS_PERMIT_PIPE")
     while True:
         says = marks / f"{kind}-says"
-        said: dict[str, object] = {"pump": says.read_text()} if says.exists() else {}
+        said: dict[str, object] = {}
+        if says.exists():
+            said = {"pump": says.read_text(), "pump_state": says.read_text().partition(":")[0]}
         if (marks / f"{kind}-stands").exists():
             said["stands"] = json.loads((marks / f"{kind}-stands").read_text())
         report("starting" if (marks / f"{kind}-waits").exists() else "ready", **said)

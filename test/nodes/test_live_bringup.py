@@ -270,7 +270,8 @@ def test_a_live_site_with_drive_and_sensors(
         site.until(lambda: hardware.speed() == 0, 60, "the pump's stop without a controller")
         site.until(lambda: hardware.speed() > 0.9, 60, "the pump after that")
         said = [text for at, text in states if at > killed]
-        assert any("onoff is missing" in text for text in said), said
+        # A topic of state keeps its newest value: on a busy machine the first may be overwritten.
+        assert any(re.search("onoff is (missing|starting)", text) for text in said), said
         # A pump node that hangs: it keeps the drive running, and nobody but bringup stops it.
         os.kill(process.nodes()["pump"], signal.SIGSTOP)
         site.until(lambda: hardware.speed() == 0, 60, "the stop of a pump node's that hangs")

@@ -170,8 +170,9 @@ def test_without_knowing_that_the_drive_would_stop_it_does_not_run(
         rig.start(abb.address, drive=str(file))
         rig.join()
         rig.tick_until(0.5, lambda: "does not guard for 4 s" in rig.state, 20, "the reason")
+        rig.tick_until(0.5, lambda: rig.says("drive timeout", WARN, "does not guard"), 3, "it")
+        assert rig.code("drive timeout") == "drive_guards_later"
         assert rig.lifecycle_state() == "active"
-        assert rig.says("drive timeout", WARN, "does not guard")
         while time.monotonic() - began < 4:  # it connected later than that began
             assert rig.tick(0.5) == 0.0
         rig.run(abb)
