@@ -217,7 +217,7 @@ def test_a_state_file_that_is_not_kept(tmp_path: Path) -> None:
     try:
         assert on_pump("state file", second.kept()).startswith("Two programs for the same pump")
         assert on_pump("state file", nowhere.kept()).startswith("A stop would be forgotten")
-        why = f"held: {broken.record.held}"
+        why = f"held: {broken.record.unknown}"
         assert on_pump("pump", why).startswith("What the pump's program had noted is lost")
     finally:
         for one in (first, second, nowhere, broken):
@@ -314,7 +314,7 @@ def test_a_drive_that_would_run_on(
     drive = drive_at(wire.gateway, drive_timeout_limit=limit)
     try:
         until = time.monotonic() + 20
-        while words not in (why := drive.timeout_problem()):
+        while words not in (why := drive.timeout_problem(drive.snapshot)):
             assert time.monotonic() < until, why
             time.sleep(0.01)
         for part in ("drive timeout", "pump"):
