@@ -29,6 +29,7 @@ _SIMULATOR_S = 30.0
 _OF_BRINGUP = {
     "drive": "--drive",
     "address": "--drive-at",
+    "device_id": "--drive-at, after a comma (such as gateway://HOST:PORT,17),",
     "state_file": "--state",
 }
 

@@ -494,4 +494,3 @@ def test_whatever_comes(seen: list[Observation], dt: float) -> None:
         assert decision.speed is None or 0.3 <= decision.speed <= 1
         # 100 m of water above the pump, at twice its speed.
         assert 0 <= decision.flow <= 0.03
-        assert math.isfinite(decision.owed)
