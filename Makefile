@@ -22,14 +22,14 @@ ifeq ($(ROS),sourced)
 VENV_OPTIONS := --system-site-packages
 RUN_EXTRAS := [pump,watch]
 STUDY_EXTRAS := [study]
-TEST_EXTRAS := [pump,watch,study,netcdf,dask,test]
+TEST_EXTRAS := [pump,watch,study,netcdf,dask,completion,test]
 BENCH_EXTRAS := [study,bench]
 DOCS_EXTRAS := [pump,watch,study,docs]
 else
 VENV_OPTIONS :=
 RUN_EXTRAS := [ros,pump,watch]
 STUDY_EXTRAS := [study]
-TEST_EXTRAS := [ros,pump,watch,study,netcdf,dask,test]
+TEST_EXTRAS := [ros,pump,watch,study,netcdf,dask,completion,test]
 BENCH_EXTRAS := [ros,study,bench]
 DOCS_EXTRAS := [ros,pump,watch,study,docs]
 endif
@@ -41,21 +41,24 @@ FOR_STUDY := $(VENV)/.for-study
 FOR_TEST := $(VENV)/.for-test
 FOR_BENCH := $(VENV)/.for-bench
 FOR_DOCS := $(VENV)/.for-docs
+FOR_MUTATION := $(VENV)/.for-mutation
 
 # It says what it installs: the first time it takes a minute or two.
 PIP_INSTALL = $(BIN)/python -m pip --disable-pip-version-check install --editable
 
-.PHONY: help run study test lint docs bench doc-commands faults clean
+.PHONY: help run study test lint docs bench doc-commands faults test-kilted mutation clean
 
 help:
 	@echo "make run    the 12 h of the paper with the predictive controller, as a node graph"
 	@echo "make study  the 30 runs of the paper, and their report: no ROS"
 	@echo "make test   every test"
+	@echo "make test-kilted  the tests that start nodes, with the next ROS 2"
 	@echo "make lint   ruff, mypy, and which room imports from which"
 	@echo "make docs   the documentation, doc/_build/index.html"
 	@echo "make bench  the speed of graph and controller, as ratios"
 	@echo "make doc-commands  every block of commands in README and doc/, as written: half an hour"
 	@echo "make faults every process, cable and message made to fail, 1,400 times: over an hour"
+	@echo "make mutation  the code changed in one place at a time, to see whether a test fails: hours"
 	@echo "make clean  remove .venv and all else that can be made again; runs/ stays"
 
 run: $(FOR_RUN)
@@ -73,6 +76,20 @@ ifeq ($(ARGS),)
 else
 	@$(BIN)/python -m pytest $(ARGS)
 endif
+
+# The next ROS 2, in an environment of its own: its wheels stand in for those of the extra [ros].
+KILTED := .venv-kilted
+KILTED_WHEELS := "ros-kilted-rclpy[fastrtps]>=9.1,<10" $(addprefix ros-kilted-, \
+    std-msgs rosgraph-msgs diagnostic-msgs rcl-interfaces lifecycle-msgs std-srvs)
+
+test-kilted: $(KILTED)/.made
+	@$(KILTED)/bin/python -m pytest --numprocesses $$(($$(nproc) + 3)) --dist loadgroup -m graph $(ARGS)
+
+$(KILTED)/.made: setup.py
+	$(PYTHON) -m venv $(KILTED)
+	$(KILTED)/bin/python -m pip --disable-pip-version-check install $(KILTED_WHEELS) \
+	    --editable ".[pump,watch,study,netcdf,dask,test]"
+	@touch $@
 
 lint: $(FOR_TEST)
 	$(BIN)/python -m ruff check .
@@ -98,6 +115,10 @@ faults: $(FOR_TEST)
 ifeq ($(ARGS),)
 	@$(BIN)/python test/faults --table doc/faults.md
 endif
+
+# Ends after the mutant in hand on Ctrl-C; what was found is kept in runs/.
+mutation: $(FOR_MUTATION)
+	@$(BIN)/python tools/mutation $(ARGS)
 
 $(MADE):
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 10))' || { \
@@ -136,7 +157,11 @@ $(FOR_DOCS): $(MADE) setup.py
 	$(PIP_INSTALL) '.$(DOCS_EXTRAS)'
 	@touch $(FOR_RUN) $(FOR_STUDY) $@
 
+$(FOR_MUTATION): $(FOR_TEST)
+	$(PIP_INSTALL) '.[mutation]'
+	@touch $@
+
 clean:
-	rm -rf $(VENV) build dist install log *.egg-info doc/_build doc/api/modules
+	rm -rf $(VENV) $(KILTED) build dist install log *.egg-info doc/_build doc/api/modules
 	rm -rf .mypy_cache .ruff_cache .pytest_cache .hypothesis
 	find . -name __pycache__ -type d -prune -exec rm -rf {} +

@@ -1,6 +1,7 @@
 """Build script of greenroof_ros, for plain pip and for colcon (ament_python) alike."""
 
 import re
+import sys
 from pathlib import Path
 
 from setuptools import find_packages, setup
@@ -8,18 +9,24 @@ from setuptools import find_packages, setup
 NAME = "greenroof_ros"
 SHARE = Path("share") / NAME
 
-# Nodes: ``ros2 run greenroof_ros plant``, or just ``plant`` in a virtual environment.
+# What ``ros2 run greenroof_ros NAME`` starts in a workspace: the nodes ...
 NODES = ("plant", "weather", "controller", "recorder", "live_recorder", "pump", "level_sensor")
-# The node of one of this package's controllers, without ``--controller``.
+# ... the node of one of this package's controllers, without ``--controller`` ...
 CONTROLLERS = ("mpc", "onoff", "planning_mpc", "anticipating_onoff", "scenario_mpc")
-# Commands: they start the graph, or need no ROS at all.
+# ... and the commands, each by the name of its module. ``greenroof`` has them all, everywhere.
 COMMANDS = (
-    "bringup", "simulate", "bound", "recover", "topics", "check_controller", "check_pump",
+    "bringup.__main__", "simulate", "bound", "recover", "topics", "check_controller", "check_pump",
     "drive_simulator", "site_simulator", "calibrate", "verify", "study.__main__",
-    "report.__main__",
+    "report.__main__", "watch.__main__",
 )
-# `watch` alone is a command of Linux's own, which it would hide.
-WATCH = "greenroof_watch"
+# Colcon calls one of these, and setup.cfg says where executables go. Pip calls neither, and would
+# put names such as `report` and `watch` on everybody's PATH.
+IN_WORKSPACE = not {"install", "develop"}.isdisjoint(sys.argv)
+EXECUTABLES = [
+    *(f"{name} = {NAME}.nodes.{name}:main" for name in NODES),
+    *(f"{name} = {NAME}.nodes.controller:{name}" for name in CONTROLLERS),
+    *(f"{name.split('.')[0]} = {NAME}.{name}:main" for name in COMMANDS),
+]
 
 
 def version() -> str:
@@ -102,6 +109,9 @@ setup(
             "aiohttp>=3.9.1,<4",
             "vl-convert-python>=1.8,<2",  # as in [study]: the charts' scripts, without the internet
         ],
+        # Completes greenroof's commands and options in bash and zsh; 3.1 is that of ROS 2 Jazzy's
+        # Ubuntu.
+        "completion": ["argcomplete>=3.1,<4"],
         # Forecasts of CaSPAr; Unidata's own reader, while h5netcdf brings h5py and xarray pandas.
         "netcdf": ["netCDF4>=1.7,<2"],
         "dask": ["distributed>=2024.1"],  # study --scheduler: more than one machine
@@ -131,13 +141,12 @@ setup(
         "swmm": ["pyswmm>=2.2,<3"],  # EPA SWMM 5.2 in Python
         # Another implementation of the same controller, to compare the solve times with.
         "bench": ["do-mpc>=5.1,<6"],
+        # What changes the code in one place at a time, to see whether a test fails: tools/mutation.
+        "mutation": ["cosmic-ray>=8.7,<9", "pytest-rerunfailures>=15"],
     },
     entry_points={
         "console_scripts": [
-            *(f"{name} = {NAME}.nodes.{name}:main" for name in NODES),
-            *(f"{name} = {NAME}.nodes.controller:{name}" for name in CONTROLLERS),
-            *(f"{name.split('.')[0]} = {NAME}.{name}:main" for name in COMMANDS),
-            f"{WATCH} = {NAME}.watch.__main__:main",
+            f"greenroof = {NAME}.__main__:main", *(EXECUTABLES if IN_WORKSPACE else []),
         ],
     },
     zip_safe=False,

@@ -9,6 +9,7 @@ this writes. The nodes' tables need a ROS 2; without one they stay as they are. 
 from __future__ import annotations
 
 import argparse
+import csv
 import importlib
 import importlib.util
 import itertools
@@ -30,6 +31,7 @@ from layouts import LAYOUTS
 from layouts import rows as displays
 from who_publishes import WAYS, drawing
 
+from greenroof_ros.__main__ import COMMANDS, GROUPS
 from greenroof_ros.common.files import shared_directory
 from greenroof_ros.common.interface import Topic, markdown_table, read_topics
 from greenroof_ros.common.parameter import Parameter
@@ -37,29 +39,15 @@ from greenroof_ros.common.records import Key, Word, keys
 from greenroof_ros.common.records import span as accepted
 from greenroof_ros.controllers.registry import BUILT_IN, find_controller
 from greenroof_ros.drives import drive_file, sensor_file
-from greenroof_ros.drives.faults import DRIVE_FAULTS, SITE_FAULTS, Fault
 from greenroof_ros.forecast.climate import Climate
 from greenroof_ros.forecast.skill import Errors
 from greenroof_ros.model.metrics import METRICS
 from greenroof_ros.model.site import read_site, site_parameters
+from greenroof_ros.pumping.conditions import CONDITIONS
+from greenroof_ros.pumping.interlocks import INTERLOCKS
 from greenroof_ros.pumping.settings import pump_parameters
+from greenroof_ros.simulators.faults import DRIVE_FAULTS, SITE_FAULTS, Fault
 
-COMMANDS = {
-    "bringup": "greenroof_ros.bringup",
-    "simulate": "greenroof_ros.simulate",
-    "study": "greenroof_ros.study.__main__",
-    "report": "greenroof_ros.report.__main__",
-    "watch": "greenroof_ros.watch.__main__",
-    "bound": "greenroof_ros.bound",
-    "recover": "greenroof_ros.recover",
-    "topics": "greenroof_ros.topics",
-    "calibrate": "greenroof_ros.calibrate",
-    "verify": "greenroof_ros.verify",
-    "check_controller": "greenroof_ros.check_controller",
-    "check_pump": "greenroof_ros.check_pump",
-    "drive_simulator": "greenroof_ros.drive_simulator",
-    "site_simulator": "greenroof_ros.site_simulator",
-}
 _BLOCK = re.compile(
     r"(?<=<!-- table: )(?P<name>[a-z_ ]+)(?P<gap> -->\n)(?P<table>.*?)(?=<!-- end of table -->)",
     re.DOTALL,
@@ -333,43 +321,84 @@ def pump_settings() -> str:
     )
 
 
+def interlocks() -> str:
+    """Return what keeps the pump off, in its order."""
+    return markdown(
+        ("code", "active when", "found in", "limit (parameter)", "kind"),
+        (
+            (
+                f"`{one.code}`", one.reason, f"`{one.source}`",
+                ", ".join(f"`{name}`" for name in one.limit.split(", ") if name), one.kind.value,
+            )
+            for one in INTERLOCKS
+        ),
+    )
+
+
+def conditions() -> str:
+    """Return each code that a status may have."""
+    return markdown(
+        ("code", "meaning", "what to do"),
+        ((f"`{code}`", one.meaning, one.advice) for code, one in CONDITIONS.items()),
+    )
+
+
+def mutation() -> str:
+    """Return the outcome of the baseline of mutation testing."""
+    path = DOC.parent / "tools" / "mutation" / "baseline.csv"
+    with path.open(newline="", encoding="utf-8") as stream:
+        rows = list(csv.DictReader(stream))
+    counted = ("folder", "mutants", "sampled", "killed", "survived", "timeouts")
+    return markdown(
+        (*counted, "share that survived", "its interval of 95 %"),
+        (
+            (
+                *(row[name] for name in counted), f"{float(row['share']):.0%}",
+                f"{float(row['low']):.0%} to {float(row['high']):.0%}",
+            )
+            for row in rows
+        ),
+    )
+
+
 # --- commands -------------------------------------------------------------------------------------
 
 
-class _Parsed(BaseException):
-    """Carries a command's parser out of it."""
-
-
-def parser_of(module: str, arguments: Sequence[str] = ()) -> argparse.ArgumentParser:
+def parser_of(name: str, arguments: Sequence[str] = ()) -> argparse.ArgumentParser:
     """Return the parser of a command's options, as it is for some arguments."""
-
-    def capture(self: argparse.ArgumentParser, *_: Any, **__: Any) -> None:
-        raise _Parsed(self)
-
-    try:
-        with (
-            mock.patch.object(argparse.ArgumentParser, "print_help", capture),
-            mock.patch.object(sys, "argv", [module, *arguments, "--help"]),
-        ):
-            importlib.import_module(module).main()
-    except _Parsed as parsed:
-        parser: argparse.ArgumentParser = parsed.args[0]
+    with mock.patch.object(sys, "argv", [name, *arguments]):
+        module = importlib.import_module(f"greenroof_ros.{COMMANDS[name].module}")
+        parser: argparse.ArgumentParser = module.make_parser()
         return parser
-    raise RuntimeError(f"{module} has no parser")
+
+
+def command_groups() -> str:
+    """Return what each command of ``greenroof`` does, by what a user wants to do."""
+    return markdown(
+        ("to", "`greenroof`", "does or shows"),
+        (
+            (title if name == next(iter(group)) else "", f"`{name}`", one.about)
+            for title, group in GROUPS.items() for name, one in group.items()
+        ),
+    )
 
 
 def commands() -> str:
-    """Return every option of every command."""
-    return "\n".join(_command(name, parser_of(module)) for name, module in COMMANDS.items())
+    """Return every option of every command; two of one module are described together."""
+    modules: dict[str, list[str]] = {}
+    for name, one in COMMANDS.items():
+        modules.setdefault(one.module, []).append(name)
+    return "\n".join(_command(names, parser_of(names[0])) for names in modules.values())
 
 
-def _command(name: str, parser: argparse.ArgumentParser) -> str:
-    parts = [f"## {name}\n", _prose(parser.description or "")]
+def _command(names: Sequence[str], parser: argparse.ArgumentParser) -> str:
+    parts = [f"## {', '.join(names)}\n", _prose(parser.description or "")]
     positionals = " ".join(
         str(action.metavar or action.dest) + (" ..." if action.nargs == "+" else "")
         for action in parser._get_positional_actions()
     )
-    parts.append(f"```text\npython -m greenroof_ros.{name} {positionals}".rstrip() + "\n```\n")
+    lines = (f"greenroof {name} {positionals}".rstrip() for name in names)
+    parts.append("\n".join(["```text", *lines, "```\n"]))
     for group in parser._action_groups:
         actions = [
             action for action in group._group_actions
@@ -434,7 +463,7 @@ def nodes() -> str | None:
     """Return the parameters that each node declares; None without a ROS 2."""
     if importlib.util.find_spec("rclpy") is None:
         return None
-    from greenroof_ros.graph.parameters import LIVE, default_site, site_file
+    from greenroof_ros.graph.parameters import LIVE, default_site, site_file, type_name
     from greenroof_ros.nodes import (
         controller,
         level_sensor,
@@ -460,7 +489,10 @@ def nodes() -> str | None:
         + markdown(
             ("parameter", "type", "default", "range", "meaning, unit"),
             (
-                (f"`{one.name}`", one.type_name, number(one.default), one.limits, one.meaning)
+                (
+                    f"`{one.name}`", type_name(one), number(one.default), one.limits,
+                    one.description,
+                )
                 for one in parameters
             ),
         )
@@ -476,7 +508,11 @@ TABLES: dict[str, Callable[[], str | None]] = {
     "metrics": metrics,
     "site": site,
     "pump settings": pump_settings,
+    "interlocks": interlocks,
+    "conditions": conditions,
+    "mutation": mutation,
     "commands": commands,
+    "command groups": command_groups,
     "nodes": nodes,
     **{name: partial(drawing, way) for name, way in WAYS.items()},
     "drive file": drive_files,

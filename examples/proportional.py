@@ -1,8 +1,8 @@
 """A controller of one's own: the command grows with what is missing on the roof.
 
-    python -m greenroof_ros.simulate --controller examples.proportional:Proportional
-    python -m greenroof_ros.bringup  --controller examples.proportional:Proportional --gain 40
-    python -m greenroof_ros.check_controller examples.proportional:Proportional
+    greenroof simulate --controller examples.proportional:Proportional
+    greenroof run --controller examples.proportional:Proportional --gain 40
+    greenroof check-controller examples.proportional:Proportional
 
 A package of its own registers it under a name, in its setup.py:
 

@@ -1,4 +1,4 @@
-"""The least total deviation that any controller could reach: ``python -m greenroof_ros.bound``."""
+"""The least total deviation that any controller could reach: ``greenroof bound``."""
 
 from __future__ import annotations
 
@@ -109,18 +109,17 @@ def _table(result: dict[str, Any]) -> Table:
     return grid
 
 
-@command
-def main() -> int:
-    """Bound the total deviation of the run that the command line asks for."""
+def make_parser() -> argparse.ArgumentParser:
+    """Return what reads the command line."""
     parser = argparse.ArgumentParser(
-        prog="python -m greenroof_ros.bound",
+        prog="greenroof bound",
         usage="%(prog)s [options]",
         description="Compute a lower bound of the total deviation that any controller can reach,\n"
         "had it known all weather, and beside it the result of its plan in the exact\n"
         "plant: the optimum lies between. It is the same for every controller.",
         epilog="examples:\n"
-        "  python -m greenroof_ros.bound --start 2021-07-08T05:00\n"
-        "  python -m greenroof_ros.bound --block 1 --hours 2 --max-command 0.1\n\n"
+        "  greenroof bound --start 2021-07-08T05:00\n"
+        "  greenroof bound --block 1 --hours 2 --max-command 0.1\n\n"
         "exit codes: 0 done, 1 no bound found, 2 bad usage or configuration",
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
@@ -136,7 +135,13 @@ def main() -> int:
         help="largest command, a share of the maximum flow (default: %(default)g)",
     )
     group.add_argument("--json", action="store_true", help="print JSON instead of a table")
-    arguments = parser.parse_args()
+    return parser
+
+
+@command
+def main() -> int:
+    """Bound the total deviation of the run that the command line asks for."""
+    arguments = make_parser().parse_args()
     run = inputs_from_arguments(arguments)
     block = None if arguments.block is None else _block_ticks(run.site, arguments.block)
     try:

@@ -1,4 +1,4 @@
-"""Fit a site's roof to what was measured on it: ``python -m greenroof_ros.calibrate MEASURED``."""
+"""Fit a site's roof to what was measured on it: ``greenroof calibrate MEASURED``."""
 
 from __future__ import annotations
 
@@ -75,19 +75,19 @@ Written are the site file, and a page beside it with its name and .html. With --
 MEASURED the site file alone, with the pumps of the data sheet.
 
 examples:
-  python -m greenroof_ros.calibrate roof_2025.csv --site my_site.yaml -o fitted_site.yaml
-  python -m greenroof_ros.calibrate roof_2024_2025.csv --months 4-10 -o fitted_site.yaml
-  python -m greenroof_ros.calibrate --pump-data sheet.csv --site my_site.yaml -o fitted_site.yaml
-  python -m greenroof_ros.simulate --site fitted_site.yaml
+  greenroof calibrate roof_2025.csv --site my_site.yaml -o fitted_site.yaml
+  greenroof calibrate roof_2024_2025.csv --months 4-10 -o fitted_site.yaml
+  greenroof calibrate --pump-data sheet.csv --site my_site.yaml -o fitted_site.yaml
+  greenroof simulate --site fitted_site.yaml
 
 exit codes: 0 done, 2 bad usage, configuration or record, 130 interrupted
 """
 
 
-def _parser() -> argparse.ArgumentParser:
+def make_parser() -> argparse.ArgumentParser:
     """Return what reads the command line."""
     parser = argparse.ArgumentParser(
-        prog="python -m greenroof_ros.calibrate", description=_DESCRIPTION, epilog=_EPILOG,
+        prog="greenroof calibrate", description=_DESCRIPTION, epilog=_EPILOG,
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     parser.add_argument(
@@ -118,7 +118,7 @@ def _parser() -> argparse.ArgumentParser:
 @command
 def main() -> int:
     """Fit the record that the command line names."""
-    arguments = _parser().parse_args()
+    arguments = make_parser().parse_args()
     output: Path = arguments.output
     page_file = output.with_suffix(".html") if output.name else output
     _check_output(output, page_file)
@@ -136,7 +136,7 @@ def main() -> int:
         sheet = _read_sheet(arguments.pump_data, site)
         notes.append(of_sheet(sheet))
         site = replace(site, a_hat=sheet.a_hat, c_hat=sheet.c_hat)
-        heading = [f"Pumps fitted to {source} by python -m greenroof_ros.calibrate."]
+        heading = [f"Pumps fitted to {source} by greenroof calibrate."]
         pumps_text = pump_site_file(text, sheet, heading)
         refuse_unlike(pumps_text, site, site_file)
     if arguments.measured is not None:
@@ -293,7 +293,7 @@ def _span(record: Record, steps: NDArray[np.bool_]) -> str:
 def _heading(record: Record, spans: dict[str, str], rows: Sequence[ScoreRow]) -> list[str]:
     """Return what stands at the top of the site file."""
     lines = [
-        f"Fitted to {record.source.name} by python -m greenroof_ros.calibrate.",
+        f"Fitted to {record.source.name} by greenroof calibrate.",
         f"Fit: {spans['fit']}; validation: {spans['validation']}.",
     ]
     for row in rows:

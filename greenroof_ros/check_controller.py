@@ -1,4 +1,4 @@
-"""Whether a class is a controller: ``python -m greenroof_ros.check_controller``."""
+"""Whether a class is a controller: ``greenroof check-controller``."""
 
 from __future__ import annotations
 
@@ -26,16 +26,14 @@ def _options(reference: str) -> Finding:
     return Finding("its parameters have names that no option of the commands has", problem)
 
 
-@command
-def main() -> int:
-    """Check the controller that the command line names."""
+def make_parser() -> argparse.ArgumentParser:
+    """Return what reads the command line."""
     parser = argparse.ArgumentParser(
-        prog="python -m greenroof_ros.check_controller",
+        prog="greenroof check-controller",
         description="Hold a controller to what the node graph, simulate, studies and reports rely "
         "on: commands finite and not negative, the same for the same inputs, ticks that are "
         "skipped, missing forecasts, parameters. What fails is named with what would be right.",
-        epilog="example:\n  python -m greenroof_ros.check_controller "
-        "examples.proportional:Proportional\n\n"
+        epilog="example:\n  greenroof check-controller examples.proportional:Proportional\n\n"
         "exit codes: 0 all is right, 1 a check failed, 2 it cannot be imported",
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
@@ -47,7 +45,13 @@ def main() -> int:
         "--site", type=Path, metavar="FILE",
         help="site at which it is tried (default: the paper's, config/site.yaml)",
     )
-    arguments = parser.parse_args()
+    return parser
+
+
+@command
+def main() -> int:
+    """Check the controller that the command line names."""
+    arguments = make_parser().parse_args()
     choice = find_controller(arguments.controller)
     site = read_site(arguments.site or shared_directory() / "config" / "site.yaml")
     findings = [*check_controller(choice, site), _options(arguments.controller)]

@@ -1,4 +1,4 @@
-"""Whether a pump driver keeps to the interface: ``python -m greenroof_ros.check_pump``."""
+"""Whether a pump driver keeps to the interface: ``greenroof check-pump``."""
 
 from __future__ import annotations
 
@@ -25,18 +25,17 @@ _LIMIT = (
 )
 
 
-@command
-def main() -> int:
-    """Check the driver that the command line names."""
+def make_parser() -> argparse.ArgumentParser:
+    """Return what reads the command line."""
     parser = argparse.ArgumentParser(
-        prog="python -m greenroof_ros.check_pump",
+        prog="greenroof check-pump",
         description="Hold a pump driver that runs, be it this package's or your own in any "
         "language, to the interface over topics alone: off at start, one flow for each command, "
         "refused values, watchdog, a second publisher, frost, levels and frost that are unknown, a "
         "cistern at the suction level, and that it runs again after each. It plays plant, weather "
         f"and controller itself, so start no bringup; THE PUMP WILL RUN. {_INVENTED} {_LIMIT}",
         epilog="example:\n  python examples/pump_driver.py &\n"
-        "  python -m greenroof_ros.check_pump --node pump\n\n"
+        "  greenroof check-pump --node pump\n\n"
         "exit codes: 0 all is right, 1 a check failed, 2 there is no such driver, 3 a graph is at "
         "work",
         formatter_class=argparse.RawDescriptionHelpFormatter,
@@ -80,7 +79,13 @@ def main() -> int:
         "--site", type=Path, metavar="FILE",
         help="site whose levels and ticks it is told (default: the paper's, config/site.yaml)",
     )
-    arguments = parser.parse_args()
+    return parser
+
+
+@command
+def main() -> int:
+    """Check the driver that the command line names."""
+    arguments = make_parser().parse_args()
     try:
         from greenroof_ros.graph.pump_check import Limits, check_pump
     except ImportError as error:

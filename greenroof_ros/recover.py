@@ -1,22 +1,15 @@
-"""Repair the bag of a run whose recorder was killed: ``python -m greenroof_ros.recover DIR``."""
+"""Repair the bag of a run whose recorder was killed: ``greenroof recover DIR``."""
 
 from __future__ import annotations
 
 import argparse
 import shutil
-from collections.abc import Iterator
-from dataclasses import replace
 from pathlib import Path
-
-from mcap.records import Channel
 
 from greenroof_ros.common.command_line import command
 from greenroof_ros.common.errors import ConfigurationError
-from greenroof_ros.common.interface import find_namespace, read_topics
 from greenroof_ros.recording.bag_files import numbered_files
-from greenroof_ros.recording.bag_writer import BagWriter
-from greenroof_ros.recording.damaged_bag import read_ticks, recovered_bag
-from greenroof_ros.recording.live_recovery import is_live, restore
+from greenroof_ros.recording.damaged_bag import recovered_bag, restore
 
 
 def recover(directory: Path, output: Path | None = None) -> tuple[Path, str]:
@@ -33,8 +26,7 @@ def recover(directory: Path, output: Path | None = None) -> tuple[Path, str]:
         ConfigurationError: there is no bag, it holds no whole tick, or the output exists.
     """
     bag = directory / "bag" if (directory / "bag").is_dir() else directory
-    files = [path for _, path in numbered_files(bag)]
-    if not files:
+    if not numbered_files(bag):
         raise ConfigurationError(
             "must be a run directory or the bag in it, and holds no .mcap file", file=directory
         )
@@ -42,9 +34,7 @@ def recover(directory: Path, output: Path | None = None) -> tuple[Path, str]:
     if target.exists():
         raise ConfigurationError("exists already; nothing was written", file=target)
     try:
-        if is_live(bag):
-            return target, f"{restore(bag.resolve(), target)} messages"
-        return target, f"{_rewrite(files, target)} ticks"
+        return target, restore(bag.resolve(), target)
     except OSError as error:
         shutil.rmtree(target, ignore_errors=True)
         raise ConfigurationError(
@@ -52,44 +42,10 @@ def recover(directory: Path, output: Path | None = None) -> tuple[Path, str]:
         ) from error
 
 
-def _rewrite(files: list[Path], target: Path) -> int:
-    """Write the whole ticks of a bag's files into a new bag and return their number."""
-    topics = read_topics()
-    writer: BagWriter | None = None
-    for file, channels, time_ns, messages in _ticks(files):
-        if writer is None:
-            names = [channel.topic for channel in channels]
-            namespace = find_namespace(names, ["/clock"], file)
-            foreign = [name for name in names if name.removeprefix(namespace) not in topics]
-            if foreign:
-                raise ConfigurationError(
-                    f"holds {', '.join(foreign)}, which is no topic of this graph", file=file
-                )
-            writer = BagWriter(
-                target,
-                [replace(topics[name.removeprefix(namespace)], name=name) for name in names],
-            )
-        writer.write_tick(time_ns, messages)
-    if writer is None:
-        raise ConfigurationError("holds not one whole tick", file=files[0])
-    writer.close()
-    return writer.ticks
-
-
-def _ticks(files: list[Path]) -> Iterator[tuple[Path, list[Channel], int, list[bytes]]]:
-    """Read the ticks of a bag: of another file those that follow on the last."""
-    count = 0
-    for file in files:
-        for channels, time_ns, messages in read_ticks(file, count):
-            count += 1
-            yield file, channels, time_ns, messages
-
-
-@command
-def main() -> int:
-    """Recover the bag that the command line names."""
+def make_parser() -> argparse.ArgumentParser:
+    """Return what reads the command line."""
     parser = argparse.ArgumentParser(
-        prog="python -m greenroof_ros.recover",
+        prog="greenroof recover",
         description="Repair the bag of a run whose recorder was killed or ran out of disk: every "
         "whole tick, or every message of a live site, goes into a new bag beside the old one, "
         "which is left as it is. A report of the run then uses the new one.",
@@ -98,7 +54,13 @@ def main() -> int:
     parser.add_argument(
         "--output", type=Path, metavar="BAG", help="the new bag (default: beside the old one)"
     )
-    arguments = parser.parse_args()
+    return parser
+
+
+@command
+def main() -> int:
+    """Recover the bag that the command line names."""
+    arguments = make_parser().parse_args()
     bag, amount = recover(arguments.directory, arguments.output)
     print(f"{amount} recovered to {bag}")
     return 0

@@ -1,4 +1,4 @@
-"""A run in one process, without ROS: ``python -m greenroof_ros.simulate``."""
+"""A run in one process, without ROS: ``greenroof simulate``."""
 
 from __future__ import annotations
 
@@ -42,20 +42,19 @@ _COLUMNS = {
 _LAYER = {"drainage_layer_m3": "layer"}
 
 
-@command
-def main() -> int:
-    """Simulate the run that the command line asks for."""
+def make_parser() -> argparse.ArgumentParser:
+    """Return what reads the command line."""
     parser = argparse.ArgumentParser(
-        prog="python -m greenroof_ros.simulate",
+        prog="greenroof simulate",
         usage="%(prog)s [options]",
         description="Run cistern, roof, pumps and controller over real weather in one process,\n"
         "without ROS. The numbers are those of the node graph (bringup), bit for bit.",
         epilog="examples:\n"
-        "  python -m greenroof_ros.simulate --controller planning_mpc --trajectory run.csv\n"
-        "  python -m greenroof_ros.simulate --start 2021-07-08T05:00 --hours 6\n"
-        "  python -m greenroof_ros.simulate --controller planning_mpc --horizon 24 \\\n"
+        "  greenroof simulate --controller planning_mpc --trajectory run.csv\n"
+        "  greenroof simulate --start 2021-07-08T05:00 --hours 6\n"
+        "  greenroof simulate --controller planning_mpc --horizon 24 \\\n"
         "      --forecast errors --forecast-skill real --forecast-seed 3\n"
-        "  python -m greenroof_ros.simulate --weather 'hourly_*.csv' --start 2021-07-01\n\n"
+        "  greenroof simulate --weather 'hourly_*.csv' --start 2021-07-01\n\n"
         "exit codes: 0 done, 2 bad usage or configuration, 130 interrupted",
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
@@ -70,7 +69,13 @@ def main() -> int:
         help="write a tick every S seconds, and the last, instead of all: the hundred bytes a tick "
         "of a year are gigabytes",
     )
-    arguments = parse_run_arguments(parser)
+    return parser
+
+
+@command
+def main() -> int:
+    """Simulate the run that the command line asks for."""
+    arguments = parse_run_arguments(make_parser())
     run = run_from_arguments(arguments)
     tau = run.site.tau
     if arguments.trajectory_every and arguments.trajectory is None:

@@ -1,4 +1,4 @@
-"""Print the topics of the graph as a table: ``python -m greenroof_ros.topics``."""
+"""Print the topics of the graph as a table: ``greenroof topics``."""
 
 from __future__ import annotations
 
@@ -8,13 +8,18 @@ from greenroof_ros.common.command_line import EXIT_DONE, command
 from greenroof_ros.common.interface import markdown_table, read_topics
 
 
+def make_parser() -> argparse.ArgumentParser:
+    """Return what reads the command line."""
+    return argparse.ArgumentParser(
+        prog="greenroof topics",
+        description="Print the topics of the node graph (msg_defs/topics.yaml) as a table.",
+    )
+
+
 @command
 def main() -> int:
     """Print the table."""
-    argparse.ArgumentParser(
-        prog="python -m greenroof_ros.topics",
-        description="Print the topics of the node graph (msg_defs/topics.yaml) as a table.",
-    ).parse_args()
+    make_parser().parse_args()
     print(markdown_table(read_topics().values()))
     return EXIT_DONE
 

@@ -1,4 +1,4 @@
-"""Hold forecasts against records: ``python -m greenroof_ros.verify FORECASTS --weather FILE``."""
+"""Hold forecasts against records: ``greenroof verify FORECASTS --weather FILE``."""
 
 from __future__ import annotations
 
@@ -48,10 +48,10 @@ CRPS   error of the whole distribution (mm); of a single forecast the mean error
 Of an ensemble the first five are those of member 0, the last two of all members.
 
 examples:
-  python -m greenroof_ros.verify gem_previous_runs.csv --weather gauge.csv
-  python -m greenroof_ros.verify caspar/ --weather 'hourly_*.csv' --lead 6 --sums 1 6 --events 1 2
-  python -m greenroof_ros.verify gem_previous_runs.csv --weather gauge.csv --fit gem.yaml
-  python -m greenroof_ros.verify errors --weather 'hourly_*.csv' -o errors.html -o errors.csv
+  greenroof verify gem_previous_runs.csv --weather gauge.csv
+  greenroof verify caspar/ --weather 'hourly_*.csv' --lead 6 --sums 1 6 --events 1 2
+  greenroof verify gem_previous_runs.csv --weather gauge.csv --fit gem.yaml
+  greenroof verify errors --weather 'hourly_*.csv' -o errors.html -o errors.csv
 
 exit codes: 0 done, 2 bad usage, configuration or file
 """
@@ -60,10 +60,10 @@ _SUMS = ((1, 1.0), (6, 2.0), (12, 3.0), (24, 5.0))
 _MOST_HOURS = 384
 
 
-def _parser() -> argparse.ArgumentParser:
+def make_parser() -> argparse.ArgumentParser:
     """Return what reads the command line."""
     parser = argparse.ArgumentParser(
-        prog="python -m greenroof_ros.verify", description=_DESCRIPTION, epilog=_EPILOG,
+        prog="greenroof verify", description=_DESCRIPTION, epilog=_EPILOG,
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     parser.add_argument("forecasts", metavar="FORECASTS", help="archive or model")
@@ -110,7 +110,7 @@ def _parser() -> argparse.ArgumentParser:
 @command
 def main() -> int:
     """Verify the forecasts that the command line names."""
-    arguments = _parser().parse_args()
+    arguments = make_parser().parse_args()
     sums = _sums(arguments)
     render = _page(arguments.output)
     if arguments.fit is not None:

@@ -1,10 +1,10 @@
-"""Small disks, which fill up."""
+"""Disks of the tests: small ones, which fill up, and one that hangs."""
 
 from __future__ import annotations
 
 import shutil
 import subprocess
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -33,3 +33,34 @@ def small_disk(place: Path, size: str) -> Iterator[None]:
         if not mounted:
             pytest.skip("only root can mount a small disk")
         yield
+
+
+@contextmanager
+def disk_that_hangs(place: Path) -> Iterator[Callable[[bool], None]]:
+    """Mount a disk, and yield what lets it hang, as a broken one does, and go on; or skip the test.
+
+    While it hangs nothing can be written, and not even kill -9 ends a process that tries to.
+    """
+    image = place.with_suffix(".image")
+    with image.open("wb") as stream:
+        stream.truncate(64_000_000)
+    place.mkdir(parents=True, exist_ok=True)
+    for words in (["mkfs.ext4", "-q", str(image)], ["mount", "-o", "loop", str(image), str(place)]):
+        if shutil.which(words[0]) is None or subprocess.run(
+            words, capture_output=True, check=False
+        ).returncode:
+            pytest.skip("only root can mount a disk of its own")
+    hangs = False
+
+    def hang(now: bool) -> None:
+        nonlocal hangs
+        if now != hangs:
+            how = "--freeze" if now else "--unfreeze"
+            subprocess.run(["fsfreeze", how, str(place)], check=True)
+        hangs = now
+
+    try:
+        yield hang
+    finally:
+        hang(False)
+        subprocess.run(["umount", "--lazy", str(place)], check=True)

@@ -21,7 +21,7 @@ from typing import Any, ClassVar
 
 from mcap.reader import make_reader
 
-from greenroof_ros.common.processes import end_with_parent
+from greenroof_ros.common.processes import asked_to_end_with_this
 
 
 @contextmanager
@@ -135,7 +135,6 @@ class Process:
         """Start it, with some signals ignored."""
 
         def prepare() -> None:
-            end_with_parent()  # a worker of pytest that is killed leaves no graph
             for number in ignored:
                 signal.signal(number, signal.SIG_IGN)
 
@@ -145,9 +144,10 @@ class Process:
         self._err = (cwd / f"{number}-{module}.err").open("w+")
         self.process = subprocess.Popen(
             [sys.executable, "-m", f"greenroof_ros.{module}", *arguments],
-            cwd=cwd, env=environment(domain), stdin=subprocess.DEVNULL,
-            stdout=self._out, stderr=self._err, start_new_session=True,
-            preexec_fn=prepare,
+            cwd=cwd, stdin=subprocess.DEVNULL, stdout=self._out, stderr=self._err,
+            # A worker of pytest that is killed leaves no graph.
+            env={**asked_to_end_with_this(), **environment(domain)}, start_new_session=True,
+            preexec_fn=prepare if ignored else None,
         )
         self.started.append(self)
 

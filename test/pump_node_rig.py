@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import asyncio
 import re
 import signal
 import subprocess
 import sys
 import time
-from collections.abc import Awaitable, Callable
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -22,8 +21,8 @@ from std_msgs.msg import Float64, String
 from test_nodes import Observer, qos
 
 from greenroof_ros.drives.address import parse_address
-from greenroof_ros.drives.faults import DEFAULT
-from greenroof_ros.drives.workbench import Workbench
+from greenroof_ros.simulators.faults import DEFAULT
+from greenroof_ros.simulators.workbench import Workbench
 
 # Ten ticks of 1 s in a second, and a drive that ramps ten times as fast as in real time.
 PERIOD_S, FACTOR = 0.1, 10
@@ -53,17 +52,13 @@ class SimulatedDrive:
         assert found, line
         self.address, self._workbench = found[1], found[2]
 
-    def ask(self, question: Callable[[Workbench], Awaitable[Any]]) -> Any:
+    def ask(self, question: Callable[[Workbench], Any]) -> Any:
         """Do something at the workbench."""
-
-        async def asked() -> Any:
-            workbench = Workbench(parse_address(self._workbench), timeout_s=PATIENCE_S)
-            try:
-                return await question(workbench)
-            finally:
-                workbench.close()
-
-        return asyncio.run(asked())
+        workbench = Workbench(parse_address(self._workbench), timeout_s=PATIENCE_S)
+        try:
+            return question(workbench)
+        finally:
+            workbench.close()
 
     def speed(self) -> float:
         """Return the true speed of the motor, share of rated."""
@@ -83,22 +78,18 @@ class PumpRig:
 
     def __init__(self, domain: int, cwd: Path, observer: Observer) -> None:
         self.cwd, self.observer = cwd, observer
-        self._domain = domain
+        self.domain = domain
         self.node = observer.node
         self.flows: list[float] = []
         self.states: list[str] = []
         self.diagnoses: dict[str, tuple[bytes, str, str]] = {}
+        self.values: dict[str, dict[str, str]] = {}
         self.every_tick: Callable[[], None] = lambda: None
         self._ticks = 0
         self._volumes = [75.0, 0.3]
         self._processes: list[subprocess.Popen[bytes]] = []
-        self._publishers = {
-            name: self.node.create_publisher(kind, name, qos(name))
-            for name, kind in (
-                ("/clock", Clock), ("/cistern/level", Float64), ("/roof/level", Float64),
-                ("/weather/frost", Float64), ("/pump/command", Float64), ("/pump/meter", Float64),
-            )
-        }
+        self._publishers: dict[str, Any] = {}
+        self._open()
         self.node.create_subscription(
             Float64, "/pump/flow", lambda message: self.flows.append(message.data),
             qos("/pump/flow"),
@@ -111,9 +102,25 @@ class PumpRig:
             DiagnosticArray, "/diagnostics", self._on_diagnostics, qos("/diagnostics")
         )
 
+    def _open(self) -> None:
+        """Begin without a past: a node that is started again takes part from the next tick on."""
+        self.leave()
+        self._publishers = {
+            name: self.node.create_publisher(kind, name, qos(name))
+            for name, kind in (
+                ("/clock", Clock), ("/cistern/level", Float64), ("/roof/level", Float64),
+                ("/weather/frost", Float64), ("/pump/command", Float64), ("/pump/meter", Float64),
+            )
+        }
+
     def _on_diagnostics(self, message: DiagnosticArray) -> None:
         for status in message.status:
             self.diagnoses[status.name] = (status.level, status.message, status.hardware_id)
+            self.values[status.name] = {one.key: one.value for one in status.values}
+
+    def code(self, part: str) -> str:
+        """Return the condition code of a part; empty where it is well."""
+        return self.values.get(f"/pump: {part}", {}).get("code", "")
 
     def start(
         self, address: str, *, drive: str = "abb_acs880", popen: dict[str, Any] | None = None,
@@ -126,13 +133,15 @@ class PumpRig:
             "state_file": self.cwd / "state.json", **LEAST_TIMES, **parameters,
         }
         self.states.clear()
+        if self._processes:
+            self._open()
         process = subprocess.Popen(
             [
                 sys.executable, "-m", "greenroof_ros.nodes.pump", "--ros-args",
                 *(word for name, value in given.items() if value is not None
                 for word in ("-p", f"{name}:={value}")),
             ],
-            cwd=self.cwd, **{"env": environment(self._domain), **(popen or {})},
+            cwd=self.cwd, **{"env": environment(self.domain), **(popen or {})},
         )
         self._processes.append(process)
         return process

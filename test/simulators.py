@@ -2,26 +2,26 @@
 
 from __future__ import annotations
 
-import asyncio
 import re
 import signal
 import socket
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Coroutine
+from collections.abc import Callable
 from contextlib import suppress
-from typing import Any
+from typing import TypeVar
 
 from places import CHECKOUT
 
-from greenroof_ros.common.processes import end_with_parent
+from greenroof_ros.common.processes import asked_to_end_with_this
 from greenroof_ros.drives.address import Address
-from greenroof_ros.drives.faults import DEFAULT, DRIVE_FAULTS, SITE_FAULTS
-from greenroof_ros.drives.workbench import Workbench
+from greenroof_ros.simulators.faults import DEFAULT, DRIVE_FAULTS, SITE_FAULTS
+from greenroof_ros.simulators.workbench import Workbench
 
 # How long a workbench is waited for (s): as long as a loaded machine needs.
 PATIENCE_S = 30.0
+T = TypeVar("T")
 
 _PLACE = re.compile(r"(?:tcp|gateway)://127\.0\.0\.1:(\d+), device")
 
@@ -33,7 +33,7 @@ class Simulator:
         self.process = subprocess.Popen(
             [sys.executable, "-m", f"greenroof_ros.{module}", *options],
             cwd=CHECKOUT, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
-            stdin=subprocess.DEVNULL, preexec_fn=end_with_parent,
+            stdin=subprocess.DEVNULL, env=asked_to_end_with_this(),
         )
         assert self.process.stdout is not None
         self.ready = self.process.stdout.readline()
@@ -55,22 +55,15 @@ class Simulator:
 
     def speed(self) -> float:
         """Return the true speed (share of rated)."""
-        speeds: list[float] = []
+        return self._on_workbench(lambda bench: bench.speed())
 
-        async def ask(bench: Workbench) -> None:
-            speeds.append(await bench.speed())
-
-        self._on_workbench(ask)
-        return speeds[0]
-
-    def _on_workbench(self, task: Callable[[Workbench], Coroutine[Any, Any, None]]) -> None:
-        async def go() -> None:
-            known = SITE_FAULTS if len(self.ports) == 3 else DRIVE_FAULTS
-            bench = Workbench(Address("127.0.0.1", self.ports[-1]), known, PATIENCE_S)
-            await task(bench)
+    def _on_workbench(self, task: Callable[[Workbench], T]) -> T:
+        known = SITE_FAULTS if len(self.ports) == 3 else DRIVE_FAULTS
+        bench = Workbench(Address("127.0.0.1", self.ports[-1]), known, PATIENCE_S)
+        try:
+            return task(bench)
+        finally:
             bench.close()
-
-        asyncio.run(go())
 
     def end(self) -> int:
         """End it by Ctrl-C and return its exit code."""

@@ -1,9 +1,8 @@
-"""Messages at the moment in which a node changes its executor: ``python test/swaps.py``.
+"""Messages at the moment in which an executor begins to listen: ``python test/swaps.py``.
 
-Another process is asked for five messages, and within about a millisecond, in which they come, the
-node is handed over from rclpy's slow executor to the fast one. It counts the rounds in which the
-fast executor did not hand on all of them within half a second; with ``--plain`` the node is merely
-removed from one and added to the other.
+Another process is asked for five messages, and within about a millisecond, in which they come, a
+node is given to rclpy's fast executor. It counts the rounds in which the executor did not hand on
+all of them within half a second; with ``--plain`` the node is merely added to it.
 """
 
 from __future__ import annotations
@@ -24,7 +23,8 @@ os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
 
 _TOPICS = [f"message_{number}" for number in range(5)]
 _ASKING = "ask"
-# So long after the question the swap begins at most, and so long after it a message is lost (s).
+# So long after the question the executor begins to listen at most, and so long after it a message
+# is lost (s).
 _LATEST_S, _LOST_S = 1.2e-3, 0.5
 
 
@@ -62,11 +62,11 @@ def _qos() -> Any:
 
 
 def swap(rounds: int, *, plain: bool) -> int:
-    """Change the executor again and again while messages come.
+    """Have another executor begin to listen, again and again, while messages come.
 
     Args:
         rounds: how often.
-        plain: without what :func:`greenroof_ros.graph.executors.hand_over` adds.
+        plain: without what :func:`greenroof_ros.graph.executors.begin_to_listen` adds.
 
     Returns:
         In how many rounds a message was not handed on.
@@ -76,7 +76,7 @@ def swap(rounds: int, *, plain: bool) -> int:
     from rclpy.serialization import deserialize_message
     from std_msgs.msg import Float64
 
-    from greenroof_ros.graph.executors import hand_over, make_executor, waiting_in
+    from greenroof_ros.graph.executors import begin_to_listen, make_executor, waiting_in
 
     rclpy.init()
     node = rclpy.create_node("swapping")
@@ -92,24 +92,21 @@ def swap(rounds: int, *, plain: bool) -> int:
     ask = node.create_publisher(Float64, _ASKING, _qos())
     drawn = random.Random(0)
     lost = 0
+    first = SingleThreadedExecutor()
+    first.add_node(node)
+    while not (ask.get_subscription_count() and all(node.count_publishers(one) for one in _TOPICS)):
+        first.spin_once(timeout_sec=0.1)
+    first.remove_node(node)
     for number in range(1, rounds + 1):
-        slow = SingleThreadedExecutor()
-        slow.add_node(node)
-        slow.spin_once(timeout_sec=0.0)
-        while number == 1 and not (
-            ask.get_subscription_count() and all(node.count_publishers(one) for one in _TOPICS)
-        ):
-            slow.spin_once(timeout_sec=0.1)
         ask.publish(Float64(data=float(number)))
         at = time.perf_counter() + drawn.uniform(0, _LATEST_S)
         while time.perf_counter() < at:
             pass
+        fast = make_executor()
         if plain:
-            slow.remove_node(node)
-            fast = make_executor()
             fast.add_node(node)
         else:
-            fast = hand_over(node, slow)
+            begin_to_listen(fast, node)
         until = time.monotonic() + _LOST_S
         while min(newest) < number and time.monotonic() < until:
             fast.spin_once(timeout_sec=0.05)
@@ -156,7 +153,7 @@ def main() -> int:
                 lost = swap(arguments.rounds, plain=arguments.plain)
             finally:
                 answering.terminate()
-        print(f"{lost} of {arguments.rounds} swaps left a message behind")
+        print(f"{lost} of {arguments.rounds} times a message was left behind")
     return 1 if lost else 0
 
 

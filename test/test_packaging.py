@@ -27,23 +27,46 @@ NODES = (
 )
 COMMANDS = (
     "bringup", "simulate", "bound", "recover", "topics", "check_controller", "check_pump",
-    "drive_simulator", "site_simulator", "calibrate", "verify", "study", "report",
-    "greenroof_watch",
+    "drive_simulator", "site_simulator", "calibrate", "verify", "study", "report", "watch",
 )
-SCRIPTS = sorted(NODES + COMMANDS)
+GREENROOF = "greenroof"
+# What `ros2 run` finds in a workspace; pip installs the first alone.
+SCRIPTS = sorted((GREENROOF, *NODES, *COMMANDS))
 
-# The rosdep key of each Python requirement; None where rosdep has none and package.xml says so.
+# The rosdep keys of each requirement; none where rosdep has none, and package.xml says so.
 ROSDEP_KEYS = {
-    "numpy": "python3-numpy",
-    "scipy": "python3-scipy",
-    "osqp": None,
-    "mcap": None,
-    "eto": None,
-    "pyyaml": "python3-yaml",
-    "rich": "python3-rich",
+    "numpy": ["python3-numpy"],
+    "scipy": ["python3-scipy"],
+    "osqp": [],
+    "mcap": [],
+    "eto": [],
+    "pyyaml": ["python3-yaml"],
+    "rich": ["python3-rich"],
 }
-# The same of what only some commands need, where rosdep has a key.
-EXTRA_KEYS = {"aiohttp": "python3-aiohttp"}
+# The same of the extras that a user installs, by extra.
+EXTRA_KEYS = {
+    "pump": {"pymodbus": ["python3-pymodbus-pip", "python3-serial"]},
+    "study": {
+        "pebble": [],
+        "polars": [],
+        "rosbags": ["python3-rosbags-pip"],
+        "altair": [],
+        "vl-convert-python": [],
+        "jinja2": ["python3-jinja2"],
+    },
+    "watch": {"aiohttp": ["python3-aiohttp"], "vl-convert-python": []},
+    "completion": {"argcomplete": ["python3-argcomplete"]},
+    "netcdf": {"netcdf4": ["python3-netcdf4"]},
+    "dask": {"distributed": []},
+}
+# What a developer of this package installs beside them, or another ROS 2.
+OTHER_EXTRAS = {"ros", "test", "docs", "swmm", "bench", "mutation"}
+# Of these what `colcon test` needs.
+TEST_KEYS = {
+    "pytest": "python3-pytest",
+    "pytest-xdist": "python3-pytest-xdist",
+    "hypothesis": "python3-hypothesis",
+}
 
 
 def run(*command, cwd, env, timeout=1800):
@@ -189,18 +212,18 @@ def test_pip_install_lays_everything(pip_installed, pip_environment, tmp_path):
     assert shared == pip_installed.resolve() / "share" / "greenroof_ros"
 
 
-def test_pip_install_makes_the_console_scripts(pip_installed):
-    for name in SCRIPTS:
-        assert os.access(pip_installed / "bin" / name, os.X_OK), name
+def test_pip_install_makes_one_console_script(pip_installed):
+    """No node or command becomes a name on everybody's PATH, such as watch, which Linux has."""
+    commands = pip_installed / "bin"
+    assert [name for name in SCRIPTS if os.access(commands / name, os.X_OK)] == [GREENROOF]
 
 
 def test_pip_install_simulates(pip_installed, pip_environment, tmp_path):
-    command = ("simulate", "--hours", "0.01")
-    python = pip_installed / "bin" / "python"
-    as_module = run(python, "-m", "greenroof_ros.simulate", *command[1:],
-                    cwd=tmp_path, env=pip_environment)
-    assert as_module.strip()
-    run(pip_installed / "bin" / command[0], *command[1:], cwd=tmp_path, env=pip_environment)
+    commands = pip_installed / "bin"
+    for command in (
+        [commands / GREENROOF, "simulate"], [commands / "python", "-m", "greenroof_ros.simulate"]
+    ):
+        assert run(*command, "--hours", "0.01", cwd=tmp_path, env=pip_environment).strip()
 
 
 def test_pip_install_runs_copies_of_its_grids(pip_installed, pip_environment, tmp_path):
@@ -360,21 +383,21 @@ def test_colcon_build_puts_the_executables_where_ros2_run_looks(workspace):
     assert sorted(found) == SCRIPTS
 
 
-def test_colcon_built_executable_runs(workspace, tmp_path):
-    executable = workspace / "install" / "greenroof_ros" / "lib" / "greenroof_ros" / "simulate"
-    assert sourced(workspace, tmp_path, f"{executable} --hours 0.01").strip()
+@pytest.mark.parametrize("command", ["simulate", "greenroof simulate"])
+def test_colcon_built_executable_runs(command, workspace, tmp_path):
+    executables = workspace / "install" / "greenroof_ros" / "lib" / "greenroof_ros"
+    assert sourced(workspace, tmp_path, f"{executables}/{command} --hours 0.01").strip()
 
 
 # -------------------------------------------------------------------------------- the files agree
 
 
-@pytest.fixture(scope="module")
-def setup_options():
-    """Return what setup.py hands to setuptools."""
+def options_of_setup(*commands):
+    """Return what setup.py hands to setuptools when it is called with some commands."""
     code = (
         "import json, setuptools\n"
         "from distutils.core import run_setup\n"
-        "d = run_setup('setup.py', stop_after='init')\n"
+        f"d = run_setup('setup.py', {list(commands)}, stop_after='init')\n"
         "print(json.dumps(dict(name=d.get_name(), version=d.get_version(),"
         " license=d.metadata.license, maintainer=d.metadata.maintainer,"
         " email=d.metadata.maintainer_email, entry_points=d.entry_points,"
@@ -385,6 +408,12 @@ def setup_options():
         cwd=CHECKOUT, text=True, stdout=subprocess.PIPE, check=True, timeout=60,
     ).stdout
     return json.loads(printed.splitlines()[-1])
+
+
+@pytest.fixture(scope="module")
+def setup_options():
+    """Return what setup.py hands to setuptools for pip."""
+    return options_of_setup("bdist_wheel")
 
 
 @pytest.fixture(scope="module")
@@ -423,24 +452,34 @@ def test_version_is_the_same_everywhere(manifest, setup_options):
 
 
 def test_package_xml_names_every_requirement(manifest, setup_options):
-    depends = {depend.name for depend in manifest.exec_depends}
-    requirements = {distribution(text) for text in setup_options["install_requires"]}
-    assert requirements == set(ROSDEP_KEYS)
-    text = (CHECKOUT / "package.xml").read_text(encoding="utf-8")
-    for name in requirements:
-        if ROSDEP_KEYS[name] is None:
-            assert re.search(rf"<!--.*\b{name}\b.*-->", text, re.DOTALL), name
-        else:
-            assert ROSDEP_KEYS[name] in depends
-    extras = {
-        distribution(text) for texts in setup_options["extras_require"].values() for text in texts
+    """By its rosdep key; what has none is in the comment on what pip installs."""
+    extras = setup_options["extras_require"]
+    assert extras.keys() == EXTRA_KEYS.keys() | OTHER_EXTRAS
+    requirements = {"": setup_options["install_requires"]} | {
+        extra: extras[extra] for extra in EXTRA_KEYS
     }
-    assert set(EXTRA_KEYS) <= extras
-    assert set(EXTRA_KEYS.values()) <= depends
+    keys = {"": ROSDEP_KEYS, **EXTRA_KEYS}
+    assert {extra: {distribution(text) for text in texts} for extra, texts in requirements.items()
+            } == {extra: set(named) for extra, named in keys.items()}
+    depends = {depend.name for depend in manifest.exec_depends}
+    (without,) = re.findall(
+        r"<!--\s*rosdep has no key.*?-->", (CHECKOUT / "package.xml").read_text(), re.DOTALL
+    )
+    for named in keys.values():
+        for name, its_keys in named.items():
+            assert set(its_keys) <= depends, name
+            assert bool(its_keys) != bool(re.search(rf"\b{name}\b", without)), name
+
+
+def test_package_xml_names_what_the_tests_need(manifest, setup_options):
+    tests = {distribution(text) for text in setup_options["extras_require"]["test"]}
+    assert TEST_KEYS.keys() <= tests
+    assert {depend.name for depend in manifest.test_depends} == set(TEST_KEYS.values())
 
 
 def test_package_xml_and_ros_extra_name_the_same_ros_packages(manifest, setup_options):
-    keys = {*ROSDEP_KEYS.values(), *EXTRA_KEYS.values()}
+    named = (ROSDEP_KEYS, *EXTRA_KEYS.values())
+    keys = {key for extra in named for its_keys in extra.values() for key in its_keys}
     depends = {depend.name for depend in manifest.exec_depends} - keys
     extra = {
         distribution(text).removeprefix("ros-jazzy-").replace("-", "_")
@@ -467,9 +506,9 @@ for target in sys.argv[1:]:
 
 
 @pytest.fixture(scope="module")
-def targets(setup_options):
-    """Return the target of each console script, and what came of an import of it."""
-    entries = setup_options["entry_points"]["console_scripts"]
+def targets():
+    """Return the target of each executable of a workspace, and what came of an import of it."""
+    entries = options_of_setup("install")["entry_points"]["console_scripts"]
     found = dict(entry.replace(" ", "").split("=") for entry in entries)
     printed = run(
         sys.executable, "-c", FIND_TARGETS, *found.values(), cwd=CHECKOUT, env=dict(os.environ)
@@ -479,7 +518,7 @@ def targets(setup_options):
 
 
 @pytest.mark.parametrize("name", SCRIPTS)
-def test_console_script_can_be_called(name, targets):
+def test_executable_can_be_called(name, targets):
     assert sorted(targets) == SCRIPTS
     if name in NODES and importlib.util.find_spec("rclpy") is None:
         pytest.skip("nodes need a ROS 2: the extra [ros], or one that is sourced")

@@ -13,6 +13,7 @@ from collections.abc import Callable
 from typing import Any, NoReturn, TextIO
 
 from greenroof_ros.common.errors import ConfigurationError, OccupiedError
+from greenroof_ros.common.processes import end_with_parent
 
 EXIT_DONE = 0
 EXIT_FAILED = 1
@@ -113,6 +114,7 @@ def command(main: Callable[[], int]) -> Callable[[], NoReturn]:
 
     @functools.wraps(main)
     def wrapper() -> NoReturn:
+        end_with_parent()
         _set_up_streams()
         try:
             try:

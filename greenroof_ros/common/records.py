@@ -84,6 +84,29 @@ def read_record(kind: type[Record], file: Path, mapping: YamlMapping, key: str =
     return made
 
 
+def error_at(
+    file: Path, content: YamlMapping, key: str, value: object, expected: str
+) -> ConfigurationError:
+    """Return what is wrong with a key such as ``registers.control``, with the line that it is in.
+
+    Args:
+        file: that was read.
+        content: of it.
+        key: by names, and in lists by numbers that begin with 1.
+        value: that stands there; None for none.
+        expected: what is wrong with it.
+    """
+    place: Any = content
+    line = None
+    for part in key.split("."):
+        if isinstance(place, YamlMapping) and part in place:
+            line, place = place.lines[part], place[part]
+        elif isinstance(place, list) and part.isdecimal():
+            place = place[int(part) - 1]
+            line = min(place.lines.values()) if isinstance(place, YamlMapping) else line
+    return ConfigurationError(expected, file=file, line=line, key=key, value=value)
+
+
 class _Place:
     """Where a value stands, for messages."""
 

@@ -184,7 +184,9 @@ def _wrong_forecasts(choice: ControllerChoice, site: Site) -> None:
         try:
             _asked(controller, 0.8 * site.z_o, 0.5 * site.z_veg, rain, evaporated)
         except ConfigurationError:
-            continue
+            if choice.needs_forecast or rain is not empty:
+                continue
+            raise _ProblemError("with needs_forecast = False it must command without one") from None
     if choice.ensemble:
         controller = _made(choice, site)
         for members in (1, 3):

@@ -10,6 +10,10 @@ from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.controllers.protocol import Controller
 
 
+class NoCommandError(ConfigurationError):
+    """What a controller returns is no command: the controller is broken, not its inputs."""
+
+
 def decide(
     controller: Controller,
     allowed: bool,
@@ -32,7 +36,8 @@ def decide(
         evapotranspiration: forecast of evapotranspiration (m3/s).
 
     Raises:
-        ConfigurationError: what the controller returns is no command.
+        NoCommandError: what the controller returns is no command.
+        ConfigurationError: it cannot use the forecast.
     """
     if not allowed:
         controller.skip()
@@ -40,8 +45,8 @@ def decide(
     command = controller.command(cistern_level, roof_level, precipitation, evapotranspiration)
     if isinstance(command, (float, int)) and 0 <= command < math.inf:
         return command
-    raise ConfigurationError(
-        "must be a finite number, not negative; the run ends here (check_controller finds this "
-        "before a run)",
+    raise NoCommandError(
+        "must be a finite number, not negative (greenroof check-controller finds this before a "
+        "run)",
         key=f"the command of {type(controller).__name__}", value=command,
     )

@@ -32,6 +32,7 @@ class OnOff:
     """
 
     parameters: ClassVar[tuple[Parameter, ...]] = (FRACTION, LEVEL)
+    needs_forecast: ClassVar[bool] = False
 
     def __init__(self, site: Site, fraction: float, level: float = LEVEL.default) -> None:
         self._site = site

@@ -19,13 +19,16 @@ class Controller(Protocol):
     """Anything that decides once a tick how much to pump.
 
     It is made as ``Class(site, **parameters)``, with a value for each of its parameters, and keeps
-    to one rule: the same inputs give the same commands, whenever and wherever. ``python -m
-    greenroof_ros.check_controller package.module:Class`` holds a class to all of this.
+    to one rule: the same inputs give the same commands, whenever and wherever. ``greenroof
+    check-controller package.module:Class`` holds a class to all of this.
 
-    Two more class attributes are optional:
+    Three more class attributes are optional:
 
     - ``ensemble = True``: it takes all members of an ensemble of forecasts. ``precipitation`` is
       then an array of shape (members, steps); a single forecast has one member.
+    - ``needs_forecast = False``: levels are enough. It is asked without a usable forecast, too,
+      and both forecasts are then empty. Of any other class the on/off controller commands on a
+      live site while there is none; the class is not asked.
     - ``outputs``: topics of ``msg_defs/topics.yaml`` that its node publishes after each command,
       each with the attribute that holds the value: ``{"/controller/cost": "cost"}``. It is a
       number, of ``/controller/plan`` a numpy array of shape (steps, 3).
@@ -57,7 +60,8 @@ class Controller(Protocol):
 
         A forecast may be missing: empty, of another length, or with entries that are no numbers.
         The answer to it is a command or a
-        :class:`~greenroof_ros.common.errors.ConfigurationError`, which ends the run.
+        :class:`~greenroof_ros.common.errors.ConfigurationError`, which ends a simulated run; on a
+        live site it counts as no forecast.
 
         Returns:
             Share of the pumps' maximum flow (1), finite and not negative.
@@ -65,7 +69,11 @@ class Controller(Protocol):
         ...
 
     def skip(self) -> None:
-        """Let a tick pass in which the command is 0: in frost, or where an input was refused."""
+        """Let a tick pass in which the command is 0: in frost, or where an input was refused.
+
+        Or in which on/off commands, on a live site without a forecast; an object of the class that
+        has let it pump is asked no more, but a new one.
+        """
         ...
 
     def statistics(self) -> dict[str, float] | None:
@@ -92,6 +100,11 @@ class ControllerClass(Protocol):
 def takes_ensemble(kind: ControllerClass) -> bool:
     """Whether a class takes all members of an ensemble; the others get the first."""
     return bool(getattr(kind, "ensemble", False))
+
+
+def needs_forecast(kind: ControllerClass) -> bool:
+    """Whether a class needs a forecast to decide; one that does not say so does."""
+    return bool(getattr(kind, "needs_forecast", True))
 
 
 def outputs_of(kind: ControllerClass) -> Mapping[str, str]:

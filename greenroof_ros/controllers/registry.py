@@ -18,6 +18,7 @@ from greenroof_ros.common.parameter import Parameter
 from greenroof_ros.controllers.protocol import (
     Controller,
     ControllerClass,
+    needs_forecast,
     outputs_of,
     takes_ensemble,
 )
@@ -102,6 +103,11 @@ class ControllerChoice:
     def ensemble(self) -> bool:
         """Whether it takes all members of an ensemble of forecasts."""
         return takes_ensemble(self.kind)
+
+    @property
+    def needs_forecast(self) -> bool:
+        """Whether it needs a forecast to decide."""
+        return needs_forecast(self.kind)
 
     @property
     def outputs(self) -> dict[str, str]:

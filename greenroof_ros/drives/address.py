@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import contextlib
 import re
 import socket
 from dataclasses import dataclass, replace
+from ipaddress import ip_address
 from pathlib import Path
 from typing import Annotated
 
@@ -14,6 +16,10 @@ from greenroof_ros.common.records import Entry
 _TCP = re.compile(
     r"(?P<scheme>tcp|gateway)://(?P<host>[A-Za-z0-9._-]+|\[[0-9A-Fa-f:]+\])(:(?P<port>\d{1,5}))?/?"
 )
+
+
+def _is_pseudo(line: str) -> bool:
+    return Path(line).resolve().is_relative_to("/dev/pts")
 
 
 @dataclass(frozen=True)
@@ -27,8 +33,7 @@ class Serial:
 
     def parity_letter(self, line: str) -> str:
         """Return E, O or N for a line; a pseudo-terminal knows no parity and refuses it."""
-        pseudo = Path(line).resolve().is_relative_to("/dev/pts")
-        return "N" if pseudo else self.parity[0].upper()
+        return "N" if _is_pseudo(line) else self.parity[0].upper()
 
 
 @dataclass(frozen=True)
@@ -66,6 +71,15 @@ class Address:
         """
         return "serial" if self.line or self.gateway else "tcp"
 
+    @property
+    def is_here(self) -> bool:
+        """Whether it is at loopback or a pseudo-terminal; may wait for a host to be looked up."""
+        if self.line:
+            return _is_pseudo(self.line)
+        with contextlib.suppress(OSError):
+            return all(ip_address(host).is_loopback for host in self._hosts())
+        return False
+
     def shares_line(self, other: Address) -> bool:
         """Whether both are on one serial line, by whatever name; one program alone can open it."""
         return bool(self.line and other.line) and (
@@ -85,11 +99,14 @@ class Address:
         """
         if self.line:
             return str(Path(self.line).resolve())
+        return f"{min(self._hosts())}-{self.port or port}"
+
+    def _hosts(self) -> set[str]:
+        """Return the addresses of the host."""
         try:
-            found = socket.getaddrinfo(self.host, None)
+            return {str(each[4][0]) for each in socket.getaddrinfo(self.host, None)}
         except UnicodeError as error:  # no name that a host can have
             raise OSError(None, str(error)) from error
-        return f"{min(str(each[4][0]) for each in found)}-{self.port or port}"
 
 
 def parse_address(text: str, key: str = "address") -> Address:

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import asyncio
 import math
-import struct
 import time
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
@@ -12,7 +10,7 @@ from dataclasses import dataclass
 from greenroof_ros.drives.address import Address
 from greenroof_ros.drives.drive_file import Condition, DriveFile, Register, Step
 from greenroof_ros.drives.modbus_line import DriveError, ModbusLine
-from greenroof_ros.drives.values import limits
+from greenroof_ros.drives.values import decode, limits
 
 # Between two looks at whether a drive has reached a state (s).
 _LOOK_S = 0.05
@@ -30,26 +28,24 @@ class DriveStatus:
     Attributes:
         ready: no fault and no interlock; it would start.
         running: the motor is fed.
-        at_speed: the speed asked for is reached; None where the drive does not say.
         fault: in words; empty for none. That the pump turns backwards is one, too.
         warning: in words; empty for none.
         speed: as share of rated speed; below 0 only where the pump turns backwards.
         flow: m3/s; None where the drive has none.
         remote: it obeys the bus.
-        says: the bits of its status word, in words.
         timed_out: the fault is that its own communication timeout has passed, and no other.
+        runs_on: the fault is that it was told to stop, and its speed does not fall.
     """
 
     ready: bool
     running: bool
-    at_speed: bool | None
     fault: str
     warning: str
     speed: float
     flow: float | None
     remote: bool
-    says: str
     timed_out: bool = False
+    runs_on: bool = False
 
     @property
     def stands(self) -> bool:
@@ -116,22 +112,19 @@ class Drive:
         """Whether the connection stands, as far as this end knows."""
         return self._line.connected
 
-    async def connect(self) -> None:
+    def connect(self) -> None:
         """Open the connection.
 
         Raises:
             DriveError: it cannot be opened.
         """
-        self._full_scale.clear()
-        self._prepared = self._echoes = False
-        self._word = self.stopped = None
-        await self._line.connect()
+        self._line.connect()
 
-    async def close(self) -> None:
+    def close(self) -> None:
         """Close the connection; the drive is left as it is."""
         self._line.close()
 
-    async def identify(self) -> str:
+    def identify(self) -> str:
         """Return what the nameplate says, for people.
 
         Raises:
@@ -139,12 +132,12 @@ class Drive:
         """
         parts = []
         for plate in self.file.nameplate:
-            raw = await self._raw(plate.register)
+            raw = self._raw(plate.register)
             text = plate.texts.get(raw, str(raw)) if isinstance(raw, int) else str(raw)
             parts.append(f"{self.file.registers[plate.register].meaning}: {text}")
         return f"{self.file.make} {self.file.model} ({'; '.join(parts)})"
 
-    async def timeout(self) -> float | None:
+    def timeout(self) -> float | None:
         """Return the drive's own communication timeout (s) on this connection, None for off.
 
         Off is also one after which the drive would not stop; `timeout_note` then says why.
@@ -161,14 +154,14 @@ class Drive:
                 "is there, the address is gateway://HOST:PORT",
             )
         register = self.file.registers[own.register]
-        raw = await self._raw(own.register)
-        seconds = await self._scaled(own.register, raw)
+        raw = self._raw(own.register)
+        seconds = self._scaled(own.register, raw)
         self.timeout_note = ""
         if raw in own.off_values or seconds is None or seconds <= 0:
             self.timeout_note = f"{register.meaning} (register {register.manual}) is {raw}: off"
         for setting in () if self.timeout_note else own.settings:
             register = self.file.registers[setting.register]
-            chosen = await self._number(setting.register)
+            chosen = self._number(setting.register)
             if chosen not in setting.stops:
                 text = setting.runs_on.get(chosen, "not known to the drive's file")
                 self.timeout_note = (
@@ -178,7 +171,7 @@ class Drive:
                 break
         return None if self.timeout_note else seconds
 
-    async def read(self) -> DriveStatus:
+    def read(self) -> DriveStatus:
         """Return what the drive says of itself.
 
         Raises:
@@ -186,17 +179,17 @@ class Drive:
         """
         status, seen = self.file.status, dict[str, int]()
         fault, warning, timed_out = "", "", False
-        if await self._holds(status.fault, seen):
-            raw = await self._number(self.file.faults.register)
+        if self._holds(status.fault, seen):
+            raw = self._number(self.file.faults.register)
             fault = self.file.faults.text(raw) or "the drive names no cause"
             trips = () if self._timeout is None else self._timeout.trips
             timed_out = self.file.faults.only(raw, trips)
-        if status.warning is not None and await self._holds(status.warning, seen):
+        if status.warning is not None and self._holds(status.warning, seen):
             warning = "the drive names no cause"
             if self.file.warnings is not None:
-                raw = await self._number(self.file.warnings.register)
+                raw = self._number(self.file.warnings.register)
                 warning = self.file.warnings.text(raw) or warning
-        speed = await self._scaled("speed", await self._raw("speed"))
+        speed = self._scaled("speed", self._raw("speed"))
         if speed is None:
             raise DriveError("answer", f"{self._line.where}: its speed is not available")
         if -_NOISE <= speed <= 0:
@@ -206,23 +199,19 @@ class Drive:
             fault, timed_out = "; ".join(filter(None, (fault, backwards))), False
         flow = None
         if "flow" in self.file.registers:
-            flow = await self._scaled("flow", await self._raw("flow"))
+            flow = self._scaled("flow", self._raw("flow"))
         return DriveStatus(
-            ready=await self._holds(status.ready, seen),
-            running=await self._holds(status.running, seen),
-            at_speed=(
-                None if status.at_speed is None else await self._holds(status.at_speed, seen)
-            ),
+            ready=self._holds(status.ready, seen),
+            running=self._holds(status.running, seen),
             fault=fault,
             warning=warning,
             speed=speed,
             flow=flow,
-            remote=status.remote is None or await self._holds(status.remote, seen),
-            says=self._says(seen),
+            remote=status.remote is None or self._holds(status.remote, seen),
             timed_out=timed_out,
         )
 
-    async def local(self, seen: dict[str, int] | None = None) -> bool:
+    def local(self, seen: dict[str, int] | None = None) -> bool:
         """Return whether it is in local control, where the drive's file tells how that is seen.
 
         Args:
@@ -232,9 +221,9 @@ class Drive:
             DriveError: it cannot be read.
         """
         remote = self.file.status.remote
-        return remote is not None and not await self._holds(remote, {} if seen is None else seen)
+        return remote is not None and not self._holds(remote, {} if seen is None else seen)
 
-    async def run(self, speed: float, go_on: Callable[[], bool] = lambda: True) -> None:
+    def run(self, speed: float, go_on: Callable[[], bool] = lambda: True) -> None:
         """Run at a speed: bring the drive to where it can, then write speed and control word.
 
         To be called again and again while the pump is to run, since many a drive stops by itself
@@ -251,17 +240,17 @@ class Drive:
         if not 0 <= speed <= 1:
             raise ValueError(f"{speed} is no share of rated speed")
         seen: dict[str, int] = {}
-        if await self._holds(self.file.status.fault, seen):
-            text = self.file.faults.text(await self._number(self.file.faults.register))
+        if self._holds(self.file.status.fault, seen):
+            text = self.file.faults.text(self._number(self.file.faults.register))
             raise DriveError("drive", f"{self._line.where}: fault: {text or 'no cause named'}")
-        if not self._prepared or not await self._holds(self.file.status.enabled, seen):
-            if not await self._perform(self.file.sequences.ready, go_on):
+        if not self._prepared or not self._holds(self.file.status.enabled, seen):
+            if not self._perform(self.file.sequences.ready, go_on):
                 return
             self._prepared = True
             seen.clear()
-        await self._perform(self.file.sequences.run, go_on, speed, seen)
+        self._perform(self.file.sequences.run, go_on, speed, seen)
 
-    async def stop(self) -> None:
+    def stop(self) -> None:
         """Ramp down and switch off; to be called again and again while the pump is to stand.
 
         A step that the drive refuses does not keep the later ones from being written: a speed of 0
@@ -274,7 +263,7 @@ class Drive:
         refused: DriveError | None = None
         for step in self.file.sequences.stop:
             try:
-                await self._perform([step])
+                self._perform([step])
             except DriveError as error:
                 refused = refused or error
                 if error.kind == "connection":
@@ -283,17 +272,17 @@ class Drive:
             raise refused
         self.stopped = True
 
-    async def reset(self) -> None:
+    def reset(self) -> None:
         """Stop, and acknowledge a fault.
 
         Raises:
             DriveError: no or a wrong answer; the fault does not go.
         """
-        await self.stop()
+        self.stop()
         self._prepared = False
-        await self._perform(self.file.sequences.reset)
+        self._perform(self.file.sequences.reset)
 
-    async def intruder(self) -> str:
+    def intruder(self) -> str:
         """Return that the control word is not the one written last; empty where nothing is known.
 
         Only those bits count that the drive's file uses, and only on a connection on which the
@@ -306,7 +295,7 @@ class Drive:
         if self._word is None:
             return ""
         try:
-            word = await self._number("control")
+            word = self._number("control")
         except DriveError as error:
             if error.kind == "connection":
                 raise
@@ -327,7 +316,7 @@ class Drive:
 
     # --- sequences --------------------------------------------------------------------------------
 
-    async def _perform(
+    def _perform(
         self,
         steps: Iterable[Step],
         go_on: Callable[[], bool] = lambda: True,
@@ -348,28 +337,28 @@ class Drive:
             if isinstance(step.value, int):
                 word = int(step.value)
             else:
-                word = await self._encoded(step.write, speed)
+                word = self._encoded(step.write, speed)
             if step.write == "control":
                 self._word = None
-            await self._line.write(self.file.registers[step.write].address, word)
+            self._line.write(self.file.registers[step.write].address, word)
             if step.write == "control":
                 self._word = word
             until = step.until
             if until is None or (seen and until.register in seen
                                  and until.holds(seen[until.register])):
                 continue
-            if not await self._reached(step, until, word, go_on):
+            if not self._reached(step, until, word, go_on):
                 return False
         return True
 
-    async def _reached(
+    def _reached(
         self, step: Step, until: Condition, word: int, go_on: Callable[[], bool]
     ) -> bool:
         """Wait for a state; return False where the wait was given up because of `go_on`."""
         deadline = time.monotonic() + step.within_s
         while True:
             now: dict[str, int] = {}
-            if await self._holds(until, now):
+            if self._holds(until, now):
                 return True
             if not go_on():
                 return False
@@ -381,9 +370,9 @@ class Drive:
                     f"{self._line.where}: {step.write} = 0x{word:04X} had no effect within "
                     f"{step.within_s:g} s; {until.register} is 0x{raw:04X}, not "
                     f"0x{until.value:04X} under the mask 0x{until.mask:04X}{says}"
-                    + (_LOCAL if await self.local(now) else ""),
+                    + (_LOCAL if self.local(now) else ""),
                 )
-            await asyncio.sleep(_LOOK_S)
+            time.sleep(_LOOK_S)
 
     def _says(self, seen: dict[str, int]) -> str:
         raw = seen.get("status", 0)
@@ -391,26 +380,28 @@ class Drive:
 
     # --- values -----------------------------------------------------------------------------------
 
-    async def _holds(self, condition: Condition, seen: dict[str, int]) -> bool:
+    def _holds(self, condition: Condition, seen: dict[str, int]) -> bool:
         if condition.register not in seen:
-            seen[condition.register] = await self._number(condition.register)
+            seen[condition.register] = self._number(condition.register)
         return condition.holds(seen[condition.register])
 
-    async def _raw(self, name: str) -> int | float | str:
+    def _raw(self, name: str) -> int | float | str:
         register = self.file.registers[name]
-        return decode(register, await self._line.read(register.address, register.width))
+        return decode(
+            self._line.read(register.address, register.width), register.type, register.word_order
+        )
 
-    async def _number(self, name: str) -> int:
-        raw = await self._raw(name)
+    def _number(self, name: str) -> int:
+        raw = self._raw(name)
         assert isinstance(raw, int)
         return raw
 
-    async def _factor(self, register: Register) -> float:
+    def _factor(self, register: Register) -> float:
         """Return by what a raw value is multiplied."""
         if not register.full_scale:
             return register.scale
         if register.full_scale not in self._full_scale:
-            scale, raw = self.file.registers[register.full_scale], await self._number(
+            scale, raw = self.file.registers[register.full_scale], self._number(
                 register.full_scale
             )
             value = self._believable(scale, raw, raw * scale.scale, scale.low)
@@ -421,13 +412,13 @@ class Drive:
             self._full_scale[register.full_scale] = value
         return register.scale / self._full_scale[register.full_scale]
 
-    async def _scaled(self, name: str, raw: int | float | str) -> float | None:
+    def _scaled(self, name: str, raw: int | float | str) -> float | None:
         register = self.file.registers[name]
         assert isinstance(raw, (int, float))
         if raw == register.missing:
             return None
         low = min(register.low, -_NOISE) if name == "speed" else register.low
-        return self._believable(register, raw, raw * await self._factor(register), low)
+        return self._believable(register, raw, raw * self._factor(register), low)
 
     def _believable(
         self, register: Register, raw: int | float, value: float, low: float
@@ -441,9 +432,9 @@ class Drive:
             )
         return value
 
-    async def _encoded(self, name: str, value: float) -> int:
+    def _encoded(self, name: str, value: float) -> int:
         register = self.file.registers[name]
-        raw = round(value / await self._factor(register))
+        raw = round(value / self._factor(register))
         low, high = limits(register.type)
         if not low <= raw <= high:
             raise DriveError(
@@ -452,18 +443,3 @@ class Drive:
                 f"(register {register.manual}), which holds {low:g} to {high:g}",
             )
         return raw & 0xFFFF
-
-
-def decode(register: Register, words: list[int]) -> int | float | str:
-    """Return what a register's words mean, not yet scaled."""
-    kind = register.type
-    if kind == "text":
-        raw = b"".join(word.to_bytes(2, "big") for word in words)
-        return raw.decode("latin-1").replace("\0", " ").strip()
-    if register.word_order == "low first":
-        words = words[::-1]
-    raw = b"".join(word.to_bytes(2, "big") for word in words)
-    if kind == "float32":
-        value: float = struct.unpack(">f", raw)[0]
-        return value
-    return int.from_bytes(raw, "big", signed=kind.startswith("int"))

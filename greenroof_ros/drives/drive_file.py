@@ -9,11 +9,12 @@ from typing import Annotated, Any
 
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.files import YamlMapping, read_yaml, shared_directory
-from greenroof_ros.common.records import Entry, Word, read_record
+from greenroof_ros.common.records import Entry, Word, error_at, read_record
 from greenroof_ros.drives.address import Address, Serial
+from greenroof_ros.drives.values import WIDTHS, WORD_ORDERS
 
 # How many registers a value takes; a text says so itself.
-WIDTH = {"uint16": 1, "int16": 1, "uint32": 2, "int32": 2, "float32": 2, "text": 0}
+WIDTH = {**WIDTHS, "text": 0}
 UNITS = ("", "share", "s", "m3/s")
 SPEED = "speed"
 # The longest ramp down that a drive may have (s), after *stop* and after its own timeout: no drive
@@ -63,7 +64,7 @@ class Register:
     meaning: Annotated[str, Entry("what it holds")]
     source: Annotated[str, Entry("page or table of one of the sources, or 'none'")]
     word_order: Annotated[
-        str, Entry("which half of 32 bits comes first", choices=("", "high first", "low first")),
+        str, Entry("which half of 32 bits comes first", choices=WORD_ORDERS),
     ] = ""
     length: Annotated[
         int, Entry("of a text: how many registers of two characters each", low=0, high=64),
@@ -138,7 +139,6 @@ class Status:
     fault: Annotated[Condition, Entry("a fault holds it off")]
     warning: Annotated[Condition | None, Entry("a warning stands")] = None
     remote: Annotated[Condition | None, Entry("it obeys the bus")] = None
-    at_speed: Annotated[Condition | None, Entry("it has reached the speed asked for")] = None
     bits: Annotated[
         dict[int, str],
         Entry("texts of the status word's bits, 0 the least significant", low=0, high=31),
@@ -358,17 +358,7 @@ class _Check:
 
     def fail(self, key: str, value: object, expected: str) -> None:
         """Raise the error of a key such as ``registers.control``."""
-        place: Any = self.content
-        line = None
-        for part in key.split("."):
-            if isinstance(place, YamlMapping) and part in place:
-                line, place = place.lines[part], place[part]
-            elif isinstance(place, list) and part.isdecimal():
-                place = place[int(part) - 1]
-                line = min(place.lines.values()) if isinstance(place, YamlMapping) else line
-        raise ConfigurationError(
-            expected, file=self.drive.path, line=line, key=key, value=value
-        )
+        raise error_at(self.drive.path, self.content, key, value, expected)
 
     def all(self) -> None:
         """Check everything."""
@@ -476,7 +466,7 @@ class _Check:
                 self.fail("sequences.run", None, "must end with the register control")
 
     def _status(self) -> None:
-        for name in ("enabled", "ready", "running", "fault", "warning", "remote", "at_speed"):
+        for name in ("enabled", "ready", "running", "fault", "warning", "remote"):
             self._condition(f"status.{name}", getattr(self.drive.status, name))
 
     def _others(self) -> None:

@@ -2,19 +2,18 @@
 
 from __future__ import annotations
 
-import asyncio
-import logging
+import enum
 import math
-import threading
 import time
 from dataclasses import dataclass, replace
 from typing import Any
 
 from greenroof_ros.drives.address import Address
+from greenroof_ros.drives.device_thread import DeviceThread, Known
 from greenroof_ros.drives.drive import Drive, DriveStatus
 from greenroof_ros.drives.drive_file import LONGEST_RAMP_S, DriveFile
 from greenroof_ros.drives.lock import DriveLock, HeldError
-from greenroof_ros.drives.modbus_line import DriveError, check_installed
+from greenroof_ros.drives.modbus_line import DriveError
 
 # Waits between two attempts to connect (s): the first, and the longest.
 FIRST_WAIT_S, LONGEST_WAIT_S = 0.25, 5.0
@@ -52,48 +51,75 @@ LOCK_WAIT_S = 1.0
 # So many cycles without a valid answer, one after the other, are a lost connection.
 LOST_AFTER = 2
 
-_log = logging.getLogger(__name__)
+
+class State(enum.Enum):
+    """How the exchange with a drive is; see `DriveExchange`."""
+
+    CONNECTING = "connecting"
+    STOPPED = "stopped"
+    RUNNING = "running"
+    STOPPING = "stopping"
+    SILENT = "silent"
 
 
 @dataclass(frozen=True)
-class Snapshot:
+class Snapshot(Known):
     """What is known of a drive at one moment.
 
     Attributes:
+        state: of the exchange; after `close` there is no connection any more.
         status: what it said last; None while there is no connection. After `close`: what it said
             when it was left, which may be that it does not stand; None where it was not heard.
-        read_at: when (s, `time.monotonic`).
-        connected: there is a connection, over which answers come.
         identity: its nameplate; empty until read.
         timeout_s: its own communication timeout (s); None for off.
         timeout_known: the timeout could be read.
         timeout_note: why it counts as off, or could not be read.
-        hold: why the drive is kept off although it is connected; empty where nothing does.
-        problem: what went wrong last and is not over; empty for nothing.
+        unguarded: why the drive is kept off although it is connected: its own timeout may not guard
+            yet; empty where it does.
         errors: how often anything went wrong.
     """
 
+    state: State = State.CONNECTING
     status: DriveStatus | None = None
-    read_at: float = -math.inf
-    connected: bool = False
     identity: str = ""
     timeout_s: float | None = None
     timeout_known: bool = False
     timeout_note: str = ""
-    hold: str = ""
-    problem: str = "not yet connected"
+    unguarded: str = ""
     errors: int = 0
 
+    @property
+    def connected(self) -> bool:
+        """Whether there is a connection, over which answers come."""
+        return self.state in (State.STOPPED, State.RUNNING, State.STOPPING)
 
-class DriveExchange:
-    """Keeps a drive at the speed that was asked for last, or off.
+
+class _LeaveError(DriveError):
+    """The drive must be left in silence now."""
+
+
+class DriveExchange(DeviceThread[Snapshot]):
+    """Keeps a drive at the speed that was asked for last, or off, from a thread of its own.
 
     Control word and status go over the line in every period, so that the drive's own communication
-    timeout is kept alive as long as, and only as long as, this thread lives. Where the drive does
-    not take the order to stop, or acknowledges it and runs on, it is left in silence for longer
-    than that timeout: it may count any order as a sign of life; so is one that takes the order and
-    whose speed cannot be read. While this lives, it is the only one on this machine for its drive.
-    Nothing here raises into the caller.
+    timeout is kept alive as long as, and only as long as, this thread lives::
+
+        CONNECTING ---> STOPPING <----> STOPPED     *stop* is written; it turns, or stands
+          ^    ^         |    ^            |
+          |    |         v    |            |
+          |    |         RUNNING <---------+        a speed is asked for, and its timeout guards
+          |    |            |
+          |    |            |                       from each of these three:
+          |    +------------+                       two rounds without a valid answer, or closed
+          |                 v
+          +-------------- SILENT                    *stop* is refused on two connections, or the
+                                                    speed does not fall, or cannot be read
+
+    Each connection begins with *stop*. RUNNING ends where off is asked for, `demand` is late, the
+    drive does not come to run, or somebody else writes to it. In silence nothing is sent for longer
+    than the drive's own timeout, which then stops it: it may count any order as a sign of life.
+    `close` leads out of each state and leaves the drive stopped. While this lives, it is the only
+    one on this machine for its drive.
     """
 
     def __init__(
@@ -120,20 +146,24 @@ class DriveExchange:
         Raises:
             ConfigurationError: there is no Modbus library.
         """
-        check_installed()
-        self._drive = (file, address, timeout_s)
+        super().__init__("talking to the drive", Snapshot())
+        self._file, self._address = file, address
+        self._drive = Drive(file, address, timeout_s)
         self._only = DriveLock(file, address)
         self._period_s, self._dead_man_s, self._timeout_s = period_s, dead_man_s, timeout_s
         self._timeout_limit_s = timeout_limit_s
-        self._snapshot, self._lock = Snapshot(), threading.Lock()
         # Written and read whole, so that no lock is needed.
         self._demand: tuple[float | None, float] = (None, -math.inf)
         # Until then a fault is to be acknowledged.
         self._reset_until = -math.inf
-        self._closing = False
         self._leave_by = math.inf
+        # Before the next attempt to connect, and whether that is the last.
+        self._connect_at, self._wait_s = -math.inf, FIRST_WAIT_S
+        self._last_attempt = False
         self._paused_until = -math.inf
         self._settings_at = -math.inf
+        # So many rounds, one after the other, had no valid answer.
+        self._unanswered = 0
         # On so many connections, one after the other, *stop* could not be written at last.
         self._not_stopped = 0
         # How the speed falls since *stop* is the last word, over connections that break, too; None
@@ -141,30 +171,12 @@ class DriveExchange:
         self._fall: _Fall | None = None
         # Since when connections begin with a *stop* that is taken, and no speed is read.
         self._unread_from: float | None = None
-        # It runs on although it acknowledges *stop*, and must be left in silence now.
-        self._runs_on = False
-        # When it was left so last, or as its speed could not be read, since it last stood or ran.
-        self._left_at = -math.inf
+        # Until when the drive is left in silence, and when it was so last because it runs on or
+        # its speed cannot be read, since it last stood or ran.
+        self._silent_until = self._left_at = -math.inf
         own = file.timeout.over(address)
         self._unguarded_s = 0.0 if own is None else own.unguarded_after_power_up_s
         self._guarded_from = -math.inf
-        self._loop: asyncio.AbstractEventLoop | None = None
-        self._wake: asyncio.Event | None = None
-        self._thread = threading.Thread(target=self._work, name="drive", daemon=True)
-
-    @property
-    def snapshot(self) -> Snapshot:
-        """What is known now."""
-        return self._snapshot
-
-    @property
-    def lost_after_s(self) -> float:
-        """Within which time a connection on which nothing comes any more is noticed (s)."""
-        return LOST_AFTER * (self._timeout_s + self._period_s)
-
-    def start(self) -> None:
-        """Start: connect, stop the drive, and keep it stopped until something is asked for."""
-        self._thread.start()
 
     def close(self) -> None:
         """Stop the drive, read back that it stands, and let go; what came of it is in `snapshot`.
@@ -174,13 +186,9 @@ class DriveExchange:
         """
         self._demand = (None, -math.inf)
         self._leave_by = time.monotonic() + LEAVE_S
-        self._closing = True
-        self._rouse()
-        if self._thread.is_alive():
-            self._thread.join(LEAVE_S + LONGEST_WAIT_S)
-            if self._thread.is_alive():
-                self._update(connected=False, status=None)
-                self._fail("whether the drive stands was not read: its connection hangs")
+        if not self._end(LEAVE_S + LONGEST_WAIT_S):
+            self._update(state=State.CONNECTING, status=None)
+            self._fail("whether the drive stands was not read: its connection hangs")
 
     def demand(self, speed: float | None) -> None:
         """Ask for a speed (share of rated speed), or for off (None); holds for `dead_man_s`.
@@ -193,7 +201,7 @@ class DriveExchange:
         before = self._demand[0]
         self._demand = (speed, time.monotonic())
         if (speed is None) != (before is None):
-            self._rouse()
+            self._wake.set()
 
     def reset(self) -> None:
         """Have a fault acknowledged; the drive is stopped for it.
@@ -202,33 +210,21 @@ class DriveExchange:
         done for `RESET_S`, nothing comes of it.
         """
         self._reset_until = time.monotonic() + RESET_S
-        self._rouse()
+        self._wake.set()
 
     # --- in the thread ----------------------------------------------------------------------------
 
-    def _rouse(self) -> None:
-        loop, wake = self._loop, self._wake
-        if loop is not None and wake is not None:
-            try:
-                loop.call_soon_threadsafe(wake.set)
-            except RuntimeError:
-                return  # it has just ended
-
-    def _update(self, **changes: Any) -> None:
-        with self._lock:
-            self._snapshot = replace(self._snapshot, **changes)
-
-    def _fail(self, problem: str) -> None:
+    def _fail(self, problem: str, **changes: Any) -> None:
         with self._lock:
             errors = self._snapshot.errors + 1
-            self._snapshot = replace(self._snapshot, problem=problem, errors=errors)
+            self._snapshot = replace(self._snapshot, problem=problem, errors=errors, **changes)
 
     def _wanted(self) -> float | None:
         speed, at = self._demand
         fresh = time.monotonic() - at <= self._dead_man_s
-        return speed if fresh and not self._closing and not self._hold() else None
+        return speed if fresh and not self._closing and not self._unguarded() else None
 
-    def _hold(self) -> str:
+    def _unguarded(self) -> str:
         """Return why the drive must not run although it is connected.
 
         Since the connection before, it may have been without power, which looks like a cut cable.
@@ -240,156 +236,122 @@ class DriveExchange:
             "power-up, so it is not run for so long after it was connected"
         )
 
-    def _work(self) -> None:
-        try:
-            asyncio.run(self._keep_up())
-        except BaseException as error:
-            _log.exception("the exchange with the drive has ended")
-            self._update(connected=False, status=None)
+    def _step(self) -> None:
+        """Do what the state asks for."""
+        if self._snapshot.state is State.SILENT:
+            self._pause_until(self._silent_until)
+            self._update(state=State.CONNECTING)
+        elif self._snapshot.state is State.CONNECTING:
+            self._connect()
+        elif self._closing:
+            self._leave()
+        else:
+            self._round()
+
+    def _lost(self, error: Exception, problem: str) -> None:
+        """Let go of the connection; be silent, connect anew after a while, or end."""
+        now, why = time.monotonic(), self._why_silent(error)
+        self._done = self._last_attempt
+        if why is None or self._done:
+            # One that closes its connections gets as much time as one that does not answer: two of
+            # them in a moment must not lead to silence.
+            closes = self._drive.stopped is False and not self._drive.connected
+            self._connect_at = now + self._wait_s + (self._timeout_s if closes else 0.0)
+            self._wait_s = min(2 * self._wait_s, LONGEST_WAIT_S)
+            self._fail(problem, state=State.CONNECTING, status=None)
+        else:
+            known = self._snapshot.timeout_s
+            timeout_s = self._timeout_limit_s if known is None else known
+            silence_s = timeout_s + SILENCE_MARGIN_S
+            self._silent_until = now + silence_s
+            if not self._not_stopped:
+                self._left_at = self._silent_until
             self._fail(
-                f"the exchange with the drive has ended: {error!r}; nothing is sent to it any "
-                "more, so that its own timeout stops it; restart this program"
+                f"{problem}{why}, so nothing is sent for {silence_s:g} s: the drive's own "
+                f"communication timeout ({timeout_s:g} s"
+                f"{'' if known is not None else ', if it is no longer'}) stops it then, which any "
+                "message might put off",
+                state=State.SILENT, status=None,
             )
+        try:
+            self._drive.close()
         finally:
-            self._only.release()
+            if self._done:
+                self._only.release()
 
-    async def _keep_up(self) -> None:
-        self._loop, self._wake = asyncio.get_running_loop(), asyncio.Event()
-        # A protocol that chokes on nonsense closes the connection, which is noticed here anyway.
-        self._loop.set_exception_handler(lambda _loop, context: _log.debug("%s", context))
-        if not await self._alone():
+    def _why_silent(self, error: Exception) -> str | None:
+        """Return why it must be left in silence, after the problem; None where it need not."""
+        stopped, now = self._drive.stopped, time.monotonic()
+        if stopped is not None:
+            self._not_stopped = 0 if stopped else self._not_stopped + 1
+        if isinstance(error, _LeaveError):
+            return ""
+        if (
+            stopped and self._unread_from is not None and now - self._unread_from > RUNS_ON_S
+            and now - self._left_at > RUNS_ON_AGAIN_S
+        ):
+            return (
+                "; its speed cannot be read, and whether it stands has not been known for "
+                f"{RUNS_ON_S:g} s, although *stop* is written"
+            )
+        if self._not_stopped > 1:
+            return "; *stop* could not be written on two connections one after the other"
+        return None
+
+    def _connect(self) -> None:
+        """Stop a drive first, then see what it is and whether it would stop by itself."""
+        self._pause_until(self._connect_at)
+        if not self._only.taken:
+            self._take()
             return
-        wait = FIRST_WAIT_S
-        left: DriveStatus | None = None
-        while left is None:
-            last_attempt = self._closing
-            drive = Drive(*self._drive)
-            try:
-                try:
-                    await self._greet(drive)
-                    wait = FIRST_WAIT_S
-                    while not self._closing:
-                        await self._cycle(drive)
-                    left = await _stand(drive, self._leave_by)
-                    self._update(read_at=time.monotonic())
-                finally:
-                    self._update(connected=False, status=left)
-                    await drive.close()
-            except DriveError as error:
-                self._fail(str(error))
-            except Exception as error:  # whatever it is, the next attempt starts with a stop
-                _log.exception("talking to the drive failed")
-                self._fail(f"talking to the drive failed: {error!r}")
-            if drive.stopped is not None:
-                self._not_stopped = 0 if drive.stopped else self._not_stopped + 1
-            if last_attempt:
-                break
-            if self._runs_on:
-                await self._leave("")
-            elif drive.stopped and self._is_unread():
-                await self._leave(
-                    "; its speed cannot be read, and whether it stands has not been known for "
-                    f"{RUNS_ON_S:g} s, although *stop* is written"
-                )
-            elif self._not_stopped > 1:
-                await self._be_silent(
-                    "; *stop* could not be written on two connections one after the other"
-                )
-            elif left is None and not self._closing:
-                await self._pause(wait)
-                wait = min(2 * wait, LONGEST_WAIT_S)
+        self._drive = drive = Drive(self._file, self._address, self._timeout_s)
+        self._last_attempt, self._unanswered = self._closing, 0
+        drive.connect()
+        self._guarded_from = time.monotonic() + self._unguarded_s
+        try:
+            self._stop()
+            if self._unread_from is None:
+                self._unread_from = time.monotonic()
+            # Another one's word, which takes a while to come, cannot stand there yet.
+            drive.intruder()
+            status = self._judge(self._read())
+        except DriveError as error:
+            # How long a silence must be is worth another question.
+            if error.kind != "connection" and not self._snapshot.timeout_known:
+                self._read_settings()
+            raise
+        try:
+            identity = drive.identify()
+        except DriveError as error:
+            if error.kind == "connection":
+                raise
+            identity = self._snapshot.identity or "unknown"
+        self._read_settings()
+        self._reset_until = -math.inf
+        self._wait_s = FIRST_WAIT_S
+        self._update(
+            state=State.STOPPED if status.stands else State.STOPPING, status=status,
+            read_at=time.monotonic(), problem="", identity=identity, unguarded=self._unguarded(),
+        )
 
-    async def _alone(self) -> bool:
-        """Wait until nobody else on this machine runs the drive; tell whether it came to that."""
-        while not self._closing:
+    def _take(self) -> None:
+        """Become the only one on this machine for the drive, or wait for that, or for the end."""
+        self._done = self._closing
+        if not self._done:
             try:
                 self._only.take()
             except DriveError as error:
                 if self._snapshot.problem != str(error):
                     self._fail(str(error))
-            else:
-                return True
-            await self._pause(LOCK_WAIT_S)
-        return False
+                self._connect_at = time.monotonic() + LOCK_WAIT_S
 
-    def _is_unread(self) -> bool:
-        """Whether it must be left in silence because its speed cannot be read."""
-        now = time.monotonic()
-        return (
-            self._unread_from is not None and now - self._unread_from > RUNS_ON_S
-            and now - self._left_at > RUNS_ON_AGAIN_S
-        )
-
-    async def _leave(self, why: str) -> None:
-        """Be silent once, and remember when: the next silence comes a while later."""
-        self._runs_on = False
-        await self._be_silent(why)
-        self._left_at = time.monotonic()
-
-    async def _be_silent(self, why: str) -> None:
-        """Send nothing, for longer than the drive waits before it stops by itself.
-
-        Args:
-            why: what to say of that after the problem.
-        """
-        known = self._snapshot.timeout_s
-        timeout_s = self._timeout_limit_s if known is None else known
-        silence_s = timeout_s + SILENCE_MARGIN_S
-        self._update(problem=(
-            f"{self._snapshot.problem}{why}, so nothing is sent for {silence_s:g} s: the drive's "
-            f"own communication timeout ({timeout_s:g} s"
-            f"{'' if known is not None else ', if it is no longer'}) stops it then, which any "
-            "message might put off"
-        ))
-        until = time.monotonic() + silence_s
-        while not self._closing and time.monotonic() < until:
-            await self._pause(until - time.monotonic())
-
-    async def _pause(self, seconds: float) -> None:
-        assert self._wake is not None
-        try:
-            await asyncio.wait_for(self._wake.wait(), seconds)
-        except asyncio.TimeoutError:
-            return
-        finally:
-            self._wake.clear()
-
-    async def _greet(self, drive: Drive) -> None:
-        """Stop a drive first, then see what it is and whether it would stop by itself."""
-        await drive.connect()
-        self._guarded_from = time.monotonic() + self._unguarded_s
-        try:
-            await self._stop(drive)
-            if self._unread_from is None:
-                self._unread_from = time.monotonic()
-            # Another one's word, which takes a while to come, cannot stand there yet.
-            await drive.intruder()
-            status = self._judge(await self._read(drive))
-        except DriveError as error:
-            # How long a silence must be is worth another question.
-            if error.kind != "connection" and not self._snapshot.timeout_known:
-                await self._read_settings(drive)
-            raise
-        try:
-            identity = await drive.identify()
-        except DriveError as error:
-            if error.kind == "connection":
-                raise
-            identity = self._snapshot.identity or "unknown"
-        await self._read_settings(drive)
-        self._reset_until = -math.inf
-        self._update(
-            status=status, read_at=time.monotonic(), connected=True, problem="",
-            identity=identity, hold=self._hold(),
-        )
-
-    async def _read_settings(self, drive: Drive) -> None:
+    def _read_settings(self) -> None:
         """Read what somebody may change at the panel, and on which safety rests."""
-        drive.forget_full_scales()
+        self._drive.forget_full_scales()
         seconds, known = None, False
         try:
-            seconds = await drive.timeout()
-            known, note = True, drive.timeout_note
+            seconds = self._drive.timeout()
+            known, note = True, self._drive.timeout_note
         except DriveError as error:
             if error.kind == "connection":
                 raise
@@ -397,30 +359,41 @@ class DriveExchange:
         self._settings_at = time.monotonic()
         self._update(timeout_s=seconds, timeout_known=known, timeout_note=note)
 
-    async def _cycle(self, drive: Drive) -> None:
+    def _round(self) -> None:
+        """Write what is asked for, and read what the drive says."""
         started = time.monotonic()
-        silent = 0
-        while True:
-            try:
-                problem = await self._exchange(drive)
-                status = await self._read(drive)
-                if time.monotonic() - self._settings_at > SETTINGS_S:
-                    await self._read_settings(drive)
-                break
-            except DriveError as error:
-                silent += 1
-                if silent >= LOST_AFTER or not drive.connected:
-                    raise
-                self._fail(str(error))
-                # What is still to come of the late answer must not be taken for the next.
-                await asyncio.sleep(self._period_s)
+        try:
+            runs, problem = self._order()
+            status = self._read()
+            if time.monotonic() - self._settings_at > SETTINGS_S:
+                self._read_settings()
+        except DriveError as error:
+            self._unanswered += 1
+            if self._unanswered >= LOST_AFTER or not self._drive.connected:
+                raise
+            self._fail(str(error))
+            # What is still to come of the late answer must not be taken for the next.
+            time.sleep(self._period_s)
+            return
+        self._unanswered = 0
         status = self._judge(status)
+        standing = State.STOPPED if status.stands else State.STOPPING
         self._update(
-            status=status, read_at=time.monotonic(), problem=problem or self._lasting(),
-            hold=self._hold(),
+            state=State.RUNNING if runs else standing, status=status, read_at=time.monotonic(),
+            problem=problem or self._lasting(), unguarded=self._unguarded(),
         )
         if not self._closing:
-            await self._pause(max(0.0, self._period_s - (time.monotonic() - started)))
+            self._pause(self._period_s - (time.monotonic() - started))
+
+    def _leave(self) -> None:
+        """Stop the drive, and let go of it when it stands, or does not come to that."""
+        left = _stand(self._drive, self._leave_by)
+        self._done = True
+        self._update(state=State.CONNECTING, status=left, read_at=time.monotonic())
+        try:
+            self._drive.close()
+        finally:
+            self._only.release()
 
     def _judge(self, status: DriveStatus) -> DriveStatus:
         """Return what the drive said, with a fault where it was told to stop and runs on.
@@ -441,43 +414,43 @@ class DriveExchange:
         if before.status is not None and says in before.status.fault:
             fall.seen_s += now - before.read_at
         if fall.seen_s > SEEN_S and now - self._left_at > RUNS_ON_AGAIN_S:
-            self._runs_on = True
-            raise DriveError("drive", f"{self._drive[1]}: {says} (it is {status.speed:.1%})")
+            raise _LeaveError("drive", f"{self._address}: {says} (it is {status.speed:.1%})")
         fault = "; ".join(filter(None, (status.fault, says)))
-        return replace(status, fault=fault, timed_out=False)
+        return replace(status, fault=fault, timed_out=False, runs_on=True)
 
-    async def _read(self, drive: Drive) -> DriveStatus:
+    def _read(self) -> DriveStatus:
         """Return what the drive says, after acknowledging that its communication timeout passed.
 
         That trip is what a lost connection comes to, and is over when the connection is back.
         """
+        drive = self._drive
         try:
-            status = await drive.read()
+            status = drive.read()
         except DriveError as error:
             # A person at its panel has it, and sees whether it turns.
-            if error.kind != "connection" and await drive.local():
+            if error.kind != "connection" and drive.local():
                 self._unread_from = None
             raise
         self._unread_from = None
         if status.timed_out:
             self._fail(f"the drive had stopped by itself: {status.fault}")
             try:
-                await drive.reset()
+                drive.reset()
             except DriveError as error:
                 if error.kind != "drive":
                     raise
-            status = await drive.read()
+            status = drive.read()
         return status
 
     def _lasting(self) -> str:
-        """Return the problem that a good cycle does not end: the drive did not come to run."""
+        """Return the problem that a good round does not end: the drive did not come to run."""
         return self._snapshot.problem if time.monotonic() < self._paused_until else ""
 
-    async def _exchange(self, drive: Drive) -> str:
-        """Do what is asked for; return what the drive itself has against it."""
+    def _order(self) -> tuple[bool, str]:
+        """Do what is asked for; return whether it runs, and what the drive has against it."""
         pause_s = PAUSE_S
         try:
-            intruder = await drive.intruder()
+            intruder = self._drive.intruder()
             if intruder:
                 pause_s = INTRUDER_PAUSE_S
                 self._fall = None  # it may be the other one whom the drive obeys
@@ -487,32 +460,32 @@ class DriveExchange:
             if time.monotonic() < self._reset_until:
                 self._reset_until = -math.inf
                 self._paused_until = -math.inf
-                await drive.reset()
+                self._drive.reset()
             speed = self._wanted()
             if speed is None or time.monotonic() < self._paused_until:
-                await self._stop(drive)
-            else:
-                await self._run(drive, speed)
+                self._stop()
+                return False, ""
+            self._run(speed)
         except DriveError as error:
             if error.kind != "drive":
                 raise
-            await self._stop(drive)
+            self._stop()
             self._fail(str(error))
             self._paused_until = time.monotonic() + pause_s
-            return str(error)
-        return ""
+            return False, str(error)
+        return True, ""
 
-    async def _run(self, drive: Drive, speed: float) -> None:
+    def _run(self, speed: float) -> None:
         try:
-            await drive.run(speed, lambda: self._wanted() is not None)
+            self._drive.run(speed, lambda: self._wanted() is not None)
         except DriveError as error:
             if error.kind != "drive":
                 self._fall = None  # it may obey an order whose answer was lost
             raise
         self._fall = None
 
-    async def _stop(self, drive: Drive) -> None:
-        await drive.stop()
+    def _stop(self) -> None:
+        self._drive.stop()
         self._fall = self._fall or _Fall()
 
 
@@ -532,18 +505,18 @@ class _Fall:
         return now - self._fell_at
 
 
-async def _stand(drive: Drive, until: float) -> DriveStatus:
+def _stand(drive: Drive, until: float) -> DriveStatus:
     """Stop a drive, and return what it says when it stands, or does not come to that.
 
     How long its ramp is, no drive file says; so it is waited for as long as the speed falls.
     """
     fall = _Fall()
     while True:
-        await drive.stop()
-        status = await drive.read()
+        drive.stop()
+        status = drive.read()
         if status.stands or fall.still_s(status) > STILL_S or time.monotonic() > until:
             return status
-        await asyncio.sleep(0.1)
+        time.sleep(0.1)
 
 
 def stop_drive(
@@ -576,23 +549,22 @@ def stop_drive(
     except DriveError:
         pass
     try:
-        return asyncio.run(_stop(file, address, timeout_s))
+        return _stop(file, address, timeout_s)
     finally:
         only.release()
 
 
-async def _stop(file: DriveFile, address: Address, timeout_s: float) -> DriveStatus:
-    asyncio.get_running_loop().set_exception_handler(lambda _loop, _context: None)
+def _stop(file: DriveFile, address: Address, timeout_s: float) -> DriveStatus:
     attempts, until = 3, time.monotonic() + LEAVE_S
     while True:
         drive = Drive(file, address, timeout_s)
         try:
-            await drive.connect()
-            return await _stand(drive, until)
+            drive.connect()
+            return _stand(drive, until)
         except DriveError:
             attempts -= 1
             if not attempts:
                 raise
-            await asyncio.sleep(FIRST_WAIT_S)
+            time.sleep(FIRST_WAIT_S)
         finally:
-            await drive.close()
+            drive.close()

@@ -2,20 +2,16 @@
 
 from __future__ import annotations
 
-import asyncio
-import logging
 import math
 import statistics
-import threading
 import time
 from collections import deque
 from dataclasses import dataclass
 
+from greenroof_ros.drives.device_thread import DeviceThread, Known
 from greenroof_ros.drives.modbus_line import DriveError, ModbusLine
 from greenroof_ros.drives.sensor_file import Sensor
-from greenroof_ros.drives.values import decode, unsigned
-
-_log = logging.getLogger(__name__)
+from greenroof_ros.drives.values import decode
 
 
 class LevelSensor:
@@ -37,15 +33,15 @@ class LevelSensor:
         self._line: ModbusLine | None = None
         self._readings: deque[float] = deque(maxlen=sensor.median)
 
-    async def read(self) -> float:
+    def read(self) -> float:
         """Return the level (m): the median of this reading and those before it.
 
         Raises:
             DriveError: there is no answer, a wrong one, or a level out of range.
         """
         try:
-            self._readings.append(await self._reading())
-        except DriveError:
+            self._readings.append(self._reading())
+        except Exception:
             self._readings.clear()
             raise
         return statistics.median_low(self._readings)
@@ -56,19 +52,21 @@ class LevelSensor:
             self._line.close()
             self._line = None
 
-    async def _reading(self) -> float:
+    def _reading(self) -> float:
         sensor = self._sensor
         try:
-            line = await self._connected()
-            registers = await line.read(
+            line = self._connected()
+            registers = line.read(
                 sensor.register, sensor.registers, inputs=sensor.kind == "input"
             )
         except DriveError:
             self.close()  # a late answer must not meet the next question
             raise
-        if sensor.missing is not None and unsigned(registers, sensor.word_order) == sensor.missing:
-            raise self._refused(f"0x{sensor.missing:X}, which means that there is no reading")
+        bits = decode(registers, "uint32" if len(registers) == 2 else "uint16", sensor.word_order)
+        if bits == sensor.missing:
+            raise self._refused(f"0x{bits:X}, which means that there is no reading")
         raw = decode(registers, sensor.type, sensor.word_order)
+        assert not isinstance(raw, str)
         level = sensor.scale * raw + sensor.offset
         if not math.isfinite(level):
             raise self._refused(f"{raw}, which is no number")
@@ -79,10 +77,10 @@ class LevelSensor:
             )
         return level
 
-    async def _connected(self) -> ModbusLine:
+    def _connected(self) -> ModbusLine:
         if self._line is None:
             self._line = self._sensor.connection(self._timeout_s)
-            await self._line.connect()
+            self._line.connect()
         return self._line
 
     def _refused(self, what: str) -> DriveError:
@@ -91,69 +89,41 @@ class LevelSensor:
 
 
 @dataclass(frozen=True)
-class Reading:
+class Reading(Known):
     """What is known of a level.
 
     Attributes:
-        level: m; None if the last attempt gave none.
-        read_at: when that was (s, `time.monotonic`).
-        problem: why there is none; empty if there is one.
+        level: m; None if the last attempt gave none, and `problem` says why.
     """
 
     level: float | None = None
-    read_at: float = -math.inf
-    problem: str = "not yet read"
 
 
-class SensorExchange:
-    """Reads a sensor once a period in a thread of its own; it raises nothing into its user."""
+class SensorExchange(DeviceThread[Reading]):
+    """Reads a sensor once a period; it connects when it must."""
 
     def __init__(self, sensor: Sensor, timeout_s: float = 0.5) -> None:
-        self._sensor = sensor
-        self._timeout_s = timeout_s
-        self._reading = Reading()
-        self._end = threading.Event()
-        self._thread = threading.Thread(
-            target=lambda: asyncio.run(self._run()), name="level sensor", daemon=True
-        )
-
-    @property
-    def snapshot(self) -> Reading:
-        """The newest reading."""
-        return self._reading
-
-    def start(self) -> None:
-        """Begin to read."""
-        self._thread.start()
+        """Prepare it; see `LevelSensor`."""
+        super().__init__(f"{sensor.address}: reading", Reading(problem="not yet read"))
+        self._sensor = LevelSensor(sensor, timeout_s)
+        self._period, self._timeout_s = sensor.period, timeout_s
+        self._due = time.monotonic()
 
     def close(self) -> None:
         """End; at most a timeout or two later the connection is closed."""
-        self._end.set()
-        self._thread.join(4 * self._timeout_s)
+        self._end(4 * self._timeout_s)
 
-    async def _run(self) -> None:
-        # A protocol that chokes on nonsense closes its connection, which is noticed here anyway.
-        asyncio.get_running_loop().set_exception_handler(
-            lambda _loop, context: _log.debug("%s", context)
-        )
-        sensor = LevelSensor(self._sensor, self._timeout_s)
-        due = time.monotonic()
-        while not self._end.is_set():
-            try:
-                level = await sensor.read()
-                self._reading = Reading(level, time.monotonic(), "")
-            except DriveError as error:
-                self._reading = Reading(None, time.monotonic(), str(error))
-            # Whatever it is, the next reading starts anew.
-            except (Exception, asyncio.CancelledError) as error:
-                _log.exception("reading a level failed")
-                self._reading = Reading(
-                    None, time.monotonic(), f"{self._sensor.address}: reading failed: {error!r}"
-                )
-                sensor.close()
-                sensor = LevelSensor(self._sensor, self._timeout_s)
-            # Not one reading after another to catch up with what a pause has cost.
-            due = max(due + self._sensor.period, time.monotonic())
-            while not self._end.is_set() and (rest := due - time.monotonic()) > 0:
-                await asyncio.sleep(min(rest, self._timeout_s))
-        sensor.close()
+    def _step(self) -> None:
+        self._pause_until(self._due)
+        # Not one reading after another to catch up with what a pause has cost.
+        self._due = max(self._due + self._period, time.monotonic())
+        if self._closing:
+            self._done = True
+            self._sensor.close()
+        else:
+            self._update(level=self._sensor.read(), read_at=time.monotonic(), problem="")
+
+    def _lost(self, error: Exception, problem: str) -> None:
+        self._update(level=None, read_at=time.monotonic(), problem=problem)
+        if not isinstance(error, DriveError):  # after those it has closed what it must
+            self._sensor.close()

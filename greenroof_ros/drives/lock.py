@@ -41,6 +41,11 @@ class DriveLock:
         self._file, self._address = file, address
         self._open: tuple[int, Path] | None = None
 
+    @property
+    def taken(self) -> bool:
+        """Whether this has it."""
+        return self._open is not None
+
     def take(self) -> None:
         """Take it; may wait for the name of a host to be looked up.
 

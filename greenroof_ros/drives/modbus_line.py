@@ -1,8 +1,8 @@
 """Requests to one device on Modbus TCP or RTU, every answer checked, every failure with a name.
 
-Function codes 03 and 04 (read holding registers, input registers) and 06 (write single register) of
-the Modbus Application Protocol V1.1b3. No request is sent twice: who calls decides what a lost one
-means.
+Function codes 03 and 04 (read holding registers, input registers), 06 (write single register) and
+43/14 (read device identification) of the Modbus Application Protocol V1.1b3. No request is sent
+twice: who calls decides what a lost one means.
 """
 
 from __future__ import annotations
@@ -10,16 +10,14 @@ from __future__ import annotations
 import logging
 import socket
 import struct
-import termios
+from collections.abc import Callable
 from typing import TYPE_CHECKING
 
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.drives.address import Address, Serial
 
 if TYPE_CHECKING:
-    from asyncio.trsock import TransportSocket
-
-    from pymodbus.client import AsyncModbusSerialClient, AsyncModbusTcpClient
+    from pymodbus.client import ModbusSerialClient, ModbusTcpClient
     from pymodbus.pdu import ModbusPDU
 
 # Its messages are ours in other words; without a handler they would go to the terminal.
@@ -27,7 +25,8 @@ logging.getLogger("pymodbus").addHandler(logging.NullHandler())
 
 # A connection over which nothing gets through for so long is lost (s).
 _LOST_S = 5
-_KEEP_ALIVE = (
+_OPTIONS = (
+    (socket.IPPROTO_TCP, socket.TCP_NODELAY, 1),
     (socket.SOL_SOCKET, socket.SO_KEEPALIVE, 1),
     (socket.IPPROTO_TCP, socket.TCP_KEEPIDLE, _LOST_S),
     (socket.IPPROTO_TCP, socket.TCP_KEEPINTVL, 1),
@@ -92,24 +91,19 @@ class ModbusLine:
             ConfigurationError: there is no Modbus library.
         """
         check_installed()
-        from pymodbus.client import AsyncModbusSerialClient, AsyncModbusTcpClient
+        from pymodbus.client import ModbusTcpClient
         from pymodbus.exceptions import ModbusException
 
-        self._errors = (ModbusException, OSError, termios.error)
+        self._errors = (ModbusException, OSError)
         self.where = f"{address}, device {device_id}"
         self._device_id = device_id
         self._timeout_s = timeout_s
-        self._client: AsyncModbusTcpClient | AsyncModbusSerialClient
+        self._client: ModbusTcpClient | ModbusSerialClient
         if address.line:
-            self._client = AsyncModbusSerialClient(
-                address.line, baudrate=serial.baud_rate, timeout=timeout_s, retries=0,
-                parity=serial.parity_letter(address.line), stopbits=serial.stop_bits,
-                reconnect_delay=0,
-            )
+            self._client = _serial_client(address.line, serial, timeout_s)
         else:
-            self._client = AsyncModbusTcpClient(
-                address.host, port=address.port or port, timeout=timeout_s, retries=0,
-                reconnect_delay=0,
+            self._client = ModbusTcpClient(
+                address.host, port=address.port or port, timeout=timeout_s, retries=0
             )
 
     @property
@@ -117,21 +111,18 @@ class ModbusLine:
         """Whether the connection stands, as far as this end knows."""
         return self._client.connected
 
-    async def connect(self) -> None:
+    def connect(self) -> None:
         """Open the connection.
 
         Raises:
             DriveError: it cannot be opened.
         """
-        try:
-            opened = await self._client.connect()
-            if opened and (plug := self._socket()) is not None:
-                for level, option, value in _KEEP_ALIVE:
-                    plug.setsockopt(level, option, value)  # fails where it was closed meanwhile
-        except self._errors as error:
-            raise DriveError("connection", f"{self.where}: cannot connect: {error}") from error
-        if not opened:
+        if not self._client.connect():
             raise DriveError("connection", f"{self.where}: cannot connect")
+        try:
+            self._set(*_OPTIONS)
+        except OSError as error:  # it was closed meanwhile
+            raise DriveError("connection", f"{self.where}: cannot connect: {error}") from error
 
     def close(self) -> None:
         """Close the connection.
@@ -140,30 +131,25 @@ class ModbusLine:
         device with one socket or two has a free one at once, and no request that is still on its
         way arrives later.
         """
-        self._client.close()
+        self._client.close()  # type: ignore[no-untyped-call]
 
-    def _socket(self) -> TransportSocket | None:
-        """Return the socket; None for a serial line, or where the connection has ended."""
-        transport = self._client.ctx.transport
-        found: TransportSocket | None = transport.get_extra_info("socket") if transport else None
-        return found
+    def _set(self, *options: tuple[int, int, int | bytes]) -> None:
+        """Set options of the socket, if there is one."""
+        plug = self._client.socket
+        if isinstance(plug, socket.socket):
+            for level, option, value in options:
+                plug.setsockopt(level, option, value)
 
-    async def read(self, address: int, count: int, *, inputs: bool = False) -> list[int]:
+    def read(self, address: int, count: int, *, inputs: bool = False) -> list[int]:
         """Read holding registers, or input registers.
 
         Raises:
             DriveError: no answer, or a wrong one.
         """
         what = f"reading register {address}" + (f" and {count - 1} more" if count > 1 else "")
-        self._look(what)
-        ask = (
-            self._client.read_input_registers if inputs else self._client.read_holding_registers
-        )
-        try:
-            answer = await ask(address, count=count, device_id=self._device_id)
-        except self._errors as error:
-            raise self._silence(what, error) from error
-        self._check(what, answer, 4 if inputs else 3)
+        client = self._client
+        read = client.read_input_registers if inputs else client.read_holding_registers
+        answer = self._ask(what, 4 if inputs else 3, read, address, count=count)
         if len(answer.registers) != count:
             raise DriveError(
                 "answer",
@@ -171,19 +157,14 @@ class ModbusLine:
             )
         return list(answer.registers)
 
-    async def write(self, address: int, word: int) -> None:
+    def write(self, address: int, word: int) -> None:
         """Write one holding register.
 
         Raises:
             DriveError: no answer, or one that does not say that it was written.
         """
         what = f"writing 0x{word:04X} to register {address}"
-        self._look(what)
-        try:
-            answer = await self._client.write_register(address, word, device_id=self._device_id)
-        except self._errors as error:
-            raise self._silence(what, error) from error
-        self._check(what, answer, 6)
+        answer = self._ask(what, 6, self._client.write_register, address, word)
         if answer.address != address or list(answer.registers) != [word]:
             raise DriveError(
                 "answer",
@@ -191,21 +172,30 @@ class ModbusLine:
                 f"{answer.address}",
             )
 
-    def _look(self, what: str) -> None:
+    def identification(self) -> tuple[str, str]:
+        """Return the maker and the product that the device names, by function 43/14.
+
+        Raises:
+            DriveError: no answer, or a wrong one.
+        """
+        answer = self._ask(
+            "reading its identification", 43, self._client.read_device_information
+        )
+        said = getattr(answer, "information", {})
+        maker, product = (bytes(said.get(each, b"")).decode("latin-1") for each in (0, 1))
+        return maker, product
+
+    def _ask(
+        self, what: str, function: int, request: Callable[..., ModbusPDU], *values: int,
+        **options: int,
+    ) -> ModbusPDU:
+        """Return the answer to a request, if it is one to that function and no exception."""
         if not self.connected:
             raise DriveError("connection", f"{self.where}: {what}: the connection was closed")
-
-    def _silence(self, what: str, error: Exception) -> DriveError:
-        if not self.connected:
-            return DriveError("connection", f"{self.where}: {what}: the connection was closed")
-        plug = self._socket()
-        if plug is not None:
-            plug.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))
-        return DriveError(
-            "connection", f"{self.where}: {what}: no valid answer within {self._timeout_s:g} s"
-        )
-
-    def _check(self, what: str, answer: ModbusPDU, function: int) -> None:
+        try:
+            answer = request(*values, device_id=self._device_id, **options)
+        except self._errors as error:
+            raise self._silence(what, error) from error
         if answer.isError():
             code = answer.exception_code
             raise DriveError(
@@ -219,3 +209,40 @@ class ModbusLine:
                 f"{self.where}: {what}: the answer has function {answer.function_code}, not "
                 f"{function}",
             )
+        return answer
+
+    def _silence(self, what: str, error: Exception) -> DriveError:
+        if isinstance(error, ConnectionError):
+            self.close()
+        if not self.connected:
+            return DriveError("connection", f"{self.where}: {what}: the connection was closed")
+        self._set((socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0)))
+        return DriveError(
+            "connection", f"{self.where}: {what}: no valid answer within {self._timeout_s:g} s"
+        )
+
+
+def _serial_client(line: str, settings: Serial, timeout_s: float) -> ModbusSerialClient:
+    """Return a client of a serial line, which is not opened yet."""
+    from pymodbus.client import ModbusSerialClient
+    from pymodbus.exceptions import ConnectionException
+
+    class Client(ModbusSerialClient):
+        def recv(self, size: int | None) -> bytes:
+            """Return what comes; the wait is pyserial's.
+
+            Pymodbus waits by a clock that can be set, and so for an hour where it is set back by
+            one.
+            """
+            assert self.socket is not None
+            try:
+                first = self.socket.read(1)
+                return bytes(first + self.socket.read(self.socket.in_waiting))
+            except OSError as error:
+                self.close()  # type: ignore[no-untyped-call]
+                raise ConnectionException(str(error)) from error
+
+    return Client(
+        line, baudrate=settings.baud_rate, timeout=timeout_s, retries=0,
+        parity=settings.parity_letter(line), stopbits=settings.stop_bits,
+    )

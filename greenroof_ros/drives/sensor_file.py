@@ -3,16 +3,17 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
 
 from greenroof_ros.common.errors import ConfigurationError
-from greenroof_ros.common.files import YamlMapping, read_yaml, shared_directory
-from greenroof_ros.common.records import Entry, Word, read_record
+from greenroof_ros.common.files import read_yaml, shared_directory
+from greenroof_ros.common.records import Entry, Word, error_at, read_record
 from greenroof_ros.drives.address import Serial, parse_address
 from greenroof_ros.drives.modbus_line import ModbusLine
-from greenroof_ros.drives.values import TYPES, WORD_ORDERS, limits, width
+from greenroof_ros.drives.values import WIDTHS, WORD_ORDERS, limits
 
 TANKS = ("cistern", "roof")
 _LONGEST_FILTER_S = 30.0
@@ -36,7 +37,7 @@ class Sensor:
     kind: Annotated[
         str, Entry("input registers (function 4) or holding (3)", choices=("input", "holding"))
     ]
-    type: Annotated[str, Entry("how the value is coded", choices=TYPES)]
+    type: Annotated[str, Entry("how the value is coded", choices=tuple(WIDTHS))]
     scale: Annotated[float, Entry("level = scale x raw + offset; m per count", low=-1e3, high=1e3)]
     low: Annotated[float, Entry("least level that is accepted (m)", low=-10, high=100)]
     high: Annotated[float, Entry("greatest level that is accepted (m)", low=-10, high=100)]
@@ -79,7 +80,7 @@ class Sensor:
     @property
     def registers(self) -> int:
         """How many registers the value takes."""
-        return width(self.type)
+        return WIDTHS[self.type]
 
 
 @dataclass(frozen=True)
@@ -108,27 +109,23 @@ def read_sensors(path: Path, level_limit: float = math.inf) -> Sensors:
     """
     content = read_yaml(path)
     sensors = read_record(Sensors, path, content)
-    for tank in TANKS:
-        sensor = getattr(sensors, tank)
-        _check(path, content[tank], tank, sensor)
-        if sensor.period > level_limit / 2:
-            raise _refused(
-                path, content[tank], tank, "period",
-                f"must be at most {level_limit / 2:g} s, half of level_limit: beyond that age "
-                "nobody takes the level, and the pump stands",
-            )
+    wrong = [
+        (f"{tank}.{key}", expected)
+        for tank in TANKS
+        for key, expected in _mistakes(getattr(sensors, tank), level_limit)
+    ]
     cistern, roof = sensors.cistern, sensors.roof
-    if parse_address(roof.address).shares_line(parse_address(cistern.address)):
-        raise _refused(
-            path, content["roof"], "roof", "address",
+    if not wrong and parse_address(roof.address).shares_line(parse_address(cistern.address)):
+        wrong.append((
+            "roof.address",
             "is the cistern's serial line, which one program alone can open: put a Modbus TCP "
             "gateway on it (tcp://HOST:PORT), or take another line",
-        )
+        ))
     if _place(cistern) == _place(roof):
-        raise _refused(
-            path, content["roof"], "roof", "register",
-            "is the cistern's: both sensors would be the same",
-        )
+        wrong.append(("roof.register", "is the cistern's: both sensors would be the same"))
+    for key, expected in wrong:
+        tank, _, name = key.partition(".")
+        raise error_at(path, content, key, content[tank].get(name), expected)
     return sensors
 
 
@@ -136,49 +133,40 @@ def _place(sensor: Sensor) -> tuple[object, ...]:
     return sensor.address, sensor.device_id, sensor.kind, sensor.register
 
 
-def _refused(
-    path: Path, mapping: YamlMapping, tank: str, key: str, expected: str
-) -> ConfigurationError:
-    return ConfigurationError(
-        expected, file=path, line=mapping.lines.get(key, min(mapping.lines.values())),
-        key=f"{tank}.{key}", value=mapping.get(key),
-    )
-
-
-def _check(path: Path, mapping: YamlMapping, tank: str, sensor: Sensor) -> None:
-    def refused(key: str, expected: str) -> ConfigurationError:
-        return _refused(path, mapping, tank, key, expected)
-
+def _mistakes(sensor: Sensor, level_limit: float) -> Iterator[tuple[str, str]]:
+    """Yield each key that cannot be as it is, and why."""
     try:
         parse_address(sensor.address)
     except ConfigurationError as error:
-        raise refused("address", str(error).rpartition(": ")[2]) from error
+        yield "address", str(error).rpartition(": ")[2]
     wide = sensor.registers == 2
     if wide != bool(sensor.word_order):
-        raise refused(
-            "word_order",
+        yield "word_order", (
             "must be 'high first' or 'low first'" if wide
-            else f"does not belong to {sensor.type}, which is one register",
+            else f"does not belong to {sensor.type}, which is one register"
         )
     if sensor.register + sensor.registers > 65536:
-        raise refused("register", "leaves no room for a second register")
+        yield "register", "leaves no room for a second register"
     if sensor.scale == 0:
-        raise refused("scale", "must not be 0")
+        yield "scale", "must not be 0"
     if sensor.low >= sensor.high:
-        raise refused("high", f"must be above low, {sensor.low:g} m")
+        yield "high", f"must be above low, {sensor.low:g} m"
     ends = sorted(sensor.scale * raw + sensor.offset for raw in limits(sensor.type))
     if ends[0] > sensor.low + abs(sensor.scale) or ends[1] < sensor.high - abs(sensor.scale):
-        raise refused(
-            "scale",
+        yield "scale", (
             f"cannot give the levels from {sensor.low:g} to {sensor.high:g} m: {sensor.type} with "
-            f"offset {sensor.offset:g} goes from {ends[0]:g} to {ends[1]:g} m",
+            f"offset {sensor.offset:g} goes from {ends[0]:g} to {ends[1]:g} m"
         )
     if sensor.median % 2 == 0:
-        raise refused("median", "must be odd, so that it is one of the readings")
+        yield "median", "must be odd, so that it is one of the readings"
     late = sensor.median // 2 * sensor.period
     if late > _LONGEST_FILTER_S:
-        raise refused(
-            "median",
+        yield "median", (
             f"is late by {late:g} s with a period of {sensor.period:g} s; at most "
-            f"{_LONGEST_FILTER_S:g} s are sensible",
+            f"{_LONGEST_FILTER_S:g} s are sensible"
+        )
+    if sensor.period > level_limit / 2:
+        yield "period", (
+            f"must be at most {level_limit / 2:g} s, half of level_limit: beyond that age nobody "
+            "takes the level, and the pump stands"
         )

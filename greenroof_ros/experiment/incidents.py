@@ -8,8 +8,11 @@ from collections import deque
 from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass, replace
 from datetime import datetime, timezone
+from functools import partial
 from pathlib import Path
 from typing import Any
+
+from greenroof_ros.common.disk import DISK
 
 # The file's name in the directory of a run, beside the bag.
 INCIDENTS = "incidents.jsonl"
@@ -18,6 +21,8 @@ MOST = 200
 # The part that stands for a node's own process.
 PROCESS = "process"
 
+# The part of the weather node, and of a controller that misses what it publishes.
+_FORECAST, _WEATHER = "forecast", "weather"
 _LOST = frozenset({"ERROR", "STALE"})
 _NOT_GOOD = _LOST | {"WARN"}
 # Parts of nodes whose loss is an incident: the levels of a diagnosis at which they are lost, and
@@ -27,9 +32,10 @@ _LOSSES: dict[str, tuple[frozenset[str], float]] = {
     "drive": (_LOST, 0.0),
     "pump": (_LOST, 0.0),
     "state file": (_LOST, 0.0),
+    "suspend": (_LOST, 0.0),
     "recording": (_LOST, 0.0),
     "sensor": (_LOST, 3.0),
-    "forecast": (_NOT_GOOD, 3.0),
+    _FORECAST: (_NOT_GOOD, 3.0),
     "rain gauge": (_NOT_GOOD, 3.0),
     "thermometer": (_NOT_GOOD, 3.0),
 }
@@ -40,6 +46,19 @@ _FOLLOWERS: dict[str, tuple[frozenset[str], float]] = {
     "inputs": (_LOST, 30.0),
     "command": (_LOST, 30.0),
 }
+
+
+def misses_forecast(node: str, part: str) -> bool:
+    """Whether a part of a node says that it misses the forecast, which the weather node lost."""
+    return part == _FORECAST and node != _WEATHER
+
+
+def _rule(node: str, part: str) -> tuple[frozenset[str], float, bool] | None:
+    """Return when a part of a node is lost, and whether that follows from something else."""
+    if misses_forecast(node, part):
+        return _NOT_GOOD, 30.0, True
+    rule = _LOSSES.get(part) or _FOLLOWERS.get(part)
+    return None if rule is None else (*rule, part in _FOLLOWERS)
 
 
 @dataclass(frozen=True)
@@ -123,7 +142,7 @@ class IncidentLog:
 
         Args:
             say: prints a line for people.
-            file: where each change is kept at once; None for nowhere.
+            file: where each change is kept at once, by the disk's thread; None for nowhere.
         """
         self.incidents: deque[Incident] = deque(maxlen=MOST)
         self.count = self.changes = 0
@@ -141,9 +160,13 @@ class IncidentLog:
         """Whether something is lost now."""
         return bool(self._open)
 
-    def keeps(self, part: str) -> bool:
+    def keeps(self, node: str, part: str) -> bool:
         """Whether the loss of a part is said here, now: it needs no other line."""
-        return part in _LOSSES or (part in _FOLLOWERS and self.lasting)
+        rule = _rule(node, part)
+        if rule is None:
+            return False
+        *_, follows = rule
+        return self.lasting or not follows
 
     def as_dicts(self) -> list[dict[str, Any]]:
         """Return the newest incidents for a summary."""
@@ -179,21 +202,22 @@ class IncidentLog:
             starting: only what was good before can be lost; the rest has not come yet.
         """
         for node, report in reports.items():
-            for part, (level, message) in report.get("diagnoses", {}).items():
-                rule = _LOSSES.get(part) or _FOLLOWERS.get(part)
+            for part, (level, message, _) in report.get("diagnoses", {}).items():
+                rule = _rule(node, part)
                 if rule is None:
                     continue
-                about, (lost, lasts_s) = (node, part), rule
+                about, (lost, lasts_s, follows) = (node, part), rule
                 if level == "OK":
                     self._good.add(about)
                 if level not in lost:
                     self._pending.pop(about, None)
                     self.end(node, part, tick)
                 elif about not in self._open and (not starting or about in self._good):
-                    self._suspect(about, message, tick, lasts_s)
+                    self._suspect(about, message, tick, lasts_s, follows=follows)
 
     def _suspect(
-        self, about: tuple[str, str], cause: str, tick: int | None, lasts_s: float
+        self, about: tuple[str, str], cause: str, tick: int | None, lasts_s: float, *,
+        follows: bool,
     ) -> None:
         """Begin an incident that has lasted long enough."""
         now = time.monotonic()
@@ -204,7 +228,7 @@ class IncidentLog:
         seen, incident = self._pending.setdefault(
             about, (now, Incident(0, node, part, cause, began, began_tick=tick))
         )
-        if part in _FOLLOWERS and self.lasting:
+        if follows and self.lasting:
             self._pending.pop(about)
         elif now - seen >= lasts_s:
             del self._pending[about]
@@ -241,13 +265,16 @@ class IncidentLog:
 
     def _keep(self, incident: Incident) -> None:
         self.changes += 1
-        if self._file is None:
-            return
+        if self._file is not None:
+            DISK.do(partial(self._write, self._file, json.dumps(asdict(incident)) + "\n"))
+
+    def _write(self, file: Path, line: str) -> None:
+        """Write a line, on the disk's thread; a full disk stops nobody, the summary has it, too."""
         try:
-            with self._file.open("a", encoding="utf-8") as stream:
-                stream.write(json.dumps(asdict(incident)) + "\n")
-        except OSError as error:  # a full disk stops nobody; the summary has it, too
-            self._say(f"warning: {self._file}: {error.strerror}")
+            with file.open("a", encoding="utf-8") as stream:
+                stream.write(line)
+        except OSError as error:
+            self._say(f"warning: {file}: {error.strerror}")
 
 
 def with_incidents(text: str, count: int) -> str:

@@ -40,7 +40,7 @@ def build(
         messages: how many messages of each topic are in the bag.
         refused: how many values of each topic were refused.
         parameter_changes: parameters changed during the run, with their tick.
-        incidents: nodes that failed and were started again.
+        incidents: what was lost in the run while it went on.
     """
     return {
         **_status(DONE, None, run.steps),
@@ -79,7 +79,7 @@ def build_unfinished(
         last_tick: the last that the plant reported.
         refused: how many values of each topic were refused until then.
         parameter_changes: parameters changed until then, with their tick.
-        incidents: nodes that failed and were started again.
+        incidents: what was lost in the run while it went on.
     """
     return {
         **_status(status, reason, last_tick),

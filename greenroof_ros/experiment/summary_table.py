@@ -134,29 +134,19 @@ def table(summary: Mapping[str, Any]) -> Table:
 
 
 def _incident_row(incident: Mapping[str, Any], tau: float) -> tuple[str, str, str]:
-    """Return the row of something that was lost in the run, or of a node that was started again.
+    """Return the row of something that was lost in the run.
 
     Args:
         incident: of the summary.
         tau: duration of a tick (s).
     """
-    if "part" in incident:
-        lost = Incident(**incident)
-        assert lost.began_tick is not None
-        until = "to the end"
-        if lost.ended_tick is not None:
-            until = f"to {hours_minutes(lost.ended_tick * tau)}, {lost.seconds:.1f} s of wall time"
-        began = hours_minutes(lost.began_tick * tau)
-        return ("INCIDENT", lost.node, f"from {began} {until}: {lost.cause}")
-    after = "another process ended before it went on"
-    if incident["tick"] is not None:
-        after = (
-            f"another went on from tick {incident['tick']}, after "
-            f"{incident['restarted_after_s']:g} s"
-        )
-    if incident["lost"]:
-        after += f"; {len(incident['lost'])} messages are lost"
-    return ("RESTARTED", incident["node"], f"it ended ({incident['how']}); {after}")
+    lost = Incident(**incident)
+    assert lost.began_tick is not None
+    until = "to the end"
+    if lost.ended_tick is not None:
+        until = f"to {hours_minutes(lost.ended_tick * tau)}, {lost.seconds:.1f} s of wall time"
+    began = hours_minutes(lost.began_tick * tau)
+    return ("INCIDENT", lost.node, f"from {began} {until}: {lost.cause}")
 
 
 def show(summary: Mapping[str, Any], directory: Path, *, as_json: bool) -> None:
@@ -170,8 +160,6 @@ def show(summary: Mapping[str, Any], directory: Path, *, as_json: bool) -> None:
     else:
         console = Console()
         console.print(table(summary))
-        # Nodes that were started again were so by request.
-        count = sum("part" in incident for incident in summary["incidents"])
-        done = with_incidents(summary["status"], count)
+        done = with_incidents(summary["status"], len(summary["incidents"]))
         console.print(f"{done}; written to {directory}", soft_wrap=True, highlight=False)
     flush_output(f"; the summary is in {directory / SUMMARY}")

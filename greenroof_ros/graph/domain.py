@@ -36,8 +36,7 @@ def _taken(what: str, namespace: str) -> OccupiedError:
     place = f"in ROS domain {domain}" + (f", namespace {namespace}" if namespace else "")
     return OccupiedError(
         f"{what} already {place}; end it, or take another domain: "
-        f"ROS_DOMAIN_ID={domain % 100 + 1} python -m greenroof_ros.bringup ..., "
-        "or another --namespace"
+        f"ROS_DOMAIN_ID={domain % 100 + 1} greenroof run ..., or another --namespace"
     )
 
 
@@ -52,9 +51,19 @@ def only_bringup(namespace: str) -> Iterator[None]:
 
     Raises:
         OccupiedError: one runs already.
+        ConfigurationError: the lock cannot be opened. Everybody may write where it is: a symbolic
+            link in its place, to a file of this user's, is not followed.
     """
     name = f"greenroof_ros-{os.getuid()}-domain-{_domain()}{namespace.replace('/', '-')}.lock"
-    with (_LOCKS / name).open("w") as stream:
+    lock = _LOCKS / name
+    try:
+        number = os.open(lock, os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW, 0o600)
+    except OSError as error:
+        raise ConfigurationError(
+            f"cannot be opened ({error.strerror}), without which two bringups could run one site; "
+            "remove it", file=lock,
+        ) from error
+    with os.fdopen(number, "r+b") as stream:
         try:
             fcntl.flock(stream, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except OSError:

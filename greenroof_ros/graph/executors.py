@@ -1,6 +1,8 @@
-"""rclpy's executors: the slow one says the number of a message, the fast one does not.
+"""The executor of a node, and the one private part of rclpy that the graph needs.
 
-See :attr:`greenroof_ros.graph.link.LinkedNode.in_lockstep` for who takes which.
+In lockstep it is ``rclpy.experimental.EventsExecutor``, which takes a third of the processor time,
+or rclpy's own where an rclpy lacks that. A live node has events of its publishers, which can lock
+up the fast executor (rmw_fastrtps, pull request 890), and time enough for the slow one.
 """
 
 from __future__ import annotations
@@ -14,7 +16,7 @@ from rclpy.subscription import Subscription
 
 
 def make_executor() -> Any:
-    """Return the fastest executor that this rclpy has; it does not say the number of a message."""
+    """Return the fastest executor that this rclpy has."""
     try:
         from rclpy.experimental import EventsExecutor
     except ImportError:
@@ -22,27 +24,24 @@ def make_executor() -> Any:
     return EventsExecutor()
 
 
-def hand_over(node: Node, slow: SingleThreadedExecutor) -> Any:
-    """Take a node from the slow executor to the fastest one, and return that.
+def begin_to_listen(executor: Any, node: Node) -> None:
+    """Give a node to an executor, and hand it the messages that came before it listened.
 
-    No message is left behind. The fast executor is told of each that comes; but rmw_fastrtps counts
-    those that wait before it listens for others, and of one that comes in between nothing is said
-    until the next, which in lockstep never comes. ``test/swaps.py`` measures how often. So
-    whatever waits is taken once the executor listens.
+    rmw_fastrtps counts the messages that wait, and listens for others after that; of one that comes
+    in between nothing is said until the next, which in lockstep never comes. ``test/swaps.py``
+    measures how often. rclpy has no public way to take what waits: ``handle.take_message`` is
+    private, and ``test/graph/test_executors.py`` fails where an rclpy has it no more.
 
     Args:
+        executor: that is to serve the node.
         node: all of its subscriptions to serialised messages have callbacks of one argument.
-        slow: has the node.
     """
-    slow.remove_node(node)
-    fast = make_executor()
-    fast.add_node(node)
-    fast.spin_once(timeout_sec=0.0)  # it begins to listen here, not in add_node
+    executor.add_node(node)
+    executor.spin_once(timeout_sec=0.0)  # it begins to listen here, not in add_node
     for subscription in node.subscriptions:
         if subscription.raw:
             for message, _ in waiting_in(subscription):
                 subscription.callback(message)
-    return fast
 
 
 def waiting_in(subscription: Subscription) -> Iterator[tuple[bytes, Any]]:

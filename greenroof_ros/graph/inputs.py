@@ -2,25 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection
-from typing import Protocol
+from collections.abc import Collection, Iterable, Mapping
 
 from greenroof_ros.common.interface import Topic
-from greenroof_ros.graph.peers import Peers, by_publisher
+from greenroof_ros.graph.publishers import Publishers
+from greenroof_ros.graph.states import ROLES
 from greenroof_ros.graph.validation import Input
-
-
-class PublisherCount(Protocol):
-    """How many publishers a topic has, as far as a trigger counts them."""
-
-    @property
-    def count(self) -> int:
-        """Of those that count."""
-        ...
-
-    def names(self) -> list[str]:
-        """Return the names of the publishers' nodes, as far as they are known."""
-        ...
 
 
 class Inputs:
@@ -28,31 +15,27 @@ class Inputs:
 
     Attributes:
         entries: the newest value of each.
-        publishers: how many each has.
+        publishers: of each.
+        names: what to call a node that has not been seen, by its role.
     """
 
-    def __init__(self, role: str, interface: dict[str, Topic], peers: Peers) -> None:
+    def __init__(self, role: str, interface: dict[str, Topic]) -> None:
         """Begin without any.
 
         Args:
             role: of the node.
             interface: every topic of the graph.
-            peers: of the node, which have names.
         """
         self.entries: dict[str, Input] = {}
-        self.publishers: dict[str, PublisherCount] = {}
+        self.publishers: dict[str, Publishers] = {}
+        self.names = dict(ROLES)
         self._role = role
         self._interface = interface
-        self._peers = peers
-
-    def publisher_of(self, name: str) -> str:
-        """Return the role of who publishes a topic."""
-        return next(who for who in self._interface[name].publishers if who != self._role)
 
     def absent(self) -> dict[str, list[str]]:
-        """Return the topics without a publisher, by the role of who should publish them."""
+        """Return the topics that nobody is heard on, by the role of who should publish them."""
         return self.by_role([
-            name for name, publishers in self.publishers.items() if not publishers.count
+            name for name, publishers in self.publishers.items() if not publishers.heard
         ])
 
     def by_role(self, names: Collection[str]) -> dict[str, list[str]]:
@@ -60,10 +43,59 @@ class Inputs:
         topics = {name: self._interface[name] for name in self.publishers}
         return by_publisher(names, topics, self._role)
 
-    def say(self, silent: dict[str, list[str]]) -> str:
+    def say(self, silent: Mapping[str, Collection[str]]) -> str:
         """Name topics, and the nodes that should publish them."""
         return "; ".join(
             f"{', '.join(self.entries[name].name for name in names)} from "
-            f"{self._peers.call(role, self.publishers[names[0]].names())}"
+            f"{self.call(role, names)}"
             for role, names in silent.items()
         )
+
+    def call(self, role: str, names: Iterable[str] = ()) -> str:
+        """Return what to call the node of a role: its name, where it publishes one of some topics.
+
+        Args:
+            role: of the interface.
+            names: of topics.
+        """
+        found = [node for name in names for node in self.publishers[name].names()]
+        return found[0] if found else self.names.get(role, role)
+
+
+def root_causes(roles: Collection[str], topics: Iterable[Topic]) -> set[str]:
+    """Return which of some silent roles do not themselves wait for another of them, or else all.
+
+    Args:
+        roles: from which nothing comes.
+        topics: of the interface, which says who waits for whom.
+    """
+    waiting = {
+        role
+        for topic in topics
+        for role in roles
+        if topic.per_tick and role in topic.subscribers
+        and any(other in roles and other != role for other in topic.publishers)
+    }
+    return set(roles) - waiting or set(roles)
+
+
+def by_publisher(
+    absent: Collection[str], topics: Mapping[str, Topic], own: str
+) -> dict[str, list[str]]:
+    """Return topics on which there is nothing, by the role of who should publish them.
+
+    Where the interface names two, the plant or a pump driver, it is the first of whom nothing else
+    is here.
+
+    Args:
+        absent: names of those topics.
+        topics: all that a node subscribes to, by name.
+        own: role of that node.
+    """
+    here = {own} | {topic.publishers[0] for name, topic in topics.items() if name not in absent}
+    roles: dict[str, list[str]] = {}
+    for name in absent:
+        candidates = topics[name].publishers
+        role = next((role for role in candidates if role not in here), candidates[-1])
+        roles.setdefault(role, []).append(name)
+    return roles

@@ -8,39 +8,36 @@ time, on a live site (:mod:`greenroof_ros.graph.live`).
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Collection
-from inspect import signature
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any, cast
 
 from rclpy.clock import ROSClock
 from rclpy.clock_type import ClockType
 from rclpy.duration import Duration
+from rclpy.event_handler import PublisherEventCallbacks
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 from rclpy.publisher import Publisher
-from rclpy.subscription import Subscription
 from rclpy.time import Time
 
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.interface import read_live_topics, read_topics
 from greenroof_ros.graph.errors import LockstepError
-from greenroof_ros.graph.executors import waiting_in
 from greenroof_ros.graph.inputs import Inputs
-from greenroof_ros.graph.live import Live, LivePublishers
-from greenroof_ros.graph.lockstep import Lockstep
+from greenroof_ros.graph.live import Live
+from greenroof_ros.graph.lockstep import CLOCK, PLANT, RUN, Lockstep
 from greenroof_ros.graph.parameters import LIVE, declare, site_file
-from greenroof_ros.graph.peers import Peers
+from greenroof_ros.graph.publishers import Publishers
 from greenroof_ros.graph.qos import message_class, qos_profile
-from greenroof_ros.graph.reports import OK, WARN, Diagnosis, Report, Reports
-from greenroof_ros.graph.serialization import encoder
+from greenroof_ros.graph.reports import OK, WARN, Reports
+from greenroof_ros.graph.serialization import decoder, encoder
 from greenroof_ros.graph.states import ENDED, FINISHED, READY, STARTING
 from greenroof_ros.graph.unfit_publishers import UnfitPublishers
 from greenroof_ros.graph.validation import Input
 from greenroof_ros.model.site import Site, read_site
 from greenroof_ros.pumping.input_rules import LevelRule
 
-CLOCK = "/clock"
 # How long a node listens at most before it looks at its clocks and signals again (s).
 LISTEN_S = 0.05
 # How long a node that ends waits for its readers (s): one that was killed stays matched.
@@ -58,22 +55,17 @@ class LinkedNode(Node):
     one it lives in simulated time (``use_sim_time`` is true).
 
     Attributes:
-        repeats: whether the node gives the same answer to a tick whenever it is asked.
         role: what the interface calls it: its name, or ``controller``.
         live: whether its graph is live.
         sent: how many messages went out, by topic.
         error: why the node cannot go on.
         acted: whether the run has begun for the node.
         over: whether the node may end by itself: nobody supervises it, the run is over, and all
-            who were in it have its last word.
-        final_reports: the values of the reports of nodes that have finished, by node.
+            that it said has arrived.
         inputs: what it subscribes to.
         interface: every topic of the graph, by name.
-        peers: the other nodes.
         reports: what it says of itself.
     """
-
-    repeats = False
 
     def __init__(
         self, name: str, role: str, *, may_be_live: bool = True, always_live: bool = False
@@ -101,24 +93,33 @@ class LinkedNode(Node):
         self.error: Exception | None = None
         self.acted = False
         self.over = False
-        self.final_reports: dict[str, dict[str, Any]] = {}
         self.interface = read_live_topics() if self.live else read_topics()
-        self.peers = Peers(self.get_logger())
-        self.inputs = Inputs(role, self.interface, self.peers)
+        self.inputs = Inputs(role, self.interface)
         self._unfit = UnfitPublishers(self)
         self._outputs: list[Publisher] = []
         self._looked = self._reported = 0.0
         self._final_values: dict[str, Any] = {}
         self._site_file: dict[str, str] = {}
-        self._trigger = Live(self) if self.live else Lockstep(self)
+        self._trigger = Live(self, self) if self.live else Lockstep(self, self)
         self._is_good = self._trigger.good
         simulated = Parameter("use_sim_time", Parameter.Type.BOOL, self._trigger.simulated_time)
         self.set_parameters([simulated])
         self._ros_clock = cast(ROSClock, self.get_clock())
-        self.reports = Reports(self, role, self._on_report)
-        self._subscriptions_while_joining: dict[str, tuple[Subscription, Callable[..., None]]] = {}
-        if isinstance(self._trigger, Lockstep):
-            self._trigger.start(self)
+        on_report = self._trigger.hear if isinstance(self._trigger, Live) else None
+        self.reports = Reports(self, role, on_report)
+        if isinstance(self._trigger, Lockstep) and role != PLANT:
+            self._follow_run(self._trigger)
+
+    def _follow_run(self, lockstep: Lockstep) -> None:
+        """Take part in the run that the plant says."""
+        topic = self.interface[RUN]
+        decode = decoder(topic.type)
+        self.create_subscription(
+            message_class(topic.type), topic.graph_name,
+            self._guarded(lambda message: lockstep.hear_run(decode(message))),
+            qos_profile(topic.qos), raw=True,
+            event_callbacks=Publishers(self, topic).events(),
+        )
 
     # --- to override ------------------------------------------------------------------------
 
@@ -132,26 +133,6 @@ class LinkedNode(Node):
             How long the node may wait for the next message (s).
         """
         return LISTEN_S
-
-    def on_begin(self, tick: int) -> None:
-        """Begin with a tick: 0, or a later one where the node was started again in the run."""
-
-    def on_restart(self, name: str) -> None:
-        """Wait anew for another node, which was started again."""
-
-    def begins_at(self) -> int | None:
-        """Return the tick from which the node answers, if it knows it by itself."""
-        return None
-
-    def on_plant_finished(self) -> None:
-        """End the run for this node: the plant has."""
-        self.finish()
-
-    def on_answered_again(self, name: str) -> None:
-        """Forget what came on a topic for the present tick: its publisher was started again.
-
-        That is a node of somebody else's, which does not say from which tick it answers.
-        """
 
     def on_stop(self) -> None:
         """Put away what is open; called once at the end, whatever the reason."""
@@ -202,7 +183,8 @@ class LinkedNode(Node):
         """
         topic = self.interface[name]
         publisher = self.create_publisher(
-            message_class(topic.type), topic.graph_name, qos_profile(topic.qos)
+            message_class(topic.type), topic.graph_name, qos_profile(topic.qos),
+            event_callbacks=PublisherEventCallbacks(use_default_callbacks=False),
         )
         self._outputs.append(publisher)
         self.sent[name] = 0
@@ -225,8 +207,7 @@ class LinkedNode(Node):
             name: of the topic in the interface.
             callback: called with each value; without it the input is one of those that must be
                 fresh before the node acts.
-            raw: the callback gets the serialised message, and the node does not watch whether the
-                publisher lives: it only keeps what is published.
+            raw: the callback gets the serialised message: the node only keeps what is published.
             optional: the node acts without it, too; only in a live graph.
             level: what else holds for a level in a live graph.
             heals: a second publisher ends nothing in lockstep, either; the node looks itself
@@ -236,22 +217,11 @@ class LinkedNode(Node):
         entry = Input(topic, self.resolve_topic_name(topic.graph_name), self.get_logger())
         self.inputs.entries[name] = entry
         publishers, on_message = self._trigger.open(
-            self, entry, callback, raw=raw, optional=optional, level=level, heals=heals,
+            entry, callback, raw=raw, optional=optional, level=level, heals=heals
         )
         if not optional:
             self.inputs.publishers[name] = publishers
-        events = publishers.events()
-        events.incompatible_qos = self._unfit.on_event(topic, events.incompatible_qos)
-        guarded = self._guarded(on_message)
-        first = guarded
-        if isinstance(self._trigger, Lockstep) and self._trigger.joining:
-            first = self._guarded(self._trigger.while_joining(name))
-        subscription = self.create_subscription(
-            message_class(topic.type), topic.graph_name, first, publishers.profile(), raw=True,
-            event_callbacks=events,
-        )
-        if first is not guarded:
-            self._subscriptions_while_joining[name] = (subscription, guarded)
+        self._open(publishers, on_message)
         return entry
 
     def record(self, name: str, callback: Callable[[bytes], None]) -> None:
@@ -261,13 +231,15 @@ class LinkedNode(Node):
             name: of the topic in the interface.
             callback: called with each message, serialised.
         """
-        topic = self.interface[name]
-        publishers = LivePublishers(self, topic, self.peers, recorded=True)
-        events = publishers.events()
-        events.incompatible_qos = self._unfit.on_event(topic, events.incompatible_qos)
+        peers = cast(Live, self._trigger).peers
+        self._open(Publishers(self, self.interface[name], peers, recorded=True), callback)
+
+    def _open(self, publishers: Publishers, callback: Callable[[bytes], None]) -> None:
+        topic = publishers.topic
+        self._unfit.watched.append(publishers)
         self.create_subscription(
             message_class(topic.type), topic.graph_name, self._guarded(callback),
-            publishers.profile(), raw=True, event_callbacks=events,
+            publishers.profile(), raw=True, event_callbacks=publishers.events(),
         )
 
     def rivals(self, name: str) -> Callable[[float], str]:
@@ -280,17 +252,12 @@ class LinkedNode(Node):
             What says that there is one, at a time of the steady clock (s); empty where there is
             none.
         """
-        topic = self.interface[name]
-        publishers = LivePublishers(self, topic, self.peers, recorded=False)
-        self.create_subscription(
-            message_class(topic.type), topic.graph_name, lambda _: None, publishers.profile(),
-            raw=True, event_callbacks=publishers.events(),
-        )
-        full_name = self.resolve_topic_name(topic.graph_name)
+        publishers = Publishers(self, self.interface[name], cast(Live, self._trigger).peers)
+        self._open(publishers, lambda message: None)
 
         def problem(now: float) -> str:
             found = publishers.problem(now)
-            return f"{full_name} {found}" if found else ""
+            return f"{publishers.full_name} {found}" if found else ""
 
         return problem
 
@@ -300,94 +267,41 @@ class LinkedNode(Node):
             self._trigger.act_every(period)
 
     @property
-    def in_lockstep(self) -> bool:
-        """Whether the node takes part in a run whose other nodes are all here.
+    def run_length(self) -> int | None:
+        """N of the run that the node takes part in; None before the plant has said it."""
+        run = self._trigger.run if isinstance(self._trigger, Lockstep) else None
+        return None if run is None else run.last_tick
 
-        Only then it takes rclpy's fast executor. Before, and on a live site, it takes the slow one,
-        which says more of each message; and rmw_fastrtps can lock up where the fast one begins to
-        listen, or hears of two changes at once, while the liveliness of a peer changes.
-        """
-        return not (self.live or self._subscriptions_while_joining) and self.ready
-
-    def _take_part(self) -> None:
-        """Receive messages as fast as it goes from now on."""
-        for subscription, receive in self._subscriptions_while_joining.values():
-            subscription.callback = receive
-        self._subscriptions_while_joining.clear()
-
-    def take_all(self, names: Collection[str]) -> None:
-        """Take all messages of some inputs that are here and were not yet taken, while joining.
-
-        The slow executor takes one of each topic in turn, so that a report may come before what
-        was published before it.
-        """
-        for name in names:
-            subscription, _ = self._subscriptions_while_joining[name]
-            for message, information in waiting_in(subscription):
-                subscription.callback(message, information)
-
-    def taken(self, name: str) -> int:
-        """Return how many messages of a topic, one a tick, the node has had."""
-        return cast(Lockstep, self._trigger).taken(name)
-
-    def take_again(self, name: str, first: int) -> None:
-        """Expect a topic from a tick on: its publisher was started again, and begins there."""
-        cast(Lockstep, self._trigger).take_again(name, first)
-
-    def report_soon(self) -> None:
-        """Say how the node is as soon as it looks at its clocks."""
-        self._reported = 0.0
-
-    def tick_is_open(self) -> bool:
-        """Whether the plant has published a tick on which this node has not acted."""
-        return isinstance(self._trigger, Lockstep) and self._trigger.tick_is_open()
-
-    def _guarded(self, callback: Callable[..., None]) -> Callable[..., None]:
+    def _guarded(self, callback: Callable[[bytes], None]) -> Callable[[bytes], None]:
         """Keep an error for the node's loop: the executor would print it, and more, by itself."""
-        errors = (LockstepError, ConfigurationError, OSError)
 
         def guarded(message: bytes) -> None:
             try:
                 callback(message)
-            except errors as error:
+            except (LockstepError, ConfigurationError, OSError) as error:
                 self.error = self.error or error
 
-        def guarded_with_information(message: bytes, information: Any) -> None:
-            try:
-                callback(message, information)
-            except errors as error:
-                self.error = self.error or error
-
-        # rclpy counts the arguments.
-        with_information = len(signature(callback).parameters) == 2
-        return guarded_with_information if with_information else guarded
+        return guarded
 
     # --- running ----------------------------------------------------------------------------
 
     @property
     def ready(self) -> bool:
-        """Whether every input has its publisher."""
-        return not self._trigger.doubtful and all(
-            publishers.count for publishers in self.inputs.publishers.values()
-        )
+        """Whether every input had its publisher once."""
+        return self.reports.state != STARTING
 
     @property
     def good(self) -> bool:
         """Whether no input's present value was refused, or, live, breaks another rule."""
         return self._is_good()
 
-    @property
-    def doubtful(self) -> bool:
-        """Whether a topic has two publishers, of which one may be dead."""
-        return self._trigger.doubtful
-
     def absent(self) -> str:
         """Name the topics without a publisher, and who should publish them."""
         return self.inputs.say(self.inputs.absent())
 
     def missing(self) -> str:
-        """Name the topics that the node waits for, and who should publish them."""
-        return self._trigger.missing()
+        """Name the topics that a node in lockstep waits for, and who should publish them."""
+        return cast(Lockstep, self._trigger).missing()
 
     def refuse(self, name: str, why: str) -> None:
         """Refuse the newest value of an input in a live graph: it cannot be acted on.
@@ -399,20 +313,22 @@ class LinkedNode(Node):
         if isinstance(self._trigger, Live):
             self._trigger.refuse(name, why)
 
-    def diagnose(self, part: str, level: bytes, message: str) -> None:
+    def diagnose(
+        self, part: str, level: bytes, message: str, code: str = "", cause: str = ""
+    ) -> None:
         """Say how a part of the node is; a change is logged.
 
         Args:
             part: its name.
             level: of :mod:`greenroof_ros.graph.reports`: ``OK``, ``WARN``, ``ERROR`` or ``STALE``.
             message: a sentence.
+            code: of :data:`greenroof_ros.pumping.conditions.CONDITIONS`; empty where all is well.
+            cause: the code that it follows from, if that is known.
         """
         before = self.reports.diagnoses.get(part)
-        now = Diagnosis(level, message)
-        if now == before:
+        if not self.reports.diagnose(part, level, message, code, cause):
             return
-        self.reports.diagnoses[part] = now
-        self.report_soon()
+        self._reported = 0.0  # at once
         if level == OK:
             if before is not None:
                 self.get_logger().info(message)
@@ -437,47 +353,40 @@ class LinkedNode(Node):
         if now - self._looked > LISTEN_S:
             self._looked = now
             self._trigger.look(now)
+            if self.live or not self.acted:
+                self._unfit.look(now)
+            if not self.ready and not self.inputs.absent():
+                self.reports.state = READY
+                self._report(now)
         if self.error is not None:
             raise self.error
-        self._unfit.look()
-        if self.reports.state == STARTING and self.ready:
-            self.reports.state = READY
-            self._report(now)
-        elif now - self._reported > _REPORT_S:
+        if now - self._reported > _REPORT_S:
             # Again and again, for a reader that joins late may miss what was said once.
             self._report(now)
         self._trigger.act_if_due()
-        if self._subscriptions_while_joining and not cast(Lockstep, self._trigger).joining:
-            self._take_part()
 
     def finish(self) -> None:
         """Say from now on that the run is over for this node, with what its summary needs."""
         self._final_values = {"sent": dict(self.sent), **self.summary()}
         self.reports.state = FINISHED
-        now = time.monotonic()
-        self._trigger.finish(now)
-        self._report(now)
+        self._report(time.monotonic())
+
+    def all_arrived(self) -> bool:
+        """Whether all that the node said has come to who hears it."""
+        now = Duration()
+        return all(publisher.wait_for_all_acked(now) for publisher in self._outputs)
 
     def _report(self, now: float) -> None:
         self._reported = now
-        starting = self.reports.state == STARTING
-        waiting = {"waiting": list(self.inputs.absent())} if starting else {}
+        waiting = {} if self.ready else {"waiting": list(self.inputs.absent())}
         refused = {
             name: entry.refused for name, entry in self.inputs.entries.items() if entry.refused
         }
-        ticks = self._trigger.said() if isinstance(self._trigger, Lockstep) else {}
+        run = {} if self.live else {"run_length": self.run_length}
         self.reports.say({
-            **self._site_file, **ticks, **self.progress(), **waiting, "refused": refused,
+            **self._site_file, **run, **self.progress(), **waiting, "refused": refused,
             "warnings": self._unfit.warnings, **self._final_values,
         })
-
-    def _on_report(self, report: Report) -> None:
-        """Take a peer's report."""
-        self.peers.hear(report)
-        try:
-            self._trigger.hear(report)
-        except LockstepError as error:
-            self.error = self.error or error
 
     def flush(self, failure: str | None) -> None:
         """Say that the node ends, and wait a second at most until its readers have all it said.

@@ -63,6 +63,7 @@ class _Node:
     starts_again: float | None = None  # at what time, where it does not run
     restarts: deque[float] = field(default_factory=deque)  # when, within the window
     was_ready: bool = False
+    cannot_start: str = ""  # why the system gives no process for it
 
 
 class LiveSupervisor(NodeProcesses):
@@ -75,7 +76,7 @@ class LiveSupervisor(NodeProcesses):
     recorder is never given up, and ends nothing: recording must not stop control.
 
     Attributes:
-        hold: why the pump may not run; empty where it may.
+        inhibit: why the pump may not run; empty where it may.
         may_run: that the pump may run after the end, and what protects; empty where it stands.
     """
 
@@ -106,15 +107,16 @@ class LiveSupervisor(NodeProcesses):
         super().__init__(logs, parameters, namespace)
         # Files of rcl's own, besides what a node prints, would grow for months.
         self._ros_arguments.append("--disable-external-lib-logs")
-        self.hold = "starting"
+        self.inhibit = "starting"
         self.may_run = ""
-        self._held_since = time.monotonic()
+        self._inhibited_since = time.monotonic()
         self._met = False
         self._known: dict[str, _Node] = {}
         self._silence_s = silence_s
         self._restarts = restarts
         self._stop_drive = stop_drive
         self._stopper = ThreadPoolExecutor(1)
+        self._stopper.submit(int)  # its thread is here before the system may have none to give
         self._stopping: Future[tuple[bool, str]] | None = None
         self._on_failure = on_failure
         self._permit = Permit()
@@ -151,13 +153,23 @@ class LiveSupervisor(NodeProcesses):
     def add(self, node: str, module: str, *arguments: str) -> None:
         """Start a node, now and whenever it has failed; see :meth:`NodeProcesses.start`."""
         self._known[node] = _Node(module, arguments)
-        self._start(node)
+        self._start(node, time.monotonic())
 
-    def _start(self, name: str) -> None:
+    def _start(self, name: str, now: float) -> None:
+        """Start a node; one for which the system has no process or file is tried again for ever."""
         known = self._known[name]
-        known.started, known.starts_again = time.monotonic(), None
-        pipes = self._permit.open() if name == PUMP else {}
-        self.start(name, known.module, *known.arguments, pipes=pipes)
+        known.started, known.starts_again = now, None
+        try:
+            pipes = self._permit.open() if name == PUMP else {}
+            self.start(name, known.module, *known.arguments, pipes=pipes)
+            known.cannot_start = ""
+        except OSError as error:
+            known.starts_again = now + _LONGEST_WAIT_S
+            why, before = error.strerror or str(error), known.cannot_start
+            known.cannot_start = why
+            if why != before:
+                done = f"tried again every {_LONGEST_WAIT_S:g} s"
+                self._note(name, f"cannot be started: {why}", done + _unrecorded(name))
 
     def look(self) -> None:
         """Restart what failed, and tell the pump node whether it may run; called all the time.
@@ -171,7 +183,7 @@ class LiveSupervisor(NodeProcesses):
             if known.starts_again is not None:
                 drive_is_being_stopped = name == PUMP and self._stopping is not None
                 if now >= known.starts_again and not drive_is_being_stopped:
-                    self._start(name)
+                    self._start(name, now)
                 continue
             node = self.nodes[name]
             known.was_ready |= self._is_ready(name)
@@ -193,14 +205,14 @@ class LiveSupervisor(NodeProcesses):
         if self._stopping is not None and self._stopping.done():
             self._note(PUMP, "could not stop the drive", self._stopping.result()[1])
             self._stopping = None
-        held, self.hold = self.hold, self._reason_to_hold(now)
-        if self.hold and not held:
-            self._held_since, self._met = now, False
-        self._permit.tell(self.hold)
+        before, self.inhibit = self.inhibit, self._reason_to_inhibit(now)
+        if self.inhibit and not before:
+            self._inhibited_since, self._met = now, False
+        self._permit.tell(self.inhibit)
 
     def _pump_state(self) -> str:
         """Return the state of the pump that its node said last; empty before it said one."""
-        return str(self.last.get(PUMP, {}).get("pump", "")).partition(":")[0]
+        return str(self.last.get(PUMP, {}).get("pump_state", ""))
 
     def _says_it_stands(self) -> bool:
         """Whether the pump node said last that the pump stands: it was seen to, or must by now."""
@@ -212,15 +224,15 @@ class LiveSupervisor(NodeProcesses):
         A pump that turns although the node says that it is told to stop is met once while the pump
         is held: the node is right perhaps, and another stop no use.
         """
-        if not self.hold or self._says_it_stands():
+        if not self.inhibit or self._says_it_stands():
             return ""
-        passed = now - max(self._held_since, self._known[PUMP].started, self.awake_since)
+        passed = now - max(self._inhibited_since, self._known[PUMP].started, self.awake_since)
         state = self._pump_state()
         if passed > _OBEYS_S and state in ("running", "starting"):
-            return f"ran the pump for {_OBEYS_S:g} s after it was forbidden ({self.hold})"
+            return f"ran the pump for {_OBEYS_S:g} s after it was forbidden ({self.inhibit})"
         if passed > _OBEYS_S + LONGEST_RAMP_S and state and not self._met:
             self._met = True
-            return f"did not stop the pump within {_OBEYS_S + LONGEST_RAMP_S:g} s ({self.hold})"
+            return f"did not stop the pump within {_OBEYS_S + LONGEST_RAMP_S:g} s ({self.inhibit})"
         return ""
 
     @property
@@ -228,7 +240,7 @@ class LiveSupervisor(NodeProcesses):
         """Whether every node runs and has all that it needs, but for a recorder that failed."""
         return all(
             self._is_ready(name) for name, known in self._known.items()
-            if name != RECORDER or not known.restarts
+            if name != RECORDER or not (known.restarts or known.cannot_start)
         )
 
     @property
@@ -268,15 +280,14 @@ class LiveSupervisor(NodeProcesses):
         wait = _WINDOW_S if too_often else min(2.0 ** len(known.restarts), _LONGEST_WAIT_S)
         known.restarts.append(now)
         known.starts_again = now + wait
-        unrecorded = "; nothing is recorded until then" if name == RECORDER else ""
-        self._note(name, what, f"starts again in {wait:g} s{unrecorded}")
+        self._note(name, what, f"starts again in {wait:g} s{_unrecorded(name)}")
         if name == PUMP and self._stop_drive is not None:
             self._stopping = self._stopper.submit(self._stop_drive, self.nodes[name].process.pid)
 
     def _note(self, node: str, what: str, done: str) -> None:
         self._on_failure(Failure(node, what, done))
 
-    def _reason_to_hold(self, now: float) -> str:
+    def _reason_to_inhibit(self, now: float) -> str:
         """Return why the pump may not run; empty where it may."""
         reasons = []
         for name, known in self._known.items():
@@ -292,3 +303,7 @@ class LiveSupervisor(NodeProcesses):
             elif now - self.nodes[name].heard > _SILENT_S:
                 reasons.append(f"{name} is silent")
         return ", ".join(reasons)
+
+
+def _unrecorded(name: str) -> str:
+    return "; nothing is recorded until then" if name == RECORDER else ""

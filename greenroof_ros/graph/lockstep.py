@@ -1,41 +1,67 @@
-"""Lockstep over topics: a node acts once every input has arrived since it last acted.
+"""Lockstep over topics: a node acts once each of its inputs has its message of the tick.
 
-Before a node acts first it has to know of which tick what comes is: see
-:mod:`greenroof_ros.graph.handshake`. There are no timers and no sleeps on the way of a tick; the
-only wall clocks here end a run which hangs.
+Each topic of a tick has exactly one message per tick, k = 0..N, and but for ``/clock`` says nothing
+of its tick: none is needed, since no node publishes tick k + 1 before it has acted on tick k. The
+rule, for every node but the recorder, which only counts:
+
+1. *wait*: a message arrives (:meth:`Lockstep.receive`), and its input is fresh;
+2. *act*: all inputs are fresh; they are stale again from here on (:meth:`Lockstep.act`);
+3. *publish*: the node says its own messages of the tick, one on each topic.
+
+Readers that are discovered late get what was said before: topics are transient local and 64 deep,
+and the plant is at most 32 ticks ahead of the recorder. A second message of one tick, a second
+publisher, and a message that does not come within the peer limit each end the run. There are no
+timers and no sleeps on the way of a tick; the only wall clocks here end a run which hangs.
 """
 
 from __future__ import annotations
 
 import math
-import time
-from collections.abc import Callable, Collection
-from typing import Any, Protocol, cast
+from array import array
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any, Protocol
 
 from rclpy.node import Node
 
 from greenroof_ros.common.errors import OccupiedError
 from greenroof_ros.common.interface import Topic
-from greenroof_ros.graph.arrivals import Arrivals
 from greenroof_ros.graph.errors import LockstepError
-from greenroof_ros.graph.handshake import PLANT, Handshake
-from greenroof_ros.graph.inputs import Inputs
-from greenroof_ros.graph.live import LivePublishers
-from greenroof_ros.graph.peers import Peers, root_causes
-from greenroof_ros.graph.publishers import UNKNOWN_NAME, PublisherWatch, names_of_publishers
-from greenroof_ros.graph.reports import Report, Reports
-from greenroof_ros.graph.states import ENDED, FINISHED, READY, STARTING
+from greenroof_ros.graph.inputs import Inputs, root_causes
+from greenroof_ros.graph.publishers import Publishers
+from greenroof_ros.graph.reports import Reports
+from greenroof_ros.graph.states import FINISHED
 from greenroof_ros.graph.validation import Input
 
-# Among nodes that say nothing of their ticks the newest message is the present tick's, once no
-# other came for so long (s).
-_SILENCE_S = 0.5
-# How long a node that nobody supervises still says at least that it has finished (s).
-_LAST_WORD_S = 1.0
-# For how long after that a node that has not joined may still be one of this run (s).
-_JOINING_S = 5.0
-# Among the inputs that must be fresh: that none of them has two publishers, of which one may live.
-_NO_DOUBT = 1 << 32
+CLOCK, RUN = "/clock", "/run"
+PLANT = "plant"
+# How often publishers are counted in the run (s): asking takes a tenth of a millisecond.
+_COUNT_S = 0.25
+# How long somebody must be missing before it is said, and how often it is said again (s).
+_PATIENCE_S, _AGAIN_S = 2.0, 5.0
+
+
+@dataclass(frozen=True)
+class RunIdentity:
+    """What the nodes of one run have in common, as the plant says it on ``/run``.
+
+    Attributes:
+        identity: a random number of the plant's.
+        last_tick: N.
+    """
+
+    identity: float
+    last_tick: int
+
+    @classmethod
+    def of(cls, values: array[float]) -> RunIdentity:
+        """Return it from the message's numbers."""
+        return cls(values[0], round(values[1]))
+
+    @property
+    def values(self) -> array[float]:
+        """The message's numbers."""
+        return array("d", [self.identity, self.last_tick])
 
 
 class LockstepNode(Protocol):
@@ -45,374 +71,125 @@ class LockstepNode(Protocol):
     acted: bool
     over: bool
     error: Exception | None
-    final_reports: dict[str, dict[str, Any]]
     inputs: Inputs
     interface: dict[str, Topic]
-    peers: Peers
     reports: Reports
-    repeats: bool
 
     def on_inputs(self) -> None:
         """Act."""
 
-    def on_begin(self, tick: int) -> None:
-        """Take the tick from which the node answers."""
+    def finish(self) -> None:
+        """Say that the run is over for the node."""
 
-    def on_restart(self, name: str) -> None:
-        """Wait anew for a node that was started again."""
-
-    def on_answered_again(self, name: str) -> None:
-        """Forget what came on a topic for the present tick."""
-
-    def on_plant_finished(self) -> None:
-        """End the run for this node."""
-
-    def begins_at(self) -> int | None:
-        """Return the tick from which the node answers, if it knows it by itself."""
-
-    def taken(self, name: str) -> int:
-        """Return how many messages of a topic the node has had."""
-
-    def take_again(self, name: str, first: int) -> None:
-        """Expect a topic from a tick on."""
-
-    def take_all(self, names: Collection[str]) -> None:
-        """Take all messages of some inputs that are here and were not yet taken."""
-
-    def report_soon(self) -> None:
-        """Say at once how the node is."""
-
-    def tick_is_open(self) -> bool:
-        """Whether the plant has published a tick on which this node has not acted."""
+    def all_arrived(self) -> bool:
+        """Whether all that the node said has come to who hears it."""
 
 
 class Lockstep:
     """Makes a node act when every input is fresh, and end with its run.
 
     Attributes:
-        simulated_time: whether the node's clock is that of the run.
-        joining: whether the node does not yet take part, and messages have to come with their
-            numbers, which only rclpy's slower executor hands on.
+        run: the one that the node takes part in; None before the plant has said it.
+        tick: on which the node acts next.
     """
 
     simulated_time = True
 
-    def __init__(self, node: LockstepNode) -> None:
-        """Begin to join.
+    def __init__(self, node: LockstepNode, ros_node: Node) -> None:
+        """Begin before the run.
 
         Args:
             node: that is to act.
+            ros_node: the same, as rclpy has it.
         """
+        self.run: RunIdentity | None = None
+        self.tick = 0
         self._node = node
         self._act_on_inputs = node.on_inputs
-        self._watches: dict[str, PublisherWatch] = {}
+        self._ros_node = ros_node
         self._entries: list[Input] = []
         self._bits: dict[str, int] = {}  # of the inputs that must be fresh
-        self._fresh = 0
-        self._all = 0
-        self._tick = 0  # on which it acts next
-        self._again: dict[str, int] = {}  # how many messages that it has had come again
-        self._without_report: set[str] = set()  # inputs that came from who had said nothing yet
-        self.joining = node.role != PLANT  # the others wait for the plant
-        self._arrivals: dict[str, Arrivals] = {}
-        self._receivers: dict[str, Callable[[bytes], None]] = {}
-        self._last_arrival = time.monotonic()
-        self._doubts: set[PublisherWatch] = set()
-        self._run_of: str | None = None  # the process of its plant
-        self._finished_since = 0.0
-
-    def start(self, ros_node: Node) -> None:
-        """Be ready to hear other nodes; the node can say by now how it is.
-
-        Args:
-            ros_node: the node as rclpy has it.
-        """
-        node = self._node
-        self._ros_node = ros_node
-        self._handshake = Handshake(
-            node.role, node.reports.process, node.interface, repeats=node.repeats
-        )
+        self._fresh = self._all = 0
+        self._watched: list[Publishers] = []
+        self._counted = 0.0
+        self._missing: list[str] = []
+        self._missing_since = self._said_at = 0.0
+        self._said: list[str] = []
 
     def open(
-        self, node: Node, entry: Input, callback: Callable[[Any], None] | None, *, raw: bool,
-        heals: bool, **rules_of_live_graphs: object,
-    ) -> tuple[PublisherWatch | LivePublishers, Callable[[bytes], None]]:
+        self, entry: Input, callback: Callable[[Any], None] | None, *, raw: bool, heals: bool,
+        **rules_of_live_graphs: object,
+    ) -> tuple[Publishers, Callable[[bytes], None]]:
         """Prepare an input; see :meth:`greenroof_ros.graph.link.LinkedNode.subscribe`.
 
         Args:
-            node: subscribes to it.
             entry: the input.
             callback: called with each value; without it the input must be fresh.
             raw: the callback gets the message.
-            heals: a second publisher ends nothing; the node looks itself whether there is one.
+            heals: the node itself refuses a second publisher, as long as there is one.
             rules_of_live_graphs: none of these counts here.
 
         Returns:
-            What counts its publishers, and what receives its messages once the node takes part.
+            What counts its publishers, and what receives its messages.
         """
-        name = entry.topic.name
         self._entries.append(entry)
-        bit = 0
-        if callback is None:
-            self._bits[name] = bit = 1 << len(self._bits)
-            self._all |= bit
-        receive: Callable[[bytes], None] = entry.receive
+        publishers = Publishers(self._ros_node, entry.topic)
+        if not heals:
+            self._watched.append(publishers)
         if callback is not None:
-            receive = callback if raw else _with_value(entry, callback)
-        self._receivers[name] = receive
-        self._arrivals[name] = Arrivals(entry.name)
-        if heals:
-            return (
-                LivePublishers(node, entry.topic, self._node.peers, recorded=False, past=True),
-                self._when_fresh(entry, bit, lambda: None),
-            )
+            return publishers, callback if raw else _with_value(entry, callback)
+        self._bits[entry.topic.name] = bit = 1 << len(self._bits)
+        self._all |= bit
+        return publishers, self.receive(entry, bit, publishers, heals=heals)
 
-        def on_second(*, answered: bool) -> None:
-            if self._publisher_of(name) in self._handshake.nodes:
-                return  # it says which tick it answers
-            if self._node.acted and bit and not self._awaits_publisher_of(name):
-                self._refuse(
-                    f"a second publisher of {entry.name} ({watch.said_names()}) came when the "
-                    "first had answered the tick; which tick it answers cannot be told: end all "
-                    "nodes and start the run again"
-                )
-            if not self.joining and not answered:
-                self._fresh &= ~bit
-            self._node.on_answered_again(name)
-
-        self._watches[name] = watch = PublisherWatch(
-            node, entry.topic, self._refuse, self._on_doubt, on_second, recorded=raw
-        )
-        return watch, self._when_fresh(entry, bit, watch.came_twice) if bit else receive
-
-    def while_joining(self, name: str) -> Callable[[bytes, Any], None]:
-        """Return what receives the messages of an input, and what rclpy says of each, till then."""
-        arrivals = self._arrivals[name]
-        if not self._node.interface[name].per_tick:
-            return lambda message, information: self._receivers[name](message)
-
-        def on_message(message: bytes, information: Any) -> None:
-            arrivals.take(message, information)
-            self._last_arrival = time.monotonic()
-
-        return on_message
-
-    def said(self) -> dict[str, Any]:
-        """Return what the node says of its ticks."""
-        return self._handshake.said()
-
-    def _publisher_of(self, name: str) -> str:
-        """Return the role of who publishes a topic: of two that may, the one that is here."""
-        roles = [role for role in self._node.interface[name].publishers if role != self._node.role]
-        here = [role for role in roles if self._handshake.is_here(role)]
-        return [*roles[:1], *here][-1]
-
-    def _names_of(self, role: str) -> list[str]:
-        """Return the inputs of each tick that a role publishes."""
-        return [
-            name for name in self._arrivals
-            if self._node.interface[name].per_tick and self._publisher_of(name) == role
-        ]
-
-    # --- which tick -------------------------------------------------------------------------
-
-    def taken(self, name: str) -> int:
-        """Return how many messages of a topic, one a tick, the node has had."""
-        if self.joining:
-            return self._arrivals[name].next or 0
-        return self._tick + bool(self._fresh & self._bits.get(name, 0))
-
-    def take_again(self, name: str, first: int) -> None:
-        """Expect a topic from a tick on; what the node has had of it counts once.
-
-        Raises:
-            LockstepError: a message was lost.
-        """
-        taken = self.taken(name)
-        if first > taken:
-            raise LockstepError(
-                f"{self._node.inputs.entries[name].name} of tick {taken} was lost with the node "
-                "that published it; end all nodes and start the run again"
-            )
-        if first < taken:
-            self._again[name] = taken - first
-
-    def _settle(self) -> None:
-        """Tell the others what they must know, and take what they told."""
-        node, handshake = self._node, self._handshake
-        changed = False
-        if handshake.answers_from is None:
-            begins_at = node.begins_at()
-            if begins_at is not None:
-                handshake.answers_from, handshake.agreed = begins_at, True
-                self._begin(begins_at)
-                changed = True
-            elif handshake.decide(supervised=node.reports.supervised):
-                self._begin(cast(int, handshake.answers_from))
-                changed = True
-        elif handshake.decide(supervised=node.reports.supervised):
-            changed = True
-        if handshake.answers_from is not None:
-            for role in handshake.nodes:
-                if handshake.must_be_told(role):
-                    handshake.tell(role, {n: node.taken(n) for n in self._names_of(role)})
-                    changed = True
-                if handshake.may_agree(role):
-                    self._agree(role)
-                    changed = True
-        if changed:
-            node.report_soon()
-
-    def _begin(self, tick: int) -> None:
-        self._tick = tick
-        for arrivals in self._arrivals.values():
-            arrivals.next = tick
-        self._node.on_begin(tick)
-
-    def _agree(self, role: str) -> None:
-        """Take a role's present process for who publishes its topics."""
-        handshake = self._handshake
-        first = cast(int, handshake.first_of(role))
-        handshake.agree(role)
-        told = handshake.taken[handshake.nodes[role]]
-        # What is said again first: the recorder writes a tick as soon as it is whole.
-        for name in sorted(told, key=self._node.taken, reverse=True):
-            # Of a first process all is its own, though its report came later than its messages.
-            own = first == 0 and name in self._without_report
-            self._without_report.discard(name)
-            if not own and (not self.joining or first > told[name]):
-                self._node.take_again(name, first)
-                self._arrivals[name].next = max(first, self._arrivals[name].next or 0)
-            self._arrivals[name].first = first
-            if role == PLANT and len(self._node.interface[name].publishers) > 1:
-                # It may be that of a pump node whose report is yet to come.
-                self._without_report.add(name)
-
-    def _join(self) -> None:
-        """Act on what came while the node was joining, and take part from then on."""
-        node, handshake = self._node, self._handshake
-        if not handshake.agreed:
-            if handshake.answers_from is None and self._nobody_says_ticks():
-                handshake.answers_from, handshake.agreed = 0, True
-                self._begin(0)
-                for arrivals in self._arrivals.values():
-                    arrivals.begin_with_newest()
-            return
-        self._act_on_arrivals()
-        if node.acted and all(arrivals.first is not None for arrivals in self._arrivals.values()):
-            # The fast executor keeps the order in which messages come, but does not know that of
-            # those which are here already.
-            node.take_all(self._arrivals)
-            self._act_on_arrivals()
-            dues = {name: self._arrivals[name].due for name in self._bits}
-            if any(len(due) > 1 for due in dues.values()):
-                return
-            self.joining = False
-            for name, due in dues.items():
-                if due:
-                    self._receivers[name](due.popleft())
-                    self._fresh |= self._bits[name]
-
-    def _act_on_arrivals(self) -> None:
-        """Hand on what came of the ticks that are wanted, and act on each tick that is whole."""
-        for name, arrivals in self._arrivals.items():
-            if arrivals.first is None and self._handshake.is_foreign(self._publisher_of(name)):
-                arrivals.first = 0
-                self._without_report.add(name)
-            arrivals.sort()
-            if name not in self._bits:
-                while arrivals.due:
-                    self._receivers[name](arrivals.due.popleft())
-        if self._bits and not self._all & _NO_DOUBT:
-            dues = {name: self._arrivals[name].due for name in self._bits}
-            while all(dues.values()):
-                for name, due in dues.items():
-                    self._receivers[name](due.popleft())
-                self._act()
-
-    def _nobody_says_ticks(self) -> bool:
-        """Whether all inputs are here, and the plant is none that says of which tick they are."""
-        arrivals = [self._arrivals[name] for name in self._bits]
-        if (
-            PLANT in self._handshake.nodes
-            or not all(one.came for one in arrivals)
-            or time.monotonic() - self._last_arrival < _SILENCE_S
-        ):
-            return False
-        reporting = names_of_publishers(self._ros_node, "/diagnostics")
-        publishing = {
-            node for name in self._bits if self._publisher_of(name) == PLANT
-            for node in names_of_publishers(self._ros_node, name.removeprefix("/"))
-        }
-        return UNKNOWN_NAME not in publishing and not publishing & reporting
-
-    def _awaits_publisher_of(self, name: str) -> bool:
-        """Whether a tick waits for the node that publishes a topic.
-
-        One that is started again answers the newest tick that it sees. Only where that tick still
-        waits for it does it answer once; otherwise the answer would count for the next tick.
-        """
-        publisher_of = self._node.inputs.publisher_of
-        bits = sum(
-            bit for other, bit in self._bits.items() if publisher_of(other) == publisher_of(name)
-        )
-        return self._node.tick_is_open() and self._fresh & bits != bits
-
-    def tick_is_open(self) -> bool:
-        """Whether the plant has published a tick on which the node has not acted."""
-        return all(
-            self._fresh & bit
-            for name, bit in self._bits.items()
-            if self._node.inputs.publisher_of(name) == "plant"
-        )
-
-    def _when_fresh(
-        self, entry: Input, bit: int, came_twice: Callable[[], None]
+    def receive(
+        self, entry: Input, bit: int, publishers: Publishers, *, heals: bool
     ) -> Callable[[bytes], None]:
-        """Return what receives an input, and acts when it was the last one missing."""
-        receive = entry.receive
-        name, again = entry.topic.name, self._again
+        """Return what takes the messages of an input, and acts on the last one missing."""
+        take = entry.receive
 
         def on_message(message: bytes) -> None:
-            if again and name in again:
-                again[name] -= 1
-                if not again[name]:
-                    del again[name]
+            if self._fresh & bit and not heals:
+                self._refuse(
+                    f"{entry.name} came twice in tick {self.tick} "
+                    f"({', '.join(publishers.names())}); another publisher, or nodes of an earlier "
+                    "run, are in this graph"
+                )
                 return
-            receive(message)
-            if self._fresh & bit:
-                came_twice()
+            take(message)
             self._fresh |= bit
             if self._fresh == self._all:
-                self._act()
+                self.act()
 
         return on_message
 
-    def _refuse(self, message: str) -> None:
-        """Refuse a second publisher: a wrong set-up before the run, in it a failure of the run."""
-        kind = LockstepError if self._node.acted else OccupiedError
-        self._node.error = self._node.error or kind(message)
+    def act(self) -> None:
+        """Let the node act on its inputs, which are stale from then on."""
+        self._fresh = 0
+        self.tick += 1
+        self._node.acted = True
+        self._act_on_inputs()
+        if self._is_over():
+            self._node.finish()
 
-    def _on_doubt(self, watch: PublisherWatch) -> None:
-        """Do not act as long as a publisher may be one too many.
+    def _is_over(self) -> bool:
+        """Whether the node has acted on the last tick; the plant finds that out by itself."""
+        return self.run is not None and self.tick > self.run.last_tick and (
+            self._node.role != PLANT
+        )
 
-        What came meanwhile on its topic counts once it is known to be of the only one that lives;
-        of two that live both answer a tick, or stay, and either is refused.
-        """
-        (self._doubts.add if watch.doubtful else self._doubts.discard)(watch)
-        if any(each.topic.name in self._bits for each in self._doubts):
-            self._all |= _NO_DOUBT
-        else:
-            self._all &= ~_NO_DOUBT
+    def hear_run(self, values: array[float]) -> None:
+        """Take part in a run; with another plant another run begins, and this one has ended."""
+        run = RunIdentity.of(values)
+        if self.run is not None and self.run != run:
+            self._node.error = self._node.error or LockstepError(
+                "the plant was started again, or there are two; a run ends with its plant"
+            )
+        self.run = run
 
     def good(self) -> bool:
         """Whether no input's present value was refused."""
         return all(entry.good for entry in self._entries)
-
-    @property
-    def doubtful(self) -> bool:
-        """Whether a topic has two publishers, of which one may be dead: see its watch."""
-        return bool(self._doubts)
 
     def missing(self) -> str:
         """Name the topics that the node waits for, and who should publish them.
@@ -424,25 +201,15 @@ class Lockstep:
         causes = root_causes(silent, self._node.interface.values())
         return inputs.say({role: silent[role] for role in silent if role in causes})
 
-    def _act(self) -> None:
-        self._fresh = 0
-        self._tick += 1
-        self._node.acted = True
-        self._act_on_inputs()
-
     def due_in(self) -> float:
         """How long until the node must act whatever comes (s): it need not."""
         return math.inf
 
     def act_if_due(self) -> None:
-        """Act where nothing more has to come: first, or when a doubt is over."""
-        if self.joining:
-            self._join()
-        elif self._all and self._fresh == self._all:
-            self._act()
+        """A node in lockstep acts on messages alone."""
 
     def look(self, now: float) -> None:
-        """Look whether doubts are over, say who is missing or goes, and end with the run.
+        """Count publishers, say who is missing, and end with the run.
 
         A node that somebody supervises ends when it is asked to: the supervisor needs the last word
         of each, and names the node that failed first.
@@ -451,99 +218,69 @@ class Lockstep:
             now: of the steady clock (s).
 
         Raises:
-            LockstepError: the plant went in the run.
+            LockstepError: the plant went in the run, or a second publisher came.
+            OccupiedError: a second publisher was there before the run.
         """
-        for watch in list(self._doubts):
-            watch.settle(now)
-        node, peers, reports = self._node, self._node.peers, self._node.reports
-        peers.look(now)
-        self._settle()
-        if (
-            self.joining and "plant" in node.final_reports and self._handshake.agreed
-            and reports.state != FINISHED
-        ):
-            node.on_plant_finished()  # nothing is left to answer
-        if reports.state == FINISHED:
-            passed = now - self._finished_since
-            node.over = (
-                not reports.supervised
-                and passed > _LAST_WORD_S
-                and not peers.running(now, just_finished=passed < _JOINING_S)
-            )
-        elif not node.acted:
-            missing = {*node.inputs.absent(), *peers.waited_for(node.role)}
-            peers.say_missing(missing, now)
-        elif not reports.supervised and "plant" not in node.final_reports:
-            end = peers.end_of("plant", now)
-            if end is not None:
-                raise LockstepError(f"{end}, and the run with it")
-
-    def finish(self, now: float) -> None:
-        """Note when the run was over for the node (s of the steady clock)."""
-        self._finished_since = now
-
-    def hear(self, report: Report) -> None:
-        """Take a peer's report; one of an earlier run is none of this node's."""
         node = self._node
-        is_plant = report.role == "plant"
-        if report.state == ENDED and "failure" in report.values:
-            self._end_with(report)
-        known = self._handshake.nodes.get(report.role) == report.process
-        again = self._handshake.hear(report)
-        if not known and self._handshake.nodes.get(report.role) == report.process:
-            self._on_process(report, again=again)
-        self._settle()
-        if not node.acted and not (self.joining and node.reports.supervised):
-            if self.joining and (report.state == FINISHED or (is_plant and report.state == ENDED)):
-                for arrivals in self._arrivals.values():
-                    arrivals.forget()
-                self._handshake.begin()
+        if node.acted and now - self._counted < _COUNT_S:
             return
-        if is_plant and report.state in (STARTING, READY):
-            self._run_of = self._run_of or report.process
-            if (
-                report.process != self._run_of and node.acted
-                and node.reports.state != FINISHED
-            ):
-                node.error = node.error or LockstepError(
-                    f"{report.name} was started again, or there are two; a run ends with its plant"
-                )
-        if report.state == FINISHED:
-            node.final_reports[report.name] = report.values
-            if is_plant and node.reports.state != FINISHED and not self.joining:
-                node.on_plant_finished()
-
-    def _on_process(self, report: Report, *, again: bool) -> None:
-        """Go on with a node that has come, or begin anew with another plant.
-
-        Args:
-            report: its first.
-            again: whether it is in the place of another.
-        """
-        if report.role == PLANT:
-            if again and not self._node.acted:
-                self._handshake.begin()
-                for arrivals in self._arrivals.values():
-                    arrivals.next = None
+        self._counted = now
+        if node.reports.state == FINISHED:
+            node.over = not node.reports.supervised and self._may_leave()
             return
-        if self.joining and "silent_at" in report.values:
-            # It had not published yet: what was published before that is of the one before it.
-            names = self._names_of(report.role)
-            self._node.take_all(names)
-            for name in names:
-                self._arrivals[name].of_another(report.values["silent_at"])
-        if again:
-            self._node.on_restart(report.name)
+        for publishers in self._watched:
+            if publishers.count > 1 and publishers.heard > 1:
+                self._refuse(f"{publishers.full_name} {publishers.problem(now)}")
+        if self._is_over():  # what the plant says of the run came behind the last tick
+            node.finish()
+            return
+        if not node.acted:
+            self._say_missing(now)
+        if self.run is not None and not node.reports.supervised and self._plant_has_gone():
+            raise LockstepError("plant has ended, and the run with it")
 
-    def _end_with(self, report: Report) -> None:
-        """End with a node that failed and on which this one depends, and say why it did."""
+    def _plant_has_gone(self) -> bool:
+        clock = self._node.inputs.publishers.get(CLOCK)
+        return clock is not None and clock.count == 0
+
+    def _may_leave(self) -> bool:
+        """Whether nobody needs the node any more: the plant leaves first."""
+        return self._node.all_arrived() and (self._node.role == PLANT or self._plant_has_gone())
+
+    def _refuse(self, message: str) -> None:
+        """Refuse a second publisher: a wrong set-up before the run, in it a failure of the run."""
+        kind = LockstepError if self._node.acted else OccupiedError
+        self._node.error = self._node.error or kind(message)
+
+    def waiting(self) -> list[str]:
+        """Return the roles for whom the node waits; where it has all, for whom the others do."""
         node = self._node
-        needed = {node.inputs.publisher_of(name) for name in self._watches}
-        alone = not node.reports.supervised
-        if alone and report.role in needed and node.reports.state != FINISHED:
-            node.error = node.error or LockstepError(
-                f"{report.name} has ended: {report.values['failure']}"
+        own = node.inputs.absent()
+        if own:
+            return list(own)
+        return sorted({
+            topic.publishers[0] for topic in node.interface.values()
+            if topic.per_tick and not topic.optional and node.role not in topic.publishers
+            and not self._ros_node.count_publishers(topic.graph_name)
+        })
+
+    def _say_missing(self, now: float) -> None:
+        """Say who is missing before the run: after 2 s, when it changes, and every 5 s."""
+        node = self._node
+        topics = node.inputs.publishers
+        missing = sorted(
+            node.inputs.call(role, [n for n in topics if role in node.interface[n].publishers])
+            for role in self.waiting()
+        )
+        if missing != self._missing:
+            self._missing, self._missing_since = missing, now
+        if now - self._missing_since < _PATIENCE_S:
+            return
+        if missing != self._said or (missing and now - self._said_at > _AGAIN_S):
+            self._ros_node.get_logger().info(
+                f"waiting for {', '.join(missing)}" if missing else "all nodes are here"
             )
+            self._said, self._said_at = missing, now
 
 
 def _with_value(entry: Input, callback: Callable[[Any], None]) -> Callable[[bytes], None]:

@@ -12,7 +12,8 @@ from rclpy.utilities import remove_ros_args
 
 from greenroof_ros.common.command_line import EXIT_USAGE
 from greenroof_ros.common.interface import Topic, read_topics
-from greenroof_ros.graph.parameters import NodeParameter
+from greenroof_ros.common.parameter import Parameter
+from greenroof_ros.graph.parameters import type_name
 
 
 class NodeParser(argparse.ArgumentParser):
@@ -39,7 +40,7 @@ def node_help(
     command: str,
     role: str,
     purpose: str,
-    parameters: Iterable[NodeParameter],
+    parameters: Iterable[Parameter],
     example: str,
     outputs: Collection[str] = (),
     *,
@@ -80,11 +81,11 @@ def node_help(
     ])
 
 
-def _parameter(one: NodeParameter) -> Iterator[str]:
-    kind = f"{one.type_name}{one.limits and ', '}{one.limits}"
+def _parameter(one: Parameter) -> Iterator[str]:
+    kind = f"{type_name(one)}{one.limits and ', '}{one.limits}"
     changes = "; may change in a run" if one.may_change else ""
     yield f"  {one.name} ({kind}; default {_written(one.default)}{changes})"
-    yield _indented(one.meaning)
+    yield _indented(one.description)
 
 
 def _written(value: str | float | int | bool | list[str]) -> str:

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import atexit
 import contextlib
-import json
+import logging
 import os
 import selectors
 import signal
@@ -13,11 +14,14 @@ import time
 from collections import deque
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import partial
+from logging.handlers import RotatingFileHandler
 from pathlib import Path
 from typing import Any
 
-from greenroof_ros.common.processes import end_with_parent
-from greenroof_ros.graph.states import PUMP, REPORT_PIPE
+from greenroof_ros.common.disk import DISK
+from greenroof_ros.common.processes import asked_to_end_with_this
+from greenroof_ros.graph.states import PUMP, REPORT_PIPE, read_report
 
 # How long to wait for a process that was asked to end, before the kernel ends it (s); and the pump
 # node, which waits until the pump stands: as long as the speed falls.
@@ -26,10 +30,13 @@ _ENDING_S, _PUMP_ENDING_S = 8.0, 40.0
 _KILLING_S = 5.0
 _LAST_LINES = 15
 # Size at which a node's log becomes its .log.1 in place of the one before it: a live site runs for
-# months.
-_LOG_BYTES = 10_000_000
+# months. How long the end of nodes waits for what they printed to be written (s).
+_LOG_BYTES, _WRITTEN_S = 10_000_000, 2.0
 # A pause of this process itself (s): what it did not hear is not the nodes' silence.
 _PAUSE_S = 1.0
+
+# At the end it would wait for a disk that hangs; each line of a log is flushed when it is written.
+atexit.unregister(logging.shutdown)
 
 
 class NodeFailed(Exception):
@@ -76,12 +83,8 @@ class NodeProcess:
         self.spoke = True
         self.heard = time.monotonic()
         *lines, self._cut = (self._cut + data).split(b"\n")
-        reports = []
-        for line in lines:
-            # A line that did not fit into a full pipe is cut short; the next one says it again.
-            with contextlib.suppress(json.JSONDecodeError):
-                reports.append(json.loads(line))
-        return reports
+        # A line that did not fit into a full pipe is cut short; the next one says it again.
+        return [report for report in map(read_report, lines) if report is not None]
 
     @property
     def is_stopped(self) -> bool:
@@ -105,6 +108,35 @@ class NodeProcess:
             self.process.wait(1.0)
 
 
+class _Log(RotatingFileHandler):
+    """What a node prints, in a file; a full disk is no error, and what it does not take is lost."""
+
+    terminator = ""
+
+    def __init__(self, path: Path) -> None:
+        super().__init__(
+            path, maxBytes=_LOG_BYTES, backupCount=1, encoding="utf-8", errors="surrogateescape",
+            delay=True,
+        )
+
+    def write(self, data: bytes) -> None:
+        """Add what came, as it is."""
+        self.emit(logging.makeLogRecord({"msg": data.decode(errors="surrogateescape")}))
+
+    def handleError(self, record: logging.LogRecord) -> None:
+        """Let the file go; it is opened anew with what comes next."""
+        with contextlib.suppress(OSError, ValueError):  # it may be closed already
+            self.close()
+
+
+def _pipe(our_ends: contextlib.ExitStack, its_ends: contextlib.ExitStack) -> tuple[int, int]:
+    """Open a pipe from another process to this one, each end of which is closed with its stack."""
+    reading, writing = os.pipe()
+    our_ends.callback(os.close, reading)
+    its_ends.callback(os.close, writing)
+    return reading, writing
+
+
 class NodeProcesses:
     """Node processes, each with a pipe on which it says every quarter of a second how it is.
 
@@ -126,7 +158,8 @@ class NodeProcesses:
         """
         self.nodes: dict[str, NodeProcess] = {}
         self.last: dict[str, dict[str, Any]] = {}
-        self._logs = logs
+        self._directory = logs
+        self._logs: dict[str, _Log] = {}
         self._ros_arguments = ["--ros-args"]
         for file in parameters:
             self._ros_arguments += ["--params-file", str(file)]
@@ -137,8 +170,7 @@ class NodeProcesses:
         self._looked = self.awake_since = time.monotonic()
 
     def start(
-        self, node: str, module: str, *arguments: str, ros_arguments: Sequence[str] = (),
-        pipes: Mapping[str, int] | None = None,
+        self, node: str, module: str, *arguments: str, pipes: Mapping[str, int] | None = None,
     ) -> None:
         """Start one node; it does not see the terminal's Ctrl-C, which is this process's.
 
@@ -146,26 +178,29 @@ class NodeProcesses:
             node: its name.
             module: that it is, such as greenroof_ros.nodes.weather.
             arguments: of the module's command line, beside those for ROS.
-            ros_arguments: those for ROS, beside those of all nodes.
             pipes: further file descriptors that it gets, by the environment variable that holds
                 the number; here they are closed.
+
+        Raises:
+            OSError: the system has no process or file descriptor to give; nothing is left open.
         """
         self._forget(node)
-        reading, writing = os.pipe()
-        out_reading, out_writing = os.pipe()
-        given = {REPORT_PIPE: writing, **(pipes or {})}
-        process = subprocess.Popen(
-            [sys.executable, "-m", module, *arguments, *self._ros_arguments, *ros_arguments],
-            stdin=subprocess.DEVNULL,
-            stdout=out_writing,
-            stderr=subprocess.STDOUT,
-            env={**os.environ, **{name: str(number) for name, number in given.items()}},
-            pass_fds=given.values(),
-            start_new_session=True,
-            preexec_fn=end_with_parent,
-        )
-        for number in (*given.values(), out_writing):
-            os.close(number)
+        with contextlib.ExitStack() as its_ends, contextlib.ExitStack() as our_ends:
+            given = dict(pipes or {})
+            for number in given.values():
+                its_ends.callback(os.close, number)
+            reading, given[REPORT_PIPE] = _pipe(our_ends, its_ends)
+            out_reading, out_writing = _pipe(our_ends, its_ends)
+            process = subprocess.Popen(
+                [sys.executable, "-m", module, *arguments, *self._ros_arguments],
+                stdin=subprocess.DEVNULL,
+                stdout=out_writing,
+                stderr=subprocess.STDOUT,
+                env=asked_to_end_with_this() | {name: str(end) for name, end in given.items()},
+                pass_fds=given.values(),
+                start_new_session=True,
+            )
+            our_ends.pop_all()
         self.nodes[node] = NodeProcess(process, time.monotonic())
         for pipe, use in ((reading, self._take_reports), (out_reading, self._log)):
             os.set_blocking(pipe, False)
@@ -215,15 +250,11 @@ class NodeProcesses:
             self._reports.append((node, report))
 
     def _log(self, node: str, data: bytes) -> None:
-        """Keep what a node prints: in its log, and in memory should the disk be full."""
+        """Keep what a node prints: in its log, and in memory should the disk be full or hang."""
         self.nodes[node].last_lines.extend(data.decode(errors="replace").splitlines())
-        path = self._logs / f"{node}.log"
-        with contextlib.suppress(OSError):
-            with path.open("ab") as log:
-                log.write(data)
-                size = log.tell()
-            if size > _LOG_BYTES:
-                path.replace(path.with_suffix(".log.1"))
+        if node not in self._logs:
+            self._logs[node] = _Log(self._directory / f"{node}.log")
+        DISK.do(partial(self._logs[node].write, data), len(data))
 
     def read_all(self, node: str) -> None:
         """Read all that a node has said."""
@@ -264,3 +295,5 @@ class NodeProcesses:
                     killed.add(node)
                     process.kill()
         self._read_pipes(0.0)
+        if all(node.process.poll() is not None for node in self.nodes.values()):
+            DISK.wait(_WRITTEN_S)

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
 from difflib import get_close_matches
 from itertools import pairwise
 from pathlib import Path
@@ -29,83 +29,50 @@ _KINDS = {
 }
 
 
-@dataclass(frozen=True)
-class NodeParameter:
-    """A parameter of a node.
+def type_name(one: Parameter) -> str:
+    """Return what ROS 2 calls a parameter's type."""
+    return _KINDS[type(one.default)][0]
 
-    From it come the declared parameter, the node's ``--help`` and the table in the documentation.
 
-    Attributes:
-        name: lower case, with underscores.
-        default: its value unless given; it gives the type.
-        meaning: one line, with its unit.
-        low: least value, where it has a range.
-        high: largest value.
-        among: the values that it may have, where they are few.
-        may_change: whether it may change during a run.
-    """
+def _expected(one: Parameter) -> str:
+    """Return what a value must be, for messages."""
+    if one.among:
+        return f"must be {one.limits}"
+    return f"must be {_KINDS[type(one.default)][1]}{one.limits and ' from '}{one.limits}"
 
-    name: str
-    default: str | float | int | bool | list[str]
-    meaning: str
-    low: float | None = None
-    high: float | None = None
-    among: tuple[str, ...] = ()
-    may_change: bool = False
 
-    @property
-    def type_name(self) -> str:
-        """What ROS 2 calls its type."""
-        return _KINDS[type(self.default)][0]
-
-    @property
-    def limits(self) -> str:
-        """Its range, or the values that it may have; empty where there is no limit."""
-        if self.low is None or self.high is None:
-            return " or ".join(self.among)
-        if isinstance(self.default, int):
-            return f"{self.low} to {self.high}"
-        return f"{self.low:g} to {self.high:g}"
-
-    @property
-    def expected(self) -> str:
-        """What a value must be, for messages."""
-        if self.among:
-            return f"must be {self.limits}"
-        return f"must be {_KINDS[type(self.default)][1]}{self.limits and ' from '}{self.limits}"
-
-    def descriptor(self) -> ParameterDescriptor:
-        """Return what a ROS tool is told of it."""
-        descriptor = ParameterDescriptor(
-            description=self.meaning, read_only=not self.may_change,
-            additional_constraints=self.expected if self.among else "",
-        )
-        if self.low is None or self.high is None:
-            return descriptor
-        if isinstance(self.default, float):
-            descriptor.floating_point_range = [
-                FloatingPointRange(from_value=float(self.low), to_value=float(self.high))
-            ]
-        else:
-            descriptor.integer_range = [
-                IntegerRange(from_value=int(self.low), to_value=int(self.high))
-            ]
+def _descriptor(one: Parameter) -> ParameterDescriptor:
+    """Return what a ROS tool shows of a parameter."""
+    descriptor = ParameterDescriptor(
+        description=one.description, read_only=not one.may_change,
+        additional_constraints=_expected(one) if one.among else "",
+    )
+    if math.isinf(one.low):
         return descriptor
+    if isinstance(one.default, float):
+        descriptor.floating_point_range = [
+            FloatingPointRange(from_value=float(one.low), to_value=float(one.high))
+        ]
+    else:
+        descriptor.integer_range = [
+            IntegerRange(from_value=int(one.low), to_value=int(one.high))
+        ]
+    return descriptor
 
 
-LIVE = NodeParameter(
-    "live", False, "act on steady time, as on a site with sensors; otherwise in lockstep, as in a "
-    "simulation",
+LIVE = Parameter(
+    "live", False, meaning="act on steady time, as on a site with sensors; otherwise in lockstep, "
+    "as in a simulation",
 )
 
 
-def site_file() -> NodeParameter:
+def site_file() -> Parameter:
     """Return the parameter that every node has but the recorder, the same in a run."""
     default = str(shared_directory() / "config" / "site.yaml")
-    return NodeParameter("site_file", default, "the parameters of Table I")
+    return Parameter("site_file", default, meaning="the parameters of Table I")
 
 
-def declare(node: Node, parameters: Iterable[NodeParameter]) -> dict[str, Any]:
+def declare(node: Node, parameters: Iterable[Parameter]) -> dict[str, Any]:
     """Declare parameters, and return their values by name.
 
     A whole number does for a double, as in ``weight: 5``, in a file, on the command line and in
@@ -126,21 +93,21 @@ def declare(node: Node, parameters: Iterable[NodeParameter]) -> dict[str, Any]:
     return {one.name: _declare(node, one) for one in declared}
 
 
-def _declare(node: Node, one: NodeParameter) -> Any:
+def _declare(node: Node, one: Parameter) -> Any:
     key = f"parameter {one.name} of {node.get_name()}"
     try:
         value = _declare_as_given(node, one)
     except (InvalidParameterTypeException, InvalidParameterValueException) as error:
-        raise ConfigurationError(f"{one.expected} ({error})", key=key) from error
+        raise ConfigurationError(f"{_expected(one)} ({error})", key=key) from error
     if one.among and value not in one.among:
-        raise ConfigurationError(one.expected, key=key, value=value)
+        raise ConfigurationError(_expected(one), key=key, value=value)
     return value
 
 
-def _declare_as_given(node: Node, one: NodeParameter) -> Any:
+def _declare_as_given(node: Node, one: Parameter) -> Any:
     """Declare it with the value that is given; a whole number becomes a double where one is due."""
     try:
-        return node.declare_parameter(one.name, one.default, one.descriptor()).value
+        return node.declare_parameter(one.name, one.default, _descriptor(one)).value
     except InvalidParameterTypeException:
         if not isinstance(one.default, float):
             raise
@@ -150,7 +117,7 @@ def _declare_as_given(node: Node, one: NodeParameter) -> Any:
         if type(given) is not int:
             raise
     return node.declare_parameter(
-        one.name, float(given), one.descriptor(), ignore_override=True
+        one.name, float(given), _descriptor(one), ignore_override=True
     ).value
 
 
@@ -178,17 +145,6 @@ def refuse_unknown(node: Node, arguments: Sequence[str]) -> None:
             f"there is no such parameter; the closest is {closest}; --help lists all",
             key=f"parameter {name} of {node.get_name()}", value=value,
         )
-
-
-def of_controller(table: Iterable[Parameter]) -> list[NodeParameter]:
-    """Return the parameters of a controller as those of its node."""
-    return [
-        NodeParameter(
-            one.name, one.default, f"{one.meaning} ({one.unit})", one.low, one.high,
-            may_change=one.may_change,
-        )
-        for one in table
-    ]
 
 
 def default_site() -> Site:

@@ -5,8 +5,8 @@ from __future__ import annotations
 import contextlib
 import json
 import os
-import time
 
+from greenroof_ros.common.clock import boot_time
 from greenroof_ros.graph.states import PERMIT_PIPE
 
 # How often it is given, and how old it may be (s).
@@ -20,7 +20,7 @@ class Permit:
         """Begin without a pump node."""
         self._writing: int | None = None
         self._told = 0.0
-        self._hold = ""
+        self._inhibit = ""
 
     def open(self) -> dict[str, int]:
         """Make a pipe for a pump node that is to be started, and let go of the one before it.
@@ -33,19 +33,19 @@ class Permit:
         os.set_blocking(self._writing, False)
         return {PERMIT_PIPE: reading}
 
-    def tell(self, hold: str) -> None:
+    def tell(self, inhibit: str) -> None:
         """Tell the pump node whether it may run, when it is time to or that has changed.
 
         A pump node that does not read must not stop this process.
 
         Args:
-            hold: why it may not; empty where it may.
+            inhibit: why it may not; empty where it may.
         """
-        now = time.monotonic()
-        if self._writing is None or (hold == self._hold and now - self._told < _PERIOD_S):
+        now = boot_time()
+        if self._writing is None or (inhibit == self._inhibit and now - self._told < _PERIOD_S):
             return
-        self._told, self._hold = now, hold
-        line = json.dumps({"hold": hold, "at": now})
+        self._told, self._inhibit = now, inhibit
+        line = json.dumps({"inhibit": inhibit, "at": now})
         with contextlib.suppress(BlockingIOError, BrokenPipeError):
             os.write(self._writing, f"{line}\n".encode())
 
@@ -71,14 +71,14 @@ class PermitReader:
             os.set_blocking(self._pipe, False)
         self._rest = b""
         self._ended = False
-        self._hold = ""
+        self._inhibit = ""
         self._at: float | None = None
 
-    def hold(self, now: float) -> str:
+    def missing(self, now: float) -> str:
         """Return why the pump may not run; empty where it may.
 
         Args:
-            now: of the steady clock, the machine's (s).
+            now: since the machine started (s), a suspend included: no permit outlasts one.
         """
         if not self.given:
             return ""
@@ -89,7 +89,7 @@ class PermitReader:
             return "bringup has given no permit yet"
         if now - self._at > _GREATEST_AGE_S:
             return f"bringup has given no permit for {_GREATEST_AGE_S:g} s"
-        return self._hold
+        return self._inhibit
 
     def _read(self) -> None:
         """Take the newest line of those that came."""
@@ -101,5 +101,7 @@ class PermitReader:
                 data += read
         *lines, self._rest = (self._rest + data).split(b"\n")
         if lines:
-            line = json.loads(lines[-1])
-            self._hold, self._at = str(line["hold"]), float(line["at"])
+            # What a bringup of another version says is no permit where it says something else.
+            with contextlib.suppress(ValueError, KeyError, TypeError):
+                line = json.loads(lines[-1])
+                self._inhibit, self._at = str(line["inhibit"]), float(line["at"])

@@ -6,7 +6,7 @@ import importlib
 import math
 from typing import Any
 
-from rclpy.duration import Duration
+from rclpy.duration import Duration, Infinite
 from rclpy.qos import DurabilityPolicy, LivelinessPolicy, QoSProfile, ReliabilityPolicy
 
 from greenroof_ros.common.interface import Qos
@@ -29,3 +29,31 @@ def qos_profile(qos: Qos, *, lease: bool = True) -> QoSProfile:
     if lease and math.isfinite(qos.lease_s):
         profile.liveliness_lease_duration = Duration(seconds=qos.lease_s)
     return profile
+
+
+def lacks(offered: QoSProfile, required: Qos) -> list[str]:
+    """Return what an end of a topic has less than is required, each as a verb and its object."""
+    found = []
+    if required.reliability == "reliable" and offered.reliability != ReliabilityPolicy.RELIABLE:
+        found.append("is best effort")
+    if (
+        required.durability == "transient_local"
+        and offered.durability != DurabilityPolicy.TRANSIENT_LOCAL
+    ):
+        found.append("is volatile")
+    lease = offered.liveliness_lease_duration
+    if math.isfinite(required.lease_s) and lease > Duration(seconds=required.lease_s):
+        found.append(
+            "has no liveliness lease" if lease == Infinite
+            else f"has a liveliness lease of {lease.nanoseconds / 1e9:g} s"
+        )
+    return found
+
+
+def requirements(qos: Qos) -> str:
+    """Return a profile in words."""
+    words = f"{qos.reliability.replace('_', ' ')}, {qos.durability.replace('_', ' ')}, "
+    words += f"keep last {qos.depth}"
+    if math.isfinite(qos.lease_s):
+        words += f", with a liveliness lease of {qos.lease_s:g} s"
+    return words

@@ -6,8 +6,10 @@ import contextlib
 import json
 import os
 import socket
+import time
 from collections.abc import Callable
 from dataclasses import dataclass
+from datetime import datetime, timezone
 from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
@@ -16,7 +18,7 @@ from rclpy.node import Node
 
 from greenroof_ros.common.interface import read_topics
 from greenroof_ros.graph.qos import qos_profile
-from greenroof_ros.graph.states import REPORT_PIPE, STARTING, STATES
+from greenroof_ros.graph.states import REPORT_PIPE, STARTING, STATES, as_expected
 
 # How a part of a node is, as tools know it.
 OK, WARN = DiagnosticStatus.OK, DiagnosticStatus.WARN
@@ -31,10 +33,16 @@ class Diagnosis:
     Attributes:
         level: ``OK``, ``WARN``, ``ERROR`` or ``STALE``.
         message: a sentence.
+        code: for programs; empty where all is well.
+        cause: the code that it follows from; empty where that is not known.
+        since: when it began to have this code, by the system's clock (s since 1970).
     """
 
     level: bytes
     message: str
+    code: str
+    cause: str
+    since: float
 
 
 @dataclass(frozen=True)
@@ -73,20 +81,21 @@ class Reports:
         supervised: whether the process that started the node wants its reports, and ends it.
     """
 
-    def __init__(self, node: Node, role: str, on_report: Callable[[Report], None]) -> None:
+    def __init__(
+        self, node: Node, role: str, on_report: Callable[[Report], None] | None
+    ) -> None:
         """Open the topic and, where a parent process wants reports, the pipe to it.
 
         Args:
             node: whose state it is.
             role: what the interface calls it.
-            on_report: called with each report of another node.
+            on_report: called with each report of another node; None: they are not heard.
         """
         self.state = STARTING
         self.diagnoses: dict[str, Diagnosis] = {}
         self.hardware = ""
         self._node = node
         self._role = role
-        self._on_report = on_report
         self._machine = socket.gethostname()
         self.process = f"{self._machine} {os.getpid()}"
         self._pipe: int | None = None
@@ -97,7 +106,19 @@ class Reports:
         topic = read_topics()["/diagnostics"]
         profile = qos_profile(topic.qos)
         self.publisher = node.create_publisher(DiagnosticArray, topic.graph_name, profile)
-        node.create_subscription(DiagnosticArray, topic.graph_name, self._on_reports, profile)
+        if on_report is not None:
+            node.create_subscription(
+                DiagnosticArray, topic.graph_name,
+                lambda array: self._hear(array, on_report), profile,
+            )
+
+    def diagnose(self, part: str, level: bytes, message: str, code: str, cause: str) -> bool:
+        """Keep how a part is, and return whether that is another diagnosis than before."""
+        before = self.diagnoses.get(part)
+        since = time.time() if before is None or before.code != code else before.since
+        now = Diagnosis(level, message, code, cause, since)
+        self.diagnoses[part] = now
+        return now != before
 
     def say(self, values: dict[str, Any]) -> None:
         """Publish the node's state with these values.
@@ -116,7 +137,7 @@ class Reports:
         parts = [
             DiagnosticStatus(
                 level=one.level, name=f"{name}: {part}", message=one.message,
-                hardware_id=self.hardware or self._machine,
+                hardware_id=self.hardware or self._machine, values=_values(one),
             )
             for part, one in self.diagnoses.items()
         ]
@@ -129,13 +150,14 @@ class Reports:
             # said again a moment later.
             if self.diagnoses:
                 values["diagnoses"] = {
-                    part: [LEVELS[one.level], one.message] for part, one in self.diagnoses.items()
+                    part: [LEVELS[one.level], one.message, one.code]
+                    for part, one in self.diagnoses.items()
                 }
             with contextlib.suppress(BlockingIOError, BrokenPipeError):
                 line = json.dumps({"state": self.state, **values})
                 os.write(self._pipe, f"{line}\n".encode())
 
-    def _on_reports(self, array: DiagnosticArray) -> None:
+    def _hear(self, array: DiagnosticArray, on_report: Callable[[Report], None]) -> None:
         for status in array.status:
             namespace, _, name = status.name.rpartition("/")
             if (
@@ -144,11 +166,21 @@ class Reports:
             ):
                 continue
             try:
-                values = {entry.key: json.loads(entry.value) for entry in status.values}
+                said = {entry.key: json.loads(entry.value) for entry in status.values}
+                values = as_expected(said)
                 role, process = values["role"], values["process"]
             except (ValueError, RecursionError, KeyError):
                 continue  # another's status of that name
             if not isinstance(role, str) or not isinstance(process, str):
                 continue
             if process != self.process:
-                self._on_report(Report(name, role, process, status.message, values))
+                on_report(Report(name, role, process, status.message, values))
+
+
+def _values(diagnosis: Diagnosis) -> list[KeyValue]:
+    """Return what a status says to programs: none where all is well."""
+    if not diagnosis.code:
+        return []
+    since = datetime.fromtimestamp(diagnosis.since, timezone.utc).isoformat(timespec="seconds")
+    values = {"code": diagnosis.code, "since": since, "cause": diagnosis.cause}
+    return [KeyValue(key=key, value=value) for key, value in values.items() if value]

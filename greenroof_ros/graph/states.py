@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+import json
+from collections.abc import Callable, Mapping
+from typing import Any
+
 # The states of a node: not all its peers are there; they are; the run is over; so is the process.
 STARTING, READY, FINISHED, ENDED = STATES = ("starting", "ready", "finished", "ended")
 
@@ -16,6 +20,56 @@ PUMP, RECORDER = "pump", "recorder"
 REPORT_PIPE = "GREENROOF_ROS_REPORT_PIPE"
 
 # The environment variable that holds the file descriptor from which a started pump node reads, four
-# times a second, whether it may run: one JSON object a line, with the key "hold", empty or why it
-# may not, and "at", the steady clock (CLOCK_MONOTONIC, s) at which that was so.
+# times a second, whether it may run: one JSON object a line, with the key "inhibit", empty or why
+# it may not, and "at", the time since the machine started (CLOCK_BOOTTIME, s) at which that was so.
 PERMIT_PIPE = "GREENROOF_ROS_PERMIT_PIPE"
+
+
+def _is_text(value: object) -> bool:
+    return isinstance(value, str)
+
+
+def _is_number(value: object) -> bool:
+    """Whether it is a number, or None, which stands for unknown."""
+    return value is None or (isinstance(value, (int, float)) and not isinstance(value, bool))
+
+
+def _is_list(value: object) -> bool:
+    return isinstance(value, list) and all(map(_is_text, value))
+
+
+# What its readers take for granted of what a report says.
+_IS_AS_EXPECTED: dict[str, Callable[[Any], bool]] = {
+    **dict.fromkeys(("pump", "pump_state", "failure", "fault", "held"), _is_text),
+    **dict.fromkeys(("cistern_level", "roof_level", "command", "flow", "speed"), _is_number),
+    **dict.fromkeys(("warnings", "waiting"), _is_list),
+    **dict.fromkeys(("stands", "active"), lambda value: isinstance(value, bool)),
+    "tick": lambda value: type(value) is int,
+    "refused": lambda value: isinstance(value, dict)
+    and all(type(count) is int for count in value.values()),
+    "diagnoses": lambda value: isinstance(value, dict)
+    and all(_is_list(said) and len(said) == 3 for said in value.values()),
+}
+
+
+def as_expected(values: Mapping[str, Any]) -> dict[str, Any]:
+    """Return what a report says, without what is of another type than its readers expect.
+
+    A node that was started again can be of another version than they are, where the package was
+    changed meanwhile. What it says otherwise is as if it had not said it.
+    """
+    return {
+        key: value for key, value in values.items()
+        if key not in _IS_AS_EXPECTED or _IS_AS_EXPECTED[key](value)
+    }
+
+
+def read_report(line: bytes) -> dict[str, Any] | None:
+    """Return the report in a line of the pipe, or None where there is none."""
+    try:
+        report = json.loads(line)
+    except (ValueError, RecursionError):
+        return None
+    if not isinstance(report, dict) or report.get("state") not in STATES:
+        return None
+    return {"warnings": [], "refused": {}, **as_expected(report)}

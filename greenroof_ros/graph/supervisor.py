@@ -50,9 +50,6 @@ class Supervisor(NodeProcesses):
         self.permit = Permit()
         self.may_run = ""
         self._stop_drive = stop_drive
-        self._commands: dict[str, tuple[str, ...]] = {}  # module and its arguments
-        self._again: set[str] = set()  # nodes that were started again
-        self._done: set[str] = set()  # nodes that may end
         logs.mkdir()
 
     def __enter__(self) -> Supervisor:
@@ -74,9 +71,7 @@ class Supervisor(NodeProcesses):
         # it could not.
         recorder = self.nodes.get(RECORDER)
         closed = (
-            recorder is None
-            or RECORDER in self._done
-            or not (recorder.spoke or RECORDER in self._again)
+            recorder is None or not recorder.spoke
             or recorder.process.returncode in (EXIT_DONE, -signal.SIGALRM)
         )
         if not closed and not isinstance(error, NodeFailed):
@@ -85,29 +80,8 @@ class Supervisor(NodeProcesses):
 
     def add(self, node: str, module: str, *arguments: str) -> None:
         """Start a node; see :meth:`NodeProcesses.start`."""
-        self._commands[node] = (module, *arguments)
-        self._start(node)
-
-    def start_again(self, node: str, *ros_arguments: str) -> None:
-        """End what is left of a node and start it once more.
-
-        Args:
-            node: its name.
-            ros_arguments: beside those of the first time.
-        """
-        self.nodes[node].kill()
-        if node == PUMP:
-            self._see_drive_off(said=True)
-        self._again.add(node)
-        self._start(node, *ros_arguments)
-
-    def let_go(self, node: str) -> None:
-        """Do not mind that a node ends, or has: it has said all."""
-        self._done.add(node)
-
-    def _start(self, node: str, *ros_arguments: str) -> None:
         pipes = self.permit.open() if node == PUMP else {}
-        self.start(node, *self._commands[node], ros_arguments=ros_arguments, pipes=pipes)
+        self.start(node, module, *arguments, pipes=pipes)
 
     def _see_drive_off(self, *, said: bool) -> None:
         """Stop the drive, and print what came of it where that is wanted, or the pump may run."""
@@ -128,8 +102,7 @@ class Supervisor(NodeProcesses):
         Raises:
             NodeFailed: one has ended, or some were silent for longer.
         """
-        watched = {name: node for name, node in self.nodes.items() if name not in self._done}
-        for name, node in watched.items():
+        for name, node in self.nodes.items():
             how = node.how_it_ended()
             if how is not None:
                 last_lines = self.quoted(name)
@@ -142,7 +115,8 @@ class Supervisor(NodeProcesses):
                 )
         now = time.monotonic()
         silent = {
-            name: now - node.heard for name, node in watched.items() if now - node.heard > limit
+            name: now - node.heard for name, node in self.nodes.items()
+            if now - node.heard > limit
         }
         # A node that is stopped silences those that wait for it: all of them are named, and which
         # of them is stopped.

@@ -24,6 +24,7 @@ class Input:
         value: the newest; nanoseconds of a clock, otherwise a number or a row of numbers.
         good: whether the newest was not refused; in a live graph, whether it keeps all rules.
         why: why it is not, for a sentence that begins with its name.
+        code: of that condition; empty where it is good.
         refused: how many were.
         heard: live: whether anything ever came.
     """
@@ -41,6 +42,7 @@ class Input:
         self.value: Any = 0.0
         self.good = True
         self.why = ""
+        self.code = ""
         self.refused = 0
         self.heard = False
         self._logger = logger
@@ -50,6 +52,8 @@ class Input:
     def receive(self, message: bytes) -> None:
         """Read a message's value and keep it, or 0 where it must be refused."""
         value = self._decode(message)
+        if not self.good:
+            self.why = self.code = ""
         low, high = self._low, self._high
         if isinstance(value, float):
             if low <= value <= high:  # a NaN is neither
@@ -84,5 +88,6 @@ class Input:
             )
         self.refused += 1
         self.good = False
+        self.code = "input_refused"
         self.why = f"was refused: {value!r}, and {limits}"
         self.value = instead

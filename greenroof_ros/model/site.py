@@ -69,6 +69,9 @@ _OPTIONAL = {
     "wind_height": (0.5, 100.0),
     "crop_coefficient": (0.01, 3.0),
 }
+# The site climate, and the most that a month's mean may be (mm/day).
+_CLIMATE = "monthly_evapotranspiration"
+_LARGEST_MONTH = 20.0
 PLACE = (
     "latitude", "longitude", "elevation", "utc_offset", "albedo", "k_Rs", "wind_height",
     "crop_coefficient",
@@ -213,6 +216,11 @@ class Site:
         1.0, "1",
         "evapotranspiration of the vegetation over that of the reference grass",
     )
+    monthly_evapotranspiration: tuple[float, ...] | None = _may_be_left_out(
+        None, "mm/day",
+        "means of the reference evapotranspiration, January to December, in brackets; what a live "
+        "site without a forecast takes",
+    )
 
     @cached_property
     def effective_catchment(self) -> float:
@@ -288,6 +296,13 @@ class Site:
     def highest_roof_level(self) -> float:
         """Twice the soil's depth (m): a reading above is no level in metres."""
         return 2 * self.z_soil
+
+    def climatic_evapotranspiration(self, month: int) -> float | None:
+        """Mean off the whole bed in a month, 1 to 12 (m3/s); None where it is not known."""
+        if self.monthly_evapotranspiration is None:
+            return None
+        reference = self.monthly_evapotranspiration[month - 1]
+        return self.crop_coefficient * reference / 1000 / 86400 * self.a2
 
     def cistern_level(self, x1: float) -> float:
         """Depth of a water volume x1 (m3) in the cistern (m)."""
@@ -416,6 +431,8 @@ def read_site(path: Path) -> Site:
             )
     values: dict[str, float] = {}
     for name in names:
+        if name == _CLIMATE:
+            continue  # no single number
         if name not in mapping:
             if name in _OPTIONAL or name in _FOLLOW_FROM:
                 continue
@@ -465,7 +482,10 @@ def read_site(path: Path) -> Site:
                 "refused; is a unit wrong?",
                 file=path, line=mapping.lines[name], key=name, value=mapping[name],
             )
-    site = Site(**values)  # type: ignore[arg-type]  # what must be whole was made so above
+    site = Site(
+        **values,  # type: ignore[arg-type]  # what must be whole was made so above
+        monthly_evapotranspiration=_climate(path, mapping),
+    )
     _check_water(path, mapping, site)
     if site.z_veg >= site.z_soil:
         raise ConfigurationError(
@@ -489,6 +509,26 @@ def read_site(path: Path) -> Site:
             file=path, line=mapping.lines["tau"], key="tau", value=mapping["tau"],
         )
     return site
+
+
+def _climate(path: Path, mapping: YamlMapping) -> tuple[float, ...] | None:
+    """Return the means of twelve months (mm/day); None where the file has none.
+
+    Raises:
+        ConfigurationError: they are not that; the message names the file, line, key and value.
+    """
+    if _CLIMATE not in mapping:
+        return None
+    months = mapping[_CLIMATE]
+    if not isinstance(months, list) or len(months) != 12 or not all(
+        type(one) in (int, float) and 0 <= one <= _LARGEST_MONTH for one in months
+    ):
+        raise ConfigurationError(
+            "must be twelve numbers in brackets, January to December, each from 0 to "
+            f"{_LARGEST_MONTH:g} mm/day",
+            file=path, line=mapping.lines[_CLIMATE], key=_CLIMATE, value=months,
+        )
+    return tuple(map(float, months))
 
 
 def _check_water(path: Path, mapping: YamlMapping, site: Site) -> None:

@@ -1,5 +1,7 @@
 """The controller node, whichever controller it runs: levels and forecasts in, one command out.
 
+On a live site a controller that needs a forecast and has none is replaced by on/off meanwhile.
+
 ``python -m greenroof_ros.nodes.controller --controller NAME`` runs a registered controller, or any
 class as ``package.module:Class``; the node is named after it.
 """
@@ -7,6 +9,7 @@ class as ``package.module:Class``; the node is named after it.
 from __future__ import annotations
 
 import math
+import time
 from collections import deque
 from functools import partial
 from typing import Any
@@ -18,18 +21,23 @@ from rclpy.parameter import Parameter
 from greenroof_ros.common.command_line import EXIT_DONE, command
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.interface import optional_topics
-from greenroof_ros.controllers.decide import decide
+from greenroof_ros.common.times import from_epoch_ns, to_people
+from greenroof_ros.controllers.decide import NoCommandError, decide
+from greenroof_ros.controllers.onoff import FRACTION, OnOff
 from greenroof_ros.controllers.registry import ControllerChoice, controller_names, find_controller
-from greenroof_ros.graph.link import CLOCK, LinkedNode
+from greenroof_ros.graph.link import LinkedNode
 from greenroof_ros.graph.live import (
     FROZEN_MOVEMENT,
     JUMP_TOLERANCE,
     LEVEL_PARAMETERS,
+    RECOVERY,
     live_parameters,
 )
+from greenroof_ros.graph.lockstep import CLOCK
 from greenroof_ros.graph.node_help import NodeParser, node_help
 from greenroof_ros.graph.node_process import run_node
-from greenroof_ros.graph.parameters import LIVE, declare, of_controller, site_file
+from greenroof_ros.graph.parameters import LIVE, declare, site_file
+from greenroof_ros.graph.reports import ERROR, OK, WARN
 from greenroof_ros.graph.serialization import decode_clock
 from greenroof_ros.graph.validation import Input
 from greenroof_ros.model.plant import pump_flow
@@ -41,15 +49,18 @@ from greenroof_ros.pumping.input_rules import (
     roof_reach,
 )
 
-# The inputs that it needs; live it looks at two more, if they are there.
-_NEEDED = (
+# The inputs that it needs; live the forecasts may be missing, and two more are looked at.
+_INPUTS = (
     "/cistern/level", "/roof/level", "/forecast/precipitation", "/forecast/evapotranspiration",
     "/weather/frost",
 )
 _FLOW, _GAUGE = "/pump/flow", "/gauge/precipitation"
+# On/off takes over where a forecast is missing for so many times recovery_time: what is missing for
+# a moment, as after a pause of the node's own, starts no pump.
+_GIVEN_UP = 3
 # So many changes of parameters a live node keeps, the newest; all are counted.
 _LIVE_CHANGES = 20
-LIVE_PARAMETERS = [*live_parameters([*_NEEDED, _FLOW, _GAUGE]), *LEVEL_PARAMETERS]
+LIVE_PARAMETERS = [*live_parameters([*_INPUTS, _FLOW, _GAUGE]), *LEVEL_PARAMETERS]
 
 
 class _Expectation:
@@ -80,17 +91,24 @@ class _Expectation:
 
 
 class ControllerNode(LinkedNode):
-    """Runs one controller in the graph; it commands 0 where an input is not good, and in frost."""
+    """Runs one controller in the graph; it commands 0 where an input is not good, and in frost.
+
+    On a live site a forecast that is missing, too old or refused is no reason to stop: on/off, with
+    its defaults, commands until there is one again. Where it pumped, the controller then begins
+    anew: what it knew of the roof, of its plan and of what its trust has cost is of before.
+    """
 
     def __init__(self, choice: ControllerChoice) -> None:
         """Declare the controller's parameters and open the topics."""
         super().__init__(choice.name, "controller")
         site = self.declare_site()
         self.act_every(site.tau)
-        values = declare(self, of_controller(choice.kind.parameters))
+        values = declare(self, choice.kind.parameters)
         live = declare(self, LIVE_PARAMETERS)
+        self._site = site
+        self._choice = choice
+        self._values = values
         self._controller = choice.make(site, values)
-        self._ensemble = choice.ensemble
         self._may_change = {
             one.name: values[one.name] for one in choice.kind.parameters if one.may_change
         }
@@ -107,10 +125,17 @@ class ControllerNode(LinkedNode):
         )
         self._cistern = self.subscribe("/cistern/level", level=cistern_rule)
         self._roof = self.subscribe("/roof/level", level=roof_rule)
-        self._rain = self.subscribe("/forecast/precipitation")
-        self._evapotranspiration = self.subscribe("/forecast/evapotranspiration")
+        self._rain, self._evapotranspiration = (
+            self.subscribe(name, optional=self.live)
+            for name in ("/forecast/precipitation", "/forecast/evapotranspiration")
+        )
         self._frost = self.subscribe("/weather/frost")
         if self.live:
+            self._without_forecast = OnOff(site, FRACTION.default)
+            self._give_up_after = _GIVEN_UP * live[RECOVERY.name]
+            self._missing_since = math.inf  # the forecast (steady clock, s)
+            self._without_since = ""  # on/off commands, in words; empty while it does not
+            self._without_pumped = False
             self._expectation = _Expectation(
                 site, cistern_rule, roof_rule,
                 self.subscribe(_FLOW, optional=True), self.subscribe(_GAUGE, optional=True),
@@ -124,10 +149,6 @@ class ControllerNode(LinkedNode):
         ]
         self.add_on_set_parameters_callback(self._on_parameters)
 
-    def on_begin(self, tick: int) -> None:
-        """Begin as in a run that begins with this tick."""
-        self._tick = tick
-
     def on_inputs(self) -> None:
         """Command, and publish what the controller says beside it."""
         allowed = self.good and not self._frost.value
@@ -140,25 +161,50 @@ class ControllerNode(LinkedNode):
             publish(getattr(self._controller, attribute) if allowed else undecided)
 
     def _decide(self, allowed: bool) -> float:
+        there = allowed and self._rain.good and self._evapotranspiration.good
         return decide(
             self._controller, allowed, self._cistern.value, self._roof.value,
-            self._rain_forecast() if allowed else self._rain.value, self._evapotranspiration.value,
+            self._rain_forecast() if there else (),
+            self._evapotranspiration.value if there else (),
         )
 
     def _command_live(self, allowed: bool) -> bool:
-        """Command, or 0 where the controller cannot, or its inputs were too old when it had.
+        """Command: the controller's, or on/off's without a forecast; 0 of inputs that are too old.
 
         Args:
             allowed: whether it may pump.
 
         Returns:
-            Whether it did decide.
+            Whether the controller did decide.
         """
+        problem = self._forecast_problem()
+        decides = allowed and not problem
+        if decides and self._without_pumped:
+            values = {**self._values, **self._may_change}
+            self._controller = self._choice.make(self._site, values)
+            self._without_pumped = False
         try:
-            command = self._decide(allowed)
+            try:
+                command = self._decide(decides)
+            except NoCommandError:
+                raise
+            except ConfigurationError as error:
+                self.refuse(self._rain.topic.name, str(error))
+                problem = self._forecast_problem()
+                decides = allowed and not problem
+                command = self._decide(decides)
         except ConfigurationError as error:
-            self.refuse(self._rain.topic.name, str(error))
-            command, allowed = self._decide(False), False
+            self.diagnose("command", ERROR, str(error), "controller_failed")
+            command, decides = 0.0, False
+        else:
+            if decides and "command" in self.reports.diagnoses:
+                self.diagnose("command", OK, "the controller commands again")
+        self._say_forecast(problem)
+        if allowed and self._without_since:
+            command = self._without_forecast.command(
+                self._cistern.value, self._roof.value, (), ()
+            )
+            self._without_pumped = self._without_pumped or command > 0
         if command and not self.good:
             command = 0.0
         self._publish_command(command)
@@ -168,7 +214,34 @@ class ControllerNode(LinkedNode):
             "cistern_level": self._cistern.value if self._cistern.good else None,
             "roof_level": self._roof.value if self._roof.good else None,
         }
-        return allowed
+        return decides
+
+    def _forecast_problem(self) -> str:
+        """Return what is wrong with the forecasts; empty where the controller can decide."""
+        if not self._choice.needs_forecast:
+            return ""
+        return "; ".join(
+            f"{one.name} {one.why}" for one in (self._rain, self._evapotranspiration)
+            if not one.good
+        )
+
+    def _say_forecast(self, problem: str) -> None:
+        """Say what is wrong with the forecasts, and let on/off command where that lasts."""
+        if not self._choice.needs_forecast:
+            return
+        if not problem:
+            self._missing_since, self._without_since = math.inf, ""
+            self.diagnose("forecast", OK, "the forecast is good")
+            return
+        now = time.monotonic()
+        self._missing_since = min(self._missing_since, now)
+        if not self._without_since and now - self._missing_since >= self._give_up_after:
+            wall = from_epoch_ns(self.get_clock().now().nanoseconds)
+            self._without_since = to_people(wall.replace(microsecond=0))
+        if self._without_since:
+            problem = f"on/off commands since {self._without_since}, without a forecast: {problem}"
+        cause = next(one.code for one in (self._rain, self._evapotranspiration) if not one.good)
+        self.diagnose("forecast", WARN, problem, "no_forecast", cause)
 
     def _rain_forecast(self) -> Any:
         """Return the forecast of rain in the shape that the controller takes.
@@ -177,7 +250,7 @@ class ControllerNode(LinkedNode):
             ConfigurationError: it is of several members, and the controller takes one.
         """
         rain = self._rain.value
-        if self._ensemble:
+        if self._choice.ensemble:
             return np.atleast_2d(rain)
         if isinstance(rain, np.ndarray):
             raise ConfigurationError(
@@ -223,7 +296,7 @@ def _finite(value: float) -> float | None:
 
 def _help(choice: ControllerChoice | None) -> str:
     """Return the help of a controller's node; without a controller, what all have in common."""
-    own = [] if choice is None else of_controller(choice.kind.parameters)
+    own = [] if choice is None else choice.kind.parameters
     return node_help(
         f"controller --controller {'NAME' if choice is None else choice.reference}",
         "controller",

@@ -13,19 +13,22 @@ from pathlib import Path
 from typing import Any
 
 from greenroof_ros.common.command_line import EXIT_DONE, command
+from greenroof_ros.common.parameter import Parameter
 from greenroof_ros.drives.level_sensor import SensorExchange
 from greenroof_ros.drives.sensor_file import default_sensors, read_sensors
 from greenroof_ros.graph.link import LISTEN_S, LinkedNode
 from greenroof_ros.graph.live import LIMITS
 from greenroof_ros.graph.node_help import NodeParser, node_help
 from greenroof_ros.graph.node_process import run_node
-from greenroof_ros.graph.parameters import NodeParameter, declare
+from greenroof_ros.graph.parameters import declare
 from greenroof_ros.graph.reports import ERROR, OK, STALE
 
 TANKS = ("cistern", "roof")
 _LIMIT = LIMITS["/cistern/level"]
 PARAMETERS = [
-    NodeParameter("sensors_file", str(default_sensors()), "what the sensors are like, and where"),
+    Parameter(
+        "sensors_file", str(default_sensors()), meaning="what the sensors are like, and where",
+    ),
     _LIMIT,
 ]
 # After so many periods without any reading, good or bad, the reader hangs.
@@ -57,12 +60,15 @@ class LevelSensorNode(LinkedNode):
         reading, now = self._exchange.snapshot, time.monotonic()
         if now - max(reading.read_at, self._started) > _PERIODS * self._sensor.period:
             self._level = None
-            self.diagnose("sensor", STALE, "the sensor is not read any more: the reader hangs")
+            self.diagnose(
+                "sensor", STALE, "the sensor is not read any more: the reader hangs",
+                "sensor_hangs",
+            )
         elif reading.read_at > self._published:
             self._published = reading.read_at
             self._level = reading.level
             if reading.level is None:
-                self.diagnose("sensor", ERROR, reading.problem)
+                self.diagnose("sensor", ERROR, reading.problem, "sensor_lost")
             else:
                 self._publish(reading.level)
                 self.diagnose("sensor", OK, "the sensor is read")

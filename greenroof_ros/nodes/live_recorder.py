@@ -2,7 +2,8 @@
 
 Into a bag's files by size and by day (UTC), with the time at which it came. The oldest files go
 when the bag reaches its limit. What came is on the disk after 10 s. A full disk ends the recording
-and is an alarm, and nothing else: the node lives on, and tries again every minute.
+and is an alarm, and nothing else: the node lives on, and tries again every minute. So is a disk
+that hangs: what comes waits in memory, up to 32 MB, and is written when the disk goes on.
 """
 
 from __future__ import annotations
@@ -10,36 +11,43 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 from greenroof_ros.common.command_line import EXIT_DONE, command
+from greenroof_ros.common.disk import DISK
 from greenroof_ros.common.errors import ConfigurationError
+from greenroof_ros.common.parameter import Parameter
 from greenroof_ros.graph.link import LISTEN_S, LinkedNode
 from greenroof_ros.graph.node_help import NodeParser, node_help
 from greenroof_ros.graph.node_process import run_node
-from greenroof_ros.graph.parameters import NodeParameter, declare
+from greenroof_ros.graph.parameters import declare
 from greenroof_ros.graph.reports import ERROR, OK
 from greenroof_ros.recording.live_bag import LiveBag
 
 PARAMETERS = (
-    NodeParameter("directory", "bag", "the bag; goes on with one that is there"),
-    NodeParameter(
-        "file_limit", 100.0, "size at which a file of the bag ends and the next begins (MB)",
-        0.1, 1e6,
+    Parameter("directory", "bag", meaning="the bag; goes on with one that is there"),
+    Parameter(
+        "file_limit", 100.0, "MB", 0.1, 1e6, "size at which a file of the bag ends and the next "
+        "begins",
     ),
-    NodeParameter(
-        "total_limit", 10_000.0,
-        "size beyond which the bag's oldest files are removed, at least twice file_limit (MB)",
-        0.2, 1e9,
+    Parameter(
+        "total_limit", 10_000.0, "MB", 0.2, 1e9, "size beyond which the bag's oldest files are "
+        "removed, at least twice file_limit",
     ),
 )
 
 _MB = 1e6
+# How often it is looked whether it is time to flush (s), and how long the end waits for the disk.
+_LOOK_S, _WRITTEN_S = 1.0, 4.0
 
 
 class LiveRecorderNode(LinkedNode):
-    """Writes the topics of a live graph, and /diagnostics, under their names on the wire."""
+    """Writes the topics of a live graph, and /diagnostics, under their names on the wire.
+
+    The disk's thread writes; this node's own takes messages and reports, and waits for no disk.
+    """
 
     def __init__(self) -> None:
         """Declare the parameters, look at the bag and open the topics."""
@@ -59,21 +67,30 @@ class LiveRecorderNode(LinkedNode):
             file_bytes=int(file * _MB),
             total_bytes=int(total * _MB),
         )
+        self._unwritten = 0  # messages for which there was no room in memory
+        self._looked_at = time.monotonic()
         for topic, name in zip(topics, names, strict=True):
             self.record(topic.name, self._writer(name))
 
     def _writer(self, name: str) -> Callable[[bytes], None]:
         def callback(message: bytes) -> None:
-            self._bag.write(name, time.time_ns(), message, time.monotonic())
+            write = partial(self._bag.write, name, time.time_ns(), message, time.monotonic())
+            if not DISK.do(write, len(message)):
+                self._unwritten += 1
 
         return callback
 
     def on_idle(self) -> float:
         """Flush when it is time to, and say how recording goes."""
-        self._bag.look(time.monotonic())
+        now = time.monotonic()
+        if now - self._looked_at > _LOOK_S:
+            self._looked_at = now
+            DISK.do(partial(self._bag.look, now))
         problem = self._bag.problem
+        if DISK.late:
+            problem = f"{self._bag.directory}: the disk takes nothing; what comes waits in memory"
         if problem:
-            self.diagnose("recording", ERROR, f"nothing is recorded: {problem}")
+            self.diagnose("recording", ERROR, f"nothing is recorded: {problem}", "not_recorded")
         else:
             self.diagnose("recording", OK, f"recording to {self._bag.directory}")
         return LISTEN_S
@@ -81,14 +98,17 @@ class LiveRecorderNode(LinkedNode):
     def progress(self) -> dict[str, Any]:
         """Return where the bag is, and how many messages came into it since this start, or not."""
         return {
-            "bag": str(self._bag.directory), "recorded": self._bag.recorded, "lost": self._bag.lost,
+            "bag": str(self._bag.directory), "recorded": self._bag.recorded,
+            "lost": self._bag.lost + self._unwritten,
         }
 
     def on_stop(self) -> None:
-        """Close the bag."""
-        self._bag.close()
-        if self._bag.problem:
-            self.get_logger().error(self._bag.problem)
+        """Close the bag, unless the disk hangs: then it is as a kill leaves it."""
+        problem = ""
+        if not (DISK.do(self._bag.close) and DISK.wait(_WRITTEN_S)):
+            problem = f"{self._bag.directory}: the disk takes nothing; the bag is not closed"
+        if problem or self._bag.problem:
+            self.get_logger().error(problem or self._bag.problem)
 
 
 def _help() -> str:

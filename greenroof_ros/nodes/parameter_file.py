@@ -10,12 +10,11 @@ from pathlib import Path
 
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.files import YamlMapping, read_yaml
+from greenroof_ros.common.parameter import Parameter
 from greenroof_ros.controllers.registry import OF_EVERY_NODE, ControllerChoice
 from greenroof_ros.graph.parameters import (
     LIVE,
-    NodeParameter,
     default_site,
-    of_controller,
     site_file,
 )
 
@@ -45,7 +44,7 @@ def refuse_unknown_in(
     _look(file, read_yaml(file), "", 1, known)
 
 
-def _parameters(module: str, controller: ControllerChoice) -> list[NodeParameter]:
+def _parameters(module: str, controller: ControllerChoice) -> list[Parameter]:
     """Return what the node of a module declares."""
     try:
         node = import_module(module)
@@ -59,7 +58,7 @@ def _parameters(module: str, controller: ControllerChoice) -> list[NodeParameter
         case "pump" | "weather":
             return [LIVE, site_file(), *node.parameters(default_site())]
         case "controller":
-            own = of_controller(controller.kind.parameters)
+            own = controller.kind.parameters
             return [LIVE, site_file(), *own, *node.LIVE_PARAMETERS]
     return list(node.PARAMETERS)
 

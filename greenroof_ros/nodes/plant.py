@@ -1,23 +1,26 @@
 """The plant node: simulates cistern and roof, and is the heartbeat of the graph.
 
-Tick k: it publishes ``/clock`` and the levels, waits for the weather and the command (or, with an
-external pump, the flow), publishes what moved, and steps the exact model to k + 1.
+Tick k: it publishes ``/clock`` and the levels, waits for the weather, the command and, with an
+external pump, the flow, steps the exact model, and publishes clock and levels of tick k + 1, then
+the flows of tick k.
 """
 
 from __future__ import annotations
 
+import secrets
 import time
-from collections import deque
 from typing import Any
 
 from greenroof_ros.common.command_line import EXIT_DONE, command
+from greenroof_ros.common.errors import OccupiedError
+from greenroof_ros.common.parameter import Parameter
 from greenroof_ros.common.times import DEFAULT_START, epoch_ns, read_start
 from greenroof_ros.graph.errors import LockstepError
-from greenroof_ros.graph.link import CLOCK, LISTEN_S, LinkedNode
+from greenroof_ros.graph.link import LISTEN_S, LinkedNode
+from greenroof_ros.graph.lockstep import CLOCK, RUN, RunIdentity
 from greenroof_ros.graph.node_help import NodeParser, node_help
 from greenroof_ros.graph.node_process import run_node
 from greenroof_ros.graph.parameters import (
-    NodeParameter,
     declare,
     default_site,
     site_file,
@@ -30,8 +33,8 @@ from greenroof_ros.model.site import Site
 
 # How far the plant may run ahead of what the recorder has safely written (ticks).
 _AHEAD = 32
-# How many messages of a topic are kept for a recorder that lost them: more than these.
-_RECEIVED = 64
+# An identity of a run has so many bits: a double holds it exactly.
+_IDENTITY_BITS = 53
 
 
 _SENSOR_PUMP_ERRORS = {
@@ -43,31 +46,34 @@ _SENSOR_PUMP_ERRORS = {
 }
 
 
-def parameters(site: Site) -> list[NodeParameter]:
+def parameters(site: Site) -> list[Parameter]:
     """Return the node's parameters, but that of the site."""
     _, (cistern, roof) = default_state(site)
     perfect = SensorPumpErrors().values()
     return [
-        NodeParameter(
-            "initial_cistern_volume", cistern, "volume in the cistern at tick 0 (m3)", 0, 1e9
+        Parameter(
+            "initial_cistern_volume", cistern, "m3", 0, 1e9, "volume in the cistern at tick 0",
         ),
-        NodeParameter("initial_roof_volume", roof, "volume on the roof at tick 0 (m3)", 0, 1e9),
-        NodeParameter("start", DEFAULT_START, "time of tick 0, ISO 8601 with its offset"),
-        NodeParameter("run_length", site.N, "N (ticks)", 1, 2**40),
-        NodeParameter("speed", 0.0, "simulated per wall time, 0 = as fast as it goes", 0, 1e9),
-        NodeParameter(
-            "pump", "internal", "internal, or external: /pump/flow is a driver's",
+        Parameter("initial_roof_volume", roof, "m3", 0, 1e9, "volume on the roof at tick 0"),
+        Parameter("start", DEFAULT_START, meaning="time of tick 0, ISO 8601 with its offset"),
+        Parameter("run_length", site.N, "ticks", 1, 2**40, "N"),
+        Parameter("speed", 0.0, "", 0, 1e9, "simulated per wall time, 0 = as fast as it goes"),
+        Parameter(
+            "pump", "internal", meaning="internal, or external: /pump/flow is a driver's",
             among=("internal", "external"),
         ),
         *(
-            NodeParameter(name, perfect[name], meaning, *RANGES[name])
+            Parameter(
+                name, perfect[name], "", *RANGES[name],
+                meaning,
+            )
             for name, meaning in _SENSOR_PUMP_ERRORS.items()
         ),
-        NodeParameter("record", False, "wait for a recorder"),
-        NodeParameter("peer_limit", 5.0, "longest wait for another node (s of wall time)", 2, 1e6),
-        NodeParameter(
-            "start_limit", 30.0, "longest wait for the other nodes to come (s of wall time)",
-            0.1, 1e6,
+        Parameter("record", False, meaning="wait for a recorder"),
+        Parameter("peer_limit", 5.0, "", 2, 1e6, "longest wait for another node (s of wall time)"),
+        Parameter(
+            "start_limit", 30.0, "", 0.1, 1e6, "longest wait for the other nodes to come (s of "
+            "wall time)",
         ),
     ]
 
@@ -117,22 +123,14 @@ class PlantNode(LinkedNode):
         # Frost ends a minimum time on; without one there is nothing but the command to obey.
         self._frost = self.subscribe("/weather/frost") if errors.minimum_on else None
         self._command_input = self.subscribe("/pump/command")
-        # The newest of what other nodes answered, by topic, and whether somebody asks for them.
-        self._received = {"/pump/command": deque[float](maxlen=_RECEIVED)}
-        self._tells_received = False
-        self._acted_ticks = 0
         if self._external:
             self._flow = self.subscribe("/pump/flow")
-            self._received["/pump/flow"] = deque(maxlen=_RECEIVED)
         else:
             self._publish_flow = self.publish_topic("/pump/flow")
         if self._record:
             self.subscribe("/recorder/written", self._on_written)
-
-    def on_restart(self, name: str) -> None:
-        """Wait for a node that was started again as if it had just been asked."""
-        self._waiting_since = time.monotonic()
-        self._tells_received = True
+        identity = float(secrets.randbits(_IDENTITY_BITS))
+        self.publish_topic(RUN)(RunIdentity(identity, self._run_length).values)
 
     def _on_written(self, ticks: float) -> None:
         self._written = int(ticks)
@@ -140,6 +138,11 @@ class PlantNode(LinkedNode):
     def _behind(self) -> bool:
         """Whether the recorder is as far behind as it may be."""
         return self._record and self._tick >= self._written + _AHEAD
+
+    def all_arrived(self) -> bool:
+        """Whether all that the node said has come to who hears it, the recorder's bag included."""
+        recorded = not self._record or self._written > self._run_length
+        return recorded and super().all_arrived()
 
     def _pause(self) -> float:
         """How long the present tick must still wait for its time at this pace (s)."""
@@ -152,10 +155,6 @@ class PlantNode(LinkedNode):
         """Return what the sensors of cistern and roof read in the present tick (m)."""
         cistern, roof = self._plant.levels()
         return cistern, self._sensor.reading(self._tick, roof)
-
-    def tick_is_open(self) -> bool:
-        """Whether the present tick was published."""
-        return self._running and not self._held and not self._done
 
     def _publish_tick(self) -> None:
         """Publish the time and the levels of the present tick."""
@@ -170,15 +169,17 @@ class PlantNode(LinkedNode):
 
     def on_inputs(self) -> None:
         """Step the plant: weather and command, or flow, of this tick are here."""
+        if not self._running or self._held:
+            raise OccupiedError(
+                f"answers to tick {self._tick} came before it was published: nodes of an earlier "
+                "run are in this graph; end them"
+            )
         if self._tick == 0:
             self._began = time.monotonic()  # before that the others were still joining
         rain = self._rain.value
         self._command = command = self._command_input.value
-        self._received["/pump/command"].append(command)
-        self._acted_ticks += 1
         if self._external:
             pump = self._flow.value
-            self._received["/pump/flow"].append(pump)
         else:
             frost = self._frost is not None and not (self._frost.good and self._frost.value == 0)
             pump = self._pump.flow(self._plant, command, frost)
@@ -235,9 +236,7 @@ class PlantNode(LinkedNode):
                 return min(pause, LISTEN_S)
             self._publish_tick()
             return LISTEN_S
-        if self.doubtful:
-            self._waiting_since = now
-        elif now - self._waiting_since > self._limit:
+        if now - self._waiting_since > self._limit:
             missing = "/recorder/written from recorder" if self._held else self.missing()
             raise LockstepError(
                 f"tick {self._tick}: nothing came within {self._limit:g} s on {missing}"
@@ -252,21 +251,7 @@ class PlantNode(LinkedNode):
             "cistern_level": cistern,
             "roof_level": roof,
             "command": self._command,
-            "received": self._newest_received() if self._tells_received else {},
         }
-
-    def _newest_received(self) -> dict[str, tuple[int, list[float]]]:
-        """Return how many commands, and flows of a driver, came, and the newest of them.
-
-        For the recorder: the node that said them may have been killed before the recorder had them.
-        """
-        found = {}
-        for name, received in self._received.items():
-            taken, values = self.taken(name), list(received)
-            if taken > self._acted_ticks:
-                values.append(self.inputs.entries[name].value)  # of a tick that waits for others
-            found[name] = (taken, values)
-        return found
 
     def summary(self) -> dict[str, Any]:
         """Return the run's metrics, those of its weeks, and how long it took (s of wall time)."""

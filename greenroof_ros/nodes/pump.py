@@ -2,7 +2,7 @@
 
 It is a lifecycle node. *configure* connects to the drive and reads its nameplate and its own
 communication timeout; *activate* lets the pump run, unless that timeout is off, too long or
-unreadable; *deactivate* ramps down, *cleanup* lets go. ``~/stop`` (std_srvs/SetBool) holds the pump
+unreadable; *deactivate* ramps down, *cleanup* lets go. ``~/stop`` (std_srvs/SetBool) keeps the pump
 off over anything, after a restart too; ``~/reset`` (std_srvs/Trigger) clears a latched fault. In
 any state each command is answered by the flow, and /pump/state says why the pump stands.
 """
@@ -14,12 +14,14 @@ import re
 import threading
 import time
 from pathlib import Path
-from typing import Any, cast
+from typing import Any
 
 from std_srvs.srv import SetBool, Trigger
 
+from greenroof_ros.common.clock import boot_time, suspended_time
 from greenroof_ros.common.command_line import EXIT_DONE, command
 from greenroof_ros.common.errors import ConfigurationError
+from greenroof_ros.common.parameter import Parameter
 from greenroof_ros.drives.address import parse_drive_address
 from greenroof_ros.drives.drive import DriveStatus
 from greenroof_ros.drives.drive_file import LONGEST_RAMP_S, find_drive_file, read_drive_file
@@ -33,27 +35,25 @@ from greenroof_ros.graph.lifecycle import (
     Lifecycle,
     RefusedError,
 )
-from greenroof_ros.graph.link import CLOCK, LISTEN_S, LinkedNode
+from greenroof_ros.graph.link import LISTEN_S, LinkedNode
 from greenroof_ros.graph.live import (
     FROZEN_MOVEMENT,
     JUMP_TOLERANCE,
     LEVEL_PARAMETERS,
     LIMITS,
-    LivePublishers,
     live_parameters,
 )
+from greenroof_ros.graph.lockstep import CLOCK
 from greenroof_ros.graph.node_help import NodeParser, node_help
 from greenroof_ros.graph.node_process import run_node
 from greenroof_ros.graph.parameters import (
     LIVE,
-    NodeParameter,
     declare,
     default_site,
-    of_controller,
     site_file,
 )
 from greenroof_ros.graph.permit import PermitReader
-from greenroof_ros.graph.reports import ERROR, OK, STALE, WARN, Diagnosis
+from greenroof_ros.graph.reports import ERROR, OK, STALE, WARN
 from greenroof_ros.graph.serialization import decode_clock
 from greenroof_ros.graph.validation import Input
 from greenroof_ros.model.site import Site
@@ -77,45 +77,48 @@ _WAIT_S = 1.0
 # How old what the drive said may be (s). Nothing is known of it during a start, of some seconds; a
 # lost connection is noticed by the exchange, sooner.
 _DRIVE_AGE_S = 10.0
-# A pause of this process itself (s), after which what waited for it is no command of now.
-_PAUSE_S = 1.0
+# A pause of this process itself (s), after which what waited for it is no command of now; and for
+# how long it is said that the whole machine was suspended (s).
+_PAUSE_S, _SAID_S = 1.0, 60.0
 # How often a node that is to start by itself tries to, and how often the drive is looked at (s).
 _AGAIN_S, _LOOK_S = 0.5, 0.2
 
 _OWN = (
-    NodeParameter("drive", "", "make of drive, a file of config/drives, or a file's path"),
-    NodeParameter(
-        "address", "", "of the drive: tcp://HOST:PORT where it has an Ethernet port of its own, "
-        "gateway://HOST:PORT of a gateway to its serial port, or /dev/tty... of a serial line; "
-        "after a comma its device id, where that is not its file's, such as gateway://HOST:PORT,17",
+    Parameter("drive", "", meaning="make of drive, a file of config/drives, or a file's path"),
+    Parameter(
+        "address", "", meaning="of the drive: tcp://HOST:PORT where it has an Ethernet port of "
+        "its own, gateway://HOST:PORT of a gateway to its serial port, or /dev/tty... of a "
+        "serial line; after a comma its device id, where that is not its file's, such as "
+        "gateway://HOST:PORT,17",
     ),
-    NodeParameter(
-        "exchange_period", 0.1, "time between two rounds of requests to the drive (s)", 0.02, 1.0
+    Parameter(
+        "exchange_period", 0.1, "s", 0.02, 1.0, "time between two rounds of requests to the drive",
     ),
-    NodeParameter("autostart", False, "configure and activate by itself, until that works"),
-    NodeParameter(
-        "drive_timeout_limit", 10.0, "greatest communication timeout that the drive itself may "
-        "have (s)", 0.1, 60.0,
+    Parameter("autostart", False, meaning="configure and activate by itself, until that works"),
+    Parameter(
+        "drive_timeout_limit", 10.0, "s", 0.1, 60.0, "greatest communication timeout that the "
+        "drive itself may have",
     ),
-    NodeParameter(
-        "activate_without_drive_timeout", False, "activate although the drive itself would run on "
-        "when this machine fails: DANGEROUS",
+    Parameter(
+        "activate_without_drive_timeout", False, meaning="activate although the drive itself "
+        "would run on when this machine fails: DANGEROUS",
     ),
-    NodeParameter(
-        "local_settings_stop_the_pump", False, "a person has set the pump so that it stands when "
-        "the bus lets go of it, and has seen that it does; needed where that cannot be read",
+    Parameter(
+        "local_settings_stop_the_pump", False, meaning="a person has set the pump so that it "
+        "stands when the bus lets go of it, and has seen that it does; needed where that cannot "
+        "be read",
     ),
-    NodeParameter(
-        "state_file", "", "keeps a stop, a fault and the day's use over restarts; without it "
-        "greenroof_ros/NAME.json in $XDG_STATE_HOME or ~/.local/state",
+    Parameter(
+        "state_file", "", meaning="keeps a stop, a fault and the day's use over restarts; "
+        "without it greenroof_ros/NAME.json in $XDG_STATE_HOME or ~/.local/state",
     ),
 )
 
 
-def parameters(site: Site) -> list[NodeParameter]:
+def parameters(site: Site) -> list[Parameter]:
     """Return the node's parameters, but for the site."""
     return [
-        LIVE, *_OWN, *of_controller(pump_parameters(site)), *live_parameters([*_NEEDED, _METER]),
+        LIVE, *_OWN, *pump_parameters(site), *live_parameters([*_NEEDED, _METER]),
         *LEVEL_PARAMETERS,
     ]
 
@@ -224,20 +227,20 @@ class _Drive:
         own = self.file.timeout.over(self._address)
         return "" if own is None else own.traps
 
-    def timeout_problem(self) -> str:
+    def timeout_problem(self, snapshot: Snapshot) -> str:
         """Return what is wrong with its own communication timeout; empty where nothing is."""
-        known, seconds = self.snapshot.timeout_known, self.snapshot.timeout_s
+        known, seconds = snapshot.timeout_known, snapshot.timeout_s
         own = self.file.timeout.over(self._address)
         repair = f"; to set it: {own.how_to_set}" if own is not None else ""
         if not known:
             return (
                 "the drive's own communication timeout could not be read "
-                f"({self.snapshot.timeout_note}){repair}"
+                f"({snapshot.timeout_note}){repair}"
             )
         if seconds is None:
             return (
                 "the drive's own communication timeout is off "
-                f"({self.snapshot.timeout_note}){repair}"
+                f"({snapshot.timeout_note}){repair}"
             )
         if seconds > self._limit:
             return (
@@ -278,14 +281,16 @@ class PumpNode(Lifecycle, LinkedNode):
         self._without_timeout = self._drive.without_timeout
         self._resetting_until = 0.0
         self._decision = Decision(
-            None, "off", "not started", 0.0, "", "", 0.0, stands=False, turns_at=None,
+            None, "off", "not started", (), 0.0, "", "", stands=False, turns_at=None,
             flow_known=False, blind_for=0.0,
         )
         self._state = self._logged = ""
         self._reasons: tuple[object, ...] = ()
         now = time.monotonic()
+        # Both of the clock that goes on in a suspend, as the permit's.
         self._commanded = -math.inf
-        self._idle_at = now
+        self._idle_at = boot_time()
+        self._suspended, self._suspend_seen = suspended_time(), -math.inf
         self._simulated = 0.0
         self._stepped: float | None = None
         self._decided = now
@@ -319,10 +324,9 @@ class PumpNode(Lifecycle, LinkedNode):
             self._site, self._settings, ledger, self._drive_stops_after
         )
         kept = ledger.record
-        if kept.fault or kept.held:
-            self.get_logger().warning(
-                f"{self._state_file} keeps the pump off: {kept.fault or kept.held}"
-            )
+        why = kept.fault or kept.held or kept.unknown
+        if why:
+            self.get_logger().warning(f"{self._state_file} keeps the pump off: {why}")
 
     def _take_state(self) -> None:
         """Take the state file over, as it is by now, if another had it or it could not be made.
@@ -339,9 +343,10 @@ class PumpNode(Lifecycle, LinkedNode):
         self._begin_with(ledger)
         self._reasons = ()  # decide anew
         if held != mine.found.held:
-            ledger.hold(held or ledger.record.held)
+            ledger.stop(held or ledger.record.held)
         if fault != mine.found.fault:
-            ledger.fault(fault or ledger.record.fault)
+            kept = mine.record if fault else ledger.record
+            ledger.fault(kept.fault, kept.fault_code)
 
     def _place_of_state(self, values: dict[str, Any]) -> Path:
         if values["state_file"]:
@@ -384,7 +389,7 @@ class PumpNode(Lifecycle, LinkedNode):
         absence = self._drive.absence(time.monotonic())
         if absence:
             raise RefusedError(f"not activated: {absence}")
-        problem = self._drive.timeout_problem()
+        problem = self._drive.timeout_problem(self._drive.snapshot)
         if problem and not self._without_timeout:
             raise RefusedError(f"not activated: {problem}")
         self._take_state()
@@ -396,6 +401,7 @@ class PumpNode(Lifecycle, LinkedNode):
             self.diagnose(
                 "drive file", WARN, f"{self._drive.file.path} was not verified against a manual "
                 f"in: {', '.join(unverified)}; watch the pump start and stop before you rely on it",
+                "drive_file_unverified",
             )
 
     def deactivate(self) -> None:
@@ -452,7 +458,7 @@ class PumpNode(Lifecycle, LinkedNode):
         self, request: SetBool.Request, response: SetBool.Response
     ) -> SetBool.Response:
         self._take_state()
-        self._control.hold(request.data)
+        self._control.stop(request.data)
         self._step(time.monotonic(), 0.0)
         problem = self._ledger.kept()
         response.success = not problem
@@ -478,20 +484,16 @@ class PumpNode(Lifecycle, LinkedNode):
 
     def _on_command(self, value: float) -> None:
         """Note that a command came, in a live graph; in lockstep the node acts on each."""
-        self._commanded = time.monotonic()
+        self._commanded = boot_time()
 
     def _on_clock(self, message: bytes) -> None:
         self.set_time(decode_clock(message))
-
-    def on_begin(self, tick: int) -> None:
-        """Go on from a tick on, where the node was started again in the run."""
-        self._simulated = tick * self._site.tau
 
     def on_inputs(self) -> None:
         """Act on a command, in lockstep; in a live graph, act because it is time to."""
         now = time.monotonic()
         if not self.live:
-            self._commanded = now
+            self._commanded = boot_time()
             self._simulated += self._site.tau
         self._step(now, self._passed(now))
         if self.live:
@@ -506,9 +508,10 @@ class PumpNode(Lifecycle, LinkedNode):
     def on_idle(self) -> float:
         """Stop where something speaks against running, whether or not commands come."""
         now = time.monotonic()
+        self._look_for_suspend(now)
         status = self._drive.status(now)
         reasons = (
-            self._problem(now), _fault(status),
+            self._reasons_against(now), _fault(status),
             status is not None and status.stands,
             # Once a second, whether a drive that is not heard must stand by now.
             status is None and not self._decision.stands and now // 1,
@@ -516,7 +519,7 @@ class PumpNode(Lifecycle, LinkedNode):
         if reasons != self._reasons:
             self._reasons = reasons
             self._step(now, 0.0)
-        self._idle_at = now
+        self._idle_at = boot_time()
         self._drive.demand(self._decision.speed)
         if self._autostart:
             self._start_by_itself(now)
@@ -528,45 +531,62 @@ class PumpNode(Lifecycle, LinkedNode):
 
     def progress(self) -> dict[str, Any]:
         """Return what bringup shows, and waits for."""
+        kept = self._ledger.record
         return {
-            "pump": self._state, "stands": self._decision.stands,
+            "pump": self._state, "pump_state": self._decision.state,
+            "stands": self._decision.stands,
             "speed": self._decision.turns_at,
             "flow": self._decision.flow if self._decision.flow_known else None,
-            "active": self.lifecycle_state == ACTIVE and not self._drive.snapshot.hold,
-            "fault": self._ledger.record.fault, "held": self._ledger.record.held,
+            "active": self.lifecycle_state == ACTIVE and not self._drive.snapshot.unguarded,
+            "fault": kept.fault, "held": kept.held or kept.unknown,
         }
 
     # --- the pump -------------------------------------------------------------------------------
 
-    def _problem(self, now: float) -> str:
-        """Return the reasons of this node to have the pump off; empty where there is none."""
+    def _reasons_against(self, now: float) -> dict[str, str]:
+        """Return what this node has against running the pump, by interlock."""
         status, absence = self._drive.status(now), self._drive.absence(now)
         if self.lifecycle_state != ACTIVE:
             refusal = self.refusal or "the node is not active"
-            return refusal if absence in refusal else f"{refusal}; {absence}"
-        reasons = [absence]
+            return {"not_active": refusal, "drive_lost": "" if absence in refusal else absence}
+        reasons = {"drive_lost": absence}
         if status is not None:
             if not status.remote:
-                reasons.append(
+                reasons["drive_local"] = (
                     "the drive is in local control: hand it over to the bus at its panel"
                 )
             if not self._without_timeout:
-                reasons.append(self._drive.timeout_problem())
-            reasons.append(self._drive.snapshot.hold)
-        reasons += [self._permit.hold(now), self._two_publishers(now)]
+                reasons["drive_timeout"] = self._drive.timeout_problem(self._drive.snapshot)
+            reasons["drive_guards_later"] = self._drive.snapshot.unguarded
+        reasons["no_permit"] = self._permit.missing(boot_time())
+        reasons["two_controllers"] = self._two_publishers(now)
         if self.live:
             # Another pump node may have the same drive: neither runs it then.
-            reasons.append(self._rival(now))
-        reasons.append(self._silence(now))
-        return "; ".join(filter(None, reasons))
+            reasons["two_pumps"] = self._rival(now)
+        reasons["no_command"] = self._silence()
+        return reasons
 
     def _two_publishers(self, now: float) -> str:
-        publishers = cast(LivePublishers, self.inputs.publishers["/pump/command"])
-        problem = publishers.problem(now)
+        problem = self.inputs.publishers["/pump/command"].problem(now)
         return f"{self._command.name} {problem}" if problem else ""
 
-    def _silence(self, now: float) -> str:
+    def _look_for_suspend(self, now: float) -> None:
+        """Say, for a minute, that the machine was suspended while the pump was on."""
+        before, self._suspended = self._suspended, suspended_time()
+        seconds = self._suspended - before
+        if seconds > _PAUSE_S and not self._decision.stands:
+            self._suspend_seen = now
+            self.diagnose(
+                "suspend", ERROR, f"the machine was suspended for {seconds:.0f} s while the pump "
+                "was on, and only the drive's own communication timeout could stop it: keep this "
+                "machine from suspending", "suspended",
+            )
+        elif now - self._suspend_seen > _SAID_S:
+            self.diagnose("suspend", OK, "the machine stays awake while the pump is on")
+
+    def _silence(self) -> str:
         """Return that commands are missing, by the steady clock alone."""
+        now = boot_time()
         if self._commanded < 0:
             return "no command has come yet"
         if now - self._commanded > self._command_limit:
@@ -593,7 +613,8 @@ class PumpNode(Lifecycle, LinkedNode):
             drive_flow=None if status is None else status.flow,
             drive_ready=status is not None and (status.ready or status.running),
             drive_fault="" if now < self._resetting_until else _fault(status),
-            problem=self._problem(now),
+            runs_on=status is not None and status.runs_on,
+            reasons=self._reasons_against(now),
         )
         time_now = now if self.live else self._simulated
         drive_dt, self._decided = now - self._decided, now
@@ -620,25 +641,29 @@ class PumpNode(Lifecycle, LinkedNode):
     def _diagnose(self, now: float) -> None:
         """Say how each part is; what has numbers in it changes too often for the log."""
         decision = self._decision
-        healthy = decision.state in ("running", "starting", "stopping")
-        commanded = decision.state == "off" and not self._problem(now)
-        level = ERROR if decision.state == "fault" else OK if healthy or commanded else WARN
-        self.reports.diagnoses["pump"] = Diagnosis(level, self._state)
+        code = decision.interlocks[0].interlock.code if decision.interlocks else ""
+        level = ERROR if decision.state == "fault" else WARN if code else OK
+        say = self.reports.diagnose
+        say("pump", level, self._state, code, self._cause(code))
         limits = decision.warning or "nothing limits the pump"
-        self.reports.diagnoses["limits"] = Diagnosis(WARN if decision.warning else OK, limits)
-        self.reports.diagnoses["flow"] = Diagnosis(OK, f"known so: {decision.source}")
+        say("limits", WARN if decision.warning else OK, limits,
+            "limited" if decision.warning else "", "")
+        say("flow", OK, f"known so: {decision.source}", "", "")
         trouble = self._two_publishers(now) or (
             "" if self._command.good else f"{self._command.name} {self._command.why}"
         )
-        silence = self._silence(now)
+        silence = self._silence()
+        late = bool(silence) and self.acted
         self.diagnose(
-            "command", ERROR if trouble else STALE if silence and self.acted else OK,
+            "command", ERROR if trouble else STALE if late else OK,
             trouble or silence or "commands come",
+            self._command.code or "two_controllers" if trouble else "no_command" if late else "",
         )
         bad = [one for one in (self._cistern, self._roof) if not one.good]
         self.diagnose(
             "levels", ERROR if bad else OK,
             "; ".join(f"{one.name} {one.why}" for one in bad) or "both levels are good",
+            bad[0].code if bad else "",
         )
         frost = f"{self._frost.name} {self._frost.why}" if not self._frost.good else ""
         if self._frost.good and self._frost.value > 0:
@@ -649,41 +674,70 @@ class PumpNode(Lifecycle, LinkedNode):
         )
         self.diagnose(
             "delivery", WARN if decision.blind_for else OK,
-            blind if decision.blind_for else "what is pumped is held against both levels",
+            blind if decision.blind_for else "what is pumped is compared with both levels",
+            "delivery_blind" if decision.blind_for else "",
         )
         kept = self._ledger.problem
-        self.diagnose("state file", ERROR if kept else OK, kept or "stops and faults are kept")
-        self.diagnose("frost", WARN if frost else OK, frost or "there is no frost")
+        self.diagnose(
+            "state file", ERROR if kept else OK, kept or "stops and faults are kept",
+            "state_not_kept" if kept else "",
+        )
+        self.diagnose(
+            "frost", WARN if frost else OK, frost or "there is no frost",
+            "frost" if self._frost.good and frost else self._cause("frost_unknown"),
+        )
         if self._permit.given:
-            hold = self._permit.hold(now)
-            self.diagnose("supervisor", WARN if hold else OK, hold or "bringup lets the pump run")
+            why = self._permit.missing(boot_time())
+            self.diagnose(
+                "supervisor", WARN if why else OK, why or "bringup lets the pump run",
+                "no_permit" if why else "",
+            )
         self._diagnose_drive(now)
+
+    def _cause(self, code: str) -> str:
+        """Return the code from which an interlock follows; empty where that is not known."""
+        inputs = {
+            "cistern_level_unknown": self._cistern, "roof_level_unknown": self._roof,
+            "frost_unknown": self._frost, "command_unknown": self._command,
+        }
+        cause = inputs[code].code if code in inputs else ""
+        unknown = code == "frost_unknown" and cause == "input_refused"  # a NaN says so
+        return "temperature_unknown" if unknown else cause
 
     def _diagnose_drive(self, now: float) -> None:
         if self.lifecycle_state == UNCONFIGURED and not self._autostart:
-            self.diagnose("drive", WARN, self.refusal or "the node is not configured")
+            self.diagnose(
+                "drive", WARN, self.refusal or "the node is not configured", "not_active"
+            )
             return
         snapshot, status = self._drive.snapshot, self._drive.status(now)
         if status is None:
-            level = ERROR if snapshot.errors else WARN
-            self.diagnose("drive", level, self._drive.absence(now))
+            level, code = (ERROR, "drive_lost") if snapshot.errors else (WARN, "drive_awaited")
+            self.diagnose("drive", level, self._drive.absence(now), code)
             return
         self.reports.hardware = snapshot.identity
         if status.fault:
-            self.diagnose("drive", ERROR, f"the drive reports a fault: {status.fault}")
+            self.diagnose(
+                "drive", ERROR, f"the drive reports a fault: {status.fault}", "drive_fault"
+            )
         elif snapshot.problem or status.warning or not status.remote:
             local = "" if status.remote else "it is in local control"
             said = "; ".join(filter(None, (snapshot.problem, status.warning, local)))
-            self.diagnose("drive", WARN, f"the drive: {said}")
+            code = "drive_warning" if status.remote else "drive_local"
+            self.diagnose("drive", WARN, f"the drive: {said}", code)
         else:
             self.diagnose("drive", OK, f"connected to {snapshot.identity}")
-        problem, hold = self._drive.timeout_problem(), snapshot.hold
-        level = ERROR if problem and not self._without_timeout else WARN if problem or hold else OK
-        said = problem or hold or (
+        problem, later = self._drive.timeout_problem(snapshot), snapshot.unguarded
+        level, code = (
+            (WARN, "drive_timeout_waived") if problem and self._without_timeout
+            else (ERROR, "drive_timeout") if problem
+            else (WARN, "drive_guards_later") if later else (OK, "")
+        )
+        said = problem or later or (
             f"without this machine the drive stops after {snapshot.timeout_s:g} s"
         )
         traps = self._drive.timeout_traps
-        self.diagnose("drive timeout", level, f"{said}; beware: {traps}" if traps else said)
+        self.diagnose("drive timeout", level, f"{said}; beware: {traps}" if traps else said, code)
 
 
 def _fault(status: DriveStatus | None) -> str:

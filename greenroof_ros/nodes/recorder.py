@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import time
-from array import array
 from collections import deque
 from collections.abc import Callable
 from dataclasses import replace
@@ -13,26 +12,23 @@ from typing import Any
 from greenroof_ros.common.command_line import EXIT_DONE, command
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.interface import recorded_topics
+from greenroof_ros.common.parameter import Parameter
 from greenroof_ros.controllers.registry import DEFAULT, find_controller
 from greenroof_ros.graph.errors import LockstepError
-from greenroof_ros.graph.link import CLOCK, LISTEN_S, LinkedNode
+from greenroof_ros.graph.link import LISTEN_S, LinkedNode
+from greenroof_ros.graph.lockstep import CLOCK
 from greenroof_ros.graph.node_help import NodeParser, node_help
 from greenroof_ros.graph.node_process import run_node
-from greenroof_ros.graph.parameters import NodeParameter, declare
-from greenroof_ros.graph.serialization import decode_clock, encoder
+from greenroof_ros.graph.parameters import declare
+from greenroof_ros.graph.serialization import decode_clock
 from greenroof_ros.recording.bag_writer import BagWriter
-from greenroof_ros.recording.continued_bag import continue_bag
 
 PARAMETERS = (
-    NodeParameter("directory", "bag", "the bag; must not exist"),
-    NodeParameter(
-        "go_on", False, "the bag may exist: another recorder of this run was killed; the run goes "
-        "on in another file of it",
+    Parameter("directory", "bag", meaning="the bag; must not exist"),
+    Parameter(
+        "controller", DEFAULT, meaning="the active controller: a name, or package.module:Class",
     ),
-    NodeParameter(
-        "controller", DEFAULT, "the active controller: a name, or package.module:Class"
-    ),
-    NodeParameter("peer_limit", 5.0, "longest wait for the last messages (s)", 0.1, 1e6),
+    Parameter("peer_limit", 5.0, "s", 0.1, 1e6, "longest wait for the last messages"),
 )
 
 
@@ -58,30 +54,22 @@ class RecorderNode(LinkedNode):
             replace(topic, name=self.resolve_topic_name(topic.graph_name))
             for topic in self._topics
         ]
-        self._reporting = ("plant", "weather", controller.name)
-        self.peers.names["controller"] = controller.name
+        self.inputs.names["controller"] = controller.name
         try:
-            open_bag = continue_bag if values["go_on"] else BagWriter
-            self._bag = open_bag(Path(directory), self._in_bag)
+            self._bag = BagWriter(Path(directory), self._in_bag)
         except FileExistsError:
             raise ConfigurationError(
                 "exists; the recorder never writes over a bag", key="directory", value=directory
             ) from None
         self._closed = False
-        self._lost: list[tuple[str, int]] = []
-        self._flush_at = 0  # ticks
-        self._finished_at: float | None = None
+        self._looked_at = 0.0
+        self._ending_since: float | None = None
         self._publish_written = self.publish_topic("/recorder/written")
         self._queues: list[deque[bytes]] = [deque() for _ in self._topics]
-        self._queue_of = {
-            topic.name: queue for topic, queue in zip(self._topics, self._queues, strict=True)
-        }
         self._waiting = len(self._topics)  # how many topics have not yet sent the next tick
         for topic, queue in zip(self._topics, self._queues, strict=True):
             self.subscribe(topic.name, self._collect(queue), raw=True)
         self._clock_index = [topic.name for topic in self._topics].index(CLOCK)
-        if self._bag.ticks:
-            self._report_written()
 
     def _collect(self, queue: deque[bytes]) -> Callable[[bytes], None]:
         def callback(message: bytes) -> None:
@@ -93,67 +81,9 @@ class RecorderNode(LinkedNode):
 
         return callback
 
-    def on_answered_again(self, name: str) -> None:
-        """Let go of a message of the present tick, of which /clock is the newest that came."""
-        queue = self._queue_of[name]
-        if name != CLOCK and len(queue) == len(self._queue_of[CLOCK]) > 0:
-            queue.pop()
-            self._waiting += not queue
-
-    def begins_at(self) -> int:
-        """Return how many ticks are in the bag; of those that come it is the first."""
-        return self._bag.ticks
-
-    def taken(self, name: str) -> int:
-        """Return how many messages of a topic came, those in the bag included."""
-        return self._bag.ticks + len(self._queue_of[name])
-
-    def take_again(self, name: str, first: int) -> None:
-        """Expect a topic from a tick on; what came of that tick is said again.
-
-        What a node that was killed said last may have come to the plant and not here. The plant
-        knows the commands, and a driver's flows; the rest is lost, and stands in the bag as what
-        was not decided.
-
-        Raises:
-            LockstepError: more is lost than the plant knows.
-        """
-        queue = self._queue_of[name]
-        taken = self.taken(name)
-        # Nobody can say again what is of the ticks before, should this node be killed, too.
-        self._flush_at = max(first, self._bag.ticks)
-        for _ in range(taken - first):
-            queue.pop()
-        encode = encoder(self.interface[name].type)
-        for tick in range(taken, first):
-            queue.append(encode(self._lost_value(name, tick)))
-        self._waiting = sum(not one for one in self._queues)
-        if not self._waiting:
-            self._write_ticks()
-
-    def _lost_value(self, name: str, tick: int) -> float | array[float]:
-        """Return what stands in the bag for a message that a killed node gave the plant alone."""
-        entry = self.inputs.entries[name]
-        received: dict[str, tuple[int, list[float]]] = self.peers.said_by("plant")["received"]
-        if name in received:
-            count, values = received[name]
-            if tick >= count - len(values):
-                return values[tick - count]
-        if not entry.topic.optional:
-            raise LockstepError(
-                f"{entry.name} of tick {tick} was lost with the node that published it; end all "
-                "nodes and start the run again"
-            )
-        self.get_logger().warning(
-            f"{entry.name} of tick {tick} was lost with the node that published it; in the bag it "
-            "is as if the controller had not decided"
-        )
-        self._lost.append((name, tick))
-        return entry.topic.undecided
-
     def progress(self) -> dict[str, Any]:
-        """Return where the bag is, an absolute path, and what was lost with killed nodes."""
-        return {"bag": str(self._bag.directory.resolve()), "lost": self._lost}
+        """Return where the bag is, an absolute path."""
+        return {"bag": str(self._bag.directory.resolve())}
 
     def _write_ticks(self) -> None:
         """Write every tick that is whole."""
@@ -164,9 +94,6 @@ class RecorderNode(LinkedNode):
             now = decode_clock(messages[self._clock_index])
             try:
                 self._bag.write_tick(now, messages)
-                if self._flush_at and self._bag.ticks >= self._flush_at:
-                    self._bag.flush()
-                    self._flush_at = 0
             except OSError as error:
                 self._closed = True  # closing would only fail again
                 raise self._damaged(error) from error
@@ -178,44 +105,34 @@ class RecorderNode(LinkedNode):
     def _report_written(self) -> None:
         self._publish_written(float(self._bag.safe))
 
-    def on_plant_finished(self) -> None:
-        """Wait for the last messages of the others, too; see :meth:`on_idle`."""
-
     def on_idle(self) -> float:
-        """End the bag when all that was sent is in it."""
-        if not self._closed and "plant" in self.final_reports:
-            self._end()
-        return LISTEN_S
-
-    def _end(self) -> None:
-        """Hold the counts against what the publishers say they sent, and close the bag."""
-        reports = self.final_reports
-        if self._finished_at is None:
-            self._finished_at = time.monotonic()
-        late = time.monotonic() - self._finished_at > self._limit
-        ticks = reports["plant"]["sent"]["/clock"]
-        missing = [name for name in self._reporting if name not in reports]
-        complete = self._bag.ticks == ticks and not missing
-        if not complete and not late:
-            return
-        self._close()
-        self._report_written()
-        if missing:
-            raise LockstepError(f"{', '.join(missing)} did not report the messages sent")
-        sent: dict[str, int] = {}
-        for name in self._reporting:
-            # A node that was started again did not send the ticks before the one that it began at.
-            began = reports[name]["answers_from"] or 0
-            sent.update({topic: began + count for topic, count in reports[name]["sent"].items()})
-        wrong = [
-            f"{topic.name}: {self._bag.ticks + len(queue)} came, "
-            f"{sent.get(topic.name, ticks)} sent, {ticks} expected"
+        """End the bag when the last tick is in it, or does not come whole."""
+        now = time.monotonic()
+        if self._closed or self.run_length is None or now - self._looked_at < LISTEN_S:
+            return LISTEN_S
+        self._looked_at = now
+        came = {
+            topic.name: self._bag.ticks + len(queue)
             for topic, queue in zip(self._topics, self._queues, strict=True)
-            if not self._bag.ticks == sent.get(topic.name, ticks) == ticks or queue
-        ]
-        if wrong:
-            raise LockstepError("messages were lost or came twice; " + "; ".join(wrong))
-        self.finish()
+        }
+        ticks = self.run_length + 1
+        if max(came.values()) < ticks:
+            return LISTEN_S
+        if self._ending_since is None:
+            self._ending_since = now
+        if self._bag.ticks == ticks and max(came.values()) == ticks:
+            self._close()
+            self._report_written()
+            self.finish()
+        elif now - self._ending_since > self._limit:
+            wrong = ", ".join(
+                f"{name}: {count}" for name, count in came.items() if count != ticks
+            )
+            raise LockstepError(
+                f"of each topic {ticks} messages should have come; messages were lost or came "
+                f"twice: {wrong}"
+            )
+        return LISTEN_S
 
     def summary(self) -> dict[str, Any]:
         """Return how many messages of each topic are in the bag."""
@@ -231,7 +148,7 @@ class RecorderNode(LinkedNode):
     def _damaged(self, error: OSError) -> OSError:
         bag = self._bag.directory
         return OSError(
-            f"{bag}: {error.strerror}; 'python -m greenroof_ros.recover {bag}' restores its first "
+            f"{bag}: {error.strerror}; 'greenroof recover {bag}' restores its first "
             f"{self._bag.safe} ticks"
         )
 

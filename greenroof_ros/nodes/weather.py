@@ -1,17 +1,20 @@
 """The weather node: the weather now, and the forecast of the look-ahead.
 
-In a simulation it answers each ``/clock`` from records; live it ticks on the system clock, from a
-file of forecasts and the site's gauges.
+In a simulation it answers each ``/clock`` from records; live it ticks on the system clock, from
+the site's gauges and a file of forecasts, if there is one.
 """
 
 from __future__ import annotations
 
 import math
 from dataclasses import replace
+from datetime import datetime, timedelta, timezone
+from pathlib import Path
 from typing import Any
 
 from greenroof_ros.common.command_line import EXIT_DONE, command
 from greenroof_ros.common.errors import ConfigurationError
+from greenroof_ros.common.parameter import Parameter
 from greenroof_ros.common.times import (
     DEFAULT_START,
     epoch_ns,
@@ -38,13 +41,13 @@ from greenroof_ros.forecast.live_forecast import (
 from greenroof_ros.forecast.resampling import make_forecast
 from greenroof_ros.forecast.skill import SKILLS
 from greenroof_ros.graph.errors import LockstepError
-from greenroof_ros.graph.link import CLOCK, LinkedNode
+from greenroof_ros.graph.link import LinkedNode
 from greenroof_ros.graph.live import live_parameters
+from greenroof_ros.graph.lockstep import CLOCK
 from greenroof_ros.graph.node_help import NodeParser, node_help
 from greenroof_ros.graph.node_process import run_node
 from greenroof_ros.graph.parameters import (
     LIVE,
-    NodeParameter,
     declare,
     default_site,
     site_file,
@@ -62,57 +65,60 @@ _GAUGES = ("/gauge/precipitation", "/gauge/temperature")
 _USUAL = -1.0
 
 
-def parameters(site: Site) -> list[NodeParameter]:
+def parameters(site: Site) -> list[Parameter]:
     """Return the node's parameters, but that of the site."""
     forecast = ForecastChoice()
     return [
-        NodeParameter("weather_files", [str(default_weather())], "hourly records, joined"),
-        NodeParameter("start", DEFAULT_START, "time of tick 0, ISO 8601"),
-        NodeParameter("run_length", site.N, "N (ticks)", 1, 2**40),
-        NodeParameter(
-            "evapotranspiration", "",
-            "fao56, or the name of the file's own column; empty: the file's own if it has one",
+        Parameter("weather_files", [str(default_weather())], meaning="hourly records, joined"),
+        Parameter("start", DEFAULT_START, meaning="time of tick 0, ISO 8601"),
+        Parameter("run_length", site.N, "ticks", 1, 2**40, "N"),
+        Parameter(
+            "evapotranspiration", "", meaning="fao56, or the name of the file's own column; "
+            "empty: the file's own if it has one",
         ),
-        NodeParameter(
-            "gaps", REFUSE, "refuse a run of which an hour is missing, or fill it: rain with none, "
-            "all else with the mean at that time of day over three days before and after",
+        Parameter(
+            "gaps", REFUSE, meaning="refuse a run of which an hour is missing, or fill it: rain "
+            "with none, all else with the mean at that time of day over three days before and "
+            "after",
             among=GAPS,
         ),
-        NodeParameter(
-            "horizon", 0.0,
-            "h that the forecasts reach, in steps that grow; 0: the M ticks that come",
-            0.0, HORIZON.high,
+        Parameter(
+            "horizon", 0.0, "", 0.0, HORIZON.high, "h that the forecasts reach, in steps that "
+            "grow; 0: the M ticks that come",
         ),
-        NodeParameter(
-            "all_members", False, "of an ensemble: for scenario_mpc; otherwise the first"
+        Parameter(
+            "all_members", False, meaning="of an ensemble: for scenario_mpc; otherwise the first",
         ),
-        NodeParameter(
-            "forecast", str(forecast), f"{', '.join(MODELS)}, or a file or directory of archived "
-            "ones; live: a FILE.csv, read again whenever it is replaced",
+        Parameter(
+            "forecast", str(forecast),
+            meaning=f"{', '.join(MODELS)}, or a file or directory of archived "
+            "ones; live: a FILE.csv, read again whenever it is replaced, or empty: there is none",
         ),
-        NodeParameter(
+        Parameter(
             "forecast_skill", forecast.skill,
-            f"errors, ensemble: how good they are: {', '.join(SKILLS)}, or a FILE.yaml",
+            meaning=f"errors, ensemble: how good they are: {', '.join(SKILLS)}, or a FILE.yaml",
         ),
-        NodeParameter(
-            "forecast_seed", forecast.seed, "errors, ensemble: of the errors", *NUMBERS["seed"]
+        Parameter(
+            "forecast_seed", forecast.seed, "", *NUMBERS["seed"], "errors, ensemble: of the "
+            "errors",
         ),
-        NodeParameter(
-            "forecast_members", forecast.members, "ensemble: number of its members",
-            *NUMBERS["members"],
+        Parameter(
+            "forecast_members", forecast.members, "", *NUMBERS["members"], "ensemble: number of "
+            "its members",
         ),
-        NodeParameter(
-            "forecast_delay", _USUAL, "errors, ensemble, a file: h after its nominal time from "
+        Parameter(
+            "forecast_delay", _USUAL, "", _USUAL, NUMBERS["delay"][1],
+            "errors, ensemble, a file: h after its nominal time from "
             f"which an issue is known; {_USUAL:g}: {SERVICE_DELAY_H:g} of the first two, and what "
-            "is usual of a file's kind", _USUAL, NUMBERS["delay"][1],
+            "is usual of a file's kind",
         ),
-        NodeParameter(
-            "issue_limit", 7200.0, "live: how long ago the newest forecast of the file may have "
-            "been issued (s)", 1.0, 1e6,
+        Parameter(
+            "issue_limit", 7200.0, "s", 1.0, 1e6, "live: how long ago the newest forecast of the "
+            "file may have been issued",
         ),
-        NodeParameter(
-            "unknown_frost_may_pump", False, "live: without a temperature there is no frost; "
-            "otherwise the pumps stand",
+        Parameter(
+            "unknown_frost_may_pump", False, meaning="live: without a temperature there is no "
+            "frost; otherwise the pumps stand",
         ),
         *live_parameters(_GAUGES),
     ]
@@ -137,6 +143,17 @@ def _forecast(values: dict[str, Any]) -> ForecastChoice:
     if given["delay"] == _USUAL:
         del given["delay"]
     return replace(choice, **given)
+
+
+def _forecast_file(values: dict[str, Any]) -> Path:
+    """Return the file of forecasts of a live graph."""
+    file = _forecast(values).file
+    if file is None:
+        raise ConfigurationError(
+            "must be a FILE.csv in a live graph, or empty where there is none",
+            key="parameter forecast of weather", value=values["forecast"],
+        )
+    return file
 
 
 class _Records:
@@ -179,9 +196,7 @@ class _Records:
 
 
 class WeatherNode(LinkedNode):
-    """Holds the weather: of a run, or live a file of forecasts and what the site's gauges say."""
-
-    repeats = True
+    """Holds the weather: of a run, or live what the site's gauges and a file of forecasts say."""
 
     def __init__(self) -> None:
         """Declare the parameters and open the topics."""
@@ -189,17 +204,12 @@ class WeatherNode(LinkedNode):
         site = self.declare_site()
         self.act_every(site.tau)
         values = declare(self, parameters(site))
+        self._site = site
         if self.live:
             self._unknown_frost = 0.0 if values["unknown_frost_may_pump"] else math.nan
-            file = _forecast(values).file
-            if file is None:
-                raise ConfigurationError(
-                    "must be a FILE.csv in a live graph", key="parameter forecast of weather",
-                    value=values["forecast"],
-                )
-            self._live_forecast = LiveForecast(
-                ForecastFile(file), site, values["horizon"], values["issue_limit"],
-                values["all_members"],
+            self._live_forecast = None if not values["forecast"] else LiveForecast(
+                ForecastFile(_forecast_file(values)), site, values["horizon"],
+                values["issue_limit"], values["all_members"],
             )
             self._rain_gauge, self._thermometer = (
                 self.subscribe(name, optional=True) for name in _GAUGES
@@ -233,11 +243,10 @@ class WeatherNode(LinkedNode):
 
     def _publish_live(self) -> None:
         """Publish what is known now; what is not is not published, and so its readers find out."""
-        forecast = self._live_forecast
-        if forecast.file.look():
-            self.get_logger().info("the file of forecasts was read")
+        now = from_epoch_ns(self.get_clock().now().nanoseconds)
         rain = self._rain_gauge.value if self._rain_gauge.good else None
-        outlook = self._outlook(rain)
+        forecast = self._live_forecast
+        outlook = None if forecast is None else self._outlook(forecast, now, rain)
         temperature = math.nan if outlook is None else outlook.temperature
         if self._thermometer.good:
             temperature = self._thermometer.value
@@ -247,27 +256,48 @@ class WeatherNode(LinkedNode):
             self._publish_evapotranspiration_forecast(outlook.evapotranspiration)
             self._publish_rain(outlook.rain_now)
             self._publish_evapotranspiration(outlook.evapotranspiration_now)
-        elif rain is not None:
-            self._publish_rain(rain)
-        self._say_gauge("rain gauge", self._rain_gauge, "the present rain is forecast")
-        self._say_gauge("thermometer", self._thermometer, "the present temperature is forecast")
+        else:
+            if rain is not None:
+                self._publish_rain(rain)
+            self._publish_climate(now)
+        instead = "unknown" if forecast is None else "forecast"
+        self._say_gauge("rain gauge", self._rain_gauge, f"the present rain is {instead}")
+        self._say_gauge(
+            "thermometer", self._thermometer, f"the present temperature is {instead}"
+        )
 
-    def _outlook(self, rain: float | None) -> Outlook | None:
+    def _publish_climate(self, now: datetime) -> None:
+        """Publish the evapotranspiration that is usual in this month, where the site says it."""
+        zone = timezone(timedelta(hours=self._site.utc_offset or 0.0))
+        usual = self._site.climatic_evapotranspiration(now.astimezone(zone).month)
+        if usual is not None:
+            self._publish_evapotranspiration(usual)
+
+    def _outlook(
+        self, forecast: LiveForecast, now: datetime, rain: float | None
+    ) -> Outlook | None:
         """Return what is forecast now, if anything, and say of when, or why nothing is.
 
         Args:
+            forecast: from its file.
+            now: the time.
             rain: that the gauge measures (m/s).
         """
-        problem = self._live_forecast.file.problem
-        now = from_epoch_ns(self.get_clock().now().nanoseconds)
+        if forecast.file.look():
+            self.get_logger().info("the file of forecasts was read")
+        problem = forecast.file.problem
         try:
-            outlook = self._live_forecast.at(now, rain)
+            outlook = forecast.at(now, rain)
         except NoForecastError as error:
-            self.diagnose("forecast", ERROR, "; ".join(filter(None, [str(error), problem])))
+            why = "; ".join(filter(None, [str(error), problem]))
+            self.diagnose("forecast", ERROR, why, "forecast_missing")
             return None
         issued = f"the newest forecast was issued at {to_people(outlook.issued)}"
         if problem:
-            self.diagnose("forecast", WARN, f"{issued}; what was read before holds on: {problem}")
+            self.diagnose(
+                "forecast", WARN, f"{issued}; what was read before holds on: {problem}",
+                "forecast_unreadable",
+            )
         else:
             self.diagnose("forecast", OK, issued)
         return outlook
@@ -280,12 +310,12 @@ class WeatherNode(LinkedNode):
         if math.isnan(self._unknown_frost):
             self.diagnose(
                 "frost", ERROR, "the temperature is unknown, and so whether there is frost: the "
-                "pumps stand (unknown_frost_may_pump)",
+                "pumps stand (unknown_frost_may_pump)", "temperature_unknown",
             )
         else:
             self.diagnose(
                 "frost", WARN, "the temperature is unknown, and so whether there is frost: the "
-                "pumps may run all the same (unknown_frost_may_pump)",
+                "pumps may run all the same (unknown_frost_may_pump)", "temperature_unknown",
             )
         return self._unknown_frost
 
@@ -294,7 +324,9 @@ class WeatherNode(LinkedNode):
         if gauge.good:
             self.diagnose(part, OK, f"{gauge.name} is good")
         elif gauge.heard:
-            self.diagnose(part, WARN, f"{gauge.name} {gauge.why}; {instead}")
+            self.diagnose(
+                part, WARN, f"{gauge.name} {gauge.why}; {instead}", "gauge_bad", gauge.code
+            )
 
 
 def _help() -> str:

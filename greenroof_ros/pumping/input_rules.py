@@ -48,6 +48,11 @@ class Verdict:
     why: str = ""
 
     @property
+    def code(self) -> str:
+        """Of the condition: of :mod:`greenroof_ros.pumping.conditions`; empty where it is good."""
+        return f"input_{self.rule}" if self.rule else ""
+
+    @property
     def good(self) -> bool:
         """Whether it may be acted on."""
         return not self.rule

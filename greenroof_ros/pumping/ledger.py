@@ -6,7 +6,7 @@ same (not one that never writes in place: btrfs, zfs). Each line begins with its
 page long, which a kill does not tear; a power cut may. Then the other line is whole, but the torn
 one may have been a stop or a fault: the pump is held until somebody releases it.
 
-A thread of its own writes: a slow disk keeps the pump's control from nothing. A lock, on a file
+The disk's thread writes: a slow disk keeps the pump's control from nothing. A lock, on a file
 beside, lets only one ledger write: another one's record would erase a stop or a fault.
 
 The day is 24 h of the ledger's clock, which begins with its first step and counts the time of the
@@ -23,14 +23,13 @@ import json
 import math
 import os
 import stat
-import threading
-import time
 import zlib
 from collections.abc import Callable
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import IO, Any
 
+from greenroof_ros.common.disk import DISK, PATIENCE_S
 from greenroof_ros.pumping.settings import DAY_S
 
 # Length of a line (bytes): a page, a block of most disks.
@@ -39,9 +38,9 @@ _LINE = 4096
 _TEXT, _STARTS = 350, 100
 # At most so much of the use is not on the disk while the pump is on (s).
 SAVE_EVERY_S = 10.0
-# A disk that needs longer is an alarm (s); so long a service waits for it, well below the time
-# after which a node that says nothing is killed (s).
-_PATIENCE_S, _WAIT_S = 2.0, 0.5
+# So long a service waits for the disk, well below the time after which a node that says nothing is
+# killed (s).
+_WAIT_S = 0.5
 
 
 @dataclass(frozen=True)
@@ -49,8 +48,10 @@ class Record:
     """What is kept.
 
     Attributes:
-        held: why the pump is held by somebody; empty where it is not.
+        held: why the pump is stopped by somebody; empty where it is not.
+        unknown: why it is not known whether there was a stop or a fault; empty where it is.
         fault: the latched fault; empty where there is none.
+        fault_code: its interlock's code.
         elapsed: since the ledger's first step (s).
         day_run: how long the pump was on in the present day (s).
         day_volume: what it pumped in it (m3).
@@ -60,7 +61,9 @@ class Record:
     """
 
     held: str = ""
+    unknown: str = ""
     fault: str = ""
+    fault_code: str = ""
     elapsed: float = 0.0
     day_run: float = 0.0
     day_volume: float = 0.0
@@ -103,15 +106,11 @@ class Ledger:
         self._file = file
         self._clock = system_clock
         self._unsaved = 0.0
-        self._lock = threading.Lock()
-        self._to_write: Record | None = None
-        self._writer: threading.Thread | None = None
-        self._writing_since = 0.0
         self._sequence = 0
         self._unseen = 0.0
         self._problem = ""
         self._only: IO[str] | None = None
-        self.record = self.found = Record()
+        self.record = self.found = self._to_write = Record()
         if file is None:
             return
         try:
@@ -137,19 +136,19 @@ class Ledger:
     @property
     def problem(self) -> str:
         """Why the file could not be written; empty where it could. Control goes on."""
-        slow = time.monotonic() - self._writing_since > _PATIENCE_S
-        if self._writer is not None and slow:
-            return f"{self._file} could not be written within {_PATIENCE_S:g} s"
+        if self._file is not None and DISK.late:
+            return f"{self._file} could not be written within {PATIENCE_S:g} s"
         return self._problem
 
-    def hold(self, reason: str) -> None:
-        """Hold the pump, or release it (empty)."""
-        self.record = replace(self.record, held=reason)
+    def stop(self, reason: str) -> None:
+        """Keep the pump off, or release it (empty), also where a stop or a fault is unknown."""
+        unknown = self.record.unknown if reason else ""
+        self.record = replace(self.record, held=reason, unknown=unknown)
         self._save()
 
-    def fault(self, text: str) -> None:
-        """Latch a fault, or clear it (empty)."""
-        self.record = replace(self.record, fault=text)
+    def fault(self, text: str, code: str) -> None:
+        """Latch a fault with its interlock's code, or clear it (empty)."""
+        self.record = replace(self.record, fault=text, fault_code=code)
         self._save()
 
     def switch(self, on: bool) -> None:
@@ -170,7 +169,7 @@ class Ledger:
         # While nothing is used nothing needs to be written, but for a file that could not be.
         if run or volume or self.problem:
             self._unsaved += dt
-        if self._writer is None and self._unsaved >= SAVE_EVERY_S:
+        if self._unsaved >= SAVE_EVERY_S:
             self._save()
 
     def count_unseen(self, most: float, flow: float) -> None:
@@ -192,17 +191,14 @@ class Ledger:
             within: how long to wait for the disk at most (s).
         """
         self._save()
-        writer = self._writer
-        if writer is not None:
-            writer.join(within)
-            if writer.is_alive():
-                return self.problem or f"{self._file} is not yet on the disk; it is written on"
+        if not DISK.wait(within):
+            return self.problem or f"{self._file} is not yet on the disk; it is written on"
         return self.problem
 
     def close(self) -> str:
         """Write the record, let go of the file, and return why the record is not kept."""
-        problem = self.kept(_PATIENCE_S)
-        if self._only is not None and self._writer is None:
+        problem = self.kept(PATIENCE_S)
+        if self._only is not None and DISK.wait(0.0):
             self._only.close()
             self._only = None
         return problem
@@ -218,31 +214,14 @@ class Ledger:
         self._unsaved = 0.0
         if self._file is None or self._only is None:
             return
-        with self._lock:
-            self._to_write = replace(self.record, written_at=self._clock())
-            if self._writer is None:
-                # A daemon: the end of the process does not wait for a disk that hangs.
-                writer = threading.Thread(
-                    target=self._write_all, args=(self._file,), name="ledger", daemon=True
-                )
-                try:
-                    self._writer, self._writing_since = writer, time.monotonic()
-                    writer.start()
-                except RuntimeError as error:
-                    self._writer = None
-                    self._problem = _why(self._file, error)
+        self._to_write = replace(self.record, written_at=self._clock())
+        if not DISK.do(self._write):
+            self._problem = _why(self._file, OSError(errno.ENOMEM, os.strerror(errno.ENOMEM)))
 
-    def _write_all(self, file: Path) -> None:
-        while True:
-            with self._lock:
-                record, self._to_write = self._to_write, None
-                if record is None:
-                    self._writer = None
-                    return
-                self._writing_since = time.monotonic()
-            self._write(file, record)
-
-    def _write(self, file: Path, record: Record) -> None:
+    def _write(self) -> None:
+        """Write the newest record, on the disk's thread."""
+        file, record = self._file, self._to_write
+        assert file is not None
         try:
             if self._sequence == 0 or not file.exists():
                 _make(file, record)
@@ -301,7 +280,9 @@ def _line(sequence: int, record: Record) -> bytes:
         printable = "".join(one if one.isprintable() else " " for one in text[:_TEXT])
         return printable.encode()[:_TEXT].decode(errors="ignore")
 
-    record = replace(record, held=short(record.held), fault=short(record.fault))
+    record = replace(
+        record, held=short(record.held), unknown=short(record.unknown), fault=short(record.fault)
+    )
     content = {"sequence": sequence, **asdict(record)}
     content["starts"] = [round(one, 1) for one in record.starts]
     text = json.dumps(content, ensure_ascii=False).encode()
@@ -363,10 +344,10 @@ def _read(file: Path) -> tuple[Record, int, bool]:
     except FileNotFoundError:
         return Record(), 0, False
     except (OSError, ValueError) as error:
-        return Record(held=_unknown(file, str(error))), 0, False
+        return Record(unknown=_unknown(file, str(error))), 0, False
     if len(content) != 2 * _LINE:
         why = f"it must be {2 * _LINE} bytes long"
-        return Record(held=_unknown(file, why)), 0, False
+        return Record(unknown=_unknown(file, why)), 0, False
     found, problems = [], []
     for number in range(2):
         try:
@@ -374,11 +355,11 @@ def _read(file: Path) -> tuple[Record, int, bool]:
         except ValueError as error:
             problems.append(f"line {number + 1}: {error}")
     if not found:
-        return Record(held=_unknown(file, "; ".join(problems))), 0, False
+        return Record(unknown=_unknown(file, "; ".join(problems))), 0, False
     sequence, record = max(found, key=lambda one: one[0])
     if problems:
         # The broken line's turn is next, so that the file is whole again then.
-        record = replace(record, held=record.held or _unknown(file, problems[0]))
+        record = replace(record, unknown=record.unknown or _unknown(file, problems[0]))
     return record, sequence, not problems
 
 
@@ -400,6 +381,7 @@ def _parse(line: bytes, number: int) -> tuple[int, Record]:
         raise ValueError("its checksum is wrong")
     content: dict[str, Any] = json.loads(text)
     sequence = content.pop("sequence")
+    content = asdict(Record()) | content  # an older version knew fewer
     names = asdict(Record()).keys()
     if content.keys() != names or (sequence + 1) % 2 != number:
         raise ValueError(f"it must hold sequence, {', '.join(names)}")

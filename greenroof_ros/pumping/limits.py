@@ -103,8 +103,8 @@ class SiteLimits:
         cistern_level: float | None,
         roof_level: float | None,
         frost: bool | None,
-    ) -> list[str]:
-        """Return every reason for which the pump must not run now; to be asked at every step.
+    ) -> dict[str, str]:
+        """Return what speaks against running now, by interlock; to be asked at every step.
 
         Args:
             command: share of the maximum flow; 0 ends the rest after too long a run, None (no
@@ -113,43 +113,44 @@ class SiteLimits:
             roof_level: m; None is unknown.
             frost: whether there is; None is unknown.
         """
-        reasons = [*self._water(cistern_level)]
+        reasons = self._water(cistern_level) | self._day()
         if roof_level is None:
-            reasons.append("the level of the roof is unknown")
+            reasons["roof_level_unknown"] = "the level of the roof is unknown"
         if frost is None:
-            reasons.append("it is unknown whether there is frost")
+            reasons["frost_unknown"] = "it is unknown whether there is frost"
         elif frost:
-            reasons.append("there is frost")
+            reasons["frost"] = "there is frost"
         if command == 0:
             self._rests_for = 0.0
         if self._rests_for > 0:
-            reasons.append(
+            reasons["longest_run"] = (
                 f"it ran for {_minutes(self._settings.greatest_run)} without a break; it rests "
                 f"until the command is 0, or for {_minutes(self._rests_for)}"
             )
-        return reasons + self._day()
+        return reasons
 
-    def _water(self, level: float | None) -> list[str]:
+    def _water(self, level: float | None) -> dict[str, str]:
         if level is None:
-            return ["the level of the cistern is unknown"]
+            return {"cistern_level_unknown": "the level of the cistern is unknown"}
         least = self._site.suction_level + self._settings.level_offset
         if self._dry:
             least += self._settings.suction_hysteresis
         self._dry = level <= least
         if self._dry:
-            return [f"the cistern is at {level:.3f} m, not above {least:g} m"]
-        return []
+            return {"cistern_low": f"the cistern is at {level:.3f} m, not above {least:g} m"}
+        return {}
 
-    def _day(self) -> list[str]:
-        record, settings, reasons = self._ledger.record, self._settings, []
+    def _day(self) -> dict[str, str]:
+        record, settings = self._ledger.record, self._settings
+        reasons: dict[str, str] = {}
         again = f"goes on in {_minutes(DAY_S - record.day_elapsed)}"
         if record.day_volume >= settings.greatest_volume_per_day:
-            reasons.append(
+            reasons["daily_volume"] = (
                 f"{record.day_volume:.2f} m3 were pumped in this day, the most is "
                 f"{settings.greatest_volume_per_day:g} m3; {again}"
             )
         if record.day_run >= settings.greatest_run_per_day:
-            reasons.append(
+            reasons["daily_run"] = (
                 f"it ran for {_minutes(record.day_run)} in this day, the most is "
                 f"{_minutes(settings.greatest_run_per_day)}; {again}"
             )

@@ -1,13 +1,15 @@
-"""What the pump does at each step: the one place where all that may stop it comes together."""
+"""What the pump does at each step: it follows the command, unless an interlock is active."""
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
 
 from greenroof_ros.model.pump_speed import flow_at
 from greenroof_ros.model.site import Site
 from greenroof_ros.pumping.delivery import DeliveryCheck
+from greenroof_ros.pumping.interlocks import LATCHED, ActiveInterlock, Kind, evaluate
 from greenroof_ros.pumping.ledger import SAVE_EVERY_S, Ledger
 from greenroof_ros.pumping.limits import SiteLimits, SwitchLimits
 from greenroof_ros.pumping.pulses import Pulses
@@ -25,6 +27,8 @@ _GREATEST_FLOW = 1.5
 # No pump turns faster (share of its rated speed), and no level is beyond this (m, as of its topic).
 _GREATEST_SPEED = 2.0
 _GREATEST_LEVEL = 100.0
+# The state of a pump that an interlock keeps off, by the first that is active.
+_STATES = {Kind.LATCHED: "fault", Kind.INHIBIT: "held", Kind.ENABLE: "off"}
 
 
 @dataclass(frozen=True)
@@ -42,8 +46,8 @@ class Observation:
         drive_flow: of the drive's own (m3/s).
         drive_ready: whether it runs, or would if it were asked to.
         drive_fault: its fault, as text; empty where there is none.
-        problem: a reason to be off that passes by itself, such as a lost connection; empty where
-            there is none.
+        runs_on: whether that is that it does not obey a stop.
+        reasons: what the node itself has against running, by interlock.
     """
 
     command: float | None = None
@@ -56,7 +60,8 @@ class Observation:
     drive_flow: float | None = None
     drive_ready: bool = False
     drive_fault: str = ""
-    problem: str = ""
+    runs_on: bool = False
+    reasons: Mapping[str, str] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -68,10 +73,10 @@ class Decision:
         state: off, starting, running, stopping, fault, held, or unknown: it is asked to be off, and
             nobody knows whether it stands.
         why: in words.
+        interlocks: those that are active, in the order of their table.
         flow: the best present estimate (m3/s).
         source: how the flow is known.
         warning: what an operator should know although it stops nothing; empty where nothing.
-        owed: commanded less delivered (m3).
         stands: whether the pump was seen to stand, or must by the drive's own timeout by now.
         turns_at: what the drive says that it turns at, share of the rated speed, backwards below
             0; None where it is not heard, or says what cannot be.
@@ -83,10 +88,10 @@ class Decision:
     speed: float | None
     state: str
     why: str
+    interlocks: tuple[ActiveInterlock, ...]
     flow: float
     source: str
     warning: str
-    owed: float
     stands: bool
     turns_at: float | None
     flow_known: bool
@@ -119,6 +124,9 @@ class PumpControl:
         self._pulses = Pulses(site, settings)
         self._delivery = DeliveryCheck(site, settings)
         self._asked: float | None = None
+        # What the slowest drive that is allowed turns at on its way to the speed asked for, share
+        # of the rated speed; before the first step it may have run.
+        self._ramped = 1.0
         self._astray_for = 0.0
         self._unknown_for = 0.0
         self._blind_for = 0.0
@@ -126,19 +134,18 @@ class PumpControl:
         # it is not known to stand.
         self._turned = 1.0
 
-    def hold(self, on: bool) -> None:
-        """Hold the pump off over anything, or release it; kept over restarts.
+    def stop(self, on: bool) -> None:
+        """Keep the pump off over anything, or release it; kept over restarts.
 
         It takes effect with the next step.
         """
-        reason = self._ledger.record.held or OPERATOR_STOPPED
-        self._ledger.hold(reason if on else "")
+        self._ledger.stop(OPERATOR_STOPPED if on else "")
 
     def reset(self) -> str:
         """Clear a latched fault, and return what it was; what still is latches again."""
         cleared = self._ledger.record.fault
         if cleared:
-            self._ledger.fault("")
+            self._ledger.fault("", "")
             self._delivery.restart()
             self._astray_for = 0.0
         return cleared
@@ -179,24 +186,22 @@ class PumpControl:
         )
         sees = seen.cistern_level is not None and seen.roof_level is not None
         self._blind_for = 0.0 if sees and self._delivery.watches else self._blind_for + dt
-        self._latch(drive_dt, seen, backwards, undelivered)
-        command, refusal, warning = _command(seen.command)
-        if warning:
-            warnings.append(warning)
-        record = self._ledger.record
-        held = [record.held] if record.held else []
-        held += self._limits.reasons(command, seen.cistern_level, seen.roof_level, seen.frost)
-        # One that turns backwards is a fault, and its speed is known.
-        trouble = seen.problem or refusal or ("" if backwards else _trouble(seen))
-
+        faults = self._faults(drive_dt, seen, backwards, undelivered)
+        self._latch(faults)
+        command, refused = _command(seen.command)
+        if command is not None and seen.command is not None and seen.command > 1:
+            warnings.append(f"the command {seen.command:g} is above 1 and taken as 1")
+        active = evaluate({
+            **faults, **self._kept(),
+            **self._limits.reasons(command, seen.cistern_level, seen.roof_level, seen.frost),
+            **seen.reasons, **refused,
+            # One that turns backwards is a fault, and its speed is known.
+            **({} if backwards else _drive_trouble(seen)),
+        })
         asked = None
-        against = [one for one in (record.fault, *held, trouble) if one]
-        if record.fault:
-            state, why = "fault", "; ".join(against)
-        elif held:
-            state, why = "held", "; ".join(against)
-        elif trouble:
-            state, why = "off", trouble
+        if active:
+            state = _STATES[active[0].interlock.kind]
+            why = "; ".join(one.why for one in active)
         else:
             assert command is not None
             assert seen.cistern_level is not None
@@ -204,7 +209,7 @@ class PumpControl:
             full = seen.roof_level >= self._site.z_veg
             asked, why = self._follow(now, dt, command, full, seen.cistern_level, warnings)
             state = "off" if asked is None else "running"
-        if against:
+        if active:
             self._pulses.drop()
         self._switch_to(now, asked)
 
@@ -224,8 +229,8 @@ class PumpControl:
         else:
             stands = asked is None and not turning
         return Decision(
-            asked, state, why, flow, source, "; ".join(warnings), self._pulses.owed, stands,
-            turns_at, stands or known_flow is not None, self._blind_for,
+            asked, state, why, active, flow, source, "; ".join(warnings), stands, turns_at,
+            stands or known_flow is not None, self._blind_for,
         )
 
     def _computed_flow(self, seen: Observation) -> float:
@@ -278,28 +283,63 @@ class PumpControl:
         asked = self._asked or 0.0
         return speed is not None and abs(speed - asked) > self._settings.follow_tolerance
 
-    def _latch(
+    def _is_beyond_ramp(self, speed: float, drive_dt: float) -> bool:
+        """Whether the pump is at a speed that the drive's ramp does not explain.
+
+        What obeys is between what the slowest ramp has reached and the speed asked for; the ramp
+        goes on from there, so that it counts from where a drive is when it is asked anew. It begins
+        when a pump that stood turns.
+        """
+        if self._asked is not None and speed <= _STANDS:
+            self._ramped = speed
+            return True
+        asked, ramp, tolerance = (
+            self._asked or 0.0, self._settings.drive_ramp, self._settings.follow_tolerance
+        )
+        most = drive_dt / ramp if ramp else math.inf
+        self._ramped += min(max(asked - self._ramped, -most), most)
+        least, greatest = sorted((asked, self._ramped))
+        if least <= speed <= greatest:
+            self._ramped = speed
+        return not least - tolerance <= speed <= greatest + tolerance
+
+    def _faults(
         self, drive_dt: float, seen: Observation, backwards: str, undelivered: str
-    ) -> None:
-        """Look for faults; the first one stays until it is reset."""
-        if self._is_astray(seen.speed):
-            self._astray_for += drive_dt
-        elif seen.speed is not None:  # what is not heard for a moment may go on
-            self._astray_for = 0.0
-        found = undelivered
+    ) -> dict[str, str]:
+        """Return the faults that there are now, by interlock."""
+        if seen.speed is not None:  # what is not heard for a moment may go on
+            astray = self._is_beyond_ramp(seen.speed, drive_dt)
+            self._astray_for = self._astray_for + drive_dt if astray else 0.0
+        found = {"delivery": undelivered}
         if seen.speed is not None and self._astray_for > self._settings.follow_time:
             asked = "it is told to stop"
             if self._asked is not None:
                 asked = f"{self._asked:.2f} is asked for"
-            found = (
+            found["runs_on" if self._asked is None else "speed_not_followed"] = (
                 f"the speed does not follow: the pump turns at {seen.speed:.2f} of its speed, and "
-                f"{asked}, for {self._astray_for:.0f} s"
+                f"{asked}, for {self._astray_for:.0f} s, which a ramp of "
+                f"{self._settings.drive_ramp:g} s (drive_ramp) does not explain"
             )
-        found = backwards or found
+        found["turns_backwards"] = backwards
         if seen.drive_fault:
-            found = f"the drive reports: {seen.drive_fault}"
+            code = "runs_on" if seen.runs_on else "drive_fault"
+            found[code] = f"the drive reports: {seen.drive_fault}"
+        return found
+
+    def _latch(self, faults: Mapping[str, str]) -> None:
+        """Keep the first fault until it is reset."""
+        found = evaluate(faults)
         if found and not self._ledger.record.fault:
-            self._ledger.fault(found)
+            self._ledger.fault(found[0].why, found[0].interlock.code)
+
+    def _kept(self) -> dict[str, str]:
+        """Return what keeps the pump off over restarts: a latched fault, and who stopped it."""
+        record = self._ledger.record
+        kept = {"operator_stop": record.held, "record_unknown": record.unknown}
+        if record.fault:
+            code = record.fault_code
+            kept[code if code in LATCHED else "fault_unknown"] = record.fault
+        return kept
 
     def _follow(
         self, now: float, dt: float, command: float, full: bool, cistern_level: float,
@@ -367,19 +407,20 @@ def _believable(seen: Observation) -> Observation:
     )
 
 
-def _trouble(seen: Observation) -> str:
-    """Return why a drive cannot be used now; empty where it can."""
+def _drive_trouble(seen: Observation) -> dict[str, str]:
+    """Return why a drive cannot be used now."""
     if seen.speed is None:
-        return "the speed of the drive is unknown"
-    return "" if seen.drive_ready else "the drive is not ready"
+        return {"drive_speed_unknown": "the speed of the drive is unknown"}
+    return {} if seen.drive_ready else {"drive_not_ready": "the drive is not ready"}
 
 
-def _command(command: float | None) -> tuple[float | None, str, str]:
-    """Return a command that may be followed or None, why it is refused, and a warning."""
+def _command(command: float | None) -> tuple[float | None, dict[str, str]]:
+    """Return a command that may be followed, at most 1, or None and why it may not."""
     if command is None:
-        return None, "there is no command", ""
+        return None, {"command_unknown": "there is no command"}
     if not 0 <= command < math.inf:
-        return None, f"the command {command:g} is refused: it must be a number from 0 to 1", ""
-    if command > 1:
-        return 1.0, "", f"the command {command:g} is above 1 and taken as 1"
-    return command, "", ""
+        return None, {
+            "command_refused": f"the command {command:g} is refused: it must be a number from 0 "
+            "to 1",
+        }
+    return min(command, 1.0), {}

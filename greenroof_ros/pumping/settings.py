@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field, fields, replace
 from typing import Any
 
+from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.parameter import Parameter
 from greenroof_ros.model.plant import maximum_pump_flow
 from greenroof_ros.model.site import Site
@@ -48,9 +49,7 @@ def _setting(
     default: float | Callable[[Site], float], unit: str, low: float, high: float, meaning: str
 ) -> Any:
     """Return the field of a setting; its default may follow from the site."""
-    return field(
-        metadata={"default": default, "unit": unit, "low": low, "high": high, "meaning": meaning}
-    )
+    return field(metadata={"parameter": Parameter("", default, unit, low, high, meaning)})
 
 
 @dataclass(frozen=True)
@@ -95,12 +94,18 @@ class PumpSettings:
         0.02, "m", 0.0, 10.0,
         "how far above the level of a dry-run cut the cistern must be before the pump runs again",
     )
+    drive_ramp: float = _setting(
+        30.0, "s", 0.0, 30.0,
+        "the drive's own ramp, from rest to rated speed and back, the longer of both; no drive may "
+        "have a longer one than by default",
+    )
     follow_tolerance: float = _setting(
-        0.1, "1", 0.01, 1.0, "how far the speed may be from the asked one, share of the rated one"
+        0.1, "1", 0.01, 1.0,
+        "how far the speed may be from the asked one, or from what the ramp has reached on the way "
+        "there, share of the rated one; less than the least speed",
     )
     follow_time: float = _setting(
-        15.0, "s", 0.1, 600.0,
-        "how long it may be farther, before that is a fault; more than the drive's own ramps",
+        12.0, "s", 0.1, 600.0, "how long it may be farther, before that is a fault"
     )
     averaging_time: float = _setting(
         60.0, "s", 1.0, 3600.0, "time over which the delivery check averages levels and volumes"
@@ -124,18 +129,28 @@ class PumpSettings:
         "greatest evapotranspiration of an hour, and greatest drift of a level sensor",
     )
 
+    def __post_init__(self) -> None:
+        """Refuse what contradicts itself.
+
+        Raises:
+            ConfigurationError: a pump at its least speed would count as one that stands.
+        """
+        if self.follow_tolerance >= self.least_speed:
+            raise ConfigurationError(
+                f"must be less than least_speed, {self.least_speed:g}: a pump that stands would "
+                "count as one that runs, and one that is told to stop and runs on as one that "
+                "stands",
+                key="follow_tolerance", value=self.follow_tolerance,
+            )
+
 
 def pump_parameters(site: Site) -> tuple[Parameter, ...]:
     """Return each setting as a parameter, with its default for a site."""
     parameters = []
     for each in fields(PumpSettings):
-        given = each.metadata
-        default = given["default"](site) if callable(given["default"]) else given["default"]
-        parameters.append(
-            Parameter(
-                each.name, default, given["unit"], given["low"], given["high"], given["meaning"]
-            )
-        )
+        one: Parameter = each.metadata["parameter"]
+        default = one.default(site) if callable(one.default) else one.default
+        parameters.append(replace(one, name=each.name, default=default))
     return tuple(parameters)
 
 

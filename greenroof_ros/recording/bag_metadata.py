@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import yaml
@@ -50,13 +51,29 @@ def offered_profiles(topic: Topic) -> str:
     return _yaml([_qos_profile(topic.qos)])
 
 
-def metadata(topics: Sequence[Topic], files: Sequence[FileContent]) -> str:
-    """Return the text of ``metadata.yaml``.
+def write_metadata(
+    bag: Path, topics: Sequence[Topic], files: Sequence[FileContent]
+) -> None:
+    """Write ``metadata.yaml`` in one step: a reader finds the old text or the new one.
 
     Args:
+        bag: its directory.
         topics: of the bag, in its order.
-        files: of the bag, one at least, in theirs.
+        files: of the bag that are closed, one at least, in theirs.
+
+    Raises:
+        OSError: it cannot be written; the old one is as it was.
     """
+    part = bag / f".{METADATA}.part"
+    try:
+        part.write_text(_metadata(topics, files), encoding="utf-8")
+        part.replace(bag / METADATA)
+    except OSError:
+        part.unlink(missing_ok=True)
+        raise
+
+
+def _metadata(topics: Sequence[Topic], files: Sequence[FileContent]) -> str:
     types = read_yaml(shared_directory() / "msg_defs" / "types.yaml")
     first = min(file.first_ns for file in files)
     last = max(file.last_ns for file in files)

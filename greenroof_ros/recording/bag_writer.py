@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from greenroof_ros.common.interface import Topic
-from greenroof_ros.recording.bag_metadata import METADATA, FileContent, metadata
+from greenroof_ros.recording.bag_metadata import write_metadata
 from greenroof_ros.recording.mcap_file import McapFile
 
 # How many ticks go to the operating system together. What a kill -9 can cost is what the plant is
@@ -20,35 +20,27 @@ class BagWriter:
     Two equal runs give equal bytes.
 
     Attributes:
-        directory: the bag, ``metadata.yaml`` and one ``.mcap`` file, or more where it was gone on
-            with.
-        ticks: how many ticks were written, those of earlier files included.
+        directory: the bag, ``metadata.yaml`` and one ``.mcap`` file.
+        ticks: how many ticks were written.
         safe: how many of them a killed process would leave behind.
     """
 
-    def __init__(
-        self, directory: Path, topics: Sequence[Topic], before: Sequence[FileContent] | None = None
-    ) -> None:
+    def __init__(self, directory: Path, topics: Sequence[Topic]) -> None:
         """Make the bag's directory and write the head of its file.
 
         Args:
-            directory: must not exist, unless the bag is gone on with.
+            directory: must not exist.
             topics: those of each tick, in the order in which they are written.
-            before: the files of a bag that is gone on with, closed; the ticks go into another one.
 
         Raises:
             FileExistsError: the directory exists.
             OSError: it cannot be written.
         """
         self.directory = directory
-        self._before = list(before or ())
-        self.ticks = self.safe = sum(file.ticks for file in self._before)
+        self.ticks = self.safe = 0
         self._topics = list(topics)
-        self._first_ns: int | None = None
-        self._last_ns = 0
-        directory.mkdir(parents=True, exist_ok=before is not None)
-        path = directory / f"{directory.name}_{len(self._before)}.mcap"
-        self._file = McapFile(path, self._topics)
+        directory.mkdir(parents=True)
+        self._file = McapFile(directory / f"{directory.name}_0.mcap", self._topics)
 
     def write_tick(self, time_ns: int, messages: Sequence[bytes]) -> None:
         """Write one tick.
@@ -60,13 +52,8 @@ class BagWriter:
         Raises:
             OSError: for instance on a full disk; the file then ends with the safe ticks.
         """
-        if self._first_ns is None:
-            self._first_ns = time_ns
-        self._last_ns = time_ns
-        add = self._file.add
         try:
-            for channel, message in zip(self._file.channels, messages, strict=True):
-                add(channel, time_ns, message, time_ns, self.ticks)
+            self._file.write(time_ns, enumerate(messages))
         except OSError:
             self._file.cut()
             raise
@@ -87,23 +74,9 @@ class BagWriter:
         """Finish the file and write ``metadata.yaml``.
 
         Raises:
-            OSError: for instance on a full disk; ``python -m greenroof_ros.recover`` then restores
+            OSError: for instance on a full disk; ``greenroof recover`` then restores
                 the safe ticks.
         """
         self._file.close()
         self.safe = self.ticks
-        files = list(self._before)
-        own = self.ticks - sum(file.ticks for file in files)
-        if own or not files:
-            files.append(FileContent(
-                self._file.path.name, self._first_ns or 0, self._last_ns,
-                {topic.name: own for topic in self._topics},
-            ))
-        else:
-            self._file.path.unlink()  # a reader has no use for a file without a message
-        path = self.directory / METADATA
-        try:
-            path.write_text(metadata(self._topics, files), encoding="utf-8")
-        except OSError:
-            path.unlink(missing_ok=True)  # it says that the bag was closed
-            raise
+        write_metadata(self.directory, self._topics, [self._file.content])

@@ -4,7 +4,7 @@ The files of a bag are numbered from its first start on: a recorder that is star
 same directory goes on with the next number. ``metadata.yaml`` names those that are closed and is
 rewritten, whole or not at all, with each of them; so rosbag2 and rosbags open the bag while it is
 being recorded, and after the recorder was killed. The file that was open then is not among them:
-``python -m greenroof_ros.recover`` restores it.
+``greenroof recover`` restores it.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from pathlib import Path
 
 from greenroof_ros.common.interface import Topic
 from greenroof_ros.recording.bag_files import content_of, numbered_files
-from greenroof_ros.recording.bag_metadata import METADATA, FileContent, metadata
+from greenroof_ros.recording.bag_metadata import METADATA, write_metadata
 from greenroof_ros.recording.mcap_file import McapFile
 
 # How often what came goes to the disk: what a kill -9, or a power failure, can cost (s).
@@ -63,8 +63,6 @@ class LiveBag:
         self._file_bytes = file_bytes
         self._total_bytes = total_bytes
         self._file: McapFile | None = None
-        self._counts: dict[str, int] = {}  # in that file
-        self._first_ns = self._last_ns = 0
         self._unsafe = 0  # how many messages were not yet flushed
         self._flushed = -math.inf
         self._again = -math.inf  # when to try again, of the steady clock
@@ -92,15 +90,13 @@ class LiveBag:
         try:
             if self._file is not None and (
                 self._file.size >= self._file_bytes
-                or time_ns // _DAY_NS != self._first_ns // _DAY_NS
+                or time_ns // _DAY_NS != self._file.first_ns // _DAY_NS
             ):
                 self._close()
-            file = self._file or self._open(time_ns, now)
+            file = self._file or self._open(now)
             self._unsafe += 1
             added = True
-            self._counts[topic] = count = self._counts.get(topic, 0) + 1
-            self._last_ns = max(self._last_ns, time_ns)
-            file.add(file.channels[self._index[topic]], time_ns, message, time_ns, count)
+            file.write(time_ns, [(self._index[topic], message)])
         except OSError as error:
             self.lost += not added  # else it is among those that were not flushed
             self._fail(error, now)
@@ -129,13 +125,11 @@ class LiveBag:
         except OSError as error:
             self._fail(error, -math.inf)
 
-    def _open(self, time_ns: int, now: float) -> McapFile:
+    def _open(self, now: float) -> McapFile:
         self.directory.mkdir(parents=True, exist_ok=True)
         path = self.directory / f"{self.directory.name}_{self._next}.mcap"
         self._next += 1
         self._paths.append(path)
-        self._counts = {}
-        self._first_ns = self._last_ns = time_ns
         self._flushed = now
         self._file = McapFile(path, self._topics)
         return self._file
@@ -145,9 +139,7 @@ class LiveBag:
             return
         self._file.close()
         self._keep_safe()
-        self._closed[self._file.path] = FileContent(
-            self._file.path.name, self._first_ns, self._last_ns, self._counts
-        )
+        self._closed[self._file.path] = self._file.content
         self._file = None
         self._remove_oldest()
         self._write_metadata()
@@ -169,7 +161,7 @@ class LiveBag:
             return
         with suppress(OSError):  # the disk itself may be gone
             file.cut()
-            if lost == sum(self._counts.values()):  # nothing of it is safe
+            if lost == file.content.count:  # nothing of it is safe
                 file.path.unlink()
 
     def _remove_oldest(self) -> None:
@@ -194,15 +186,9 @@ class LiveBag:
                     path.unlink()
 
     def _write_metadata(self) -> None:
-        """Name the closed files, in one step: a reader finds the old text or the new one."""
+        """Name the closed files."""
         files = [self._closed[path] for path in self._paths if path in self._closed]
-        if not files:
+        if files:
+            write_metadata(self.directory, self._topics, files)
+        else:
             (self.directory / METADATA).unlink(missing_ok=True)
-            return
-        part = self.directory / f".{METADATA}.part"
-        try:
-            part.write_text(metadata(self._topics, files), encoding="utf-8")
-            part.replace(self.directory / METADATA)
-        except OSError:
-            part.unlink(missing_ok=True)
-            raise

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from contextlib import suppress
 from pathlib import Path
 from typing import BinaryIO
@@ -12,7 +12,7 @@ from mcap.writer import CompressionType, Writer
 
 from greenroof_ros.common.files import read_yaml, shared_directory
 from greenroof_ros.common.interface import Topic
-from greenroof_ros.recording.bag_metadata import offered_profiles
+from greenroof_ros.recording.bag_metadata import FileContent, offered_profiles
 
 _LIBRARY = "greenroof_ros"
 
@@ -24,9 +24,7 @@ class McapFile:
 
     Attributes:
         path: the file.
-        channels: the number of each topic's channel, in the order of the topics.
-        add: adds a message to a channel: its number, log time (ns), data, publish time (ns) and
-            sequence. An OSError of it calls for :meth:`cut`.
+        first_ns: time of its first message, nanoseconds since 1970; 0 before there is one.
     """
 
     def __init__(self, path: Path, topics: Sequence[Topic]) -> None:
@@ -41,19 +39,22 @@ class McapFile:
             OSError: it cannot be written.
         """
         self.path = path
+        self.first_ns = self._last_ns = 0
+        self._topics = list(topics)
+        self._counts = [0] * len(self._topics)
         self._safe_bytes = 0
         self._stream: BinaryIO = path.open("xb")
         self._writer = Writer(self._stream, compression=CompressionType.ZSTD)
         self._writer.start(profile="ros2", library=_LIBRARY)
         types = read_yaml(shared_directory() / "msg_defs" / "types.yaml")
         schemas: dict[str, int] = {}
-        self.channels = []
+        self._channels = []
         for topic in topics:
             if topic.type not in schemas:
                 schemas[topic.type] = self._writer.register_schema(
                     topic.type, "ros2msg", _definition(types, topic.type).encode()
                 )
-            self.channels.append(
+            self._channels.append(
                 self._writer.register_channel(
                     topic.name,
                     "cdr",
@@ -64,7 +65,31 @@ class McapFile:
                     },
                 )
             )
-        self.add = self._writer.add_message
+        self._add = self._writer.add_message
+
+    def write(self, time_ns: int, messages: Iterable[tuple[int, bytes]]) -> None:
+        """Add messages.
+
+        Args:
+            time_ns: their time, nanoseconds since 1970.
+            messages: of each the index of its topic, and the message, serialised (CDR).
+
+        Raises:
+            OSError: for instance on a full disk; it calls for :meth:`cut`.
+        """
+        self.first_ns = self.first_ns or time_ns
+        self._last_ns = max(self._last_ns, time_ns)
+        add, channels, counts = self._add, self._channels, self._counts
+        for index, message in messages:
+            add(channels[index], time_ns, message, time_ns, counts[index])
+            counts[index] += 1
+
+    @property
+    def content(self) -> FileContent:
+        """What was added."""
+        names = [topic.name for topic in self._topics]
+        counts = dict(zip(names, self._counts, strict=True))
+        return FileContent(self.path.name, self.first_ns, self._last_ns, counts)
 
     @property
     def size(self) -> int:

@@ -1,4 +1,4 @@
-"""A report on runs: ``python -m greenroof_ros.report PATH [PATH ...]``."""
+"""A report on runs: ``greenroof report PATH [PATH ...]``."""
 
 from __future__ import annotations
 
@@ -36,19 +36,19 @@ The output holds report.html, and each figure as SVG and PNG in figures/. A bag 
 missing counts as 0, and the report says so. The pumps' efficiency is pump_efficiency of the site.
 
 examples:
-  python -m greenroof_ros.report studies/paper            a study
-  python -m greenroof_ros.report runs/a runs/b --output both
+  greenroof report studies/paper            a study
+  greenroof report runs/a runs/b --output both
                                                           two runs, side by side
-  python -m greenroof_ros.report bag --site my_site.yaml  a bag of a real site
-  python -m greenroof_ros.report runs/a --force --water-price 5
+  greenroof report bag --site my_site.yaml  a bag of a real site
+  greenroof report runs/a --force --water-price 5
                                                           once more, with another price
 """
 
 
-def _parser() -> argparse.ArgumentParser:
+def make_parser() -> argparse.ArgumentParser:
     """Return what reads the command line."""
     parser = argparse.ArgumentParser(
-        prog="python -m greenroof_ros.report",
+        prog="greenroof report",
         description=_DESCRIPTION,
         formatter_class=argparse.RawDescriptionHelpFormatter,
         epilog=_EPILOG,
@@ -135,7 +135,7 @@ def _former_report(directory: Path, own: Callable[[str], bool], *, force: bool) 
 @command
 def main() -> int:
     """Make the report that the command line asks for."""
-    arguments = _parser().parse_args()
+    arguments = make_parser().parse_args()
     try:
         from greenroof_ros.report import figures, page
     except ModuleNotFoundError as error:

@@ -208,14 +208,6 @@ def _understand(content: dict[str, Any]) -> About:
             f"{''.join(map(str, found))} (tick {ticks})"
         ))
     lost = content.get("incidents") or []
-    # A node that was started again by request has no part.
-    notes += [
-        Note(
-            f"node {incident['node']} ended in the run ({incident['how']}), and another went on "
-            f"from tick {incident['tick']}"
-        )
-        for incident in lost if "part" not in incident and incident["tick"] is not None
-    ]
     site = content.get("sensor_pump_errors") or {}
     sensor_pump_errors = sensor_pump_errors_label(site)
     exact_sensor = not (site.get("roof_noise") or site.get("roof_offset"))
@@ -245,7 +237,7 @@ def _understand(content: dict[str, Any]) -> About:
         own=not live,  # what sensors said may be anything
         changes=tuple(changes),
         ending=_ending(content) if content.get("status", summary.DONE) != summary.DONE else None,
-        incidents=tuple(Incident(**incident) for incident in lost if "part" in incident),
+        incidents=tuple(Incident(**incident) for incident in lost),
         notes=tuple(notes),
     )
 

@@ -43,7 +43,7 @@ def read_run(
         bag = recovered_bag(bag)
     run = run_directory(path)
     about = read_about(run)
-    repair = f"python -m greenroof_ros.recover {path} makes a whole one"
+    repair = f"greenroof recover {path} makes a whole one"
     if not _is_closed(bag):
         if any(bag.glob("*.mcap")) or any(bag.glob("*.db3")):
             raise ConfigurationError(

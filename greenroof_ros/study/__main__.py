@@ -1,4 +1,4 @@
-"""Many runs from one grid: ``python -m greenroof_ros.study``."""
+"""Many runs from one grid: ``greenroof study``."""
 
 from __future__ import annotations
 
@@ -38,17 +38,18 @@ exit codes: 0 done, 1 a run failed (the others are in the table) or the cluster 
 same command), 2 bad usage or configuration, 130 interrupted
 
 examples:
-  python -m greenroof_ros.study                              the paper's 30 runs
-  python -m greenroof_ros.study my_study.yaml --jobs 4       your grid, four runs at a time
-  python -m greenroof_ros.study my_study.yaml --engine ros --output graphs
+  greenroof study                              the paper's 30 runs
+  greenroof study my_study.yaml --jobs 4       your grid, four runs at a time
+  greenroof study my_study.yaml --engine ros --output graphs
                                                              the same by the node graph
-  python -m greenroof_ros.report studies/paper               tables and figures of a study
+  greenroof report studies/paper               tables and figures of a study
 """
 
 
-def _parser() -> argparse.ArgumentParser:
+def make_parser() -> argparse.ArgumentParser:
+    """Return what reads the command line."""
     parser = argparse.ArgumentParser(
-        prog="python -m greenroof_ros.study",
+        prog="greenroof study",
         description=_DESCRIPTION,
         formatter_class=argparse.RawDescriptionHelpFormatter,
         epilog=_EPILOG,
@@ -101,7 +102,7 @@ def _interrupt(signum: int, frame: object) -> None:
 @command
 def main() -> int:
     """Run a study, or the rest of it."""
-    arguments = _parser().parse_args()
+    arguments = make_parser().parse_args()
     # As after Ctrl-C: the workers end, and the table has what is finished.
     signal.signal(signal.SIGTERM, _interrupt)
     if arguments.scheduler is not None and arguments.jobs is not None:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
 import subprocess
 import sys
 import tempfile
@@ -19,7 +18,7 @@ import yaml
 from numpy.typing import NDArray
 
 from greenroof_ros.common.command_line import EXIT_DONE, EXIT_OCCUPIED
-from greenroof_ros.common.processes import end_with_parent
+from greenroof_ros.common.processes import asked_to_end_with_this
 from greenroof_ros.common.times import read_start
 from greenroof_ros.experiment import summary
 from greenroof_ros.experiment.clairvoyant import clairvoyant_bound
@@ -173,8 +172,8 @@ def _run_graph(case: Case, directory: Path, trajectory_every: float | None) -> O
         ]
     for domain in _domains(case):
         process = subprocess.run(
-            command, env={**os.environ, "ROS_DOMAIN_ID": str(domain)}, capture_output=True,
-            text=True, check=False, stdin=subprocess.DEVNULL, preexec_fn=end_with_parent,
+            command, env={**asked_to_end_with_this(), "ROS_DOMAIN_ID": str(domain)},
+            capture_output=True, text=True, check=False, stdin=subprocess.DEVNULL,
         )
         if process.returncode == EXIT_DONE:
             break

@@ -1,4 +1,4 @@
-"""What the roof does, on a page or in a terminal: ``python -m greenroof_ros.watch``."""
+"""What the roof does, on a page or in a terminal: ``greenroof watch``."""
 
 from __future__ import annotations
 
@@ -32,12 +32,12 @@ The address is printed. Only this machine reaches it; from another one, by an ss
 """
 _EPILOG = """\
 examples:
-  python -m greenroof_ros.watch                       whatever runs here
-  python -m greenroof_ros.watch --terminal            the same in this terminal, over ssh too
-  python -m greenroof_ros.watch --bag runs/a/bag      a run that has ended
-  python -m greenroof_ros.watch --namespace site1 --port 8081
-  python -m greenroof_ros.watch --host 0.0.0.0        for other machines: with a token
-  python -m greenroof_ros.bringup --watch             a run, and its page beside it
+  greenroof watch                       whatever runs here
+  greenroof watch --terminal            the same in this terminal, over ssh too
+  greenroof watch --bag runs/a/bag      a run that has ended
+  greenroof watch --namespace site1 --port 8081
+  greenroof watch --host 0.0.0.0        for other machines: with a token
+  greenroof run --watch                 a run, and its page beside it
 
 It goes on when a run ends, and shows the next one. Ctrl-C ends it.
 
@@ -45,9 +45,10 @@ exit codes: 0 asked to end, 1 failed, 2 bad usage or configuration
 """
 
 
-def _parser() -> argparse.ArgumentParser:
+def make_parser() -> argparse.ArgumentParser:
+    """Return what reads the command line."""
     parser = argparse.ArgumentParser(
-        prog="python -m greenroof_ros.watch",
+        prog="greenroof watch",
         usage="%(prog)s [options]",
         description=_DESCRIPTION,
         formatter_class=argparse.RawDescriptionHelpFormatter,
@@ -118,7 +119,7 @@ def _say_address(url: str, host: str, port: int | None) -> None:
 @command
 def main() -> int:
     """Watch until asked to end."""
-    arguments = _parser().parse_args()
+    arguments = make_parser().parse_args()
     _refuse_wrong(arguments)
     os.nice(_GIVE_WAY)
     watched = Watched(arguments.namespace)

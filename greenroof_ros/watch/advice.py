@@ -21,7 +21,7 @@ _RELEASE = (
     'ros2 service call {node}/stop std_srvs/srv/SetBool "{{data: false}}"'
 )
 _SENSORS = r"(cistern|roof)_sensor: "
-_PUMP_OR_INPUTS = r"pump: .*|controller: inputs"
+_PUMP_OR_INPUTS = r"pump: .*|controller: (inputs|forecast)"
 
 # Whatever it was, each input of which something is said keeps all rules again.
 _RECOVERING = r"^([^;]*; now it is good, and counts after [^;]*(; |$))+$"
@@ -255,7 +255,8 @@ _TABLE: tuple[tuple[str, str, str], ...] = (
         "read its log.",
     ),
     (
-        r"pump: .*", r"the command .* is refused|/pump/command was refused",
+        r"pump: .*|controller: command",
+        r"the command .* is refused|/pump/command was refused|must be a finite number",
         "The controller commands nonsense, so the pump stands. Start it again, or take another "
         "controller.",
     ),
@@ -280,14 +281,14 @@ _TABLE: tuple[tuple[str, str, str], ...] = (
         "counts again when it is steady.",
     ),
     (
-        r"controller: inputs", r"members",
+        r"controller: (inputs|forecast)", r"members",
         "The controller takes one forecast, and several came. Set all_members of the weather node "
         "to false, or take another controller.",
     ),
     (
         r"weather: (rain gauge|thermometer)", r"",
-        "An instrument of the weather station is not heard or not believed; the forecast is used "
-        "instead. Check it when you can.",
+        "An instrument of the weather station is not heard or not believed; the forecast, if there "
+        "is one, is used instead. Check it when you can.",
     ),
     (
         r"pump: delivery", r"",
@@ -303,6 +304,11 @@ _TABLE: tuple[tuple[str, str, str], ...] = (
         r"pump: .*", r"frost",
         "It is not known whether there is frost, so the pump stands. See whether the weather "
         "program runs and has a temperature.",
+    ),
+    (
+        r"controller: forecast", r"",
+        "The controller has no good forecast: until it has one, plain on/off waters by the level. "
+        "See whether the weather program runs and its file is fresh.",
     ),
     (
         r"controller: inputs", r"/forecast/|/weather/",
@@ -322,8 +328,8 @@ _TABLE: tuple[tuple[str, str, str], ...] = (
     ),
     (
         r"weather: forecast", r"",
-        "There is no forecast for now, so the controller commands no water. See that whatever "
-        "fetches the forecast still does, and the computer's clock.",
+        "There is no forecast for now, so plain on/off waters by the level; without a thermometer "
+        "the pump stands. See that whatever fetches the forecast still does, and the clock.",
     ),
     (
         r"recorder: recording", r"No space left",
@@ -377,7 +383,7 @@ _TABLE: tuple[tuple[str, str, str], ...] = (
     ),
     (
         r"weather: ", r"^not heard",
-        "The weather program hangs or was ended; the pump stands when its forecast is too old. "
+        "The weather program hangs or was ended; the pump stands without its word on frost. "
         "bringup starts it again, or else start it yourself.",
     ),
     (

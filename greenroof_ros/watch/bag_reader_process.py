@@ -16,7 +16,7 @@ from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
 
-from greenroof_ros.common.processes import end_with_parent
+from greenroof_ros.common.processes import asked_to_end_with_this, end_with_parent
 from greenroof_ros.watch.recorded import Batch, Recorded
 
 # How often it looks at a bag of which it has read all (s).
@@ -55,6 +55,7 @@ class FollowedBag:
         self._process = subprocess.Popen(
             [sys.executable, "-m", __name__, *arguments],
             stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL,
+            env=asked_to_end_with_this(),
         )
         self._thread = threading.Thread(target=self._receive, name="bag", daemon=True)
         self._thread.start()

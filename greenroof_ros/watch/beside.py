@@ -10,7 +10,7 @@ import threading
 from collections.abc import Iterator
 from pathlib import Path
 
-from greenroof_ros.common.processes import end_with_parent
+from greenroof_ros.common.processes import asked_to_end_with_this
 
 # How long the watcher may take to end (s); then the kernel ends it.
 _ENDING_S = 3.0
@@ -33,7 +33,7 @@ def watcher(namespace: str, site_file: Path) -> Iterator[None]:
         stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True,
         errors="replace",
         start_new_session=True,  # Ctrl-C is for the run, which ends it
-        preexec_fn=end_with_parent,
+        env=asked_to_end_with_this(),
     )
     ending = threading.Event()
     said = threading.Thread(target=_hand_on, args=(process, ending), daemon=True)

@@ -22,7 +22,7 @@ _PART_OF_REASON = (
     ("no command", "command"),
 )
 # Parts of a node that say what comes in from others.
-_TAKES_IN = ("inputs", "levels", "command", "frost", "refused")
+_TAKES_IN = ("inputs", "forecast", "levels", "command", "frost", "refused")
 
 
 @dataclass(frozen=True)

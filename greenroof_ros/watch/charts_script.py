@@ -10,9 +10,15 @@ from contextlib import suppress
 from importlib.metadata import version
 from pathlib import Path
 
-from greenroof_ros.common.processes import end_with_parent
+from greenroof_ros.common.processes import asked_to_end_with_this
 
-_MAKE = "import sys, vl_convert; sys.stdout.write(vl_convert.javascript_bundle())"
+_MAKE = """
+import sys
+from greenroof_ros.common.processes import end_with_parent
+end_with_parent()
+import vl_convert
+sys.stdout.write(vl_convert.javascript_bundle())
+"""
 
 
 def charts_script() -> bytes:
@@ -46,6 +52,6 @@ def charts_script() -> bytes:
 def _make() -> bytes:
     done = subprocess.run(
         [sys.executable, "-c", _MAKE], stdin=subprocess.DEVNULL, stdout=subprocess.PIPE,
-        check=True, preexec_fn=end_with_parent,
+        check=True, env=asked_to_end_with_this(),
     )
     return gzip.compress(done.stdout)

@@ -423,7 +423,9 @@ class Feed:
         if self._mode != "live":
             stamp = self._ticks.newest_ns
             if topic.per_tick:
-                stamp = self._ticks.time(name, number, self._graph.answers_from(topic))
+                stamp = self._ticks.time(
+                    name, number, from_tick_0=self._graph.begins_with_run(topic)
+                )
         if not stamp:
             return
         if name == _PLAN:

@@ -55,7 +55,7 @@ class Node:
     @property
     def lockstep(self) -> bool:
         """Whether it acts in lockstep; those of a live graph do not number their ticks."""
-        return "answers_from" in self.values
+        return "run_length" in self.values
 
 
 class GraphState:
@@ -223,16 +223,9 @@ class GraphState:
             return ""
         return " and ".join(f"{one.name} ({one.process})" for one in (node, rival))
 
-    def answers_from(self, topic: Topic) -> int | None:
-        """Return the tick of the first message of a topic's present publisher, if it says so."""
-        for role in reversed(topic.publishers):
-            node = self._nodes.get(role)
-            if node is not None:
-                if role == _PLANT:
-                    return 0
-                first = node.values.get("answers_from")
-                return first if _is_tick(first) else None
-        return None
+    def begins_with_run(self, topic: Topic) -> bool:
+        """Whether a topic's publisher is a node of this package: its first message is tick 0's."""
+        return any(role in self._nodes for role in topic.publishers)
 
     @property
     def records(self) -> bool:

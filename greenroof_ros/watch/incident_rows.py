@@ -64,8 +64,7 @@ class Dated:
 def read_dated(bag: Path) -> list[Dated]:
     """Return the incidents of a run whose bag is read, in the order in which they began.
 
-    They stand in a file of their own, and in the summary where that could not be written; nodes of
-    a simulated site that were started again stand in the summary alone.
+    They stand in a file of their own, and in the summary where that could not be written.
 
     Raises:
         ValueError: they cannot be read, or not when they were.
@@ -76,13 +75,8 @@ def read_dated(bag: Path) -> list[Dated]:
         if not (directory / SUMMARY).exists():
             return _all_dated(found, {})
         summary = json.loads(read_text(directory / SUMMARY))
-        kept = summary.get("incidents", ())
-        found = found or [Incident(**one) for one in kept if "began" in one]
-        restarted = [
-            Incident(0, one["node"], PROCESS, one["how"], "", None, one["tick"], one["tick"])
-            for one in kept if one.get("tick") is not None
-        ]
-        return _all_dated([*found, *restarted], summary)
+        found = found or [Incident(**one) for one in summary.get("incidents", ())]
+        return _all_dated(found, summary)
     except (OSError, ConfigurationError, KeyError, TypeError, AttributeError) as error:
         why = getattr(error, "strerror", None) or error
         raise ValueError(f"{directory / INCIDENTS} cannot be shown ({why})") from error

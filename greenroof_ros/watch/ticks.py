@@ -1,8 +1,8 @@
 """The simulated time of each message that is heard, by the number that its publisher gave it.
 
-In lockstep the j-th message of a topic belongs to tick K + j - 1, where K is the tick from which
-its publisher answers; it says so on /diagnostics. When messages come says less: the plant's next
-clock may come before what moved in the tick before, and the watcher is not woken by each.
+In lockstep the j-th message of a topic belongs to tick j - 1. When messages come says less: the
+plant's next clock may come before what moved in the tick before, and the watcher is not woken by
+each.
 """
 
 from __future__ import annotations
@@ -38,14 +38,14 @@ class Ticks:
             self._period = (time_ns - self.newest_ns) // (number - self._clock)
         self._clock, self.newest_ns = number, time_ns
 
-    def time(self, topic: str, number: int | None, answers_from: int | None) -> int | None:
+    def time(self, topic: str, number: int | None, *, from_tick_0: bool) -> int | None:
         """Return the time of a message (ns since 1970); None where it cannot be known.
 
         Args:
             topic: its name.
             number: of the message.
-            answers_from: the tick of its publisher's first message; None of a publisher that does
-                not say so, such as a pump driver of one's own.
+            from_tick_0: whether its publisher's first message is that of tick 0, which a pump
+                driver of somebody else's does not say.
         """
         if not self._period:
             return None  # less than two clocks were heard
@@ -55,13 +55,14 @@ class Ticks:
         if before is not None and number > before + 1:
             self.lost = True
         self._numbers[topic] = number
-        if answers_from is None:
+        first = 0
+        if not from_tick_0:
             if before is None or number <= before:
                 ahead = number - self._clock
                 # One that was there from the beginning has numbered as the plant has.
                 self._strangers[topic] = 0 if abs(ahead) <= 1 else -ahead
-            answers_from = self._strangers.get(topic, 0)
-        ahead = number + answers_from - self._clock
+            first = self._strangers.get(topic, 0)
+        ahead = number + first - self._clock
         if abs(ahead) > _FAR:
             self.lost = True
             return None

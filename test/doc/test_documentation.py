@@ -49,8 +49,8 @@ def test_commands_are_introduced_as_their_help_does() -> None:
     """In paragraphs and lists; and what an option takes is no name of a function."""
     text = (DOC / "reference" / "commands.md").read_text()
     assert (
-        "shows the roof.\n\nThree ways to run:\n\n- **simulated**: as it is, or with any option "
-        "but those below\n- **hardware in the loop**: with `--drive`"
+        "shows the roof.\n\nThree ways to run:\n\n- **simulated**: run, with any option but those "
+        "below\n- **hardware in the loop**: run with `--drive`"
     ) in text
     assert not re.search(r"^\| `--[^|]*\| (parse|\\?_\w+) \|", text, re.MULTILINE)
 
@@ -92,7 +92,8 @@ def commands() -> Iterator[tuple[str, str]]:
                 continue
             for line in block.replace("\\\n", " ").splitlines():
                 command = line.strip().partition(" > ")[0]
-                if command.startswith("python -m greenroof_ros.") and "$" not in command:
+                ours = command.startswith(("greenroof ", "python -m greenroof_ros."))
+                if ours and "$" not in command:
                     yield page, command
 
 
@@ -100,8 +101,9 @@ def commands() -> Iterator[tuple[str, str]]:
 def test_commands_can_be_given(page: str, command: str) -> None:
     """The options of each command that is shown exist, and take such values."""
     words = shlex.split(command.removesuffix("&"), comments=True)
-    module, arguments = words[2], words[3:]
-    if module.startswith("greenroof_ros.nodes."):
+    if words[0] == "python":
+        module, arguments = words[2], words[3:]
+        assert module.startswith("greenroof_ros.nodes."), "a command is greenroof's"
         table = (CHECKOUT / "doc" / "reference" / "nodes.md").read_text()
         section = table.split(f"### {module.rpartition('.')[2]}\n")[1].split("### ")[0]
         assert arguments[0] == "--ros-args"
@@ -109,11 +111,12 @@ def test_commands_can_be_given(page: str, command: str) -> None:
             assert f"| `{given.partition(':=')[0]}` |" in section
         return
     generate = generator()
+    name = words[1] if words[1] in generate.COMMANDS else " ".join(words[1:3])
+    arguments = words[1 + len(name.split()):]
     if page == "doc/reference/commands.md":  # the usage, with names in place of values
-        assert module.rpartition(".")[2] in generate.COMMANDS
+        assert name in generate.COMMANDS
         return
-    path = generate.COMMANDS[module.removeprefix("greenroof_ros.")]
-    generate.parser_of(path, arguments).parse_args(arguments)
+    generate.parser_of(name, arguments).parse_args(arguments)
 
 
 def test_pictures_differ_in_their_colours_only() -> None:

@@ -20,7 +20,9 @@ PAGES = [
 ]
 NOTES = Path(__file__).with_name("notes.yaml")
 _FENCE = re.compile(r"^( *)```([^\n]*)\n(.*?)^\1```$", re.DOTALL | re.MULTILINE)
-_COMMAND = re.compile(r"(\$ )?(python|make|ros2|pip|colcon|git|ssh|sed|cp|mkdir|export)\s+\S")
+_COMMAND = re.compile(
+    r"(\$ )?(python|greenroof|make|ros2|pip|colcon|git|ssh|sed|cp|mkdir|export)\s+\S"
+)
 
 
 @dataclass(frozen=True)

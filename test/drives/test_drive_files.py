@@ -12,8 +12,8 @@ import pytest
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.files import shared_directory
 from greenroof_ros.drives.address import Address, parse_address, parse_drive_address
-from greenroof_ros.drives.drive import decode
 from greenroof_ros.drives.drive_file import Register, find_drive_file, read_drive_file
+from greenroof_ros.drives.values import decode
 
 SHIPPED = sorted((shared_directory() / "config" / "drives").glob("*.yaml"))
 
@@ -298,7 +298,7 @@ def register(kind: str, order: str = "", length: int = 0) -> Register:
     ],
 )
 def test_values_of_all_types(made: Register, words: list[int], value: object) -> None:
-    assert decode(made, words) == value
+    assert decode(words, made.type, made.word_order) == value
 
 
 def test_without_the_library_the_extra_is_named() -> None:

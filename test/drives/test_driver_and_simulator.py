@@ -12,14 +12,17 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 
 import pytest
+from modbus_wire import Wire, frame
 from places import guarding
 from simulators import Bus, Simulator, until
 
 from greenroof_ros.drives.address import parse_address
 from greenroof_ros.drives.drive_file import find_drive_file, read_drive_file
 from greenroof_ros.drives.exchange import DriveExchange, stop_drive
+from greenroof_ros.drives.identity import why_no_simulator
 from greenroof_ros.drives.modbus_line import DriveError
 
+MAKES = ("abb_acs880", "danfoss_fc202", "grundfos_cim500", "schneider_atv630")
 FREE = ("--port", "0", "--workbench", "0")
 
 
@@ -82,9 +85,7 @@ def reach(exchange: DriveExchange, drive: Simulator, speed: float) -> None:
     until(there, 8)
 
 
-@pytest.mark.parametrize(
-    "make", ["abb_acs880", "danfoss_fc202", "grundfos_cim500", "schneider_atv630"]
-)
+@pytest.mark.parametrize("make", MAKES)
 def test_every_make_runs_stops_and_runs_again(make: str) -> None:
     with Simulator(
         "drive_simulator", "--drive", make, *FREE, "--ramp", "0.4", "--timeout", "2"
@@ -105,6 +106,32 @@ def test_every_make_runs_stops_and_runs_again(make: str) -> None:
         exchange.close()
         assert drive.speed() < 0.4
         until(lambda: drive.speed() == 0)
+
+
+@pytest.mark.parametrize(
+    ("make", "place"),
+    [*((make, FREE) for make in MAKES), (MAKES[1], ("--serial", "pty", "--workbench", "0"))],
+)
+def test_every_make_says_that_it_is_a_simulator(make: str, place: tuple[str, ...]) -> None:
+    """At a port, at a gateway's, where the make has none, and on a line."""
+    file = read_drive_file(find_drive_file(make))
+    with Simulator("drive_simulator", "--drive", make, *place) as drive:
+        address = parse_address(drive.ready.split()[2].rstrip(","))
+        assert why_no_simulator(file, address) == ""
+        drive.inject("exception")
+        assert "refused with exception 4" in why_no_simulator(file, address)
+
+
+def test_a_line_that_is_no_pseudo_terminal_and_another_server_are_no_simulator() -> None:
+    file = read_drive_file(find_drive_file("danfoss_fc202"))
+    assert "neither at loopback" in why_no_simulator(file, parse_address("/dev/ttyS0"))
+    name = frame("0001 0000 0016 01 2B 0E 01 01 00 00 02 00 08") + b"Pymodbus" + b"\1\2PM"
+    wire = Wire(lambda _request: [(0.0, name)])
+    try:
+        why = why_no_simulator(file, parse_address(wire.gateway))
+        assert why.endswith("identifies itself as 'Pymodbus', 'PM'")
+    finally:
+        wire.close()
 
 
 def test_a_motor_stops_by_the_drives_own_timeout_when_its_client_hears_no_more() -> None:

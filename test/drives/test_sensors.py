@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import asyncio
 import re
 import time
 from pathlib import Path
@@ -42,21 +41,18 @@ def levels(readings: list[str], **changed: object) -> list[float | str]:
 
     wire = Wire(answer)
 
-    async def go() -> list[float | str]:
-        client = LevelSensor(sensor(wire.at, **changed), timeout_s=0.3)
-        found: list[float | str] = []
+    client = LevelSensor(sensor(wire.at, **changed), timeout_s=0.3)
+    found: list[float | str] = []
+    try:
         for _ in readings:
             try:
-                found.append(await client.read())
+                found.append(client.read())
             except DriveError as error:
                 found.append(str(error).removeprefix(f"{wire.at}, device 1: "))
         client.close()
-        return found
-
-    try:
-        return asyncio.run(go())
     finally:
         wire.close()
+    return found
 
 
 # --- readings -------------------------------------------------------------------------------------

@@ -28,14 +28,14 @@ sys.path[:0] = [str(HERE), str(HERE.parent), str(HERE.parent.parent)]
 from cases import Case, all_cases, sample  # noqa: E402
 from graphs import Process, environment  # noqa: E402
 
-from greenroof_ros.common.processes import end_with_parent  # noqa: E402
+from greenroof_ros.common.processes import asked_to_end_with_this, end_with_parent  # noqa: E402
 
 SEED = 1
 # So many cases a worker does: what a rig gathers ends with it.
-_BATCH = {"simulated": 10, "restarting": 9, "readers": 3}
+_BATCH = {"simulated": 10, "readers": 3}
 _USUAL_BATCH = 40
 # What keeps the processors busy, or lasts: of each only one lane does it at a time.
-_ALONE = {"simulated": "simulated", "restarting": "simulated", "readers": "readers"}
+_ALONE = {"simulated": "simulated", "readers": "readers"}
 # A worker that takes longer for a case hangs (s).
 _CASE_LIMIT_S = 300.0
 
@@ -134,6 +134,7 @@ def take(queue: list[list[Case]], running: list[str]) -> list[Case] | None:
 
 def _work(arguments: argparse.Namespace) -> None:
     """Be a worker: do one batch, and end."""
+    end_with_parent()
     from worker import work
 
     for number in (signal.SIGINT, signal.SIGTERM):
@@ -165,11 +166,11 @@ def lane(
             place = Path(tempfile.mkdtemp(prefix="batch-", dir=arguments.results))
         names = place / "cases.json"
         names.write_text(json.dumps([case.id for case in batch]))
-        environ = environment(0)
+        environ = {**asked_to_end_with_this(), **environment(0)}
         worker = subprocess.Popen(
             [sys.executable, str(HERE), "--seed", str(arguments.seed), "--results",
              str(arguments.results), "--worker", str(names), str(place)],
-            env=environ, stderr=(place / "worker.err").open("w"), preexec_fn=end_with_parent,
+            env=environ, stderr=(place / "worker.err").open("w"),
         )
         try:
             worker.wait(_CASE_LIMIT_S * (len(batch) + 2))

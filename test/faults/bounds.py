@@ -41,9 +41,10 @@ def bounds(site: Site) -> dict[str, float]:
     exchange = 2 * next(
         float(one.default) for one in parameters_of_pump(site) if one.name == "exchange_period"
     )
-    follow, averaging, tolerance, delivery = (
+    follow, astray, ramp, averaging, tolerance, delivery = (
         next(float(one.default) for one in parameters_of_pump(site) if one.name == name)
-        for name in ("follow_time", "averaging_time", "level_tolerance", "least_delivery")
+        for name in ("follow_time", "follow_tolerance", "drive_ramp", "averaging_time",
+                     "level_tolerance", "least_delivery")
     )
     end = exchange + RAMP_S + SLACK_S
     # It is left in silence when its speed has not fallen for so long.
@@ -67,7 +68,8 @@ def bounds(site: Site) -> dict[str, float]:
         # The drive stands by itself, or bringup stops it.
         "drive": DRIVE_TIMEOUT_S + end,
         "supervised": SILENCE_S + end,
-        "follow": follow + step,
+        # So long the slowest ramp that is allowed explains it.
+        "follow": astray * ramp + follow + step,
         # A level that does not move while the pump moves the water.
         "cistern frozen": frozen * site.a1 / flow + _limit("/cistern/level") + step,
         "roof frozen": frozen * site.a2 / flow + _limit("/roof/level") + step,

@@ -23,8 +23,7 @@ class Expected:
         alarm: regular expression of what must be said; empty where nothing need be.
         recovery: ``heals``: the pump runs again by itself; ``latches``: only after ~/reset;
             ``either``; ``stays``: it stays off; ``ends``: bringup ends, and all with it; of a
-            simulation ``same``: it runs to its end, with the same bag; ``goes on``: likewise, and
-            another process takes the node's place.
+            simulation ``same``: it runs to its end, with the same bag.
         watch: how long the pump must run on (s).
     """
 
@@ -57,8 +56,7 @@ class Case:
     @property
     def way(self) -> str:
         kind = self.target if self.rig == "readers" else self.rig.partition(":")[0]
-        return {"simulated": SIMULATED, "restarting": SIMULATED, "loop": LOOP,
-                "relayed": LOOP}.get(kind, LIVE)
+        return {"simulated": SIMULATED, "loop": LOOP, "relayed": LOOP}.get(kind, LIVE)
 
     @property
     def id(self) -> str:
@@ -467,15 +465,6 @@ def _simulated(repeats: int) -> Iterator[Case]:
             stops=None, recovery="same"))
 
 
-def _restarting(repeats: int) -> Iterator[Case]:
-    """With --on-node-failure restart another process takes the node's place."""
-    for number in range(repeats):
-        for fault in ("kill", "term", "stop long"):
-            for node in ("weather", "controller", "recorder"):
-                yield Case("restarting", fault, node, number, Expected(
-                    stops=None, bound="supervised", recovery="goes on"))
-
-
 def _readers(blocks: int) -> Iterator[Case]:
     """Four readers of /roof/level, stopped for 6.5 s and continued, in all three ways at once."""
     for number in range(blocks):
@@ -489,7 +478,6 @@ def all_cases() -> list[Case]:
     every = tuple(_DRIVE)
     cases = [
         *_simulated(4),
-        *_restarting(2),
         *_full_disk(2),
         *_processes(4),
         *_drive("site", every, 0, 1),

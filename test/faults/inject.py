@@ -31,7 +31,7 @@ from rig import (
 from truth import STANDS
 
 from greenroof_ros.common.interface import read_topics
-from greenroof_ros.drives.faults import DEFAULT
+from greenroof_ros.simulators.faults import DEFAULT
 
 Undo = Callable[[], None]
 _SIGNALS = {"kill": signal.SIGKILL, "term": signal.SIGTERM}

@@ -12,9 +12,12 @@ from rclpy.executors import ExternalShutdownException
 from rclpy.node import Node
 from std_msgs.msg import Float64
 
+from greenroof_ros.common.processes import end_with_parent
+
 
 def main() -> None:
     """Read until SIGTERM."""
+    end_with_parent()
     rclpy.init()
     node = Node("reader", start_parameter_services=False)
     node.create_subscription(Float64, "/roof/level", lambda message: None, 10)

@@ -21,7 +21,7 @@ from live import Outcome
 from rig import BrokenError, LoopRig, Rig, SiteRig
 from simulated import digest
 
-from greenroof_ros.common.processes import end_with_parent
+from greenroof_ros.common.processes import asked_to_end_with_this
 from greenroof_ros.recording.bag_reader import count_ticks
 
 READERS, STOPPED_S = 4, 6.5
@@ -39,9 +39,8 @@ class _Readers:
         self._processes = [
             subprocess.Popen(
                 [sys.executable, str(Path(__file__).with_name("reader.py"))],
-                env=environment(domain), cwd=directory, start_new_session=True,
-                stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
-                preexec_fn=end_with_parent,
+                env={**asked_to_end_with_this(), **environment(domain)}, cwd=directory,
+                start_new_session=True, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
             )
             for domain in domains for _ in range(READERS)
         ]

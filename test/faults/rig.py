@@ -27,10 +27,10 @@ from watcher import Watcher
 
 from greenroof_ros.common.interface import read_topics
 from greenroof_ros.drives.address import parse_address
-from greenroof_ros.drives.control_profiles import AbbDrives
 from greenroof_ros.model.pump_speed import flow_at
 from greenroof_ros.model.site import Site, read_site
 from greenroof_ros.pumping.settings import settings_for
+from greenroof_ros.simulators.control_profiles import AbbDrives
 
 START_S = 60.0
 # What the simulated drive needs from power-up until it answers (s).

@@ -21,7 +21,6 @@ from inject import signal_process
 from live import Outcome
 from players import HOSTILE
 from rig import SkippedError, small_disk
-from rosbags.highlevel import AnyReader
 from watcher import Watcher
 
 from greenroof_ros.recording.bag_reader import count_ticks
@@ -39,10 +38,8 @@ _LOST_TICKS = 33
 def run_case(case: Case, directory: Path, domain: int, rng: random.Random) -> Outcome:
     """Bring a simulation up, do the case to it, and look at what it leaves."""
     directory.mkdir(parents=True, exist_ok=True)
-    same = case.expected.recovery in ("same", "goes on")
+    same = case.expected.recovery == "same"
     options = ["--hours", _SHORT_H, "--speed", _SHORT_SPEED] if same else ["--hours", _LONG_H]
-    if case.rig == "restarting":
-        options += ["--on-node-failure", "restart"]
     outcome = Outcome(bound=None if same else SIMULATION_END_S)
     if case.fault == "full disk":
         try:
@@ -65,9 +62,7 @@ def run_case(case: Case, directory: Path, domain: int, rng: random.Random) -> Ou
         pids = list(nodes.values())
         began = time.monotonic()
         _begin(case, run, nodes, watcher, rng)
-        if case.expected.recovery == "goes on":
-            _goes_on(run, directory, domain, outcome)
-        elif same:
+        if same:
             _same(run, directory, domain, outcome)
         else:
             _ends(case, run, directory, began, outcome)
@@ -145,39 +140,6 @@ def _same(run: Process, directory: Path, domain: int, outcome: Outcome) -> None:
         outcome.fail("the bag is not that of an undisturbed run")
     outcome.lost = 0
     outcome.recovery = "ran to its end, every byte as undisturbed"
-
-
-def _goes_on(run: Process, directory: Path, domain: int, outcome: Outcome) -> None:
-    """See that a run went on, another process in the place of the node, with its numbers."""
-    code = run.wait(120)
-    if code != 0:
-        outcome.fail(f"the run ended with exit code {code}: {_error(run)}")
-        return
-    incidents = summary_of(directory / "run")["incidents"]
-    if len(incidents) != 1:
-        outcome.fail(f"{len(incidents)} incidents, not one")
-    lost = {(topic, tick) for one in incidents for topic, tick in one["lost"]}
-    outcome.alarm = "; ".join(f"{one['node']} {one['how']}" for one in incidents)
-    outcome.lost = len(lost)
-    mine = messages(directory / "run" / "bag")
-    others = messages(reference(directory.parent.parent, domain) / "bag")
-    if mine.keys() != others.keys():
-        outcome.fail(f"other topics: {sorted(mine.keys() ^ others.keys())}")
-    for topic in mine.keys() & others.keys():
-        differing = sum(a != b for a, b in zip(mine[topic], others[topic], strict=False))
-        differing += abs(len(mine[topic]) - len(others[topic]))
-        if differing > sum(name == topic for name, _ in lost):
-            outcome.fail(f"{differing} messages of {topic} differ from an undisturbed run")
-    outcome.recovery = "went on, every number as undisturbed"
-
-
-def messages(bag: Path) -> dict[str, list[tuple[int, bytes]]]:
-    """Return time and bytes of each message of a bag, by topic."""
-    found: dict[str, list[tuple[int, bytes]]] = {}
-    with AnyReader([bag]) as reader:
-        for connection, time_ns, data in reader.messages():
-            found.setdefault(connection.topic, []).append((time_ns, bytes(data)))
-    return found
 
 
 def _error(run: Process) -> str:

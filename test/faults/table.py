@@ -56,8 +56,6 @@ def put_table(text: str, file: Path) -> None:
 def _kind(result: dict[str, Any]) -> str:
     """Return the beginning by which a result's row is known."""
     rig = result["id"].partition("/")[0].partition(":")[0]
-    if rig == "restarting":
-        return "restarting"
     fault = result["fault"]
     return next(
         kind for kind in _KINDS
@@ -75,15 +73,14 @@ def table(results: Iterable[dict[str, Any]]) -> str:
     groups: dict[tuple[str, str], list[dict[str, Any]]] = {}
     for result in results:
         groups.setdefault((result["way"], _kind(result)), []).append(result)
-    kinds = [*_KINDS, "restarting"]
+    kinds = list(_KINDS)
     lines = [
         "| way | fault | cases | worst (s) | 99 % (s) | nearest to its bound | lost, worst "
         "| outcome |",
         "|---|---|---|---|---|---|---|---|",
     ]
     for way, kind in sorted(groups, key=lambda one: (WAYS.index(one[0]), kinds.index(one[1]))):
-        name = _KINDS.get(kind, "a node killed, ended, stopped, and replaced")
-        lines.append(f"| {way} | {name} | {_row(way, groups[way, kind])} |")
+        lines.append(f"| {way} | {_KINDS[kind]} | {_row(way, groups[way, kind])} |")
     every = [one for those in groups.values() for one in those]
     failed = sum(bool(one["wrong"]) for one in every)
     skipped = sum(one["recovery"].startswith("skipped") for one in every)

@@ -2,18 +2,17 @@
 
 from __future__ import annotations
 
-import asyncio
 import itertools
 import threading
 import time
 from collections import deque
-from collections.abc import Coroutine, Iterator
-from typing import Any
+from collections.abc import Iterator
+from contextlib import suppress
 
 from greenroof_ros.drives.address import Address
-from greenroof_ros.drives.faults import DEFAULT, DRIVE_FAULTS, SITE_FAULTS
 from greenroof_ros.drives.modbus_line import DriveError
-from greenroof_ros.drives.workbench import Workbench
+from greenroof_ros.simulators.faults import DEFAULT, DRIVE_FAULTS, SITE_FAULTS
+from greenroof_ros.simulators.workbench import Workbench
 
 _PERIOD_S = 0.05
 # Six minutes, longer than the longest case.
@@ -27,56 +26,47 @@ TURNS = 0.1
 
 
 class Truth:
-    """Looks at the workbenches of drive and site; speaks to them from a thread of its own."""
+    """Looks at the workbenches of drive and site, from a thread of its own."""
 
     def __init__(self, drive: Address, site: Address | None = None) -> None:
         self.greatest = 0.0
         self.samples: deque[tuple[float, float]] = deque(maxlen=_KEPT)  # time (s), speed
-        self._drive_at, self._site_at = drive, site
-        self._loop = asyncio.new_event_loop()
-        self._ended = False
-        self._thread = threading.Thread(target=self._work, daemon=True)
+        self._drive = Workbench(drive)
+        self._site = None if site is None else Workbench(site, SITE_FAULTS)
+        self._one_at_a_time = threading.Lock()
+        self._ended = threading.Event()
+        self._thread = threading.Thread(target=self._sample, daemon=True)
         self._thread.start()
 
     def close(self) -> None:
-        self._ended = True
+        self._ended.set()
         self._thread.join(5)
-
-    def _work(self) -> None:
-        asyncio.set_event_loop(self._loop)
-        self._loop.set_exception_handler(lambda loop, context: None)
-        self._drive = Workbench(self._drive_at)
-        self._site = None if self._site_at is None else Workbench(self._site_at, SITE_FAULTS)
-        self._loop.run_until_complete(self._sample())
-        self._loop.close()
-
-    async def _sample(self) -> None:
-        while not self._ended:
-            try:
-                before = time.monotonic()
-                speed = await self._drive.speed()
-                self.samples.append(((before + time.monotonic()) / 2, speed))
-                self.greatest = max(self.greatest, speed)
-            except DriveError:
-                pass  # the simulator was killed or stopped: nothing is known for a while
-            await asyncio.sleep(_PERIOD_S)
         self._drive.close()
         if self._site is not None:
             self._site.close()
 
-    def _do(self, action: Coroutine[Any, Any, None]) -> None:
-        asyncio.run_coroutine_threadsafe(action, self._loop).result(5)
+    def _sample(self) -> None:
+        while not self._ended.wait(_PERIOD_S):
+            # While the simulator was killed or stopped nothing is known.
+            with suppress(DriveError), self._one_at_a_time:
+                before = time.monotonic()
+                speed = self._drive.speed()
+                self.samples.append(((before + time.monotonic()) / 2, speed))
+                self.greatest = max(self.greatest, speed)
 
     def inject_drive(self, fault: str, parameter: int = DEFAULT) -> None:
         assert fault in DRIVE_FAULTS
-        self._do(self._drive.inject(fault, parameter))
+        with self._one_at_a_time:
+            self._drive.inject(fault, parameter)
 
     def inject_site(self, fault: str, parameter: int = DEFAULT) -> None:
         assert self._site is not None
-        self._do(self._site.inject(fault, parameter))
+        with self._one_at_a_time:
+            self._site.inject(fault, parameter)
 
     def take_over(self, local: bool) -> None:
-        self._do(self._drive.take_over(local))
+        with self._one_at_a_time:
+            self._drive.take_over(local)
 
     @property
     def speed(self) -> float:

@@ -29,7 +29,7 @@ def work(ids: Path, directory: Path, results: Path, seed: int) -> None:
     known = {case.id: case for case in all_cases()}
     cases = [known[one] for one in json.loads(ids.read_text())]
     kind, _, drive = cases[0].rig.partition(":")
-    if kind in ("simulated", "restarting"):
+    if kind == "simulated":
         done = _simulations(cases, directory, seed)
     elif kind == "readers":
         done = readers.run_cases(cases, directory, seed)

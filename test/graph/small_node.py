@@ -35,10 +35,15 @@ def main() -> None:
     permits = os.environ.get("GREENROOF_ROS_PERMIT_PIPE")
     while True:
         says = marks / f"{kind}-says"
-        said: dict[str, object] = {"pump": says.read_text()} if says.exists() else {}
+        said: dict[str, object] = {}
+        if says.exists():
+            said = {"pump": says.read_text(), "pump_state": says.read_text().partition(":")[0]}
         if (marks / f"{kind}-stands").exists():
             said["stands"] = json.loads((marks / f"{kind}-stands").read_text())
         report("starting" if (marks / f"{kind}-waits").exists() else "ready", **said)
+        if (marks / f"{kind}-raw").exists():
+            lines = (marks / f"{kind}-raw").read_bytes()
+            os.write(int(os.environ["GREENROOF_ROS_REPORT_PIPE"]), lines)
         if permits is not None:
             os.set_blocking(int(permits), False)
             try:

@@ -61,7 +61,7 @@ def assert_ended_early(process: Process, status: str, reason: str) -> None:
     assert (summary["controller"], summary["steps"]) == ("mpc", 43200)
     assert (summary["refused"], summary["parameter_changes"]) == ({}, [])
     assert not [metric.name for metric in METRICS if metric.name in summary]
-    commands = [line for line in process.stderr().splitlines() if line.startswith("  python")]
+    commands = [line for line in process.stderr().splitlines() if line.startswith("  greenroof")]
     if (run / "bag" / "metadata.yaml").exists():
         ticks = readable_ticks(run)
         # The last tick was begun. The recorder may be behind, by as much as the plant's messages
@@ -69,10 +69,9 @@ def assert_ended_early(process: Process, status: str, reason: str) -> None:
         assert ticks - 1 <= summary["last_tick"] <= ticks + 64
         assert f"ticks in {run / 'bag'}: {ticks};" in process.stderr()
         assert f"  ros2 bag info {run / 'bag'}\n" in process.stderr()
-        assert commands == [f"  python -m greenroof_ros.report {run}"]
+        assert commands == [f"  greenroof report {run}"]
     else:
-        assert commands == [f"  python -m greenroof_ros.{name} {run}"
-                            for name in ("recover", "report")]
+        assert commands == [f"  greenroof {name} {run}" for name in ("recover", "report")]
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM], ids=["ctrl-c", "sigterm"])

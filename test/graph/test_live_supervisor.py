@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import resource
 import signal
 import subprocess
 import sys
@@ -19,9 +20,13 @@ import pytest
 from graphs import alive, wait_for
 from places import CHECKOUT
 
+from greenroof_ros.bringup.status import troubles_of, values_of
+from greenroof_ros.common.clock import boot_time
+from greenroof_ros.common.disk import DISK
+from greenroof_ros.experiment.incidents import IncidentLog
 from greenroof_ros.graph import live_supervisor
 from greenroof_ros.graph.live_supervisor import Failure, LiveSupervisor
-from greenroof_ros.graph.node_processes import NodeFailed
+from greenroof_ros.graph.node_processes import NodeFailed, NodeProcesses
 
 TOO_LONG_S = 60
 
@@ -93,13 +98,13 @@ def test_a_node_that_died_is_started_again(
     """After 1 s, then 2 s; the pump is held until it is there, and told why."""
     with site(tmp_path, monkeypatch) as (here, failures, stops):
         here.add("weather", "controller", "pump")
-        here.until(lambda: here.supervisor.all_ready and not here.supervisor.hold)
+        here.until(lambda: here.supervisor.all_ready and not here.supervisor.inhibit)
         for wait in (1.0, 2.0):
             killed = here.pid("controller")
             died = time.monotonic()
             os.kill(killed, signal.SIGKILL)
-            here.until(lambda: here.supervisor.hold == "controller is missing")
-            here.until(lambda: not here.supervisor.hold)
+            here.until(lambda: here.supervisor.inhibit == "controller is missing")
+            here.until(lambda: not here.supervisor.inhibit)
             _, started = here.starts("controller")[-1]
             assert started - died >= wait
             assert here.pid("controller") != killed
@@ -107,13 +112,13 @@ def test_a_node_that_died_is_started_again(
             ("controller", "ended (SIGKILL)", "starts again in 1 s"),
             ("controller", "ended (SIGKILL)", "starts again in 2 s"),
         ]
-        here.until(lambda: here.permits()[-1]["hold"] == "")
-        holds = [permit["hold"] for permit in here.permits()]
-        assert "controller is missing" in holds and "controller is starting" in holds
-        assert set(holds) <= {"", "controller is missing", "controller is starting", holds[0]}
+        here.until(lambda: here.permits()[-1]["inhibit"] == "")
+        told = [permit["inhibit"] for permit in here.permits()]
+        holds = told[told.index(""):]  # before that, all three were starting
+        assert set(holds) == {"", "controller is missing", "controller is starting"}
         times = [float(str(permit["at"])) for permit in here.permits()]
         assert median(after - before for before, after in pairwise(times)) < 1.0
-        assert 0 <= time.monotonic() - times[-1] < TOO_LONG_S  # of the same clock
+        assert 0 <= boot_time() - times[-1] < TOO_LONG_S  # of the same clock
         assert not stops
     assert not any(alive(pid) for node in ("weather", "controller", "pump")
                    for pid, _ in here.starts(node))
@@ -126,14 +131,14 @@ def test_a_node_that_hangs_is_killed_and_started_again(
     """Held when it is silent for 2 s, killed at the limit."""
     with site(tmp_path, monkeypatch, silence_s=5.0) as (here, failures, _):
         here.add("weather", "pump")
-        here.until(lambda: here.supervisor.all_ready and not here.supervisor.hold)
+        here.until(lambda: here.supervisor.all_ready and not here.supervisor.inhibit)
         hung = here.pid("weather")
         os.kill(hung, signal.SIGSTOP)
-        here.until(lambda: here.supervisor.hold == "weather is silent")
+        here.until(lambda: here.supervisor.inhibit == "weather is silent")
         assert alive(hung)
-        here.until(lambda: here.supervisor.hold == "weather is missing")
+        here.until(lambda: here.supervisor.inhibit == "weather is missing")
         assert not alive(hung)
-        here.until(lambda: not here.supervisor.hold)
+        here.until(lambda: not here.supervisor.inhibit)
         assert [(i.node, i.what) for i in failures] == [
             ("weather", "had not answered for 5 s (stopped): killed")
         ]
@@ -146,7 +151,7 @@ def test_the_drive_is_stopped_for_a_pump_node_that_cannot(
     """Once, and before the node is started again."""
     with site(tmp_path, monkeypatch, silence_s=5.0) as (here, failures, stops):
         here.add("weather", "pump")
-        here.until(lambda: here.supervisor.all_ready and not here.supervisor.hold)
+        here.until(lambda: here.supervisor.all_ready and not here.supervisor.inhibit)
         os.kill(here.pid("pump"), how)
         here.until(lambda: len(here.starts("pump")) == 2)
         (stopped,) = stops
@@ -163,7 +168,7 @@ def test_a_pump_that_turns_on_is_stopped_once_more(
     monkeypatch.setattr(live_supervisor, "LONGEST_RAMP_S", 1.0)
     with site(tmp_path, monkeypatch, silence_s=9.0) as (here, failures, stops):
         here.add("weather", "pump")
-        here.until(lambda: here.supervisor.all_ready and not here.supervisor.hold)
+        here.until(lambda: here.supervisor.all_ready and not here.supervisor.inhibit)
         (here.marks / "pump-says").write_text("stopping: the weather is missing")
         ended = time.monotonic() + 5
         here.until(lambda: time.monotonic() > ended)
@@ -232,7 +237,7 @@ def test_a_recorder_ends_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch
         here.add("weather", "pump")
         here.supervisor.add("recorder", "small_node", "wrong", str(here.marks))
         here.until(lambda: len(failures) == 2)
-        here.until(lambda: here.supervisor.all_ready and not here.supervisor.hold)
+        here.until(lambda: here.supervisor.all_ready and not here.supervisor.inhibit)
     assert [(i.node, i.what, i.done) for i in failures] == [
         ("recorder", "ended (exit code 2): parameter x must be a number",
          f"starts again in {wait} s; nothing is recorded until then") for wait in (1, 600)
@@ -261,14 +266,14 @@ def test_what_a_node_waits_for_holds_the_pump(
         (here.marks / "weather-waits").touch()
         here.add("weather", "recorder", "pump")
         here.until(lambda: here.supervisor.last.keys() == {"weather", "recorder", "pump"})
-        here.until(lambda: here.supervisor.hold == "weather is starting")
+        here.until(lambda: here.supervisor.inhibit == "weather is starting")
         (here.marks / "weather-waits").unlink()
-        here.until(lambda: not here.supervisor.hold)
+        here.until(lambda: not here.supervisor.inhibit)
         # The recorder is none of the pump's.
         os.kill(here.pid("recorder"), signal.SIGKILL)
         here.until(lambda: len(here.starts("recorder")) == 2)
-        assert len(failures) == 1 and not here.supervisor.hold
-        assert "recorder" not in str([permit["hold"] for permit in here.permits()])
+        assert len(failures) == 1 and not here.supervisor.inhibit
+        assert "recorder" not in str([permit["inhibit"] for permit in here.permits()])
 
 
 _STOPPED = """
@@ -313,6 +318,8 @@ def test_nothing_is_left_open(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -
         before = _open_files()
         here.add("weather", "pump")
         here.until(lambda: here.supervisor.all_ready)
+        logs = [tmp_path / "weather.log", tmp_path / "pump.log"]
+        here.until(lambda: all(log.exists() and log.stat().st_size for log in logs))
         nodes = _open_files() - before
         for node in ("pump", "weather"):
             os.kill(here.pid(node), signal.SIGKILL)
@@ -329,3 +336,135 @@ def _open_files() -> Counter[str]:
         with suppress(FileNotFoundError):  # that of this directory
             found[str(file.readlink())] += 1
     return found
+
+
+def test_a_log_that_cannot_be_written_delays_nobody(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The permit is given all the time; what was printed meanwhile is in the log afterwards."""
+    log = tmp_path / "weather.log"
+    os.mkfifo(log)  # who opens it to write waits until somebody reads
+    with site(tmp_path, monkeypatch) as (here, failures, _):
+        here.add("weather", "pump")
+        here.until(lambda: here.supervisor.all_ready and not here.supervisor.inhibit)
+        ended = time.monotonic() + 5
+        here.until(lambda: time.monotonic() > ended)
+        assert DISK.late
+        times = [float(str(permit["at"])) for permit in here.permits()]
+        assert max(after - before for before, after in pairwise(times)) < 2.0  # else it lapses
+        reading = os.open(log, os.O_RDONLY)
+        here.until(lambda: not DISK.late)
+        assert os.read(reading, 1000) == b"weather was started\n"
+        os.close(reading)
+        assert not failures
+
+
+@contextmanager
+def few_files_left(number: int) -> Iterator[None]:
+    """Let this process open no more files than so many."""
+    opened = []
+    soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
+    resource.setrlimit(resource.RLIMIT_NOFILE, (256, hard))
+    try:
+        with suppress(OSError):
+            while True:
+                opened.append(os.open(os.devnull, os.O_RDONLY))
+        for _ in range(number):
+            os.close(opened.pop())
+        yield
+    finally:
+        resource.setrlimit(resource.RLIMIT_NOFILE, (soft, hard))
+        for file in opened:
+            os.close(file)
+
+
+@pytest.mark.parametrize("files", range(7))
+def test_a_start_for_which_there_are_too_few_files(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, files: int
+) -> None:
+    """Wherever in it they run out: it is an error that can be handled, and leaves nothing open."""
+    monkeypatch.setenv("PYTHONPATH", f"{CHECKOUT}{os.pathsep}{Path(__file__).parent}")
+    nodes = NodeProcesses(tmp_path, [], "")
+    before = _open_files()
+    with few_files_left(files), pytest.raises(OSError, match="Too many open files"):
+        nodes.start("weather", "small_node", "weather", str(tmp_path))
+    assert _open_files() == before
+
+
+@pytest.mark.parametrize("node", ["weather", "pump", "recorder"])
+def test_a_node_that_cannot_be_started_again_for_now(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, node: str
+) -> None:
+    """It is said once and tried on; the pump is held, but not for a recorder."""
+    monkeypatch.setattr(live_supervisor, "_LONGEST_WAIT_S", 1.0)
+    with site(tmp_path, monkeypatch) as (here, failures, _):
+        here.add("weather", "pump", "recorder")
+        here.until(lambda: here.supervisor.all_ready and not here.supervisor.inhibit)
+        with few_files_left(1):
+            os.kill(here.pid(node), signal.SIGKILL)
+            here.until(lambda: "cannot be started" in failures[-1].what if failures else False)
+            ended = time.monotonic() + 4
+            here.until(lambda: time.monotonic() > ended)
+            assert here.supervisor.inhibit == ("weather is missing" if node == "weather" else "")
+        here.until(lambda: len(here.starts(node)) == 2)
+        here.until(lambda: here.supervisor.all_ready and not here.supervisor.inhibit)
+    unrecorded = "; nothing is recorded until then" if node == "recorder" else ""
+    assert [(i.what, i.done) for i in failures if i.done != "the drive stands"] == [
+        ("ended (SIGKILL)", f"starts again in 1 s{unrecorded}"),
+        ("cannot be started: Too many open files", f"tried again every 1 s{unrecorded}"),
+    ]
+
+
+def test_a_recorder_that_cannot_be_started_at_all(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """All others are ready, and the pump may run."""
+    with site(tmp_path, monkeypatch) as (here, failures, _):
+        here.add("weather", "pump")
+        with few_files_left(1):
+            here.add("recorder")
+        here.until(lambda: here.supervisor.all_ready and not here.supervisor.inhibit)
+        assert [str(one) for one in failures] == [
+            "cannot be started: Too many open files; tried again every 10 s; "
+            "nothing is recorded until then"
+        ]
+
+
+# What a node of another version may say, or one that is broken.
+_STRANGE = [
+    [], 7, "ready", {}, {"state": "flying"}, {"state": ["ready"]},
+    *(
+        {"state": "ready", key: value}
+        for key in ("diagnoses", "warnings", "waiting", "refused", "pump", "stands", "command",
+                    "cistern_level", "roof_level", "tick", "failure")
+        for value in (None, 7, "x", [1], {"x": [1]}, {"x": ["OK"]}, {"x": "y"}, [["OK", "well"]])
+    ),
+]
+
+
+def test_what_a_node_of_another_version_says(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Whoever reads it goes on, and shows what can be read."""
+    shown: list[str] = []
+    with site(tmp_path, monkeypatch) as (here, failures, _):
+        here.add("weather", "pump", "recorder")
+        here.until(lambda: here.supervisor.all_ready and not here.supervisor.inhibit)
+        log = IncidentLog(shown.append)
+        for strange in _STRANGE:
+            raw = here.marks / "pump-raw"
+            raw.with_suffix(".new").write_bytes(json.dumps(strange).encode() + b"\n")
+            raw.with_suffix(".new").rename(raw)
+            ended = time.monotonic() + 0.12
+
+            def shows(ended: float = ended) -> bool:
+                for reports in ({"pump": here.supervisor.last["pump"]}, here.supervisor.last):
+                    troubles_of(reports, "")
+                    values_of(reports)
+                    log.look(reports)
+                return time.monotonic() > ended
+
+            here.until(shows)
+        raw.unlink()
+        here.until(lambda: here.supervisor.all_ready and not here.supervisor.inhibit)
+    assert not failures and not shown

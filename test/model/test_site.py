@@ -59,6 +59,10 @@ def test_packaged_site_is_table_i() -> None:
     assert site.pop("initial_layer") == 0
     # All rain on its inlet arrives.
     assert site.pop("runoff_coefficient") == 1
+    # What fao56 makes of the records of Toronto: 125 mm in July, 0.8 m in a year.
+    climate = site.pop("monthly_evapotranspiration")
+    assert 31 * climate[6] == pytest.approx(125, abs=1)
+    assert sum(climate) / 12 * 365 == pytest.approx(804, abs=5)
     place = {key: value for key, value in site.items() if key not in TABLE_I}
     # Toronto City Centre; FAO-56's reference grass; radiation "for coastal locations" (Eq. 50).
     assert place == {
@@ -91,6 +95,31 @@ def test_any_consistent_site_is_read_back(
     """To the bit; also numbers such as 1e-05, which YAML 1.1 takes for a text."""
     directory = tmp_path_factory.mktemp("site")
     assert read_site(write(directory, **asdict(site))) == site
+
+
+MONTHS = [0.0, 1, *[2.5] * 9, 20.0]
+
+
+def test_site_climate(tmp_path: Path) -> None:
+    """Of the whole bed, with its crop; 2.5 mm/day off 68.8 m2 are 172 litres a day."""
+    path = write(tmp_path, monthly_evapotranspiration=MONTHS, crop_coefficient=0.5)
+    site = read_site(path)
+    assert site.monthly_evapotranspiration == tuple(MONTHS)
+    assert site.climatic_evapotranspiration(3) == pytest.approx(0.5 * 0.172 / 86400)
+    assert site.climatic_evapotranspiration(12) == pytest.approx(0.5 * 1.376 / 86400)
+    assert PAPER_SITE.climatic_evapotranspiration(3) is None
+
+
+@pytest.mark.parametrize(
+    "months",
+    ["2.5", "[]", MONTHS[:11], [*MONTHS, 1.0], [*MONTHS[:11], -0.1], [*MONTHS[:11], 20.1],
+     *(f"[{one}, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1]" for one in (".nan", "x", "true")), "{a: 1}"],
+)
+def test_wrong_site_climates(tmp_path: Path, months: object) -> None:
+    path = write(tmp_path, monthly_evapotranspiration=months)
+    said = refusal(path)
+    assert said.startswith(f"{path}, line {len(TABLE_I) + 1}: monthly_evapotranspiration = ")
+    assert "must be twelve numbers in brackets, January to December, each from 0 to 20" in said
 
 
 # What follows from other rows of Table I, and how.

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import asyncio
 import re
 import subprocess
 import sys
@@ -23,17 +22,14 @@ from std_msgs.msg import Float64  # noqa: E402
 from test_nodes import Observer, observer, qos  # noqa: E402, F401
 
 from greenroof_ros.drives.address import parse_address  # noqa: E402
-from greenroof_ros.drives.faults import SITE_FAULTS  # noqa: E402
-from greenroof_ros.drives.workbench import Workbench  # noqa: E402
+from greenroof_ros.simulators.faults import SITE_FAULTS  # noqa: E402
+from greenroof_ros.simulators.workbench import Workbench  # noqa: E402
 
 
 def inject(address: str, fault: str) -> None:
-    async def injected() -> None:
-        workbench = Workbench(parse_address(address), SITE_FAULTS, PATIENCE_S)
-        await workbench.inject(fault)
-        workbench.close()
-
-    asyncio.run(injected())
+    workbench = Workbench(parse_address(address), SITE_FAULTS, PATIENCE_S)
+    workbench.inject(fault)
+    workbench.close()
 
 
 def test_levels_of_a_simulated_site(

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import math
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -21,15 +22,19 @@ from statistics import median
 from typing import Any
 
 import pytest
-from graphs import environment
+from graphs import environment, free_ports
 from places import CONFIG
 
 rclpy = pytest.importorskip("rclpy", reason="nodes need ROS 2")
 
 from diagnostic_msgs.msg import DiagnosticArray  # noqa: E402
+from rcl_interfaces.srv import SetParameters  # noqa: E402
 from rclpy.node import Node  # noqa: E402
+from rclpy.parameter import Parameter  # noqa: E402
 from std_msgs.msg import Float64, Float64MultiArray  # noqa: E402
 from test_nodes import Observer, observer, qos  # noqa: E402, F401
+
+from greenroof_ros.common.files import read_yaml  # noqa: E402
 
 TAU = 0.2
 # What a busy machine may take (s). That each bound holds, test_input_rules.py shows by a clock of
@@ -165,6 +170,18 @@ def newest(values: list[tuple[float, Any]]) -> Any:
     return values[-1][1] if values else None
 
 
+# Lets a process find that the machine was suspended for an hour while there is a file *suspended*.
+SUSPENDED = """
+import time
+from pathlib import Path
+awake = time.clock_gettime
+def clock_gettime(clock):
+    asleep = clock == time.CLOCK_BOOTTIME and Path("suspended").exists()
+    return awake(clock) + (3600.0 if asleep else 0.0)
+time.clock_gettime = clock_gettime
+"""
+
+
 def other_node(site: Site) -> Node:
     return Node("intruder", context=site.watcher.context, start_parameter_services=False)
 
@@ -252,36 +269,219 @@ def test_each_rule_of_an_input_stops_the_pump(domain: int, tmp_path: Path, site:
         assert median(gaps) == pytest.approx(TAU, rel=0.5)
 
 
-def test_a_forecast_that_cannot_be_used(domain: int, tmp_path: Path, site: Site) -> None:
-    """Of another length, or with values that cannot be: refused, and the node lives on."""
+FORECASTS = ("/forecast/precipitation", "/forecast/evapotranspiration")
+
+
+def test_onoff_needs_no_forecast(domain: int, tmp_path: Path, site: Site) -> None:
+    """It is as well without; with one that is refused, too."""
     commands = dry_site(site)
-    with live_node(domain, tmp_path, "controller --controller mpc", recovery_time=0.2):
-        site.until(lambda: (newest(commands) or 0) > 0, LATE, "a command")
-        for bad in ([], [0.0] * 9, [0.0] * 2000, [math.nan] * 10, [1.0] * 10):
-            site.values["/forecast/precipitation"] = bad
-            site.until(lambda: newest(commands) == 0.0, LATE, f"command 0 for {bad[:10]}")
-            refused = site.says("/mpc: inputs", ERROR, "/forecast/precipitation was refused")
-            site.until(refused, LATE, "why")
-            site.values["/forecast/precipitation"] = [0.0] * 10
-            site.until(lambda: newest(commands) > 0, LATE, "recovery")
-            site.until(site.says("/mpc: inputs", OK), LATE, "all well")
+    for name in FORECASTS:
+        del site.values[name]
+    with live_node(domain, tmp_path, "controller --controller onoff", recovery_time=0.2):
+        site.until(lambda: newest(commands) == 1.0, LATE, "a command")
+        site.until(site.says("/onoff: inputs", OK), LATE, "all well")
+        site.values.update(dict.fromkeys(FORECASTS, [math.nan] * 10))
+        site.during(2)
+        assert newest(commands) == 1.0
+        assert site.says("/onoff: inputs", OK)()
+        assert "/onoff: forecast" not in site.diagnoses
 
 
-def test_a_message_whose_layout_is_wrong(domain: int, tmp_path: Path, site: Site) -> None:
-    """It ends a simulated run; a live node refuses it and lives on."""
+# What a forecast of rain may be, and what is said of it: of another length, with a value far ahead
+# that cannot be, and none at all.
+BAD_FORECASTS: dict[str, tuple[list[float] | None, str]] = {
+    "empty": ([], "was refused"),
+    "short": ([0.0] * 9, "was refused"),
+    "long": ([0.0] * 2000, "was refused"),
+    "not finite": ([*[0.0] * 9, math.nan], "was refused: nan"),
+    "a flood": ([1.0] * 10, "was refused: 1.0"),
+    "none": (None, "is older than 1 s (forecast_limit)"),
+}
+
+
+def test_onoff_commands_without_a_forecast(domain: int, tmp_path: Path, site: Site) -> None:
+    """And says so, with reason and time; a level or frost that is not known stops it as ever."""
+    commands = dry_site(site)
+    good = dict(site.values)
+    rain = "/forecast/precipitation"
+    with live_node(
+        domain, tmp_path, "controller --controller mpc", max_command=0.4, recovery_time=0.2,
+        forecast_limit=1.0, level_limit=1.5, jump_tolerance=1.0,
+    ):
+        for what, (bad, why) in BAD_FORECASTS.items():
+            site.until(lambda: 0 < (newest(commands) or 0) <= 0.4, LATE, "a command of mpc")
+            site.until(site.says("/mpc: forecast", OK), LATE, "all well")
+            began = datetime.now(UTC).replace(microsecond=0)
+            without = {name: value for name, value in good.items() if name != rain}
+            site.values = without if bad is None else {**without, rain: bad}
+            site.until(lambda: newest(commands) == 1.0, LATE, f"on/off, {what}")
+            said = site.says("/mpc: forecast", WARN, "on/off commands since ", f"{rain} {why}")
+            site.until(said, LATE, what)
+            since = re.search(r"since (\S+ \S+), ", site.diagnoses["/mpc: forecast"][1])
+            assert since and began <= datetime.fromisoformat(since[1]) <= datetime.now(UTC)
+            # Command after command, also where the controller is asked again and refuses again.
+            asked = len(commands)
+            site.during(1)
+            assert {value for _, value in commands[asked:]} == {1.0}
+            assert site.says("/mpc: inputs", OK)()
+            if bad is not None:
+                site.values = dict(good)
+        for change in (
+            {"/roof/level": 0.05}, {"/roof/level": math.nan}, {"/cistern/level": 0.5},
+            {"/weather/frost": 1.0}, {"/weather/frost": math.nan},
+        ):
+            site.values = {**without, **change}
+            site.until(lambda: newest(commands) == 0.0, LATE, f"stop by {change}")
+            site.values = without
+            site.until(lambda: newest(commands) == 1.0, LATE, f"on/off after {change}")
+        site.values = {name: value for name, value in without.items() if name != "/cistern/level"}
+        site.until(lambda: newest(commands) == 0.0, LATE, "stop without a level")
+        site.values = good
+        site.until(lambda: 0 < newest(commands) <= 0.4, LATE, "mpc again")
+
+
+def test_a_moment_without_a_forecast_starts_no_pump(
+    domain: int, tmp_path: Path, site: Site
+) -> None:
+    """Of a roof that waits for rain: on/off would pump."""
+    commands = dry_site(site)
+    (tmp_path / "mine.py").write_text(MINE)
+    with live_node(domain, tmp_path, "controller --controller mine:Waiting", recovery_time=2.0):
+        site.until(site.says("/waiting: forecast", OK), LATE, "a forecast")
+        site.values["/forecast/precipitation"] = [math.nan] * 10
+        site.until(site.says("/waiting: forecast", WARN, "was refused"), LATE, "the refusal")
+        site.values["/forecast/precipitation"] = [0.0] * 10
+        site.until(site.says("/waiting: forecast", OK), LATE, "a forecast again")
+        assert {value for _, value in commands} == {0.0}
+
+
+MINE = """
+import math
+from greenroof_ros.common.parameter import Parameter
+
+class Waiting:
+    parameters = ()
+    def __init__(self, site): pass
+    def command(self, *inputs): return 0.0
+    def skip(self): pass
+    def statistics(self): return None
+
+class Counting(Waiting):
+    parameters = (Parameter("base", 0.1, "1", 0.0, 1.0, "of its commands", may_change=True),)
+    def __init__(self, site, base):
+        self.base, self.asked = base, 0
+    def command(self, *inputs):
+        self.asked += 1
+        return self.base + 0.001 * self.asked
+
+class Own(Waiting):
+    needs_forecast = False
+    def command(self, cistern, roof, rain, evapotranspiration):
+        return 0.3 if len(rain) == len(evapotranspiration) == 10 else 0.2
+
+class Broken(Waiting):
+    def command(self, *inputs): return math.nan
+"""
+
+
+def test_classes_of_a_users_own(domain: int, tmp_path: Path, site: Site) -> None:
+    """One that says nothing leaves it to on/off and begins anew; one with a rule is asked."""
+    commands = dry_site(site)
+    good = dict(site.values)
+    without = {name: value for name, value in good.items() if name not in FORECASTS}
+    (tmp_path / "mine.py").write_text(MINE)
+    given = {"recovery_time": 0.2, "forecast_limit": 1.0}
+    with live_node(domain, tmp_path, "controller --controller mine:Counting", **given):
+        site.until(lambda: (newest(commands) or 0) > 0.105, LATE, "its commands")
+        site.values = without
+        site.until(lambda: newest(commands) == 1.0, LATE, "on/off")
+        client = site.node.create_client(SetParameters, "/counting/set_parameters")
+        site.until(client.service_is_ready, LATE, "the service")
+        base = Parameter("base", value=0.5).to_parameter_msg()
+        answer = client.call_async(SetParameters.Request(parameters=[base]))
+        site.until(answer.done, LATE, "an answer")
+        before = len(commands)
+        site.values = good
+        site.until(lambda: newest(commands) != 1.0, LATE, "its commands again")
+        first = next(value for _, value in commands[before:] if value != 1.0)
+        assert first == pytest.approx(0.501)
+    commands.clear()
+    with live_node(domain, tmp_path, "controller --controller mine:Own", **given):
+        site.until(lambda: newest(commands) == 0.3, LATE, "with a forecast")
+        site.values = without
+        site.until(lambda: newest(commands) == 0.2, LATE, "without")
+        site.values = good
+        site.until(lambda: newest(commands) == 0.3, LATE, "with a forecast again")
+        assert {value for _, value in commands} <= {0.0, 0.2, 0.3}
+
+
+def test_a_controller_whose_command_is_none(domain: int, tmp_path: Path, site: Site) -> None:
+    """The forecast is good: no on/off in its place."""
+    commands = dry_site(site)
+    (tmp_path / "mine.py").write_text(MINE)
+    with live_node(domain, tmp_path, "controller --controller mine:Broken", recovery_time=0.2):
+        broken = site.says("/broken: command", ERROR, "must be a finite number")
+        site.until(broken, LATE, "what is wrong")
+        site.during(2)
+        assert {value for _, value in commands} == {0.0}
+        assert site.says("/broken: forecast", OK)()
+
+
+def test_a_forecast_whose_layout_is_wrong(domain: int, tmp_path: Path, site: Site) -> None:
+    """It ends a simulated run; a live node refuses it, as too many members, and lives on."""
     from std_msgs.msg import MultiArrayDimension, MultiArrayLayout
 
     commands = dry_site(site)
-    with live_node(domain, tmp_path, "controller --controller onoff", recovery_time=0.2):
+    with live_node(
+        domain, tmp_path, "controller --controller mpc", max_command=0.4, recovery_time=0.2
+    ):
         site.until(lambda: newest(commands), LATE, "a command")
         publisher = site._publishers["/forecast/precipitation"]
         del site.values["/forecast/precipitation"]
-        sizes = [MultiArrayDimension(size=3), MultiArrayDimension(size=5)]
-        publisher.publish(
-            Float64MultiArray(layout=MultiArrayLayout(dim=sizes), data=array("d", [0.0] * 4))
-        )
-        site.until(site.says("/onoff: inputs", ERROR, "layout is [3, 5]"), LATE, "why")
-        site.until(lambda: newest(commands) == 0.0, LATE, "command 0")
+        for sizes, count, why in (((3, 5), 4, "layout is [3, 5]"), ((2, 10), 20, "has 2 members")):
+            dimensions = [MultiArrayDimension(size=size) for size in sizes]
+            publisher.publish(Float64MultiArray(
+                layout=MultiArrayLayout(dim=dimensions), data=array("d", [0.0] * count)
+            ))
+            site.until(site.says("/mpc: forecast", WARN, why), LATE, "why")
+            site.until(lambda: newest(commands) == 1.0, LATE, "on/off")
+
+
+def test_no_command_of_what_was_before_a_suspend(
+    domain: int, tmp_path: Path, site: Site, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """In which the clock stands still by which a process otherwise tells how old a value is."""
+    (tmp_path / "sitecustomize.py").write_text(SUSPENDED)
+    monkeypatch.setenv("PYTHONPATH", str(tmp_path))
+    commands = dry_site(site)
+    with live_node(domain, tmp_path, "controller --controller onoff", recovery_time=1.0):
+        site.until(lambda: newest(commands), 60, "a command")
+        (tmp_path / "suspended").touch()
+        site.until(lambda: newest(commands) == 0.0, LATE, "no command")
+        site.until(lambda: any("stood still for 3600 s" in said for said in site.said), LATE, "why")
+        site.until(lambda: newest(commands), LATE, "a command of what is new")
+
+
+@pytest.mark.parametrize(("live", "policy"), [("true", "OTHER"), ("false", "BATCH")])
+@pytest.mark.parametrize("node", ["controller --controller onoff", "pump"])
+def test_who_may_be_preempted(
+    domain: int, tmp_path: Path, site: Site, node: str, live: str, policy: str
+) -> None:
+    """A node of a simulation lets the others go on; one of a live site must be in time."""
+    parameters: dict[str, object] = {"live": live}
+    if node == "pump":
+        parameters |= {
+            "drive": "abb_acs880", "address": f"gateway://127.0.0.1:{free_ports(1)[0]}",
+            "state_file": tmp_path / "state.json",
+        }
+    name = "/pump" if node == "pump" else "/onoff"
+    with live_node(domain, tmp_path, node, **parameters) as process:
+        site.until(lambda: name in site.diagnoses, 60, "the node")
+        threads = [int(one.name) for one in Path(f"/proc/{process.pid}/task").iterdir()]
+        assert len(threads) > 1
+        assert {os.sched_getscheduler(thread) for thread in threads} == {
+            getattr(os, f"SCHED_{policy}")
+        }
 
 
 def test_no_command_of_what_was_before_a_stop(domain: int, tmp_path: Path, site: Site) -> None:
@@ -423,6 +623,12 @@ def write_forecast(path: Path, ago: timedelta, rain: float, temperature: float) 
     draft.replace(path)
 
 
+def usual_evapotranspiration() -> set[float]:
+    """Return what evaporates off the paper's bed, 68.8 m2, in each month (m3/s)."""
+    months = read_yaml(CONFIG / "site.yaml")["monthly_evapotranspiration"]
+    return {month / 1000 / 86400 * 68.8 for month in months}
+
+
 def test_live_weather(domain: int, tmp_path: Path, site: Site) -> None:
     """A file that is replaced, broken and removed, gauges that come and go, an issue too old."""
     file = tmp_path / "forecast.csv"
@@ -486,14 +692,58 @@ def test_live_weather(domain: int, tmp_path: Path, site: Site) -> None:
         site.until(lambda: math.isnan(newest(frost)), LATE, "unknown frost")
         assert site.says("/weather: frost", ERROR, "unknown_frost_may_pump")()
         site.during(0.5)
-        known = len(forecast), len(rain), len(evapotranspiration)
+        known = len(forecast), len(rain)
         unknown = len(frost)
         site.until(lambda: len(frost) > unknown + 4, LATE, "unknown frost again")
-        assert (len(forecast), len(rain), len(evapotranspiration)) == known
+        assert (len(forecast), len(rain)) == known
+        assert newest(evapotranspiration) in usual_evapotranspiration()
 
         write_forecast(file, timedelta(0), 3.6, 15.0)
         expect(1e-6, 0.0, "a good file")
         site.until(site.says("/weather: forecast", OK), LATE, "all well")
+
+
+def test_live_weather_without_a_forecast(domain: int, tmp_path: Path, site: Site) -> None:
+    """A thermometer says whether there is frost, and the site what evaporates in a month."""
+    heard = {
+        name: site.listen(f"/weather/{name}")
+        for name in ("frost", "precipitation", "evapotranspiration")
+    }
+    forecasts = [site.listen(name, Float64MultiArray) for name in FORECASTS]
+    with live_node(
+        domain, tmp_path, "weather", forecast="''", gauge_limit=1.0, recovery_time=0.3,
+    ):
+        site.until(lambda: heard["evapotranspiration"], LATE, "evapotranspiration")
+        assert newest(heard["evapotranspiration"]) in usual_evapotranspiration()
+        site.until(lambda: heard["frost"], LATE, "frost")
+        assert math.isnan(newest(heard["frost"]))
+        assert not heard["precipitation"]
+        site.values = {"/gauge/temperature": 4.0, "/gauge/precipitation": 5e-6}
+        site.until(lambda: newest(heard["frost"]) == 0.0, LATE, "no frost")
+        site.until(lambda: newest(heard["precipitation"]) == 5e-6, LATE, "rain")
+        site.values["/gauge/temperature"] = -0.5
+        site.until(lambda: newest(heard["frost"]) == 1.0, LATE, "frost")
+        site.values = {}
+        site.until(lambda: math.isnan(newest(heard["frost"])), LATE, "unknown frost")
+        silent = site.says("/weather: thermometer", WARN, "the present temperature is unknown")
+        site.until(silent, LATE, "why")
+        assert "/weather: forecast" not in site.diagnoses
+        assert not any(forecasts)
+
+
+def test_live_weather_of_a_site_without_a_climate(
+    domain: int, tmp_path: Path, site: Site
+) -> None:
+    """What evaporates is not known, and is not said."""
+    text = (CONFIG / "site.yaml").read_text()
+    lines = [line for line in text.splitlines() if not line.startswith("monthly_")]
+    (tmp_path / "mine.yaml").write_text("\n".join(lines))
+    frost = site.listen("/weather/frost")
+    evapotranspiration = site.listen("/weather/evapotranspiration")
+    given = {"forecast": "''", "site_file": tmp_path / "mine.yaml"}
+    with live_node(domain, tmp_path, "weather", **given):
+        site.until(lambda: len(frost) > 2, LATE, "frost")
+        assert not evapotranspiration
 
 
 def test_unknown_frost_may_pump(domain: int, tmp_path: Path, site: Site) -> None:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import math
-import os
 import re
 import signal
 import subprocess
@@ -377,34 +376,3 @@ def test_wrong_parameters(
     assert "Traceback" not in done.stderr
     for word in words:
         assert word in done.stderr
-
-
-def test_restarted_controller_takes_the_last_levels(
-    domain: int, tmp_path: Path, observer: Observer
-) -> None:
-    """kill -9 of a controller and a new one: the tick waits, the run ends with its numbers."""
-    with nodes(
-        domain, tmp_path,
-        "plant --ros-args -p run_length:=600 -p speed:=100.0 -p peer_limit:=60.0", "weather",
-        "controller --controller onoff",
-    ) as started:
-        seen: list[float] = []
-        observer.node.create_subscription(
-            Float64, "/roof/level", lambda message: seen.append(message.data), qos("/roof/level")
-        )
-        observer.until(lambda: len(seen) > 150, 60, "150 ticks")
-        os.kill(started[2].pid, signal.SIGKILL)
-        time.sleep(3)  # until its lease is over: two controllers are one too many
-        with nodes(domain, tmp_path, "controller --controller onoff"):
-            report = final_report(observer, "plant")
-    assert report["sent"]["/roof/level"] == 601
-    done = subprocess.run(
-        [
-            sys.executable, "-m", "greenroof_ros.simulate", "--controller", "onoff",
-            "--hours", str(600 / 3600), "--output", "inprocess", "--json",
-        ],
-        cwd=tmp_path, env=environment(domain), capture_output=True, text=True, check=True,
-    )
-    assert report["metrics"]["total_deviation_m3"] == (
-        json.loads(done.stdout)["total_deviation_m3"]
-    )

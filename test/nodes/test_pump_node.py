@@ -13,6 +13,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable, Iterator
+from datetime import datetime
 from pathlib import Path
 from typing import Any
 
@@ -36,9 +37,11 @@ from rclpy.node import Node  # noqa: E402
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy  # noqa: E402
 from std_msgs.msg import Float64, String  # noqa: E402
 from std_srvs.srv import SetBool, Trigger  # noqa: E402
-from test_live import impostor  # noqa: E402
+from test_live import SUSPENDED, impostor  # noqa: E402
 from test_node_help import check_topics, parameters_of, run_module, section  # noqa: E402
 from test_nodes import Observer, observer, qos  # noqa: E402, F401
+
+from greenroof_ros.common.clock import boot_time  # noqa: E402
 
 
 @pytest.fixture
@@ -167,8 +170,9 @@ def test_without_knowing_that_the_drive_would_stop_it_does_not_run(
         rig.start(abb.address, drive=str(file))
         rig.join()
         rig.tick_until(0.5, lambda: "does not guard for 4 s" in rig.state, 20, "the reason")
+        rig.tick_until(0.5, lambda: rig.says("drive timeout", WARN, "does not guard"), 3, "it")
+        assert rig.code("drive timeout") == "drive_guards_later"
         assert rig.lifecycle_state() == "active"
-        assert rig.says("drive timeout", WARN, "does not guard")
         while time.monotonic() - began < 4:  # it connected later than that began
             assert rig.tick(0.5) == 0.0
         rig.run(abb)
@@ -304,7 +308,7 @@ ledger = Ledger(Path(sys.argv[1]), time.time)
 ledger.kept()
 print("has it", flush=True)
 sys.stdin.readline()
-ledger.fault("burst pipe")
+ledger.fault("burst pipe", "delivery")
 ledger.close()
 """
 
@@ -403,6 +407,8 @@ def test_commands_that_must_not_pump(rig: PumpRig, drive: SimulatedDrive) -> Non
     for bad in (math.nan, math.inf, -1.0):
         rig.tick_until(bad, lambda: drive.speed() == 0.0 and rig.flows[-1] == 0.0, 4, f"{bad}")
         rig.tick_until(bad, lambda: rig.says("command", ERROR, "refused"), 4, "the reason")
+        rig.tick_until(bad, lambda: rig.code("pump") == "command_unknown", 4, "its code")
+        assert rig.code("command") == rig.values["/pump: pump"]["cause"] == "input_refused"
     rig.run(drive)
     rig.tick_until(5.0, lambda: drive.speed() > 0.99, 10, "full speed, and no more")
     rig.tick_until(5.0, lambda: rig.says("limits", WARN, "taken as 1"), 4, "the warning")
@@ -410,9 +416,11 @@ def test_commands_that_must_not_pump(rig: PumpRig, drive: SimulatedDrive) -> Non
     intruder.create_publisher(Float64, "/pump/command", qos("/pump/command"))
     rig.tick_until(0.5, lambda: drive.speed() == 0.0 and rig.flows[-1] == 0.0, 4, "its stop")
     rig.tick_until(0.5, lambda: rig.says("command", ERROR, "intruder"), 6, "the intruder's name")
+    rig.tick_until(0.5, lambda: rig.code("pump") == "two_controllers", 4, "its code")
     intruder.destroy_node()
     rig.run(drive)
     assert rig.says("command", OK)
+    rig.tick_until(0.5, lambda: rig.values["/pump: pump"] == {}, 4, "no code")
     # One that a graph cannot hear, as by ros2 topic pub: whoever publishes 0 means a stop.
     unheard = Node("unheard", context=rig.observer.context)
     unheard.create_publisher(Float64, "/pump/command", 10)
@@ -433,6 +441,9 @@ def test_a_drive_that_is_lost_stops_and_comes_back(rig: PumpRig, drive: Simulate
             0.5, lambda: rig.state.startswith("unknown: no connection to the drive"), 6, fault
         )
         assert rig.tick(0.5) == 0.0
+        rig.tick_until(0.5, lambda: rig.code("drive") == "drive_lost", 4, "its code")
+        since = rig.values["/pump: drive"]["since"]
+        assert abs(datetime.fromisoformat(since).timestamp() - time.time()) < 60
         if fault != "power_cycle":
             stands_within(drive, 3)
             drive.inject("none")
@@ -554,7 +565,7 @@ def test_it_runs_only_with_a_fresh_permit_of_bringup(
     with os.fdopen(writing, "w") as permits:
 
         def give(hold: str) -> None:
-            permits.write(json.dumps({"hold": hold, "at": time.monotonic()}) + "\n")
+            permits.write(json.dumps({"inhibit": hold, "at": boot_time()}) + "\n")
             permits.flush()
 
         env = {**environment(domain), "GREENROOF_ROS_PERMIT_PIPE": str(reading)}
@@ -583,6 +594,21 @@ def test_it_runs_only_with_a_fresh_permit_of_bringup(
     taken = rig.tick_until(0.5, lambda: drive.speed() == 0.0, 60, "a stop")
     assert taken < 2
     assert "bringup has ended" in rig.state
+
+
+def test_a_suspend_of_the_machine_is_no_short_pause(
+    tmp_path: Path, rig: PumpRig, drive: SimulatedDrive, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """What the node had is of before; that nobody watched over the pump meanwhile is said."""
+    (tmp_path / "sitecustomize.py").write_text(SUSPENDED)
+    monkeypatch.setenv("PYTHONPATH", str(tmp_path))
+    rig.start(drive.address, popen={"env": environment(rig.domain)})
+    rig.run(drive)
+    (tmp_path / "suspended").touch()
+    rig.tick_until(
+        0.5, lambda: rig.says("suspend", ERROR, "for 3600 s while the pump was on"), 10, "the alarm"
+    )
+    assert "stopping: no command has come for 3 s (command_limit)" in rig.states
 
 
 def test_check_pump_finds_it_right(domain: int, tmp_path: Path, rig: PumpRig) -> None:

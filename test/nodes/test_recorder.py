@@ -151,7 +151,7 @@ def test_full_disk(domain: int, tmp_path: Path) -> None:
         assert summary["status"] == "failed"
         reason = re.fullmatch(
             r"node recorder ended \(exit code 1\): .*/bag: No space left on device; "
-            r"'python -m greenroof_ros.recover .*/bag' restores its first (\d+) ticks",
+            r"'greenroof recover .*/bag' restores its first (\d+) ticks",
             summary["reason"],
         )
         assert reason is not None, summary["reason"]

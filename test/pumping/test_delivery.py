@@ -298,7 +298,7 @@ def test_a_lost_connection_is_no_leak() -> None:
     rig.run(200, 0.0)
     rig.run(3, 1.0)
     for _ in range(10):
-        rig.change = {"speed": None, "problem": "connection lost"}
+        rig.change = {"speed": None, "reasons": {"drive_lost": "connection lost"}}
         rig.stuck_speed = 1.0
         rig.step(1.0)
     rig.stuck_speed = None
@@ -314,7 +314,7 @@ def test_a_pump_that_runs_on_without_a_connection() -> None:
     """Its own timeout does not stop it: after 15 s what it takes counts as lost."""
     rig = Rig(x2=0.5)
     rig.run(200, 0.0)
-    rig.change = {"speed": None, "problem": "connection lost"}
+    rig.change = {"speed": None, "reasons": {"drive_lost": "connection lost"}}
     rig.stuck_speed = 1.0
     assert time_to_fault(rig, 300, 0.0) <= 90
     assert "(a stuck contactor)" in rig.decisions[-1].why

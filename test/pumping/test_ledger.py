@@ -9,6 +9,7 @@ import signal
 import subprocess
 import sys
 import time
+import zlib
 from collections.abc import Iterator
 from fractions import Fraction
 from pathlib import Path
@@ -21,6 +22,7 @@ from paper import PAPER_SITE
 from pump_rig import Rig
 
 from greenroof_ros.pumping.ledger import Ledger, Record, state_directory
+from greenroof_ros.pumping.pump_control import PumpControl
 from greenroof_ros.pumping.settings import settings_for
 
 
@@ -76,8 +78,8 @@ def test_a_missing_file_is_a_fresh_record_and_is_made(tmp_path: Path, clock: Clo
     ledger = Ledger(file, clock)
     assert (ledger.record.held, ledger.record.fault, ledger.kept()) == ("", "", "")
     size = file.stat().st_size
-    ledger.fault("x" * 100_000)
-    ledger.hold('"\\\x00\U0001f4a7' * 10_000)
+    ledger.fault("x" * 100_000, "delivery")
+    ledger.stop('"\\\x00\U0001f4a7' * 10_000)
     assert ledger.kept() == ""
     assert file.stat().st_size == size
     again = Ledger(file, clock).record
@@ -89,16 +91,16 @@ def test_held_and_fault_are_written_at_once(tmp_path: Path, clock: Clock) -> Non
     """And nothing but the lock is left beside."""
     file = tmp_path / "state" / "pump.json"
     ledger = Ledger(file, clock)
-    ledger.hold("an operator stopped it")
-    ledger.fault("the drive reports: overload")
+    ledger.stop("an operator stopped it")
+    ledger.fault("the drive reports: overload", "drive_fault")
     wait_for(lambda: written(file)["fault"], 5, "the fault")
     again = Ledger(file, clock)
     assert again.record.held == "an operator stopped it"
     assert again.record.fault == "the drive reports: overload"
     ledger.close()
     again = Ledger(file, clock)
-    again.hold("")
-    again.fault("")
+    again.stop("")
+    again.fault("", "")
     again.kept()
     last = Ledger(file, clock).record
     assert (last.held, last.fault) == ("", "")
@@ -114,8 +116,8 @@ def test_a_second_ledger_erases_nothing(tmp_path: Path, clock: Clock) -> None:
     second = Ledger(file, clock)
     assert not second.writes
     second.count_unseen(25.0, 0.001)
-    first.fault("burst pipe")
-    first.hold("an operator stopped it")
+    first.fault("burst pipe", "delivery")
+    first.stop("an operator stopped it")
     first.switch(False)
     assert first.kept() == ""
     problem = second.kept()
@@ -123,7 +125,7 @@ def test_a_second_ledger_erases_nothing(tmp_path: Path, clock: Clock) -> None:
         f"{file} cannot be written: process {os.getpid()} has it already; end that one"
     )
     assert "--state, state_file" in problem
-    second.hold("")
+    second.stop("")
     second.count(100.0, 10.0, 1.0)
     assert second.close() == problem
     assert first.close() == ""
@@ -141,8 +143,8 @@ def test_whatever_is_in_a_text_has_room(first: str, tmp_path: Path, clock: Clock
     ledger.count(1e8 + 0.5, 0.0, 0.0)
     for _ in range(100):
         ledger.switch(True)
-    ledger.fault(first)
-    ledger.hold(first)
+    ledger.fault(first, "delivery")
+    ledger.stop(first)
     assert ledger.kept(20.0) == ""
     assert (len(read(file, clock).starts), file.stat().st_size) == (100, 8192)
 
@@ -153,7 +155,7 @@ def test_an_error_that_nobody_foresaw_ends_no_saving(tmp_path: Path, clock: Cloc
     ledger = Ledger(file, clock)
     assert ledger.kept(20.0) == ""
     clock.now = Fraction(1_800_000_000)  # type: ignore[assignment]
-    ledger.hold("an operator stopped it")
+    ledger.stop("an operator stopped it")
     assert ledger.kept(20.0).startswith(f"{file} cannot be written: TypeError")
     clock.now = 1_800_000_000.0
     assert ledger.kept(20.0) == ""
@@ -213,7 +215,7 @@ def test_what_nobody_saw_counts_at_worst(
     flow = site.b * math.sqrt(site.z_o + site.c_hat - site.d)
     for attempt in range(2):  # once, and no second time
         ledger = Ledger(file, clock)
-        ledger.count_unseen(25.0, flow)
+        PumpControl(site, settings_for(site), ledger, drive_stops_after=15.0)
         ledger.close()
         assert ledger.record.day_run == pytest.approx(run), attempt
         assert ledger.record.day_volume == pytest.approx(run * flow), attempt
@@ -224,7 +226,7 @@ def test_a_broken_line_holds_the_pump(tmp_path: Path, clock: Clock) -> None:
     file = tmp_path / "pump.json"
     for torn in range(2):
         ledger = Ledger(file, clock)
-        ledger.hold("")
+        ledger.stop("")
         ledger.count(1.0, 1.0, 0.5)
         ledger.close()
         before = ledger.record
@@ -233,15 +235,32 @@ def test_a_broken_line_holds_the_pump(tmp_path: Path, clock: Clock) -> None:
         file.write_bytes(content)
         again = Ledger(file, clock)
         assert f"{file} cannot be read (line {torn + 1}: its checksum is wrong)" in (
-            again.record.held
+            again.record.unknown
         )
         assert before.day_volume - 0.5 <= again.record.day_volume <= before.day_volume
         assert again.kept() == ""
-        assert Ledger(file, clock).record.held == again.record.held
-        again.hold("")
+        assert Ledger(file, clock).record.unknown == again.record.unknown
+        again.stop("")
         again.close()
-        assert Ledger(file, clock).record.held == ""
+        assert Ledger(file, clock).record.unknown == ""
         file.unlink()
+
+
+def test_a_record_of_an_older_version_is_read(tmp_path: Path, clock: Clock) -> None:
+    """It knew no codes; its fault and the day's use count on."""
+    old = {
+        "sequence": 2, "held": "", "fault": "burst pipe", "elapsed": 60.0, "day_run": 30.0,
+        "day_volume": 0.2, "starts": [10.0], "on": False, "written_at": clock.now,
+    }
+    lines = b""
+    for sequence in (1, 2):
+        text = json.dumps(old | {"sequence": sequence}).encode()
+        lines += (b"%08x " % zlib.crc32(text) + text).ljust(4095) + b"\n"
+    file = tmp_path / "pump.json"
+    file.write_bytes(lines)
+    record = Ledger(file, clock).record
+    assert (record.fault, record.fault_code, record.unknown) == ("burst pipe", "", "")
+    assert (record.day_run, record.day_volume, record.starts) == (30.0, 0.2, (10.0,))
 
 
 @pytest.mark.parametrize("content", [b"", b"{}", b"\xff" * 8192, b" " * 8192, b"[" * 100_000])
@@ -257,9 +276,9 @@ def test_a_broken_file_holds_the_pump(content: bytes, tmp_path: Path) -> None:
     assert rig.ledger.kept() == ""
     assert (tmp_path / "pump.json.broken").read_bytes() == content
     assert Rig(file=file).run(30, 1.0).state == "held"
-    rig.control.hold(True)
-    assert rig.step(1.0).why == decision.why
-    rig.control.hold(False)
+    rig.control.stop(True)
+    assert rig.step(1.0).why == f"an operator stopped it; {decision.why}"
+    rig.control.stop(False)
     assert rig.run(30, 1.0).state == "running"
     rig.ledger.kept()
     assert Ledger(file, time.time).record.held == ""
@@ -268,7 +287,7 @@ def test_a_broken_file_holds_the_pump(content: bytes, tmp_path: Path) -> None:
 def test_what_is_no_file_holds_the_pump_and_stays(tmp_path: Path, clock: Clock) -> None:
     """A directory where the file should be."""
     ledger = Ledger(tmp_path, clock)
-    assert "cannot be read" in ledger.record.held
+    assert "cannot be read" in ledger.record.unknown
     assert "no file" in ledger.kept()
     assert tmp_path.is_dir()
 
@@ -280,8 +299,8 @@ def test_a_full_disk_takes_a_stop(disk: Path, clock: Clock) -> None:
     assert ledger.kept() == ""
     fill(disk)
     for number in range(3):
-        ledger.hold(f"stop {number}")
-        ledger.fault(f"fault {number}")
+        ledger.stop(f"stop {number}")
+        ledger.fault(f"fault {number}", "delivery")
         assert ledger.kept() == ""
         again = Ledger(file, clock).record
         assert (again.held, again.fault) == (f"stop {number}", f"fault {number}")
@@ -292,9 +311,9 @@ def test_a_disk_that_was_full_before(disk: Path) -> None:
     fill(disk)
     file = disk / "pump.json"
     rig = Rig(file=file)
-    rig.control.hold(True)
+    rig.control.stop(True)
     assert rig.step(1.0).state == "held"
-    rig.control.hold(False)
+    rig.control.stop(False)
     assert rig.ledger.kept().startswith(
         f"{file} cannot be written: No space left on device; a restart would not know"
     )
@@ -314,7 +333,7 @@ def test_killed_at_any_moment(tmp_path: Path) -> None:
         "from greenroof_ros.pumping.ledger import Ledger\n"
         "ledger = Ledger(Path(sys.argv[1]), time.time)\n"
         "while True:\n"
-        "    ledger.hold('x' * 350)\n"
+        "    ledger.stop('x' * 350)\n"
         "    ledger.kept()\n"
     )
     for attempt in range(10):
@@ -335,7 +354,7 @@ def test_fault_and_stop_survive_the_pump(tmp_path: Path) -> None:
     rig = Rig(file=file)
     rig.change = {"drive_fault": "overload"}
     rig.step(1.0)
-    rig.control.hold(True)
+    rig.control.stop(True)
     rig.ledger.close()
     again = Rig(file=file)
     decision = again.run(30, 1.0)
@@ -343,7 +362,7 @@ def test_fault_and_stop_survive_the_pump(tmp_path: Path) -> None:
     assert decision.why == "the drive reports: overload; an operator stopped it"
     assert again.control.reset() == "the drive reports: overload"
     assert again.run(30, 1.0).state == "held"
-    again.control.hold(False)
+    again.control.stop(False)
     assert again.run(30, 1.0).state == "running"
 
 

@@ -158,7 +158,7 @@ def test_every_reason_is_named() -> None:
     """Not only the first."""
     rig = Rig(x1=10.0)
     rig.change = {"frost": None, "roof_level": None}
-    rig.control.hold(True)
+    rig.control.stop(True)
     assert rig.step(0.5).why == (
         "an operator stopped it; the cistern is at 0.400 m, not above 0.77 m; the level of the "
         "roof is unknown; it is unknown whether there is frost"
@@ -212,6 +212,12 @@ def test_a_run_without_a_break() -> None:
     assert rig.now - begun <= 12
 
 
+def test_a_run_whose_limit_is_passed_between_two_steps() -> None:
+    """No step of 7 s ends at 100 s."""
+    rig = Rig(x2=0.0, tau=7.0, settings=settings_for(PAPER_SITE, greatest_run=100.0))
+    assert rig.run(300, 1.0, until=lambda one: one.state == "held").state == "held"
+
+
 def reasons_to_be_off(rig: Rig, command: float | None, change: dict[str, object]) -> bool:
     """Whether anything that was given speaks against running."""
     cistern, _ = rig.plant.levels()
@@ -223,8 +229,8 @@ def reasons_to_be_off(rig: Rig, command: float | None, change: dict[str, object]
 
 CHANGES: list[dict[str, object]] = [
     {}, {"frost": True}, {"frost": None}, {"cistern_level": None}, {"roof_level": math.nan},
-    {"speed": None}, {"speed": math.nan}, {"drive_ready": False}, {"problem": "the cable is out"},
-    {"drive_fault": "overload"},
+    {"speed": None}, {"speed": math.nan}, {"drive_ready": False},
+    {"reasons": {"drive_lost": "the cable is out"}}, {"drive_fault": "overload"},
 ]
 
 
@@ -244,7 +250,7 @@ CHANGES: list[dict[str, object]] = [
     x1=st.floats(18.5, 75),
     limits=st.builds(
         settings_for, st.just(PAPER_SITE), least_on=st.floats(0, 30), least_off=st.floats(0, 30),
-        starts_per_hour=st.floats(1, 100), least_speed=st.floats(0.1, 0.9),
+        starts_per_hour=st.floats(1, 100), least_speed=st.floats(0.11, 0.9),
         ramp=st.floats(0.01, 1),
     ),
 )

@@ -81,7 +81,7 @@ def test_what_is_owed_is_limited() -> None:
 @given(share=st.floats(0, 1), level=st.floats(0.75, 15), least_speed=st.floats(0.05, 1))
 def test_speeds_are_the_drives(share: float, level: float, least_speed: float) -> None:
     """Between its least and the rated one, roundings included."""
-    one = pulses(least_speed=least_speed)
+    one = pulses(least_speed=least_speed, follow_tolerance=least_speed / 2)
     assert least_speed <= one.speed(share, level) <= 1
     assert one.speed(1.0, level) == pytest.approx(1)
     assert least_speed <= one.speed(1.0, level) <= 1

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import asyncio
 import json
 import time
 from collections.abc import Iterator
@@ -15,6 +14,7 @@ from modbus_wire import Answer, Registers, Wire, acs880
 from paper import PAPER_SITE
 from pump_rig import Rig
 
+from greenroof_ros.common.clock import boot_time
 from greenroof_ros.drives.level_sensor import LevelSensor
 from greenroof_ros.drives.modbus_line import DriveError
 from greenroof_ros.drives.sensor_file import Sensor
@@ -51,7 +51,7 @@ def dry() -> Rig:
 
 def held() -> Rig:
     rig = Rig()
-    rig.control.hold(True)
+    rig.control.stop(True)
     rig.run(3, 1.0)
     return rig
 
@@ -191,12 +191,12 @@ def test_bringups_permit(monkeypatch: pytest.MonkeyPatch) -> None:
     permit = Permit()
     monkeypatch.setenv(PERMIT_PIPE, str(permit.open()[PERMIT_PIPE]))
     reader = PermitReader()
-    said = [reader.hold(time.monotonic())]
+    said = [reader.missing(boot_time())]
     permit.tell("cistern_sensor is missing, mpc waits for weather")
-    now = time.monotonic()
-    said += [reader.hold(now), reader.hold(now + 3.0)]
+    now = boot_time()
+    said += [reader.missing(now), reader.missing(now + 3.0)]
     permit.close()
-    said.append(reader.hold(now))
+    said.append(reader.missing(now))
     program, site = "The program that watches over", "A program of the site is not there"
     for hold, advice in zip(said, (program, site, program, program), strict=True):
         assert on_pump("supervisor", hold).startswith(advice), hold
@@ -217,7 +217,7 @@ def test_a_state_file_that_is_not_kept(tmp_path: Path) -> None:
     try:
         assert on_pump("state file", second.kept()).startswith("Two programs for the same pump")
         assert on_pump("state file", nowhere.kept()).startswith("A stop would be forgotten")
-        why = f"held: {broken.record.held}"
+        why = f"held: {broken.record.unknown}"
         assert on_pump("pump", why).startswith("What the pump's program had noted is lost")
     finally:
         for one in (first, second, nowhere, broken):
@@ -314,7 +314,7 @@ def test_a_drive_that_would_run_on(
     drive = drive_at(wire.gateway, drive_timeout_limit=limit)
     try:
         until = time.monotonic() + 20
-        while words not in (why := drive.timeout_problem()):
+        while words not in (why := drive.timeout_problem(drive.snapshot)):
             assert time.monotonic() < until, why
             time.sleep(0.01)
         for part in ("drive timeout", "pump"):
@@ -348,7 +348,7 @@ def test_a_level_sensor(data: str, advice: str, given: dict[str, Any]) -> None:
     sensor = LevelSensor(Sensor(**{**values, **given}), timeout_s=0.3)
     try:
         with pytest.raises(DriveError) as caught:
-            asyncio.run(sensor.read())
+            sensor.read()
     finally:
         wire.close()
     for tank in ("cistern", "roof"):

@@ -231,7 +231,7 @@ def test_hostile_diagnostics(domain: int) -> None:
     """Whatever is said there, the feed goes on; a run that is not one changes nothing."""
     values: list[dict[str, str]] = [
         {"role": '"plant"', "process": '"a 1"', "tick": "1" * 4000},
-        {"role": '"plant"', "process": '"b 1"', "tick": "1e999", "answers_from": "-5"},
+        {"role": '"plant"', "process": '"b 1"', "tick": "1e999", "run_length": "-5"},
         {"role": '"plant"', "process": '"c 1"', "tick": "true", "roof_level": "NaN"},
         {"role": '"plant"', "process": '"c 1"', "tick": "5", "roof_level": "1" * 400},
         {"role": '"recorder"', "process": '"d 1"', "bag": '"/etc/passwd\\u0000"'},
@@ -312,7 +312,7 @@ def test_a_bag_that_is_followed_before_its_run_is_described(domain: int, tmp_pat
     own = f"{socket.gethostname()} 1"
 
     def node(role: str, state: str, **values: Any) -> DiagnosticStatus:
-        pairs = {"role": role, "process": own, "answers_from": 0, **values}
+        pairs = {"role": role, "process": own, "run_length": 100, **values}
         texts = [KeyValue(key=key, value=json.dumps(value)) for key, value in pairs.items()]
         return DiagnosticStatus(name=f"/{role}", message=state, values=texts)
 
@@ -359,7 +359,7 @@ def test_a_live_site_after_a_run_has_nothing_of_it(domain: int) -> None:
             publisher.publish(said)
             return watched.mode == mode
 
-        run = {"answers_from": 0, "tick": 5}
+        run = {"run_length": 100, "tick": 5}
         wait_for(lambda: is_so("simulated", node("plant", "ready", **run)), 20, "the run")
         wait_for(lambda: is_so("ended", node("plant", "ended", **run)), 20, "its end")
         assert watched.runs == 0
@@ -398,25 +398,6 @@ def test_without_a_graph(domain: int, tmp_path: Path) -> None:
         began = time.monotonic()
     assert time.monotonic() - began < 2
     assert not [thread for thread in threading.enumerate() if thread.name == HEARD]
-
-
-def test_a_node_that_is_started_again(domain: int, tmp_path: Path) -> None:
-    """It numbers its messages from 1 again, and each still comes to its tick."""
-    with fed(domain) as (watched, _):
-        run = Process(
-            domain, "bringup", "--speed", "30", "--hours", "4", "--output", "run",
-            "--on-node-failure", "restart", cwd=tmp_path,
-        )
-        wait_for(lambda: least_heard(watched) > 60, 400, "values")
-        for node in ("controller", "weather"):
-            os.kill(run.nodes()[node], signal.SIGKILL)
-            count = least_heard(watched)
-            wait_for(lambda count=count: least_heard(watched) > count + 60, 400, "more")
-        run.process.send_signal(signal.SIGINT)
-        assert run.wait(300) == EXIT_INTERRUPTED, run.stderr()
-        ended(watched, tmp_path / "run")
-        assert watched.runs == 0
-        check_heard(watched, tmp_path / "run", 150)
 
 
 def test_a_watcher_that_was_stopped(domain: int, tmp_path: Path) -> None:

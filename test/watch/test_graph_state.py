@@ -13,7 +13,7 @@ from greenroof_ros.watch.graph_state import GraphState
 
 def say(graph: GraphState, now: float, role: str, state: str = "ready", **values: Any) -> None:
     """Have a node of a lockstep graph say how it is."""
-    said = {"role": role, "process": "host 1", "answers_from": 0, "name": f"/{role}", **values}
+    said = {"role": role, "process": "host 1", "run_length": 100, "name": f"/{role}", **values}
     texts = {key: json.dumps(value) for key, value in said.items()}
     graph.hear(0, now, [Status(said["name"], 0, state, "host", texts)], now, 1.0)
 

@@ -16,7 +16,6 @@ from mcap.reader import make_reader
 
 from greenroof_ros.common.interface import read_topics, recorded_topics
 from greenroof_ros.recording.bag_writer import BagWriter
-from greenroof_ros.recording.continued_bag import continue_bag
 from greenroof_ros.recording.live_bag import FLUSH_S, LiveBag
 from greenroof_ros.watch import wire
 from greenroof_ros.watch.recorded import Recorded
@@ -45,10 +44,6 @@ class Run:
         named = [replace(topic, name=namespace + topic.name) for topic in self.topics]
         self._named = named
         self.writer = BagWriter(bag, named)
-
-    def go_on(self) -> None:
-        """Write on in another file, as after a kill of the recorder."""
-        self.writer = continue_bag(self.writer.directory, self._named)
 
     def ticks(self, count: int) -> None:
         for _ in range(count):
@@ -148,27 +143,6 @@ def test_what_the_recorder_has_flushed_is_there(tmp_path: Path) -> None:
     other.read()
     assert not other.numbers
     run.writer.close()
-
-
-def test_a_bag_that_is_gone_on_with(tmp_path: Path) -> None:
-    """The recorder was killed in the middle of a chunk; another one writes on in another file."""
-    run = Run(tmp_path / "bag")
-    run.ticks(40)
-    file = tmp_path / "bag" / "bag_0.mcap"
-    with file.open("ab") as stream:
-        stream.write(b"\x06" + struct.pack("<Q", 5000) + b"half a chunk")
-    reader = Reader(tmp_path / "bag")
-    reader.read()
-    assert len(reader.numbers["/roof/level"]) == 32
-    run.go_on()
-    run.ticks(40)
-    reader.read()
-    run.writer.close()
-    reader.read()
-    files = [tmp_path / "bag" / f"bag_{number}.mcap" for number in (0, 1)]
-    assert reader.numbers == whole(*files)
-    assert not reader.recorded.problem
-    assert not reader.recorded.replaced
 
 
 def test_damage_is_said_and_the_rest_is_read(finished: Path, tmp_path: Path) -> None:

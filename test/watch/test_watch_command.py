@@ -1,4 +1,4 @@
-"""``python -m greenroof_ros.watch`` and ``bringup --watch`` as processes."""
+"""``greenroof watch`` and ``bringup --watch`` as processes."""
 
 from __future__ import annotations
 

@@ -1,0 +1,143 @@
+"""Every command of this package by one name: ``greenroof``, or ``python -m greenroof_ros``."""
+
+from __future__ import annotations
+
+import argparse
+import importlib
+import os
+import sys
+from dataclasses import dataclass
+
+from greenroof_ros.common.command_line import EXIT_DONE, command
+from greenroof_ros.common.errors import did_you_mean
+
+
+@dataclass(frozen=True)
+class Command:
+    """A command: a module of its own, imported once it is chosen.
+
+    Attributes:
+        module: in this package; has ``main`` and ``make_parser``.
+        about: what it does or shows, for the help.
+        plant: of ``bringup``, which two commands share: its ``--plant``.
+    """
+
+    module: str
+    about: str
+    plant: str = ""
+
+
+# By what a user wants to do, and by name.
+GROUPS = {
+    "run the roof": {
+        "run": Command(
+            "bringup.__main__", "the node graph: simulated, or with a drive in the loop", "internal"
+        ),
+        "live": Command(
+            "bringup.__main__", "a site with sensors and a pump, until it is stopped", "external"
+        ),
+    },
+    "see what it does, or did": {
+        "watch": Command("watch.__main__", "a page of what runs or has run; or in the terminal"),
+        "report": Command("report.__main__", "figures and tables of runs, studies and bags"),
+        "recover": Command("recover", "a whole bag, where a crash or a full disk left none"),
+    },
+    "compare controllers, without ROS": {
+        "simulate": Command("simulate", "one run in one process, with the numbers of the graph"),
+        "study": Command("study.__main__", "a grid of runs in parallel; the paper's 30, or yours"),
+        "bound": Command("bound", "the least deviation that any controller could reach"),
+    },
+    "fit it to your site": {
+        "calibrate": Command("calibrate", "the roof and its pumps, from what was measured"),
+        "verify": Command("verify", "how good forecasts of rain are, against records"),
+    },
+    "connect what is your own": {
+        "check-controller": Command("check_controller", "whether a class is a controller"),
+        "check-pump": Command("check_pump", "whether a pump driver keeps to the interface"),
+        "simulators drive": Command("drive_simulator", "a drive on Modbus that is not there"),
+        "simulators site": Command("site_simulator", "cistern and roof behind level sensors"),
+        "topics": Command("topics", "the topics of the graph, and what each carries"),
+    },
+}
+COMMANDS = {name: one for group in GROUPS.values() for name, one in group.items()}
+
+
+def make_parser() -> argparse.ArgumentParser:
+    """Return what prints the help and refuses what is no command."""
+    groups = (
+        "\n".join([f"{title}:", *(f"  {name:18}{one.about}" for name, one in group.items())])
+        for title, group in GROUPS.items()
+    )
+    return argparse.ArgumentParser(
+        prog="greenroof",
+        usage="%(prog)s COMMAND [options]",
+        description="\n\n".join(["A green roof, watered from a storm cistern.", *groups]),
+        epilog="greenroof COMMAND --help has its options, and examples.",
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+
+
+def main() -> None:
+    """Run the command that the command line names, as ``python -m`` and its module would."""
+    if "_ARGCOMPLETE" in os.environ:
+        _complete()
+    words = sys.argv[1:]
+    name = _name(words)
+    if name not in COMMANDS:
+        _explain()
+    one, given = COMMANDS[name], words[len(name.split()):]
+    sys.argv = [f"greenroof {name}", *given]
+    if one.plant:
+        _refuse_plant(name, given)
+        sys.argv += ["--plant", one.plant]
+    importlib.import_module(f"greenroof_ros.{one.module}").main()
+
+
+def _name(words: list[str]) -> str:
+    """Return the name of the command that some words begin with, be there one or not."""
+    two = any(name.startswith(f"{word} ") for name in COMMANDS for word in words[:1])
+    return " ".join(word for word in words[:2 if two else 1] if word not in ("-h", "--help"))
+
+
+@command
+def _explain() -> int:
+    """Print which commands there are, or that there is none of this name."""
+    parser = make_parser()
+    name = _name(sys.argv[1:])
+    if name and not any(one.startswith(f"{name} ") for one in COMMANDS):
+        parser.error(f"there is no command {name}; {did_you_mean(name, COMMANDS)}")
+    parser.print_help()
+    return EXIT_DONE
+
+
+def _refuse_plant(name: str, given: list[str]) -> None:
+    """Exit where the option is given that the name of the command stands for."""
+    parser = argparse.ArgumentParser(
+        prog=f"greenroof {name}", usage="%(prog)s [options]", add_help=False
+    )
+    parser.add_argument("--plant", nargs="?", const="")
+    if parser.parse_known_args(given)[0].plant is not None:
+        parser.error("--plant is of bringup: 'run' simulates, and 'live' is a site with sensors")
+
+
+def _complete() -> None:
+    """Tell the shell what may come next, and exit; argcomplete has set the environment."""
+    import argcomplete
+
+    words = os.environ["COMP_LINE"].split()[1:]
+    sys.argv[1:] = words  # of a controller's options those of the one that it names
+    parser = make_parser()
+    branches = {"": parser.add_subparsers()}
+    for name, one in COMMANDS.items():
+        above, _, last = name.rpartition(" ")
+        if above not in branches:
+            branches[above] = branches[""].add_parser(above).add_subparsers()
+        own = []
+        if name == _name(words):
+            own = [importlib.import_module(f"greenroof_ros.{one.module}").make_parser()]
+        branches[above].add_parser(last, parents=own, add_help=not own)
+    argcomplete.autocomplete(parser)
+
+
+if __name__ == "__main__":
+    main()

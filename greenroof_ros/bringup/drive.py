@@ -1,0 +1,293 @@
+"""The drive behind the pump node, on a live site and with hardware in the loop."""
+
+from __future__ import annotations
+
+import argparse
+import re
+import time
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from greenroof_ros.common.errors import ConfigurationError
+from greenroof_ros.common.files import YamlMapping, read_yaml
+from greenroof_ros.controllers.registry import ControllerChoice
+from greenroof_ros.drives.address import Address, parse_drive_address
+from greenroof_ros.drives.drive_file import DriveFile, find_drive_file, read_drive_file
+from greenroof_ros.graph.errors import no_ros
+from greenroof_ros.graph.states import PUMP
+from greenroof_ros.pumping.ledger import state_directory
+
+_MAY_RUN = (
+    "THE PUMP MAY BE RUNNING: only the drive's own communication timeout stops it now, if that is "
+    "on; look at the pump, and stop it at the drive's panel or its switch"
+)
+# How long the drive simulator, which may have been started just before, may take to answer (s).
+_SIMULATOR_S = 30.0
+# Parameters of the pump node that bringup alone decides, and its options for them.
+_OF_BRINGUP = {
+    "drive": "--drive",
+    "address": "--drive-at",
+    "device_id": "--drive-at, after a comma (such as gateway://HOST:PORT,17),",
+    "state_file": "--state",
+}
+
+
+@dataclass(frozen=True)
+class DriveChoice:
+    """A drive, and where it is.
+
+    Attributes:
+        file: says what it is like.
+        at: its address, as the user wrote it.
+    """
+
+    file: Path
+    at: str
+
+    def read(self) -> tuple[DriveFile, Address]:
+        """Return what the drive is like, and its address.
+
+        Raises:
+            ConfigurationError: the file or the address is wrong.
+        """
+        return read_drive_file(self.file), parse_drive_address(self.at, "--drive-at")
+
+    def state_file(self) -> Path:
+        """Return where a stop or a fault of this drive is kept unless ``--state`` says otherwise.
+
+        It is the drive's, not a run's, so that a fault outlives the run that found it; and the same
+        for each way to write the address.
+
+        Raises:
+            ConfigurationError: the file or the address is wrong, or the host is not known.
+        """
+        file, address = self.read()
+        try:
+            where = f"{address.place(file.tcp.port).strip('/')}-{file.device_id_at(address)}"
+        except OSError as error:
+            raise ConfigurationError(
+                f"the host is not found ({error.strerror})", key="--drive-at", value=self.at
+            ) from error
+        name = re.sub(r"[^A-Za-z0-9._]+", "-", f"{self.file.stem}-{where}")
+        return state_directory() / f"{name}.json"
+
+    def parameters(self, state: Path | None) -> dict[str, Any]:
+        """Return the parameters of the pump node that follow from it.
+
+        Args:
+            state: directory of what must survive a restart of the node; None for the drive's own.
+
+        Raises:
+            ConfigurationError: it cannot be made.
+        """
+        file = self.state_file() if state is None else state.resolve() / "pump.json"
+        try:
+            file.parent.mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            raise ConfigurationError(
+                f"cannot be written: {error.strerror}", key="--state", value=str(file.parent)
+            ) from error
+        return {
+            "drive": str(self.file),
+            "address": self.at,
+            "state_file": str(file),
+            "autostart": True,
+        }
+
+    def refuse_speed(self, speed: float, check: Callable[[], None]) -> None:
+        """Refuse a speed other than real time but for the drive simulator, which is waited for.
+
+        Any other drive may turn a real motor, by levels that are made up, and start it as many
+        times more often as time goes faster.
+
+        Args:
+            speed: simulated time per wall time; 0 for as fast as it goes.
+            check: called again and again; raises what ends the wait.
+
+        Raises:
+            ConfigurationError: it is not that simulator, or nobody answers.
+        """
+        if speed == 1:
+            return
+        from greenroof_ros.drives.identity import why_no_simulator
+        from greenroof_ros.drives.modbus_line import DriveError
+
+        file, address = self.read()
+        until = time.monotonic() + _SIMULATOR_S
+        why: str | None = None
+        while why is None:
+            check()
+            try:
+                why = why_no_simulator(file, address)
+            except DriveError as error:
+                if time.monotonic() > until:
+                    why = f"nobody answers there ({error})"
+                time.sleep(0.1)
+        if why:
+            raise ConfigurationError(
+                "is for the drive simulator alone, at loopback or on a pseudo-terminal, since "
+                f"another drive may turn a real pump by made-up levels: {why}",
+                key="--speed", value=f"{speed:g}" if speed else "max",
+            )
+
+    def stopper(self) -> Callable[[int], tuple[bool, str]]:
+        """Return what stops the drive without the pump node, of which it is told the process.
+
+        It returns whether the drive says that the pump stands, and what came of it, in words. A
+        drive that another program runs is left to that, and whether it stands is not known.
+
+        Raises:
+            ConfigurationError: the file or the address is wrong, or pymodbus is not installed.
+        """
+        try:
+            from greenroof_ros.drives.exchange import stop_drive
+            from greenroof_ros.drives.lock import HeldError
+        except ModuleNotFoundError as error:
+            raise ConfigurationError(
+                f"a drive needs pymodbus: pip install 'greenroof_ros[pump]' ({error})"
+            ) from error
+        file, address = self.read()
+
+        def stop(pump_node: int) -> tuple[bool, str]:
+            try:
+                status = stop_drive(file, address, driver=pump_node)
+            except HeldError as error:
+                return False, (
+                    f"another program (process {error.holder}) runs the drive: left to it, which "
+                    "may run the pump"
+                )
+            except Exception as error:  # whatever it is, somebody must look at the pump
+                return False, f"bringup could not stop the drive: {error}; {_MAY_RUN}"
+            said = f"bringup told the drive to stop, which said then: {status}"
+            return (True, said) if status.stands else (False, f"{said}; {_MAY_RUN}")
+
+        return stop
+
+
+def add_drive_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the options of a drive."""
+    group = parser.add_argument_group(
+        "hardware in the loop, and live",
+        "With --drive the pump node takes the commands and runs a drive by Modbus, real or\n"
+        "simulated. The site is simulated, at real time, or with the drive simulator at another\n"
+        "--speed; or it is live.",
+    )
+    group.add_argument(
+        "--drive", metavar="{NAME,FILE}",
+        help="what the drive is like: a name of config/drives/, or a drive file",
+    )
+    group.add_argument(
+        "--drive-at", metavar="ADDRESS",
+        help="where it is: tcp://HOST:PORT where it has an Ethernet port of its own, "
+        "gateway://HOST:PORT of a gateway to its serial port, or a serial line such as "
+        "/dev/ttyUSB0; after a comma its device id, where that is not its file's, such as "
+        "gateway://HOST:PORT,17",
+    )
+    group.add_argument(
+        "--state", type=Path, metavar="DIR",
+        help="directory of what must survive a restart: a stop, a fault, the pump's day; live, of "
+        "all that is kept: bag, logs, summary, too (default: the drive's own, a file by its "
+        "address in ~/.local/state/greenroof_ros; live: live)",
+    )
+    group.add_argument(
+        "--node-parameters", type=Path, metavar="FILE",
+        help="ROS 2 parameter file for what bringup does not decide, such as the pump node's "
+        "limits; each node's --help says what it has, and what no node would take is refused. "
+        "Which drive there is and where, and where its state is kept, --drive, --drive-at and "
+        "--state alone say",
+    )
+
+
+def chosen_drive(arguments: argparse.Namespace) -> DriveChoice | None:
+    """Return the drive that a command line names, if it does.
+
+    Raises:
+        ConfigurationError: there is no such drive file, or something is missing.
+    """
+    if arguments.drive is None:
+        if arguments.drive_at is not None:
+            raise ConfigurationError(
+                "needs --drive, which says what the drive is like",
+                key="--drive-at", value=arguments.drive_at,
+            )
+        return None
+    if arguments.drive_at is None:
+        raise ConfigurationError(
+            "needs --drive-at, such as tcp://192.168.0.20:502, gateway://... or /dev/ttyUSB0",
+            key="--drive", value=arguments.drive,
+        )
+    if arguments.pump == "external":
+        raise ConfigurationError(
+            "leaves the pump to somebody else's node, and --drive to the pump node; give one",
+            key="--pump", value="external",
+        )
+    return DriveChoice(find_drive_file(arguments.drive).resolve(), arguments.drive_at)
+
+
+def own_parameters(arguments: argparse.Namespace) -> Path | None:
+    """Return the parameter file of a user's own, if there is one.
+
+    Raises:
+        ConfigurationError: it is not there, or says something else of the drive than bringup, which
+            would then stop another drive than the pump node runs.
+    """
+    file: Path | None = arguments.node_parameters
+    if file is None:
+        return None
+    if not file.is_file():
+        raise ConfigurationError(
+            "must be a file that is there", key="--node-parameters", value=str(file)
+        )
+    _refuse_drive(file, read_yaml(file), "")
+    return file
+
+
+def _refuse_drive(file: Path, content: YamlMapping, node: str) -> None:
+    """Refuse what only bringup says of the drive, in a parameter file or a part of it.
+
+    Args:
+        file: for the message.
+        content: of the file, or of what it says of a node or a namespace.
+        node: that name, with ``/`` between its parts; the last may be a wildcard.
+
+    Raises:
+        ConfigurationError: it is there.
+    """
+    for name, part in content.items():
+        if not isinstance(part, YamlMapping):
+            continue
+        if name != "ros__parameters":
+            _refuse_drive(file, part, f"{node}/{name}" if node else name)
+        elif node.rpartition("/")[2] in (PUMP, "*", "**"):
+            for key in _OF_BRINGUP.keys() & part.keys():
+                raise ConfigurationError(
+                    f"must not be given to the node {PUMP} here: under bringup "
+                    f"{_OF_BRINGUP[key]} says it",
+                    file=file, line=part.lines[key], key=f"{node}: {key}", value=part[key],
+                )
+
+
+def refuse_unknown(
+    file: Path | None, namespace: str, nodes: Mapping[str, str], controller: ControllerChoice
+) -> None:
+    """Refuse what would have no effect in a parameter file of a user's own.
+
+    Args:
+        file: which, if there is one.
+        namespace: of the graph.
+        nodes: of each node the module.
+        controller: of the graph.
+
+    Raises:
+        ConfigurationError: there is something, or no ROS 2.
+    """
+    if file is None:
+        return
+    try:
+        from greenroof_ros.nodes.parameter_file import refuse_unknown_in
+    except ImportError as error:
+        raise no_ros(error) from error
+    whole = {f"{namespace}/{name}": module for name, module in nodes.items()}
+    refuse_unknown_in(file, whole, controller)

@@ -1,0 +1,98 @@
+"""Writing to disks by a thread of its own, so that nobody who must be in time waits for one."""
+
+from __future__ import annotations
+
+import threading
+import time
+import traceback
+from collections import deque
+from collections.abc import Callable
+from itertools import islice
+
+# So much may wait (bytes), with what a job costs itself: minutes of a live site.
+_ROOM, _JOB = 32_000_000, 200
+# What waits for longer is late (s): the disk hangs.
+PATIENCE_S = 2.0
+
+
+class DiskThread:
+    """Does jobs that write, one after the other. What has waited for long is late.
+
+    The thread is started with the first job and ends with the process, which does not wait for it.
+
+    Attributes:
+        refused: how many jobs found no room, and were not done.
+    """
+
+    def __init__(self, room: int = _ROOM) -> None:
+        """Do nothing yet.
+
+        Args:
+            room: how much may wait (bytes).
+        """
+        self.refused = 0
+        self._room = room  # that is left (bytes)
+        # What to do, how much room it has, and when it was asked for (steady clock, s).
+        self._jobs: deque[tuple[Callable[[], None], int, float]] = deque()
+        self._changed = threading.Condition()
+        self._thread: threading.Thread | None = None
+
+    def do(self, job: Callable[[], None], size: int = 0) -> bool:
+        """Have a job done, and return whether there was room for it.
+
+        Args:
+            job: sees to its own errors. A method that writes what is newest waits once only,
+                however often it is asked for.
+            size: of what it keeps in memory (bytes).
+        """
+        size += _JOB
+        with self._changed:
+            if any(job == waiting for waiting, *_ in islice(self._jobs, 1, None)):
+                return True
+            if size > self._room or not self._started():
+                self.refused += 1
+                return False
+            self._room -= size
+            self._jobs.append((job, size, time.monotonic()))
+            self._changed.notify_all()
+        return True
+
+    @property
+    def late(self) -> bool:
+        """Whether a job has waited for more than 2 s, or is being done for so long."""
+        with self._changed:
+            return bool(self._jobs) and time.monotonic() - self._jobs[0][2] > PATIENCE_S
+
+    def wait(self, within: float) -> bool:
+        """Wait until all is done, for so long at most (s); return whether it is."""
+        with self._changed:
+            return self._changed.wait_for(lambda: not self._jobs, within)
+
+    def _started(self) -> bool:
+        """Start the thread, and return whether the system has one to give."""
+        if self._thread is None:
+            thread = threading.Thread(target=self._do_all, name="disk", daemon=True)
+            try:
+                thread.start()
+            except RuntimeError:
+                return False
+            self._thread = thread
+        return True
+
+    def _do_all(self) -> None:
+        while True:
+            with self._changed:
+                self._changed.wait_for(lambda: self._jobs)
+                job, size, _ = self._jobs[0]
+            try:
+                job()
+            except Exception:  # a mistake in one job keeps no other from being done
+                traceback.print_exc()
+            with self._changed:
+                self._jobs.popleft()
+                self._room += size
+                self._changed.notify_all()
+
+
+# That of the process.
+DISK = DiskThread()

@@ -1,0 +1,125 @@
+"""What can go wrong in the simulators, and the registers of their workbenches that ask for it.
+
+A workbench speaks Modbus, on a TCP port of its own, device 247; so it is there while the drive
+refuses its clients, has no power or sits on a serial line, and what is asked of it is no traffic
+for the drive. All its registers are holding registers.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+from greenroof_ros.common.errors import ConfigurationError
+
+DEVICE_ID = 247
+SPEED, FAULT, PARAMETER, POWER_CYCLE, LOCAL, CISTERN_LEVEL = range(6)
+SPEED_UNIT = 1e-4
+LEVEL_UNIT = 1e-4
+DEFAULT = 0xFFFF
+"""as a parameter: the fault's own default"""
+
+
+@dataclass(frozen=True)
+class Fault:
+    """A fault that can be asked for.
+
+    Attributes:
+        number: by which the workbench's register 1 names it.
+        meaning: what then happens.
+        parameter: what its parameter, register 2, means; empty if it has none.
+        default: of the parameter.
+    """
+
+    number: int
+    meaning: str
+    parameter: str = ""
+    default: int = 0
+
+
+NONE = "none"
+DRIVE_FAULTS: Mapping[str, Fault] = {
+    NONE: Fault(0, "no fault"),
+    "refused": Fault(1, "connections are refused, and those that there are closed"),
+    "dropped": Fault(2, "every request closes its connection"),
+    "half_open": Fault(3, "connections are accepted, but no request gets through"),
+    "silence": Fault(4, "requests are obeyed, but never answered"),
+    "slow": Fault(5, "answers come late, but in time", "ms", 200),
+    "late": Fault(6, "answers come when the client has given up", "ms", 1500),
+    "split": Fault(7, "answers come byte by byte", "ms between two bytes", 5),
+    "garbage": Fault(8, "random bytes come instead of answers", "how many", 16),
+    "wrong_unit": Fault(9, "answers come from the next device id"),
+    "wrong_function": Fault(10, "answers are to the next function code"),
+    "wrong_length": Fault(11, "answers lack their last byte"),
+    "absurd_value": Fault(12, "the register of the speed holds nonsense", "the raw value", 0x7FFF),
+    "exception": Fault(13, "every request is refused", "exception code", 4),
+    "drive_fault": Fault(
+        14, "the drive trips and cannot be reset while this stands",
+        "code, or bits, in its register of faults; 0: the first of the drive file", 0,
+    ),
+    "speed_stays": Fault(15, "the speed stays as it is"),
+    "stuck_running": Fault(
+        16, "the motor runs on, whatever the drive is told", "speed in 0.01 %; 0: the present one",
+        0,
+    ),
+    "power_cycle": Fault(17, "the drive loses power for a moment, once"),
+    "timeout_off": Fault(18, "the drive's communication timeout is turned off, for good"),
+    "refused_writes": Fault(19, "every write is refused", "exception code", 6),
+    "runs_on": Fault(
+        20, "told to stop, the drive says that it is off, and the motor runs on, until the drive's "
+        "communication timeout passes",
+    ),
+}
+SITE_FAULTS: Mapping[str, Fault] = {
+    NONE: Fault(0, "no fault"),
+    "cistern_frozen": Fault(1, "the cistern's sensor repeats its last reading"),
+    "cistern_silent": Fault(2, "the cistern's sensor does not answer"),
+    "cistern_absurd": Fault(3, "the cistern's sensor reads nonsense", "the raw value", 0xFFFE),
+    "cistern_noisy": Fault(
+        4, "the cistern's sensor is noisy", "standard deviation in 0.1 mm", 500
+    ),
+    "cistern_drifting": Fault(5, "the cistern's sensor drifts upwards", "0.1 mm in a minute", 100),
+    "roof_frozen": Fault(6, "the roof's sensor repeats its last reading"),
+    "roof_silent": Fault(7, "the roof's sensor does not answer"),
+    "roof_absurd": Fault(8, "the roof's sensor reads nonsense", "the raw value", 0xFFFE),
+    "roof_noisy": Fault(9, "the roof's sensor is noisy", "standard deviation in 0.1 mm", 100),
+    "roof_drifting": Fault(10, "the roof's sensor drifts upwards", "0.1 mm in a minute", 50),
+    "burst_pipe": Fault(11, "pumped water does not arrive on the roof"),
+    "leak": Fault(12, "the cistern loses water", "ml in a second", 500),
+    "closed_valve": Fault(13, "the pump moves no water, however it runs"),
+}
+
+
+def name_of(number: int, known: Mapping[str, Fault]) -> str:
+    """Return the name of a fault; empty where there is none of that number."""
+    return next((name for name, fault in known.items() if fault.number == number), "")
+
+
+def read_fault(text: str, known: Mapping[str, Fault]) -> tuple[str, int]:
+    """Return name and parameter of a fault that ``--fault slow=300`` asks for.
+
+    Raises:
+        ConfigurationError: there is no such fault, or it has no such parameter.
+    """
+    name, equals, parameter = text.partition("=")
+    if name not in known:
+        raise ConfigurationError(f"must be one of {', '.join(known)}", key="--fault", value=text)
+    if not equals:
+        return name, DEFAULT
+    if not known[name].parameter:
+        raise ConfigurationError(f"{name} has no parameter", key="--fault", value=text)
+    if not parameter.isdecimal() or int(parameter) >= DEFAULT:
+        raise ConfigurationError(
+            f"its parameter ({known[name].parameter}) must be a whole number from 0 to 65534",
+            key="--fault", value=text,
+        )
+    return name, int(parameter)
+
+
+def list_faults(known: Mapping[str, Fault]) -> str:
+    """Return what each fault does, for a command's help."""
+    lines = []
+    for name, fault in known.items():
+        shown = f" ({fault.parameter}; default {fault.default})" if fault.parameter else ""
+        lines.append(f"  {fault.number:2d} {name:17s} {fault.meaning}{shown}")
+    return "\n".join(lines)

@@ -1,0 +1,138 @@
+"""The command ``site_simulator``."""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import time
+from collections.abc import Sequence
+from pathlib import Path
+
+from greenroof_ros.common.command_line import EXIT_DONE, command, within
+from greenroof_ros.drives.address import Address, parse_address
+from greenroof_ros.drives.modbus_line import check_installed
+from greenroof_ros.drives.sensor_file import default_sensors, read_sensors
+from greenroof_ros.experiment.options import add_site_arguments, inputs_from_arguments
+from greenroof_ros.simulators import faults
+from greenroof_ros.simulators.faults import SITE_FAULTS
+from greenroof_ros.simulators.serving import serve
+from greenroof_ros.simulators.workbench import Workbench
+
+_WORKBENCH = 5032
+_MM_PER_HOUR = 1e-3 / 3600
+_MM_PER_DAY = 1e-3 / 86400
+
+
+def make_parser() -> argparse.ArgumentParser:
+    """Return what reads the command line."""
+    parser = argparse.ArgumentParser(
+        prog="greenroof simulators site",
+        usage="%(prog)s [options]",
+        description="Simulate cistern and roof in real time and answer as their level sensors, "
+        "over Modbus.\nThe pump is that of a drive simulator: its true speed makes the flow.",
+        epilog="The workbench is a Modbus TCP port, device 247, holding registers: 1 fault, by its "
+        "number;\n  2 its parameter, 65535 for the default, to be written before 1\n\n"
+        f"faults:\n{faults.list_faults(SITE_FAULTS)}\n\n"
+        "examples:\n"
+        "  greenroof simulators drive --drive abb_acs880\n"
+        "  greenroof simulators site --drive-at tcp://127.0.0.1:5021 --output levels.csv\n"
+        "  greenroof simulators site --rain 4 --fault roof_frozen\n\n"
+        "Its first line says when it is ready, and where. Ctrl-C ends it.\n"
+        "exit codes: 0 ended by Ctrl-C or SIGTERM, 2 wrong usage or configuration",
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    place = parser.add_argument_group("sensors and drive")
+    place.add_argument(
+        "--sensors", type=Path, metavar="FILE",
+        help="where the sensors are to be, and what they speak (default: config/sensors.yaml)",
+    )
+    place.add_argument(
+        "--drive-at", metavar="ADDRESS",
+        help="the drive simulator's workbench, such as tcp://127.0.0.1:5021; without it the pump "
+        "never runs; the simulator warns of that at its start",
+    )
+    place.add_argument(
+        "--workbench", type=within(0, 65535, int), default=_WORKBENCH, metavar="PORT",
+        help="TCP port of the workbench on 127.0.0.1, 0 for a free one (default: %(default)s)",
+    )
+    add_site_arguments(parser.add_argument_group(
+        "the site",
+        "After --hours the weather stays as it was last; the simulator goes on.",
+    ))
+    weather = parser.add_argument_group("constants instead of the weather file")
+    weather.add_argument(
+        "--rain", type=within(0, 1000), metavar="MM", help="it rains at so many mm/h for ever"
+    )
+    weather.add_argument(
+        "--constant-evapotranspiration", type=within(0, 1000), metavar="MM",
+        help="so many mm in a day evaporate, for ever",
+    )
+    parser.add_argument(
+        "--factor", type=within(1e-3, 1e4), default=1.0,
+        help="simulated per real time; a sensor's readings are then that much further apart "
+        "(default: %(default)g)",
+    )
+    parser.add_argument(
+        "--output", type=Path, metavar="CSV",
+        help="file for a line a tick: time, levels, speed, flow, pumped volume, weather, fault",
+    )
+    parser.add_argument(
+        "--fault", default=faults.NONE, metavar="KIND[=PARAMETER]",
+        help="a fault from the start on; see below",
+    )
+    return parser
+
+
+@command
+def main() -> int:
+    """Be the site that the command line asks for."""
+    arguments = make_parser().parse_args()
+    check_installed()
+    from greenroof_ros.simulators.simulated_site import SimulatedSite, SiteBench, Weather
+    fault = faults.read_fault(arguments.fault, SITE_FAULTS)
+    sensors = read_sensors(arguments.sensors or default_sensors())
+    drive = None
+    if arguments.drive_at is not None:
+        drive = Workbench(parse_address(arguments.drive_at, "--drive-at"))
+    run = inputs_from_arguments(arguments)
+    rain: Sequence[float] = run.series.precipitation
+    evapotranspiration: Sequence[float] = run.series.evapotranspiration
+    if arguments.rain is not None:
+        rain = [arguments.rain * _MM_PER_HOUR]
+    if arguments.constant_evapotranspiration is not None:
+        evapotranspiration = [
+            arguments.constant_evapotranspiration * _MM_PER_DAY * run.site.a2
+        ]
+    began = time.monotonic()
+    with contextlib.ExitStack() as files:
+        output = None
+        if arguments.output is not None:
+            output = files.enter_context(arguments.output.open("w", encoding="utf-8"))
+        bench = SiteBench(
+            SimulatedSite(run.site, Weather(rain, evapotranspiration), (run.x1, run.x2)),
+            run.site.tau, sensors, Address(host="127.0.0.1", port=arguments.workbench), drive,
+            arguments.factor, output,
+            lambda text: print(f"{time.monotonic() - began:9.2f} s  {text}", flush=True),
+        )
+        names = ", ".join(
+            f"{tank} sensor {sensor.address}, device {sensor.device_id}"
+            for tank, sensor in (("cistern", sensors.cistern), ("roof", sensors.roof))
+        )
+
+        def ready() -> None:
+            print(
+                f"ready: {names}; workbench {bench.workbench_address}, device {faults.DEVICE_ID}",
+                flush=True,
+            )
+            if drive is None:
+                print(
+                    "no drive is connected: the pump never runs, no water reaches the roof; with "
+                    "a drive simulator that runs, add --drive-at and its workbench, such as "
+                    "tcp://127.0.0.1:5021",
+                    flush=True,
+                )
+            if fault[0] != faults.NONE:
+                bench.inject(*fault)
+
+        serve(bench, ready)
+    return EXIT_DONE

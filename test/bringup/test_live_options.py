@@ -1,0 +1,372 @@
+"""What bringup refuses of a live site and of a drive, and with what words."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+from pathlib import Path
+
+import pytest
+from commands import run_command
+from graphs import environment, wait_for
+from modbus_wire import Wire, acs880
+from places import CHECKOUT
+
+from greenroof_ros.bringup.drive import DriveChoice
+from greenroof_ros.common.errors import ConfigurationError
+from greenroof_ros.controllers.registry import find_controller
+from greenroof_ros.drives.drive_file import find_drive_file
+from greenroof_ros.drives.exchange import DriveExchange
+
+LIVE = ("--plant", "external")
+NOBODY = ("--sensors", "external", "--pump", "external", "--weather", "external")
+
+
+def bringup(tmp_path: Path, *arguments: str) -> subprocess.CompletedProcess[str]:
+    return run_command("bringup", *arguments, cwd=tmp_path, env=environment(0))
+
+
+@pytest.mark.parametrize(
+    "option",
+    [
+        ("--hours", "1"), ("--start", "2021-07-07T02:00"), ("--initial", "low-low"),
+        ("--cistern", "1"), ("--roof", "1"), ("--speed", "2"), ("--speed", "max"),
+        ("--output", "here"), ("--json",), ("--evapotranspiration", "fao56"),
+        ("--forecast-skill", "real"), ("--forecast-seed", "1"), ("--forecast-members", "2"),
+        ("--roof-noise", "0.1"), ("--roof-offset", "0.1"), ("--noise-seed", "5"),
+        ("--minimum-on", "60"), ("--minimum-off", "60"),
+    ],
+    ids=" ".join,
+)
+def test_a_live_site_has_no_simulation(tmp_path: Path, option: tuple[str, ...]) -> None:
+    done = bringup(tmp_path, *LIVE, *NOBODY, *option)
+    assert done.returncode == 2
+    assert done.stderr == (
+        f"error: {option[0]}: is for a simulated site; live, time, weather and levels are the "
+        "site's own\n"
+    )
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize(
+    "option",
+    [
+        ("--sensors", "x.yaml"), ("--thermometer", "external"), ("--restarts", "3"),
+        ("--bag-limit", "50"),
+    ],
+    ids=" ".join,
+)
+def test_a_simulation_has_no_site(tmp_path: Path, option: tuple[str, ...]) -> None:
+    done = bringup(tmp_path, *option)
+    assert done.returncode == 2
+    assert done.stderr == (
+        f"error: {option[0]}: is for a live site: greenroof live, or bringup --plant external\n"
+    )
+
+
+@pytest.mark.parametrize("speed", ["60", "max"])
+def test_what_is_not_this_packages_simulator_runs_at_real_time_alone(
+    tmp_path: Path, speed: str
+) -> None:
+    """A real motor would run on made-up levels, with sixty times the starts per hour."""
+    drive = acs880()
+    wire = Wire(drive)
+    options = ("--drive", "abb_acs880", "--state", "state", "--hours", "0.01", "--speed", speed)
+    try:
+        done = bringup(tmp_path, *options, "--drive-at", wire.gateway)
+        assert not drive.written and len(wire.seen) == 1
+    finally:
+        wire.close()
+    assert done.returncode == 2
+    assert done.stderr.startswith(
+        f"error: --speed = '{speed}': is for the drive simulator alone, at loopback or on a pseudo-"
+    )
+    assert "what is there does not identify itself as that" in done.stderr
+    assert done.stderr.count("\n") == 1
+    # Of a network for documentation, RFC 5737.
+    done = bringup(tmp_path, *options, "--drive-at", "tcp://192.0.2.1")
+    assert done.returncode == 2
+    assert "tcp://192.0.2.1 is neither at loopback nor a pseudo-terminal" in done.stderr
+    assert not list(tmp_path.iterdir())
+
+
+WRONG = {
+    "sensors": (
+        (*LIVE, "--weather", "external", "--pump", "external"), "--sensors FILE: is missing: live"
+    ),
+    "drive": (
+        (*LIVE, "--weather", "external", "--sensors", "external"), "--drive NAME: is missing: live"
+    ),
+    "forecast": (
+        (*LIVE, "--sensors", "external", "--pump", "external"),
+        "--forecast FILE.csv: is missing: live, it is what mpc knows of the weather to come",
+    ),
+    "neither forecast nor thermometer": (
+        (*LIVE, "--sensors", "external", "--pump", "external", "--controller", "onoff"),
+        "--thermometer external: is missing: without --forecast FILE.csv only a thermometer can "
+        "say whether there is frost; let a node of your own publish /gauge/temperature (degC) and",
+    ),
+    "a thermometer in place of a forecast that is needed": (
+        (*LIVE, "--sensors", "external", "--pump", "external", "--thermometer", "external"),
+        "--forecast FILE.csv: is missing: live",
+    ),
+    "a model of forecasts": (
+        (*LIVE, "--sensors", "external", "--pump", "external", "--forecast", "persistence"),
+        "--forecast = 'persistence': must be a FILE.csv",
+    ),
+    "no such forecast": (
+        (*LIVE, "--sensors", "external", "--pump", "external", "--forecast", "no.csv"),
+        "--forecast = 'no.csv': must be a file that is there",
+    ),
+    "no such sensors": (
+        (*LIVE, "--weather", "external", "--pump", "external", "--sensors", "no.yaml"),
+        "--sensors = 'no.yaml': must be a file that is there",
+    ),
+    "weather of a simulation": (
+        (*LIVE, "--sensors", "external", "--pump", "external", "--weather", "july.csv"),
+        "--weather = 'july.csv': must be external, or not given",
+    ),
+    "two weathers": (
+        (*LIVE, *NOBODY, "--forecast", "forecast.csv"),
+        "--forecast = 'forecast.csv': is of the weather node",
+    ),
+    "live weather in a simulation": (
+        ("--weather", "external"), "--weather = 'external': is for a live site"
+    ),
+    "two pumps": (
+        ("--pump", "external", "--drive", "abb_acs880", "--drive-at", "tcp://127.0.0.1:1"),
+        "--pump = 'external': leaves the pump to somebody else's node",
+    ),
+    "two pumps, live": (
+        (*LIVE, *NOBODY, "--drive", "abb_acs880", "--drive-at", "tcp://127.0.0.1:1"),
+        "--pump = 'external': leaves the pump to somebody else's node",
+    ),
+    "a drive that is nowhere": (
+        ("--drive", "abb_acs880"), "--drive = 'abb_acs880': needs --drive-at, such as tcp://"
+    ),
+    "an address of nothing": (
+        ("--drive-at", "tcp://127.0.0.1:1"), "--drive-at = 'tcp://127.0.0.1:1': needs --drive"
+    ),
+    "no such drive": (
+        ("--drive", "acme", "--drive-at", "tcp://127.0.0.1:1"), "abb_acs880"
+    ),
+    "no such address": (
+        ("--drive", "abb_acs880", "--drive-at", "127.0.0.1"), "127.0.0.1"
+    ),
+    "minimum times of a drive": (
+        ("--drive", "abb_acs880", "--drive-at", "tcp://127.0.0.1:1", "--minimum-on", "60"),
+        "minimum on and off times: are the pump driver's business",
+    ),
+    "state of nothing": (("--state", "here"), "--state: is of a drive, or a live site"),
+    "no such parameters": (
+        (*LIVE, *NOBODY, "--node-parameters", "no.yaml"),
+        "--node-parameters = 'no.yaml': must be a file that is there",
+    ),
+    "a small bag": ((*LIVE, *NOBODY, "--bag-limit", "1"), "--bag-limit"),
+    "a site that is none": ((*LIVE, *NOBODY, "--site", "no.yaml"), "no.yaml"),
+}
+
+
+@pytest.mark.parametrize("case", WRONG)
+def test_what_is_wrong_is_said(tmp_path: Path, case: str) -> None:
+    arguments, message = WRONG[case]
+    done = bringup(tmp_path, *arguments)
+    assert done.returncode == 2
+    assert message in done.stderr
+    assert "Traceback" not in done.stderr
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_serial_line_of_a_sensor_and_the_drive(tmp_path: Path) -> None:
+    """One program alone can open it, so that one of both would never be heard."""
+    sensors = tmp_path / "sensors.yaml"
+    shipped = (CHECKOUT / "config" / "sensors.yaml").read_text()
+    sensors.write_text(shipped.replace("tcp://127.0.0.1:5031", "/dev/ttyS0"))
+    done = bringup(
+        tmp_path, *LIVE, "--weather", "external", "--sensors", str(sensors),
+        "--drive", "danfoss_fc202", "--drive-at", "/dev/ttyS0,1",
+    )
+    assert done.returncode == 2
+    assert done.stderr.startswith(
+        "error: --drive-at = '/dev/ttyS0,1': is the serial line of the roof's sensor, too"
+    )
+    assert [each.name for each in tmp_path.iterdir()] == ["sensors.yaml"]
+
+
+@pytest.mark.parametrize(
+    ("section", "line", "value"),
+    [
+        ("/**/pump", "drive", "danfoss_fc202"), ("/**", "address", "tcp://127.0.0.1:2"),
+        ("pump", "device_id", 17), ("/site1/pump", "state_file", "mine.json"),
+    ],
+)
+@pytest.mark.parametrize("live", [(), (*LIVE, *NOBODY[:2], *NOBODY[4:])], ids=["loop", "live"])
+def test_what_bringup_alone_says_of_the_drive(
+    tmp_path: Path, section: str, line: str, value: object, live: tuple[str, ...]
+) -> None:
+    """Else the node would run one drive, and bringup stop another."""
+    file = tmp_path / "nodes.yaml"
+    file.write_text(
+        "weather_station:\n  ros__parameters:\n    address: its own\n"
+        f"{section}:\n  ros__parameters:\n    least_off: 1.0\n    {line}: {value}\n"
+    )
+    done = bringup(
+        tmp_path, *live, "--drive", "abb_acs880", "--drive-at", "gateway://127.0.0.1:1",
+        "--node-parameters", str(file),
+    )
+    assert done.returncode == 2
+    assert done.stderr.startswith(
+        f"error: {file}, line 7: {section}: {line} = {value!r}: must not be given to the node pump"
+    )
+    assert [each.name for each in tmp_path.iterdir()] == ["nodes.yaml"]
+
+
+# By what a file says: what is refused of it, beginning with its line.
+NO_EFFECT = {
+    "/**/pump:\n  ros__parameters:\n    least_off: 1.0\n    greatest_volume_per_dai: 0.5\n":
+        "line 4: /**/pump: greatest_volume_per_dai = 0.5: there is no such parameter; the closest "
+        "is greatest_volume_per_day;",
+    "/**:\n  ros__parameters:\n    least_off: 1.0\n    recovery_tim: 0.5\n":
+        "line 4: /**: recovery_tim = 0.5: there is no such parameter; the closest is "
+        "recovery_time;",
+    "/**/mpc:\n  ros__parameters:\n    least_off: 1.0\n":
+        "line 3: /**/mpc: least_off = 1.0: there is no such parameter",
+    "/**/weather:\n  ros__parameters:\n    issue_limt: 1.0\n":
+        "line 3: /**/weather: issue_limt = 1.0: there is no such parameter; the closest is "
+        "issue_limit;",
+    "/**/recorder:\n  ros__parameters:\n    direktory: bag\n":
+        "line 3: /**/recorder: direktory = 'bag': there is no such parameter; the closest is "
+        "directory;",
+    "# mine\n/**/pum:\n  ros__parameters:\n    least_off: 1.0\n":
+        "line 2: /**/pum: bringup starts no such node; the closest is /**/pump;",
+    "site1:\n  onof:\n    ros__parameters:\n      recovery_time: 1.0\n":
+        "line 2: site1/onof: bringup starts no such node; the closest is /**/",
+    "/site2/pump:\n  ros__parameters:\n    least_off: 1.0\n":
+        "line 1: /site2/pump: bringup starts no such node; the closest is /**/pump;",
+    "pump:\n  greatest_volume_per_day: 0.5\n":
+        "line 2: pump: greatest_volume_per_day = 0.5: has no effect here: write /**/NODE: {ros__",
+    "/**/pump:\n": "line 1: /**/pump: has no effect here: write /**/NODE: {ros__parameters: ",
+    "/**/pump:\n  ros__parameters: 0.5\n":
+        "line 1: /**/pump: ros__parameters = 0.5: must hold parameters, NAME: VALUE",
+}
+
+
+@pytest.mark.parametrize("text", NO_EFFECT)
+@pytest.mark.parametrize("way", ["loop", "live"])
+def test_a_parameter_that_would_have_no_effect(tmp_path: Path, text: str, way: str) -> None:
+    """rclpy takes a mistyped limit without a word."""
+    file = tmp_path / "nodes.yaml"
+    file.write_text(text)
+    (tmp_path / "forecast.csv").write_text("")
+    site = (*LIVE, "--sensors", "external", "--forecast", "forecast.csv")
+    done = bringup(
+        tmp_path, *(site if way == "live" else ()), "--drive", "abb_acs880",
+        "--drive-at", "gateway://127.0.0.1:1", "--namespace", "site1",
+        "--node-parameters", str(file),
+    )
+    assert done.returncode == 2
+    assert done.stderr.startswith(f"error: {file}, {NO_EFFECT[text]}")
+    assert not (tmp_path / "live").exists()
+    assert not (tmp_path / "runs").exists()
+
+
+NODES = {
+    f"/site1/{name}": f"greenroof_ros.nodes.{module}" for name, module in {
+        "plant": "plant", "weather": "weather", "onoff": "controller", "pump": "pump",
+        "recorder": "live_recorder", "roof_sensor": "level_sensor",
+    }.items()
+}
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "/**:\n  ros__parameters: {least_off: 1.0, forecast_seed: 3, use_sim_time: true}\n",
+        "site1:\n  pump:\n    ros__parameters: {least_off: 1.0, level_limit: 3.0}\n",
+        "/site1/*:\n  ros__parameters: {sensors_file: a.yaml}\n",
+        "/**/onoff:\n  ros__parameters: {recovery_time: 1.0}\n"
+        "/*/recorder:\n  ros__parameters: {file_limit: 1.0}\n"
+        "'**/roof_sensor':\n  ros__parameters: {qos_overrides: {/roof/level: {}}}\n",
+    ],
+)
+def test_a_parameter_that_a_node_has(tmp_path: Path, text: str) -> None:
+    """It is left to the node."""
+    pytest.importorskip("rclpy")
+    from greenroof_ros.nodes.parameter_file import refuse_unknown_in
+
+    file = tmp_path / "nodes.yaml"
+    file.write_text(text)
+    refuse_unknown_in(file, NODES, find_controller("onoff"))
+
+
+def test_a_state_file_is_a_drives_however_its_address_is_written(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path))
+    (tmp_path / "by-id").symlink_to("/dev/ttyUSB0")
+    file = find_drive_file("abb_acs880")
+
+    def name(at: str) -> str:
+        return DriveChoice(file, at).state_file().name
+
+    local = "abb_acs880-127.0.0.1-502-1.json"
+    assert name("gateway://localhost") == name("gateway://127.0.0.1:502,1") == local
+    assert name("gateway://127.0.0.1:502,2") == "abb_acs880-127.0.0.1-502-2.json"
+    assert name(f"{tmp_path}/by-id") == name("/dev/ttyUSB0,1") == "abb_acs880-dev-ttyUSB0-1.json"
+    with pytest.raises(ConfigurationError, match=r"--drive-at = .*: the host is not found"):
+        name("tcp://no-such-host.invalid")
+
+
+def test_a_drive_of_another_program_is_left_to_it(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As at the end of a second bringup that was started at the same drive by mistake."""
+    drive = acs880()
+    wire = Wire(drive)
+    choice = DriveChoice(find_drive_file("abb_acs880"), wire.gateway)
+    exchange = DriveExchange(*choice.read())
+    ours = subprocess.Popen(["sleep", "60"])
+    try:
+        exchange.start()
+        wait_for(lambda: exchange.snapshot.connected, 20, "the drive")
+        stop = choice.stopper()
+        assert stop(ours.pid) == (
+            False,
+            f"another program (process {os.getpid()}) runs the drive: left to it, which may run "
+            "the pump",
+        )
+        assert wire.connections == 1
+        assert stop(os.getpid())[1].startswith("bringup told the drive to stop")
+        assert wire.connections == 2
+        exchange.close()
+        assert stop(ours.pid)[1].startswith("bringup told the drive to stop")
+    finally:
+        exchange.close()
+        wire.close()
+        ours.kill()
+        ours.wait()
+
+
+def test_a_directory_in_use(tmp_path: Path) -> None:
+    """Two bringups must not write into one: another domain would not tell them apart."""
+    import fcntl
+
+    (tmp_path / "live").mkdir()
+    number = os.open(tmp_path / "live", os.O_RDONLY)
+    try:
+        fcntl.flock(number, fcntl.LOCK_EX)
+        done = bringup(tmp_path, *LIVE, *NOBODY)
+    finally:
+        os.close(number)
+    assert done.returncode == 3
+    assert done.stderr == (
+        "error: --state = 'live': is of a bringup that runs; end it, or take another directory\n"
+    )
+
+
+def test_help_tells_the_three_ways(tmp_path: Path) -> None:
+    done = bringup(tmp_path, "--help")
+    assert done.returncode == 0
+    for words in ("simulated  ", "hardware in the loop  ", "live  ", "--plant", "--drive-at"):
+        assert words in done.stdout
+    assert max(map(len, done.stdout.splitlines())) <= 100

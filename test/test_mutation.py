@@ -1,0 +1,36 @@
+"""The modules and tests that mutation testing names; it is run by hand."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import pytest
+import yaml
+from places import CHECKOUT
+
+FOLDERS: dict[str, Any] = yaml.safe_load(
+    (CHECKOUT / "tools" / "mutation" / "judges.yaml").read_text(encoding="utf-8")
+)
+
+
+@pytest.mark.parametrize("folder", FOLDERS)
+def test_modules_and_their_judges_are_there(folder: str) -> None:
+    """What was moved or renamed must be so there, too, or its mutants are judged by nothing."""
+    modules, without = FOLDERS[folder]["modules"], FOLDERS[folder]["without"]
+    for module in modules:
+        assert (CHECKOUT / "greenroof_ros" / module).is_file(), module
+    judges = {judge for each in modules.values() for judge in each}
+    for test in (*judges, *without):
+        path, _, name = test.partition("::")
+        function = f"def {name.partition('[')[0]}(" if name else ""
+        assert function in (CHECKOUT / "test" / path).read_text(encoding="utf-8"), test
+    assert {test.partition("::")[0] for test in without} <= judges
+
+
+@pytest.mark.parametrize("folder", ["model", "controllers", "pumping"])
+def test_no_module_of_a_whole_folder_is_forgotten(folder: str) -> None:
+    written = {
+        f"{folder}/{path.name}" for path in Path(CHECKOUT, "greenroof_ros", folder).glob("*.py")
+    }
+    assert {*FOLDERS[folder]["modules"], f"{folder}/__init__.py"} == written

@@ -1,0 +1,231 @@
+"""Change the code in one place at a time, and see whether a test fails.
+
+``python tools/mutation`` copies the checkout, draws a seeded sample of all the mutants that
+Cosmic Ray can make of each folder's modules, and runs the tests of ``judges.yaml`` on each. Printed
+is a table; it and every mutant that survived are kept in ``runs/``. Ctrl-C ends it after the mutant
+in hand: they come in random order, so those judged until then are a sample, too.
+"""
+
+from __future__ import annotations
+
+import argparse
+import ast
+import csv
+import math
+import os
+import random
+import re
+import shlex
+import shutil
+import signal
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import yaml
+from cosmic_ray.commands.init import init
+from cosmic_ray.mutating import mutate_and_test
+from cosmic_ray.work_db import use_db
+from cosmic_ray.work_item import MutationSpec, TestOutcome, WorkItem
+
+HERE = Path(__file__).resolve().parent
+CHECKOUT = HERE.parent.parent
+
+# Bits of what is no whole number are a TypeError, and `is` of numbers and texts often equals `==`.
+_POINTLESS = re.compile(
+    r"core/(ReplaceBinaryOperator_(Add|Sub|Mul|Div|FloorDiv|Mod|Pow)_(RShift|LShift|Bit\w+)"
+    r"|ReplaceComparisonOperator_(Eq_Is|NotEq_IsNot|Is_Eq|IsNot_NotEq))"
+)
+# A mutant that takes so many times as long as the code itself, and more by so much (s), hangs.
+_TIMES_AS_LONG, _LEAST_LIMIT_S = 5.0, 60.0
+_Z = 1.96  # of an interval of 95 %
+
+_interrupted: list[int] = []  # signals that came
+
+
+class Row(NamedTuple):
+    """The outcome of a folder's sample; the last three are the share of survivors."""
+
+    folder: str
+    mutants: int
+    seed: int
+    sampled: int
+    killed: int
+    survived: int
+    timeouts: int
+    share: float
+    low: float
+    high: float
+
+
+class Survivor(NamedTuple):
+    """A mutant that no test noticed."""
+
+    folder: str
+    module: str
+    line: int
+    operator: str
+    diff: str
+
+
+def mutants_of(modules: list[Path], session: Path) -> list[WorkItem]:
+    """Return all mutants of some modules that could change what they do, in a fixed order."""
+    with use_db(session) as database:
+        init(modules, database, {})
+        items = list(database.work_items)
+    annotations = {module: list(_annotations(module)) for module in modules}
+
+    def is_one(mutation: MutationSpec) -> bool:
+        # Of an annotation that nothing evaluates, `int | None` may as well be `int - None`.
+        return not _POINTLESS.match(mutation.operator_name) and not (
+            "_BitOr_" in mutation.operator_name
+            and any(a <= mutation.start_pos < b for a, b in annotations[mutation.module_path])
+        )
+
+    def place(item: WorkItem) -> tuple[str, str, int]:
+        (mutation,) = item.mutations
+        return str(mutation.module_path), mutation.operator_name, mutation.occurrence
+
+    return sorted((item for item in items if is_one(item.mutations[0])), key=place)
+
+
+def _annotations(module: Path) -> Iterator[tuple[tuple[int, int], tuple[int, int]]]:
+    for node in ast.walk(ast.parse(module.read_text(encoding="utf-8"))):
+        for each in (getattr(node, "annotation", None), getattr(node, "returns", None)):
+            if each is not None:
+                yield (each.lineno, each.col_offset), (each.end_lineno, each.end_col_offset)
+
+
+def command_of(judges: list[str], without: list[str], reruns: int) -> str:
+    """Return what runs the tests that judge a module, up to the first that fails."""
+    words = [sys.executable, "-m", "pytest", "-x", "-q", "-p", "no:cacheprovider"]
+    # No other plugins: they take as long to be loaded as a mutant's tests.
+    words += ["-p", "xdist.plugin", "-p", "pytest_rerunfailures", "--reruns", str(reruns)]
+    words += [f"test/{judge}" for judge in judges]
+    words += [f"--deselect=test/{test}" for test in without]
+    return shlex.join(words)
+
+
+def limit_of(command: str) -> float:
+    """Return how long the tests may take on a mutant (s), by how long they take on the code."""
+    began = time.monotonic()
+    done = subprocess.run(shlex.split(command), check=False, capture_output=True, text=True)
+    if done.returncode != 0:
+        raise SystemExit(f"{done.stdout}\nthe tests fail on the code as it is: {command}")
+    return _LEAST_LIMIT_S + _TIMES_AS_LONG * (time.monotonic() - began)
+
+
+def judge(folder: str, entry: dict[str, Any], size: int, seed: int) -> tuple[Row, list[Survivor]]:
+    """Judge a sample of a folder's mutants; the working directory is the copy of the checkout."""
+    commands = {
+        Path("greenroof_ros", module): command_of(judges, entry["without"], entry["reruns"])
+        for module, judges in entry["modules"].items()
+    }
+    limits: dict[str, float] = {}
+    mutants = mutants_of(list(commands), Path("mutants.sqlite"))
+    sample = random.Random(seed).sample(mutants, min(size, len(mutants)))  # noqa: S311
+    killed = timeouts = 0
+    survivors = []
+    for number, item in enumerate(sample, start=1):
+        if _interrupted:
+            break
+        (mutation,) = item.mutations
+        command = commands[mutation.module_path]
+        if command not in limits:
+            limits[command] = limit_of(command)
+        result = mutate_and_test(item.mutations, command, limits[command])
+        outcome = "killed"
+        if result.test_outcome == TestOutcome.SURVIVED:
+            outcome = "survived"
+            survivors.append(Survivor(
+                folder, str(mutation.module_path), mutation.start_pos[0],
+                mutation.operator_name.removeprefix("core/"), _changed(result.diff),
+            ))
+        elif result.output == "timeout":
+            outcome = "timeout"
+            timeouts += 1
+        else:
+            killed += 1
+        print(
+            f"{number}/{len(sample)} {outcome}: {mutation.module_path}:"
+            f"{mutation.start_pos[0]} {mutation.operator_name}", flush=True,
+        )
+    sampled = killed + timeouts + len(survivors)
+    share, low, high = interval(len(survivors), sampled)
+    return Row(
+        folder, len(mutants), seed, sampled, killed, len(survivors), timeouts, share, low, high
+    ), survivors
+
+
+def _changed(diff: str) -> str:
+    """Return the lines of a diff that differ."""
+    return "\n".join(line for line in diff.splitlines()[3:] if line[:1] in ("-", "+"))
+
+
+def interval(count: int, of: int) -> tuple[float, float, float]:
+    """Return a share and its interval of 95 % (Wilson's)."""
+    if not of:
+        return 0.0, 0.0, 1.0
+    share, z2 = count / of, _Z**2
+    middle = (share + z2 / (2 * of)) / (1 + z2 / of)
+    half = _Z * math.sqrt(share * (1 - share) / of + z2 / (4 * of**2)) / (1 + z2 / of)
+    return round(share, 3), round(middle - half, 3), round(middle + half, 3)
+
+
+def write(path: Path, kind: type[Row] | type[Survivor], folder: str, rows: list[Any]) -> None:
+    """Put a folder's rows in the place of those that a table has of it."""
+    kept = []
+    if path.exists():
+        with path.open(newline="", encoding="utf-8") as stream:
+            kept = [row for row in csv.reader(stream) if row[0] not in ("folder", folder)]
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with path.open("w", newline="", encoding="utf-8") as stream:
+        csv.writer(stream, lineterminator="\n").writerows([kind._fields, *kept, *rows])
+
+
+def main() -> int:
+    """Judge the folders that the command line asks for."""
+    folders = yaml.safe_load((HERE / "judges.yaml").read_text(encoding="utf-8"))
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument(
+        "folders", nargs="*", metavar="FOLDER", help=f"of {', '.join(folders)} (default: all)"
+    )
+    parser.add_argument("--sample", type=int, default=100, help="mutants of each (default: 100)")
+    parser.add_argument("--seed", type=int, default=1, help="of the sample (default: 1)")
+    parser.add_argument(
+        "--output", type=Path, default=Path("runs/mutation.csv"),
+        help="the table; survivors are in a file beside it (default: runs/mutation.csv)",
+    )
+    arguments = parser.parse_args()
+    unknown = [folder for folder in arguments.folders if folder not in folders]
+    if unknown:
+        parser.error(f"there is no folder {unknown[0]}; they are {', '.join(folders)}")
+    # The tests of a mutant are in a session of their own, which a Ctrl-C does not reach.
+    signal.signal(signal.SIGINT, lambda number, _: _interrupted.append(number))
+    table = arguments.output.resolve()
+    survivors_file = table.with_name(f"{table.stem}_survivors.csv")
+    with tempfile.TemporaryDirectory(prefix="mutation-") as directory:
+        copy = Path(directory, "checkout")
+        ignored = shutil.ignore_patterns(".*", "runs", "studies", "build", "install", "log")
+        shutil.copytree(CHECKOUT, copy, ignore=ignored)
+        os.chdir(copy)
+        os.environ["PYTHONPATH"] = str(copy)
+        os.environ["PYTEST_DISABLE_PLUGIN_AUTOLOAD"] = "1"
+        for folder in arguments.folders or folders:
+            if _interrupted:
+                return 130
+            row, survivors = judge(folder, folders[folder], arguments.sample, arguments.seed)
+            write(table, Row, folder, [row])
+            write(survivors_file, Survivor, folder, survivors)
+            print(", ".join(f"{key} {value}" for key, value in row._asdict().items()), flush=True)
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
