@@ -342,11 +342,11 @@ class PumpNode(Lifecycle, LinkedNode):
         held, fault = mine.record.held, mine.record.fault
         self._begin_with(ledger)
         self._reasons = ()  # decide anew
-        if held != mine.found.held:
-            ledger.stop(held or ledger.record.held)
-        if fault != mine.found.fault:
-            kept = mine.record if fault else ledger.record
-            ledger.fault(kept.fault, kept.fault_code)
+        # A release of before is not one of what this file says, or of its not being readable.
+        if held and held != mine.found.held:
+            ledger.stop(held)
+        if fault and fault != mine.found.fault:
+            ledger.fault(fault, mine.record.fault_code)
 
     def _place_of_state(self, values: dict[str, Any]) -> Path:
         if values["state_file"]:
@@ -717,9 +717,8 @@ class PumpNode(Lifecycle, LinkedNode):
             return
         self.reports.hardware = snapshot.identity
         if status.fault:
-            self.diagnose(
-                "drive", ERROR, f"the drive reports a fault: {status.fault}", "drive_fault"
-            )
+            code = "runs_on" if status.runs_on else "drive_fault"
+            self.diagnose("drive", ERROR, f"the drive reports a fault: {status.fault}", code)
         elif snapshot.problem or status.warning or not status.remote:
             local = "" if status.remote else "it is in local control"
             said = "; ".join(filter(None, (snapshot.problem, status.warning, local)))
