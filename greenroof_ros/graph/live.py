@@ -15,7 +15,7 @@ from typing import Any, Protocol
 
 from rclpy.node import Node
 
-from greenroof_ros.common.clock import boot_time
+from greenroof_ros.common.clock import boot_time, suspended_time
 from greenroof_ros.common.parameter import Parameter
 from greenroof_ros.graph.errors import LockstepError
 from greenroof_ros.graph.inputs import Inputs
@@ -203,11 +203,14 @@ class Live:
         self._note_pause(now)
         self._due += (math.floor((now - self._due) / self._period) + 1) * self._period
         self._node.acted = True
+        before = suspended_time()
         self.good()
         self._say()
         self._node.on_inputs()
-        # What a node takes to decide is no pause: what it decides on must not be too old then.
-        self._looked = boot_time()
+        # What a node takes to decide is no pause: what it decides on must not be too old then. A
+        # suspend in the middle of it is one.
+        slept = suspended_time() - before
+        self._looked = boot_time() - slept
 
     def look(self, now: float) -> None:
         """Look whether the process was stopped, or the machine suspended."""

@@ -136,7 +136,7 @@ class Ledger:
     @property
     def problem(self) -> str:
         """Why the file could not be written; empty where it could. Control goes on."""
-        if self._file is not None and DISK.late:
+        if self._only is not None and DISK.late:
             return f"{self._file} could not be written within {PATIENCE_S:g} s"
         return self._problem
 

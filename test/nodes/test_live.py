@@ -171,13 +171,22 @@ def newest(values: list[tuple[float, Any]]) -> Any:
 
 
 # Lets a process find that the machine was suspended for an hour while there is a file *suspended*.
+# A machine that is suspended for an hour: between two decisions of a node, or in the middle of one,
+# before and after which it looks how long it was suspended.
 SUSPENDED = """
+import sys
 import time
 from pathlib import Path
-awake = time.clock_gettime
+awake, slept, looks = time.clock_gettime, 0.0, 0
 def clock_gettime(clock):
-    asleep = clock == time.CLOCK_BOOTTIME and Path("suspended").exists()
-    return awake(clock) + (3600.0 if asleep else 0.0)
+    global slept, looks
+    if clock != time.CLOCK_BOOTTIME:
+        return awake(clock)
+    looks += sys._getframe(2).f_code.co_name == "suspended_time"
+    if Path("suspended").exists() or (Path("suspended_in_a_decision").exists() and looks % 2 == 0
+            and sys._getframe(2).f_code.co_name == "suspended_time"):
+        slept = 3600.0
+    return awake(clock) + slept
 time.clock_gettime = clock_gettime
 """
 
@@ -447,8 +456,9 @@ def test_a_forecast_whose_layout_is_wrong(domain: int, tmp_path: Path, site: Sit
             site.until(lambda: newest(commands) == 1.0, LATE, "on/off")
 
 
+@pytest.mark.parametrize("when", ["suspended", "suspended_in_a_decision"])
 def test_no_command_of_what_was_before_a_suspend(
-    domain: int, tmp_path: Path, site: Site, monkeypatch: pytest.MonkeyPatch
+    when: str, domain: int, tmp_path: Path, site: Site, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """In which the clock stands still by which a process otherwise tells how old a value is."""
     (tmp_path / "sitecustomize.py").write_text(SUSPENDED)
@@ -456,7 +466,7 @@ def test_no_command_of_what_was_before_a_suspend(
     commands = dry_site(site)
     with live_node(domain, tmp_path, "controller --controller onoff", recovery_time=1.0):
         site.until(lambda: newest(commands), 60, "a command")
-        (tmp_path / "suspended").touch()
+        (tmp_path / when).touch()
         site.until(lambda: newest(commands) == 0.0, LATE, "no command")
         site.until(lambda: any("stood still for 3600 s" in said for said in site.said), LATE, "why")
         site.until(lambda: newest(commands), LATE, "a command of what is new")
