@@ -463,7 +463,7 @@ def nodes() -> str | None:
     """Return the parameters that each node declares; None without a ROS 2."""
     if importlib.util.find_spec("rclpy") is None:
         return None
-    from greenroof_ros.graph.parameters import LIVE, default_site, site_file, type_name
+    from greenroof_ros.graph.parameters import default_site, type_name
     from greenroof_ros.nodes import (
         controller,
         level_sensor,
@@ -475,15 +475,9 @@ def nodes() -> str | None:
     )
 
     site = default_site()
-    declared = {
-        "plant": [site_file(), *plant.parameters(site)],
-        "weather": [LIVE, site_file(), *weather.parameters(site)],
-        "recorder": recorder.PARAMETERS,
-        "live_recorder": live_recorder.PARAMETERS,
-        "pump": [site_file(), *pump.parameters(site)],
-        "level_sensor": level_sensor.PARAMETERS,
-        "controllers": [LIVE, site_file(), *controller.LIVE_PARAMETERS],
-    }
+    modules = (plant, weather, recorder, live_recorder, pump, level_sensor)
+    declared = {node.__name__.rpartition(".")[2]: node.parameters(site) for node in modules}
+    declared["controllers"] = controller.parameters(None)
     return "\n".join(
         f"### {node}\n\n"
         + markdown(

@@ -286,7 +286,7 @@ def refuse_unknown(
     if file is None:
         return
     try:
-        from greenroof_ros.nodes.parameter_file import refuse_unknown_in
+        from greenroof_ros.graph.parameters import refuse_unknown_in
     except ImportError as error:
         raise no_ros(error) from error
     whole = {f"{namespace}/{name}": module for name, module in nodes.items()}

@@ -1,10 +1,16 @@
-"""Node parameters: described once, declared with description and range, refused in one line."""
+"""Node parameters: described once, declared with description and range, refused in one line.
+
+rclpy ignores a parameter that no node has declared, so that a mistyped limit would have no effect,
+and nobody be told: here it is refused, on a node's command line and in bringup's parameter files.
+"""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Sequence
+import re
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from difflib import get_close_matches
+from importlib import import_module
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -15,8 +21,9 @@ from rclpy.node import Node
 from rclpy.parameter import Parameter as RosParameter
 
 from greenroof_ros.common.errors import ConfigurationError
-from greenroof_ros.common.files import shared_directory
+from greenroof_ros.common.files import YamlMapping, read_yaml, shared_directory
 from greenroof_ros.common.parameter import Parameter
+from greenroof_ros.controllers.registry import OF_EVERY_NODE, ControllerChoice
 from greenroof_ros.model.site import Site, read_site
 
 # Of each Python type: what ROS 2 calls it, and what a value must be, for messages.
@@ -27,38 +34,7 @@ _KINDS = {
     str: ("string", "a text"),
     list: ("string array", "a list of texts"),
 }
-
-
-def type_name(one: Parameter) -> str:
-    """Return what ROS 2 calls a parameter's type."""
-    return _KINDS[type(one.default)][0]
-
-
-def _expected(one: Parameter) -> str:
-    """Return what a value must be, for messages."""
-    if one.among:
-        return f"must be {one.limits}"
-    return f"must be {_KINDS[type(one.default)][1]}{one.limits and ' from '}{one.limits}"
-
-
-def _descriptor(one: Parameter) -> ParameterDescriptor:
-    """Return what a ROS tool shows of a parameter."""
-    descriptor = ParameterDescriptor(
-        description=one.description, read_only=not one.may_change,
-        additional_constraints=_expected(one) if one.among else "",
-    )
-    if math.isinf(one.low):
-        return descriptor
-    if isinstance(one.default, float):
-        descriptor.floating_point_range = [
-            FloatingPointRange(from_value=float(one.low), to_value=float(one.high))
-        ]
-    else:
-        descriptor.integer_range = [
-            IntegerRange(from_value=int(one.low), to_value=int(one.high))
-        ]
-    return descriptor
-
+_SECTION = "ros__parameters"
 
 LIVE = Parameter(
     "live", False, meaning="act on steady time, as on a site with sensors; otherwise in lockstep, "
@@ -72,8 +48,21 @@ def site_file() -> Parameter:
     return Parameter("site_file", default, meaning="the parameters of Table I")
 
 
+def default_site() -> Site:
+    """Return the site of a node that is given no ``site_file``."""
+    return read_site(Path(str(site_file().default)))
+
+
+def type_name(one: Parameter) -> str:
+    """Return what ROS 2 calls a parameter's type."""
+    return _KINDS[type(one.default)][0]
+
+
+# --- declared by a node -----------------------------------------------------------------------
+
+
 def declare(node: Node, parameters: Iterable[Parameter]) -> dict[str, Any]:
-    """Declare parameters, and return their values by name.
+    """Declare those parameters that are not declared yet, and return the values of all by name.
 
     A whole number does for a double, as in ``weight: 5``, in a file, on the command line and in
     ``ros2 param set``; rclpy alone refuses it.
@@ -94,6 +83,8 @@ def declare(node: Node, parameters: Iterable[Parameter]) -> dict[str, Any]:
 
 
 def _declare(node: Node, one: Parameter) -> Any:
+    if node.has_parameter(one.name):
+        return node.get_parameter(one.name).value
     key = f"parameter {one.name} of {node.get_name()}"
     try:
         value = _declare_as_given(node, one)
@@ -121,11 +112,37 @@ def _declare_as_given(node: Node, one: Parameter) -> Any:
     ).value
 
 
+def _expected(one: Parameter) -> str:
+    """Return what a value must be, for messages."""
+    if one.among:
+        return f"must be {one.limits}"
+    return f"must be {_KINDS[type(one.default)][1]}{one.limits and ' from '}{one.limits}"
+
+
+def _descriptor(one: Parameter) -> ParameterDescriptor:
+    """Return what a ROS tool shows of a parameter."""
+    descriptor = ParameterDescriptor(
+        description=one.description, read_only=not one.may_change,
+        additional_constraints=_expected(one) if one.among else "",
+    )
+    if math.isinf(one.low):
+        return descriptor
+    if one.whole:
+        whole = IntegerRange(from_value=int(one.low), to_value=int(one.high))
+        descriptor.integer_range = [whole]
+    else:
+        numbers = FloatingPointRange(from_value=float(one.low), to_value=float(one.high))
+        descriptor.floating_point_range = [numbers]
+    return descriptor
+
+
+# --- refused, since no node has it ------------------------------------------------------------
+
+
 def refuse_unknown(node: Node, arguments: Sequence[str]) -> None:
     """Refuse a parameter of a command line that a node has not declared.
 
-    rclpy ignores it, so that a mistyped limit would have no effect, and nobody be told. Those of a
-    parameter file are left: a section of it may be for several nodes.
+    Those of a parameter file are left: a section of it may be for several nodes.
 
     Args:
         node: that has declared all it has.
@@ -138,15 +155,88 @@ def refuse_unknown(node: Node, arguments: Sequence[str]) -> None:
         whole, _, value = assignment.partition(":=")
         of, _, name = whole.rpartition(":")
         ours = of in ("", node.get_name()) and not name.startswith("qos_overrides.")
-        if option not in ("-p", "--param") or not ours or node.has_parameter(name):
-            continue
-        (closest,) = get_close_matches(name, node.get_parameters_by_prefix(""), 1, 0.0)
+        if option in ("-p", "--param") and ours and not node.has_parameter(name):
+            raise ConfigurationError(
+                f"{_no_such(name, node.get_parameters_by_prefix(''))}; --help lists all",
+                key=f"parameter {name} of {node.get_name()}", value=value,
+            )
+
+
+def refuse_unknown_in(
+    file: Path, nodes: Mapping[str, str], controller: ControllerChoice
+) -> None:
+    """Refuse what no node of a graph would take from a parameter file.
+
+    Of a section for several nodes each name must be known to one of them.
+
+    Args:
+        file: a ROS 2 parameter file.
+        nodes: of each node's name, with its namespace, the module.
+        controller: of the graph.
+
+    Raises:
+        ConfigurationError: there is such a name or section, or one without ``ros__parameters``.
+    """
+    known = {name: _names(module, controller) for name, module in nodes.items()}
+    for section, line, content in _sections(file, read_yaml(file)):
+        pattern = re.escape(f"/{section.removeprefix('/')}")
+        # As rcl reads it: two stars are any number of names, one is one.
+        pattern = pattern.replace(r"/\*\*", r"(/\w+)*").replace(r"/\*", r"/\w+")
+        here = [names for node, names in known.items() if re.fullmatch(pattern, node)]
+        if not here:
+            last = [node.rpartition("/")[2] for node in known]
+            raise ConfigurationError(
+                "bringup starts no such node; the closest is "
+                f"/**/{_closest(section.rpartition('/')[2], last)}; it starts "
+                f"{', '.join(sorted(known))}", file=file, line=line, key=section or _SECTION,
+            )
+        if not isinstance(content, YamlMapping):
+            raise ConfigurationError(
+                "must hold parameters, NAME: VALUE", file=file, line=line,
+                key=f"{section}: {_SECTION}", value=content,
+            )
+        names = set().union(*here)
+        for name, value in content.items():
+            if name not in names and name.partition(".")[0] not in OF_EVERY_NODE:
+                raise ConfigurationError(
+                    f"{_no_such(name, sorted(names))}; --help of the node lists all", file=file,
+                    line=content.lines[name], key=f"{section}: {name}", value=value,
+                )
+
+
+def _sections(
+    file: Path, content: YamlMapping, section: str = "", line: int = 1
+) -> Iterator[tuple[str, int, object]]:
+    """Yield the parameters of a file: for which nodes, in which line, and what."""
+    for name, part in content.items():
+        whole = f"{section}/{name}" if section else name
+        if name == _SECTION:
+            yield section, line, part
+        elif isinstance(part, YamlMapping) and part:
+            yield from _sections(file, part, whole, content.lines[name])
+        else:
+            raise ConfigurationError(
+                f"has no effect here: write /**/NODE: {{{_SECTION}: {{NAME: VALUE}}}}",
+                file=file, line=content.lines[name], value=part,
+                key=f"{section}: {name}" if section else name,
+            )
+
+
+def _names(module: str, controller: ControllerChoice) -> set[str]:
+    """Return the names of what the node of a module declares."""
+    try:
+        node = import_module(module)
+    except ModuleNotFoundError as error:
         raise ConfigurationError(
-            f"there is no such parameter; the closest is {closest}; --help lists all",
-            key=f"parameter {name} of {node.get_name()}", value=value,
-        )
+            f"{module} needs {error.name}: pip install 'greenroof_ros[pump]'"
+        ) from error
+    of = controller if module.endswith(".controller") else default_site()
+    return {one.name for one in node.parameters(of)}
 
 
-def default_site() -> Site:
-    """Return the site of a node that is given no ``site_file``."""
-    return read_site(Path(str(site_file().default)))
+def _no_such(name: str, names: Iterable[str]) -> str:
+    return f"there is no such parameter; the closest is {_closest(name, names)}"
+
+
+def _closest(name: str, names: Iterable[str]) -> str:
+    return get_close_matches(name, list(names), 1, 0.0)[0]

@@ -16,11 +16,12 @@ from typing import Any
 
 import numpy as np
 from rcl_interfaces.msg import SetParametersResult
-from rclpy.parameter import Parameter
+from rclpy.parameter import Parameter as RosParameter
 
 from greenroof_ros.common.command_line import EXIT_DONE, command
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.interface import optional_topics
+from greenroof_ros.common.parameter import Parameter
 from greenroof_ros.common.times import from_epoch_ns, to_people
 from greenroof_ros.controllers.decide import NoCommandError, decide
 from greenroof_ros.controllers.onoff import FRACTION, OnOff
@@ -38,10 +39,7 @@ from greenroof_ros.graph.node_help import NodeParser, node_help
 from greenroof_ros.graph.node_process import run_node
 from greenroof_ros.graph.parameters import LIVE, declare, site_file
 from greenroof_ros.graph.reports import ERROR, OK, WARN
-from greenroof_ros.graph.serialization import decode_clock
-from greenroof_ros.graph.validation import Input
 from greenroof_ros.model.plant import pump_flow
-from greenroof_ros.model.site import Site
 from greenroof_ros.pumping.input_rules import (
     LevelRule,
     cistern_reach,
@@ -63,31 +61,10 @@ _LIVE_CHANGES = 20
 LIVE_PARAMETERS = [*live_parameters([*_INPUTS, _FLOW, _GAUGE]), *LEVEL_PARAMETERS]
 
 
-class _Expectation:
-    """What the levels must do, by what is pumped and what the site's gauge measures.
-
-    A forecast of rain says nothing here: what it says need not fall.
-    """
-
-    def __init__(
-        self, site: Site, cistern: LevelRule, roof: LevelRule, flow: Input, gauge: Input
-    ) -> None:
-        self._site = site
-        self._cistern, self._roof = cistern, roof
-        self._flow, self._gauge = flow, gauge
-
-    def note(self, command: float, cistern_level: float, roof_level: float) -> None:
-        """Expect of the levels what a command does in a tick; a flow that is heard knows better."""
-        site = self._site
-        if self._flow.good:
-            flow = self._flow.value
-        else:
-            volumes = site.cistern_volume(cistern_level), site.roof_volume(roof_level)
-            flow = pump_flow(site, *volumes, min(command, 1.0))
-        rain = self._gauge.value if self._gauge.good else 0.0
-        cistern, roof = expected_rise(site, flow, rain, cistern_level, roof_level)
-        self._cistern.expect(cistern * site.tau)
-        self._roof.expect(roof * site.tau)
+def parameters(choice: ControllerChoice | None) -> list[Parameter]:
+    """Return the parameters of a controller's node; without a controller, what all have."""
+    own = [] if choice is None else choice.kind.parameters
+    return [LIVE, site_file(), *own, *LIVE_PARAMETERS]
 
 
 class ControllerNode(LinkedNode):
@@ -101,17 +78,12 @@ class ControllerNode(LinkedNode):
     def __init__(self, choice: ControllerChoice) -> None:
         """Declare the controller's parameters and open the topics."""
         super().__init__(choice.name, "controller")
-        site = self.declare_site()
+        self._site = site = self.declare_site()
         self.act_every(site.tau)
-        values = declare(self, choice.kind.parameters)
-        live = declare(self, LIVE_PARAMETERS)
-        self._site = site
         self._choice = choice
-        self._values = values
-        self._controller = choice.make(site, values)
-        self._may_change = {
-            one.name: values[one.name] for one in choice.kind.parameters if one.may_change
-        }
+        self._values = declare(self, choice.kind.parameters)
+        live = declare(self, LIVE_PARAMETERS)
+        self._controller = choice.make(site, self._values)
         self._tick = 0
         # A live site runs for months.
         self._parameter_changes: deque[dict[str, Any]] = deque(
@@ -119,12 +91,12 @@ class ControllerNode(LinkedNode):
         )
         self._parameter_change_count = 0
         self._shown: dict[str, float | None] = {}
-        cistern_rule, roof_rule = (
+        self._rules = [
             LevelRule(reach, live[FROZEN_MOVEMENT.name], live[JUMP_TOLERANCE.name])
             for reach in (cistern_reach(site), roof_reach(site))
-        )
-        self._cistern = self.subscribe("/cistern/level", level=cistern_rule)
-        self._roof = self.subscribe("/roof/level", level=roof_rule)
+        ]
+        self._cistern = self.subscribe("/cistern/level", level=self._rules[0])
+        self._roof = self.subscribe("/roof/level", level=self._rules[1])
         self._rain, self._evapotranspiration = (
             self.subscribe(name, optional=self.live)
             for name in ("/forecast/precipitation", "/forecast/evapotranspiration")
@@ -136,12 +108,10 @@ class ControllerNode(LinkedNode):
             self._missing_since = math.inf  # the forecast (steady clock, s)
             self._without_since = ""  # on/off commands, in words; empty while it does not
             self._without_pumped = False
-            self._expectation = _Expectation(
-                site, cistern_rule, roof_rule,
-                self.subscribe(_FLOW, optional=True), self.subscribe(_GAUGE, optional=True),
-            )
+            self._flow = self.subscribe(_FLOW, optional=True)
+            self._gauge = self.subscribe(_GAUGE, optional=True)
         else:
-            self.subscribe(CLOCK, self._on_clock, raw=True)
+            self.subscribe(CLOCK, self.set_time)
         self._publish_command = self.publish_topic("/pump/command")
         self._publish_outputs = [
             (self.publish_topic(topic.name), attribute, topic.undecided)
@@ -177,44 +147,63 @@ class ControllerNode(LinkedNode):
         Returns:
             Whether the controller did decide.
         """
-        problem = self._forecast_problem()
-        decides = allowed and not problem
-        if decides and self._without_pumped:
-            values = {**self._values, **self._may_change}
-            self._controller = self._choice.make(self._site, values)
+        if self._without_pumped and allowed and not self._forecast_problem():
+            self._controller = self._choice.make(self._site, self._values)
             self._without_pumped = False
         try:
-            try:
-                command = self._decide(decides)
-            except NoCommandError:
-                raise
-            except ConfigurationError as error:
-                self.refuse(self._rain.topic.name, str(error))
-                problem = self._forecast_problem()
-                decides = allowed and not problem
-                command = self._decide(decides)
+            command, decides = self._decide_or_refuse(allowed)
         except ConfigurationError as error:
             self.diagnose("command", ERROR, str(error), "controller_failed")
             command, decides = 0.0, False
         else:
             if decides and "command" in self.reports.diagnoses:
                 self.diagnose("command", OK, "the controller commands again")
-        self._say_forecast(problem)
+        self._say_forecast()
+        cistern, roof = self._cistern.value, self._roof.value
         if allowed and self._without_since:
-            command = self._without_forecast.command(
-                self._cistern.value, self._roof.value, (), ()
-            )
+            command = self._without_forecast.command(cistern, roof, (), ())
             self._without_pumped = self._without_pumped or command > 0
         if command and not self.good:
             command = 0.0
         self._publish_command(command)
-        self._expectation.note(command, self._cistern.value, self._roof.value)
+        self._expect(command)
         self._shown = {
             "command": command,
-            "cistern_level": self._cistern.value if self._cistern.good else None,
-            "roof_level": self._roof.value if self._roof.good else None,
+            "cistern_level": cistern if self._cistern.good else None,
+            "roof_level": roof if self._roof.good else None,
         }
         return decides
+
+    def _decide_or_refuse(self, allowed: bool) -> tuple[float, bool]:
+        """Return a command, and whether the controller did decide; refuse a forecast of no use.
+
+        Raises:
+            ConfigurationError: the controller cannot command.
+        """
+        decides = allowed and not self._forecast_problem()
+        try:
+            return self._decide(decides), decides
+        except NoCommandError:
+            raise
+        except ConfigurationError as error:
+            self.refuse(self._rain.topic.name, str(error))
+        decides = allowed and not self._forecast_problem()
+        return self._decide(decides), decides
+
+    def _expect(self, command: float) -> None:
+        """Expect of the levels what a command does in a tick; a flow that is heard knows better.
+
+        A forecast of rain says nothing here: what it says need not fall.
+        """
+        site, cistern, roof = self._site, self._cistern.value, self._roof.value
+        flow = self._flow.value
+        if not self._flow.good:
+            volumes = site.cistern_volume(cistern), site.roof_volume(roof)
+            flow = pump_flow(site, *volumes, min(command, 1.0))
+        rain = self._gauge.value if self._gauge.good else 0.0
+        rises = expected_rise(site, flow, rain, cistern, roof)
+        for rule, rise in zip(self._rules, rises, strict=True):
+            rule.expect(rise * site.tau)
 
     def _forecast_problem(self) -> str:
         """Return what is wrong with the forecasts; empty where the controller can decide."""
@@ -225,10 +214,11 @@ class ControllerNode(LinkedNode):
             if not one.good
         )
 
-    def _say_forecast(self, problem: str) -> None:
+    def _say_forecast(self) -> None:
         """Say what is wrong with the forecasts, and let on/off command where that lasts."""
         if not self._choice.needs_forecast:
             return
+        problem = self._forecast_problem()
         if not problem:
             self._missing_since, self._without_since = math.inf, ""
             self.diagnose("forecast", OK, "the forecast is good")
@@ -268,44 +258,23 @@ class ControllerNode(LinkedNode):
         """Return the solver's figures."""
         return {"solver": self._controller.statistics()}
 
-    def _on_clock(self, message: bytes) -> None:
-        self.set_time(decode_clock(message))
-
-    def _on_parameters(self, parameters: list[Parameter]) -> SetParametersResult:
-        for parameter in parameters:
-            if parameter.name not in self._may_change:
-                continue
-            before = self._may_change[parameter.name]
-            self._may_change[parameter.name] = parameter.value
-            setattr(self._controller, parameter.name, parameter.value)
+    def _on_parameters(self, given: list[RosParameter]) -> SetParametersResult:
+        may_change = {one.name for one in self._choice.kind.parameters if one.may_change}
+        for name, value in ((one.name, one.value) for one in given if one.name in may_change):
+            before, self._values[name] = self._values[name], value
+            setattr(self._controller, name, value)
             self._parameter_change_count += 1
             self._parameter_changes.append({
-                "tick": self._tick, "parameter": parameter.name,
-                "before": _finite(before), "value": _finite(parameter.value),
+                "tick": self._tick, "parameter": name,
+                "before": _finite(before), "value": _finite(value),
             })
-            self.get_logger().info(
-                f"{parameter.name} is {parameter.value:g} from tick {self._tick} on"
-            )
+            self.get_logger().info(f"{name} is {value:g} from tick {self._tick} on")
         return SetParametersResult(successful=True)
 
 
 def _finite(value: float) -> float | None:
     """Return a parameter's value as a summary has it, in which null stands for no limit."""
     return value if math.isfinite(value) else None
-
-
-def _help(choice: ControllerChoice | None) -> str:
-    """Return the help of a controller's node; without a controller, what all have in common."""
-    own = [] if choice is None else choice.kind.parameters
-    return node_help(
-        f"controller --controller {'NAME' if choice is None else choice.reference}",
-        "controller",
-        f"{__doc__}\nRegistered are {', '.join(controller_names())}.",
-        [LIVE, site_file(), *own, *LIVE_PARAMETERS],
-        "--ros-args "
-        + (f"-p {own[0].name}:={own[0].default}" if own else "--params-file FILE"),
-        () if choice is None else choice.outputs,
-    )
 
 
 def _run(controller: str | None) -> int:
@@ -325,7 +294,13 @@ def _run(controller: str | None) -> int:
     arguments = parser.own_arguments()
     choice = None if arguments.controller is None else find_controller(arguments.controller)
     if arguments.help:
-        print(_help(choice))
+        name, own = ("NAME", ()) if choice is None else (choice.reference, choice.kind.parameters)
+        start = f"-p {own[0].name}:={own[0].default}" if own else "--params-file FILE"
+        print(node_help(
+            f"controller --controller {name}", "controller",
+            f"{__doc__}\nRegistered are {', '.join(controller_names())}.", parameters(choice),
+            f"--ros-args {start}", () if choice is None else choice.outputs,
+        ))
         return EXIT_DONE
     if choice is None:
         parser.error("--controller NAME is missing")

@@ -22,17 +22,20 @@ from greenroof_ros.graph.node_help import NodeParser, node_help
 from greenroof_ros.graph.node_process import run_node
 from greenroof_ros.graph.parameters import declare
 from greenroof_ros.graph.reports import ERROR, OK, STALE
+from greenroof_ros.model.site import Site
 
 TANKS = ("cistern", "roof")
 _LIMIT = LIMITS["/cistern/level"]
-PARAMETERS = [
-    Parameter(
-        "sensors_file", str(default_sensors()), meaning="what the sensors are like, and where",
-    ),
-    _LIMIT,
-]
 # After so many periods without any reading, good or bad, the reader hangs.
 _PERIODS = 5
+
+
+def parameters(site: Site | None = None) -> list[Parameter]:
+    """Return the node's parameters, which are the same at every site."""
+    sensors = str(default_sensors())
+    return [
+        Parameter("sensors_file", sensors, meaning="what the sensors are like, and where"), _LIMIT,
+    ]
 
 
 class LevelSensorNode(LinkedNode):
@@ -45,7 +48,7 @@ class LevelSensorNode(LinkedNode):
             tank: ``cistern`` or ``roof``.
         """
         super().__init__(f"{tank}_sensor", f"{tank}_sensor", always_live=True)
-        values = declare(self, PARAMETERS)
+        values = declare(self, parameters())
         sensors = read_sensors(Path(values["sensors_file"]), values[_LIMIT.name])
         self._sensor = sensors.cistern if tank == "cistern" else sensors.roof
         self._publish = self.publish_topic(f"/{tank}/level")
@@ -83,26 +86,23 @@ class LevelSensorNode(LinkedNode):
         self._exchange.close()
 
 
-def _help(tank: str | None) -> str:
-    return node_help(
-        f"level_sensor --tank {tank or 'TANK'}", f"{tank or TANKS[0]}_sensor",
-        f"{__doc__}\nTANK is {' or '.join(TANKS)}.", PARAMETERS,
-        "--ros-args -p sensors_file:=my_sensors.yaml",
-    )
-
-
 @command
 def main() -> int:
     """Run the node."""
     parser = NodeParser()
     parser.add_argument("--tank", choices=TANKS)
     arguments = parser.own_arguments()
+    tank = arguments.tank
     if arguments.help:
-        print(_help(arguments.tank))
+        print(node_help(
+            f"level_sensor --tank {tank or 'TANK'}", f"{tank or TANKS[0]}_sensor",
+            f"{__doc__}\nTANK is {' or '.join(TANKS)}.", parameters(),
+            "--ros-args -p sensors_file:=my_sensors.yaml",
+        ))
         return EXIT_DONE
-    if arguments.tank is None:
+    if tank is None:
         parser.error(f"--tank is missing: {' or '.join(TANKS)}")
-    return run_node(partial(LevelSensorNode, arguments.tank))
+    return run_node(partial(LevelSensorNode, tank))
 
 
 if __name__ == "__main__":

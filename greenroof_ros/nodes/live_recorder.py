@@ -15,32 +15,34 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from greenroof_ros.common.command_line import EXIT_DONE, command
 from greenroof_ros.common.disk import DISK
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.parameter import Parameter
 from greenroof_ros.graph.link import LISTEN_S, LinkedNode
-from greenroof_ros.graph.node_help import NodeParser, node_help
-from greenroof_ros.graph.node_process import run_node
+from greenroof_ros.graph.node_help import node_command
 from greenroof_ros.graph.parameters import declare
 from greenroof_ros.graph.reports import ERROR, OK
+from greenroof_ros.model.site import Site
 from greenroof_ros.recording.live_bag import LiveBag
-
-PARAMETERS = (
-    Parameter("directory", "bag", meaning="the bag; goes on with one that is there"),
-    Parameter(
-        "file_limit", 100.0, "MB", 0.1, 1e6, "size at which a file of the bag ends and the next "
-        "begins",
-    ),
-    Parameter(
-        "total_limit", 10_000.0, "MB", 0.2, 1e9, "size beyond which the bag's oldest files are "
-        "removed, at least twice file_limit",
-    ),
-)
 
 _MB = 1e6
 # How often it is looked whether it is time to flush (s), and how long the end waits for the disk.
 _LOOK_S, _WRITTEN_S = 1.0, 4.0
+
+
+def parameters(site: Site | None = None) -> list[Parameter]:
+    """Return the node's parameters, which are the same at every site."""
+    return [
+        Parameter("directory", "bag", meaning="the bag; goes on with one that is there"),
+        Parameter(
+            "file_limit", 100.0, "MB", 0.1, 1e6, "size at which a file of the bag ends and the "
+            "next begins",
+        ),
+        Parameter(
+            "total_limit", 10_000.0, "MB", 0.2, 1e9, "size beyond which the bag's oldest files are "
+            "removed, at least twice file_limit",
+        ),
+    ]
 
 
 class LiveRecorderNode(LinkedNode):
@@ -52,7 +54,7 @@ class LiveRecorderNode(LinkedNode):
     def __init__(self) -> None:
         """Declare the parameters, look at the bag and open the topics."""
         super().__init__("recorder", "recorder", always_live=True)
-        values = declare(self, PARAMETERS)
+        values = declare(self, parameters())
         file, total = values["file_limit"], values["total_limit"]
         if total < 2 * file:
             raise ConfigurationError(
@@ -111,21 +113,10 @@ class LiveRecorderNode(LinkedNode):
             self.get_logger().error(problem or self._bag.problem)
 
 
-def _help() -> str:
-    return node_help(
-        "live_recorder", "recorder", __doc__, PARAMETERS,
-        "--ros-args -p directory:=/var/lib/greenroof/bag -p total_limit:=2000.0",
-        always_live=True,
-    )
-
-
-@command
-def main() -> int:
-    """Run the node."""
-    if NodeParser().own_arguments().help:
-        print(_help())
-        return EXIT_DONE
-    return run_node(LiveRecorderNode)
+main = node_command(
+    LiveRecorderNode, "live_recorder", "recorder", __doc__, parameters,
+    "--ros-args -p directory:=/var/lib/greenroof/bag -p total_limit:=2000.0", always_live=True,
+)
 
 
 if __name__ == "__main__":

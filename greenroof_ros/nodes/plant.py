@@ -11,20 +11,14 @@ import secrets
 import time
 from typing import Any
 
-from greenroof_ros.common.command_line import EXIT_DONE, command
 from greenroof_ros.common.errors import OccupiedError
 from greenroof_ros.common.parameter import Parameter
 from greenroof_ros.common.times import DEFAULT_START, epoch_ns, read_start
 from greenroof_ros.graph.errors import LockstepError
 from greenroof_ros.graph.link import LISTEN_S, LinkedNode
 from greenroof_ros.graph.lockstep import CLOCK, RUN, RunIdentity
-from greenroof_ros.graph.node_help import NodeParser, node_help
-from greenroof_ros.graph.node_process import run_node
-from greenroof_ros.graph.parameters import (
-    declare,
-    default_site,
-    site_file,
-)
+from greenroof_ros.graph.node_help import node_command
+from greenroof_ros.graph.parameters import declare, site_file
 from greenroof_ros.model.initial_state import check_volumes, default_state
 from greenroof_ros.model.metrics import Metrics
 from greenroof_ros.model.plant import Flows, Plant
@@ -47,10 +41,11 @@ _SENSOR_PUMP_ERRORS = {
 
 
 def parameters(site: Site) -> list[Parameter]:
-    """Return the node's parameters, but that of the site."""
+    """Return the node's parameters."""
     _, (cistern, roof) = default_state(site)
     perfect = SensorPumpErrors().values()
     return [
+        site_file(),
         Parameter(
             "initial_cistern_volume", cistern, "m3", 0, 1e9, "volume in the cistern at tick 0",
         ),
@@ -63,10 +58,7 @@ def parameters(site: Site) -> list[Parameter]:
             among=("internal", "external"),
         ),
         *(
-            Parameter(
-                name, perfect[name], "", *RANGES[name],
-                meaning,
-            )
+            Parameter(name, perfect[name], "", *RANGES[name], meaning)
             for name, meaning in _SENSOR_PUMP_ERRORS.items()
         ),
         Parameter("record", False, meaning="wait for a recorder"),
@@ -261,20 +253,10 @@ class PlantNode(LinkedNode):
         }
 
 
-def _help() -> str:
-    return node_help(
-        "plant", "plant", __doc__, [site_file(), *parameters(default_site())],
-        "--ros-args -p record:=true -p run_length:=3600",
-    )
-
-
-@command
-def main() -> int:
-    """Run the node."""
-    if NodeParser().own_arguments().help:
-        print(_help())
-        return EXIT_DONE
-    return run_node(PlantNode)
+main = node_command(
+    PlantNode, "plant", "plant", __doc__, parameters,
+    "--ros-args -p record:=true -p run_length:=3600",
+)
 
 
 if __name__ == "__main__":

@@ -19,7 +19,6 @@ from typing import Any
 from std_srvs.srv import SetBool, Trigger
 
 from greenroof_ros.common.clock import boot_time, suspended_time
-from greenroof_ros.common.command_line import EXIT_DONE, command
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.parameter import Parameter
 from greenroof_ros.drives.address import parse_drive_address
@@ -27,13 +26,12 @@ from greenroof_ros.drives.drive import DriveStatus
 from greenroof_ros.drives.drive_file import LONGEST_RAMP_S, find_drive_file, read_drive_file
 from greenroof_ros.drives.exchange import RESET_S, UNREAD_S, DriveExchange, Snapshot
 from greenroof_ros.graph.lifecycle import (
-    ACTIVATE,
     ACTIVE,
-    CONFIGURE,
     INACTIVE,
     UNCONFIGURED,
     Lifecycle,
     RefusedError,
+    transition,
 )
 from greenroof_ros.graph.link import LISTEN_S, LinkedNode
 from greenroof_ros.graph.live import (
@@ -44,17 +42,10 @@ from greenroof_ros.graph.live import (
     live_parameters,
 )
 from greenroof_ros.graph.lockstep import CLOCK
-from greenroof_ros.graph.node_help import NodeParser, node_help
-from greenroof_ros.graph.node_process import run_node
-from greenroof_ros.graph.parameters import (
-    LIVE,
-    declare,
-    default_site,
-    site_file,
-)
+from greenroof_ros.graph.node_help import node_command
+from greenroof_ros.graph.parameters import LIVE, declare, site_file
 from greenroof_ros.graph.permit import PermitReader
 from greenroof_ros.graph.reports import ERROR, OK, STALE, WARN
-from greenroof_ros.graph.serialization import decode_clock
 from greenroof_ros.graph.validation import Input
 from greenroof_ros.model.site import Site
 from greenroof_ros.pumping.input_rules import (
@@ -116,9 +107,9 @@ _OWN = (
 
 
 def parameters(site: Site) -> list[Parameter]:
-    """Return the node's parameters, but for the site."""
+    """Return the node's parameters."""
     return [
-        LIVE, *_OWN, *pump_parameters(site), *live_parameters([*_NEEDED, _METER]),
+        LIVE, site_file(), *_OWN, *pump_parameters(site), *live_parameters([*_NEEDED, _METER]),
         *LEVEL_PARAMETERS,
     ]
 
@@ -140,9 +131,9 @@ class _Drive:
             )
         self.file = read_drive_file(find_drive_file(values["drive"]))
         self._address = parse_drive_address(values["address"], key.format("address"))
+        self.timeout = self.file.timeout.over(self._address)
         self._period = values["exchange_period"]
         self._limit = values["drive_timeout_limit"]
-        self.without_timeout = values["activate_without_drive_timeout"]
         self._stops_locally = values["local_settings_stop_the_pump"]
         self._exchange: DriveExchange | None = None
         self._leaving: threading.Thread | None = None
@@ -184,16 +175,14 @@ class _Drive:
             raise RefusedError("the drive is still slowing down, or not heard; ask again")
         snapshot, self._exchange, self._leaving = self._exchange.snapshot, None, None
         status = snapshot.status
-        # A thread that still talks to it has not read that it stands.
-        if status is not None and status.stands and not snapshot.connected:
-            return f"let go of the drive: {status}"
+        what = f"the drive does not stand at the end: {status}"
         if status is None or snapshot.connected:
+            # A thread that still talks to it has not read that it stands.
             what = f"the drive was not heard at the end ({snapshot.problem or 'no last answer'})"
-        else:
-            what = f"the drive does not stand at the end: {status}"
-        rest = "nothing but its own panel stops it now: its communication timeout is not known"
-        if snapshot.timeout_known:
-            rest = "nothing but its own panel stops it now: its communication timeout is off"
+        elif status.stands:
+            return f"let go of the drive: {status}"
+        known = "off" if snapshot.timeout_known else "not known"
+        rest = f"nothing but its own panel stops it now: its communication timeout is {known}"
         if snapshot.timeout_s is not None:
             rest = f"its own timeout of {snapshot.timeout_s:g} s has to stop it"
         raise OSError(f"{what}; {rest}")
@@ -221,39 +210,28 @@ class _Drive:
             return ""
         return f"no connection to the drive: {self.snapshot.problem}"
 
-    @property
-    def timeout_traps(self) -> str:
-        """When its own communication timeout does not guard although it reads well."""
-        own = self.file.timeout.over(self._address)
-        return "" if own is None else own.traps
-
     def timeout_problem(self, snapshot: Snapshot) -> str:
         """Return what is wrong with its own communication timeout; empty where nothing is."""
-        known, seconds = snapshot.timeout_known, snapshot.timeout_s
-        own = self.file.timeout.over(self._address)
-        repair = f"; to set it: {own.how_to_set}" if own is not None else ""
-        if not known:
-            return (
-                "the drive's own communication timeout could not be read "
-                f"({snapshot.timeout_note}){repair}"
+        own, seconds = self.timeout, snapshot.timeout_s
+        if not snapshot.timeout_known:
+            why = f" could not be read ({snapshot.timeout_note})"
+        elif seconds is None:
+            why = f" is off ({snapshot.timeout_note})"
+        elif seconds > self._limit:
+            why = (
+                f" is {seconds:g} s, and must be at most {self._limit:g} s (drive_timeout_limit)"
             )
-        if seconds is None:
-            return (
-                "the drive's own communication timeout is off "
-                f"({snapshot.timeout_note}){repair}"
-            )
-        if seconds > self._limit:
-            return (
-                f"the drive's own communication timeout is {seconds:g} s, and must be at most "
-                f"{self._limit:g} s (drive_timeout_limit){repair}"
-            )
-        if own is not None and own.local_settings_decide and not self._stops_locally:
+        elif own is not None and own.local_settings_decide and not self._stops_locally:
             return (
                 "after the drive's own communication timeout, or this node's end, the pump does "
                 "what is set in itself, which cannot be read: set it to stop there, see that it "
-                f"does, and say so (local_settings_stop_the_pump: true){repair}"
+                "does, and say so (local_settings_stop_the_pump: true); to set it: "
+                f"{own.how_to_set}"
             )
-        return ""
+        else:
+            return ""
+        repair = "" if own is None else f"; to set it: {own.how_to_set}"
+        return f"the drive's own communication timeout{why}{repair}"
 
 
 class PumpNode(Lifecycle, LinkedNode):
@@ -263,38 +241,32 @@ class PumpNode(Lifecycle, LinkedNode):
         """Declare the parameters, and open topics and services."""
         LinkedNode.__init__(self, "pump", "pump")
         self._site = site = self.declare_site()
-        values = declare(self, parameters(site)[1:])  # the link declares the first
-        self._drive = _Drive(values, self.get_name())
         self.act_every(site.tau)
+        values = declare(self, parameters(site))
+        self._drive = _Drive(values, self.get_name())
+        self._without_timeout: bool = values["activate_without_drive_timeout"]
+        self._autostart: bool = values["autostart"]
+        self._command_limit = self._checked_command_limit(values)
         given = {one.name: values[one.name] for one in pump_parameters(site)}
         given["least_speed"] = max(given["least_speed"], self._drive.file.least_speed)
-        settings = PumpSettings(**given)
-        self._settings, self._state_file = settings, self._place_of_state(values)
-        drive_stops_after = UNREAD_S + values["drive_timeout_limit"] + LONGEST_RAMP_S
-        if self._drive.without_timeout:
-            drive_stops_after = math.inf
-        self._drive_stops_after = drive_stops_after
+        self._settings = PumpSettings(**given)
+        own_name = self.get_fully_qualified_name().strip("/").replace("/", "-")
+        self._state_file = state_directory() / f"{own_name}.json"
+        if values["state_file"]:
+            self._state_file = Path(values["state_file"])
+        # Within which time a drive that is not heard stands (s).
+        self._drive_stops_after = UNREAD_S + values["drive_timeout_limit"] + LONGEST_RAMP_S
+        if self._without_timeout:
+            self._drive_stops_after = math.inf
         self._begin_with(Ledger(self._state_file, time.time))
         self._permit = PermitReader()
-        self._command_limit = self._checked_command_limit(values)
-        self._autostart: bool = values["autostart"]
-        self._without_timeout = self._drive.without_timeout
-        self._resetting_until = 0.0
         self._decision = Decision(
             None, "off", "not started", (), 0.0, "", "", stands=False, turns_at=None,
             flow_known=False, blind_for=0.0,
         )
         self._state = self._logged = ""
-        self._reasons: tuple[object, ...] = ()
-        now = time.monotonic()
-        # Both of the clock that goes on in a suspend, as the permit's.
-        self._commanded = -math.inf
-        self._idle_at = boot_time()
-        self._suspended, self._suspend_seen = suspended_time(), -math.inf
-        self._simulated = 0.0
-        self._stepped: float | None = None
-        self._decided = now
-        self._tried = self._looked_at = -_AGAIN_S
+        self._reasons: tuple[object, ...] = ()  # as of the last decision
+        self._begin_times()
         self._rules = [
             LevelRule(reach, values[FROZEN_MOVEMENT.name], values[JUMP_TOLERANCE.name])
             for reach in (cistern_reach(site), roof_reach(site))
@@ -309,13 +281,41 @@ class PumpNode(Lifecycle, LinkedNode):
             self._meter = self.subscribe(_METER, optional=True)
             self._rival = self.rivals("/pump/flow")
         else:
-            self.subscribe(CLOCK, self._on_clock, raw=True)
+            self.subscribe(CLOCK, self.set_time)
         self._publish_flow = self.publish_topic("/pump/flow")
         self._publish_state = self.publish_topic("/pump/state")
         Lifecycle.__init__(self)
         self.create_service(SetBool, "~/stop", self._on_stop_request)
         self.create_service(Trigger, "~/reset", self._on_reset_request)
-        self._step(now, 0.0)
+        self._step(self._decided, 0.0)
+
+    def _checked_command_limit(self, values: dict[str, Any]) -> float:
+        """Return the greatest age of a command (s).
+
+        Raises:
+            ConfigurationError: in a live graph the pump would never run with it.
+        """
+        name, tau = LIMITS["/pump/command"].name, self._site.tau
+        limit: float = values[name]
+        if self.live and limit <= tau:
+            raise ConfigurationError(
+                f"must be more than tau of the site, {tau:g} s: a command comes once in that time",
+                key=f"parameter {name} of {self.get_name()}", value=limit,
+            )
+        return limit
+
+    def _begin_times(self) -> None:
+        """Set all that is measured from now on; none of it is on the wire."""
+        self._simulated = 0.0
+        self._stepped: float | None = None
+        self._decided = time.monotonic()
+        self._resetting_until = 0.0
+        self._tried = self._looked_at = -math.inf
+        # Both of the clock that goes on in a suspend, as the permit's.
+        self._commanded, self._idle_at = -math.inf, boot_time()
+        self._suspended, self._suspend_seen = suspended_time(), -math.inf
+
+    # --- what is kept over restarts ---------------------------------------------------------------
 
     def _begin_with(self, ledger: Ledger) -> None:
         """Control the pump with what a ledger knows of before."""
@@ -348,52 +348,29 @@ class PumpNode(Lifecycle, LinkedNode):
         if fault and fault != mine.found.fault:
             ledger.fault(fault, mine.record.fault_code)
 
-    def _place_of_state(self, values: dict[str, Any]) -> Path:
-        if values["state_file"]:
-            return Path(values["state_file"])
-        name = self.get_fully_qualified_name().strip("/").replace("/", "-")
-        return state_directory() / f"{name}.json"
+    # --- lifecycle --------------------------------------------------------------------------------
 
-    def _checked_command_limit(self, values: dict[str, Any]) -> float:
-        """Return the greatest age of a command (s).
-
-        Raises:
-            ConfigurationError: in a live graph the pump would never run with it.
-        """
-        name, tau = LIMITS["/pump/command"].name, self._site.tau
-        limit: float = values[name]
-        if self.live and limit <= tau:
-            raise ConfigurationError(
-                f"must be more than tau of the site, {tau:g} s: a command comes once in that time",
-                key=f"parameter {name} of {self.get_name()}", value=limit,
-            )
-        return limit
-
-    # --- lifecycle ------------------------------------------------------------------------------
-
-    def configure(self) -> None:
+    @transition
+    def on_configure(self) -> None:
         """Connect to the drive, and read what it is."""
         self._drive.connect()
         until = time.monotonic() + _WAIT_S
-        while self._drive.absence(time.monotonic()):
+        while absence := self._drive.absence(time.monotonic()):
             if time.monotonic() > until:
                 # It is tried on: a drive that comes is stopped.
-                raise RefusedError(
-                    f"not configured: {self._drive.absence(until)}; it is tried on, ask again"
-                )
+                raise RefusedError(f"not configured: {absence}; it is tried on, ask again")
             time.sleep(0.02)
         self.reports.hardware = self._drive.snapshot.identity
 
-    def activate(self) -> None:
+    @transition
+    def on_activate(self) -> None:
         """Let the pump run, unless the drive would run on alone, or a stop could not be kept."""
-        absence = self._drive.absence(time.monotonic())
-        if absence:
-            raise RefusedError(f"not activated: {absence}")
-        problem = self._drive.timeout_problem(self._drive.snapshot)
-        if problem and not self._without_timeout:
-            raise RefusedError(f"not activated: {problem}")
-        self._take_state()
-        problem = self._ledger.kept()
+        problem = self._drive.absence(time.monotonic())
+        if not problem and not self._without_timeout:
+            problem = self._drive.timeout_problem(self._drive.snapshot)
+        if not problem:
+            self._take_state()
+            problem = self._ledger.kept()
         if problem:
             raise RefusedError(f"not activated: {problem}")
         unverified = self._drive.file.unverified_and_vital
@@ -404,23 +381,20 @@ class PumpNode(Lifecycle, LinkedNode):
                 "drive_file_unverified",
             )
 
-    def deactivate(self) -> None:
+    @transition
+    def on_deactivate(self) -> None:
         """Ramp down."""
         self._step(time.monotonic(), 0.0)
 
-    def clean_up(self) -> None:
-        """Stop the drive, read that it stands, and let go of it.
-
-        Raises:
-            RefusedError: it does not stand yet; it is gone on with.
-            OSError: that could not be read.
-        """
+    @transition
+    def on_cleanup(self) -> None:
+        """Stop the drive, read that it stands, and let go of it; refused while it slows down."""
         self._let_go(_WAIT_S)
 
-    def _let_go(self, within: float | None) -> None:
-        said = self._drive.let_go(within)
-        if said:
-            self.get_logger().info(said)
+    @transition
+    def on_shutdown(self) -> None:
+        """Do the same, for good."""
+        self._let_go(_WAIT_S)
 
     def on_asked(self) -> None:
         """Leave the lifecycle to who asked."""
@@ -439,6 +413,11 @@ class PumpNode(Lifecycle, LinkedNode):
             if problem:
                 self.get_logger().error(problem)
 
+    def _let_go(self, within: float | None) -> None:
+        said = self._drive.let_go(within)
+        if said:
+            self.get_logger().info(said)
+
     def _start_by_itself(self, now: float) -> None:
         """Go towards *active* where that is possible, again and again."""
         if now - self._tried < _AGAIN_S or self.lifecycle_state == ACTIVE:
@@ -448,11 +427,11 @@ class PumpNode(Lifecycle, LinkedNode):
         if self._drive.absence(now):
             return
         if self.lifecycle_state == UNCONFIGURED:
-            self.change(CONFIGURE)
+            self.trigger_configure()
         if self.lifecycle_state == INACTIVE:
-            self.change(ACTIVATE)
+            self.trigger_activate()
 
-    # --- services -------------------------------------------------------------------------------
+    # --- services ---------------------------------------------------------------------------------
 
     def _on_stop_request(
         self, request: SetBool.Request, response: SetBool.Response
@@ -460,10 +439,7 @@ class PumpNode(Lifecycle, LinkedNode):
         self._take_state()
         self._control.stop(request.data)
         self._step(time.monotonic(), 0.0)
-        problem = self._ledger.kept()
-        response.success = not problem
-        response.message = f"{self._state}; but {problem}" if problem else self._state
-        return response
+        return self._kept(response, self._state)
 
     def _on_reset_request(
         self, request: Trigger.Request, response: Trigger.Response
@@ -472,22 +448,22 @@ class PumpNode(Lifecycle, LinkedNode):
         cleared = self._control.reset()
         self._drive.reset()
         self._resetting_until = time.monotonic() + RESET_S
-        response.message = f"cleared: {cleared}" if cleared else "there was no fault"
-        problem = self._ledger.kept()
-        response.success = not problem
-        if problem:
-            response.message += f"; but {problem}"
+        self._kept(response, f"cleared: {cleared}" if cleared else "there was no fault")
         self.get_logger().info(f"reset: {response.message}")
         return response
 
-    # --- inputs ---------------------------------------------------------------------------------
+    def _kept(self, response: Any, message: str) -> Any:
+        """Answer a service, by whether a restart would know of it."""
+        problem = self._ledger.kept()
+        response.success = not problem
+        response.message = f"{message}; but {problem}" if problem else message
+        return response
+
+    # --- inputs -----------------------------------------------------------------------------------
 
     def _on_command(self, value: float) -> None:
         """Note that a command came, in a live graph; in lockstep the node acts on each."""
         self._commanded = boot_time()
-
-    def _on_clock(self, message: bytes) -> None:
-        self.set_time(decode_clock(message))
 
     def on_inputs(self) -> None:
         """Act on a command, in lockstep; in a live graph, act because it is time to."""
@@ -495,15 +471,15 @@ class PumpNode(Lifecycle, LinkedNode):
         if not self.live:
             self._commanded = boot_time()
             self._simulated += self._site.tau
-        self._step(now, self._passed(now))
-        if self.live:
-            self._expect()
-        self._publish_flow(self._decision.flow)
-
-    def _passed(self, now: float) -> float:
-        """Return the time since the last step (s): simulated, or that of the steady clock."""
         before, self._stepped = self._stepped, now if self.live else self._simulated
-        return 0.0 if before is None else self._stepped - before
+        self._step(now, 0.0 if before is None else self._stepped - before)
+        if self.live and self._cistern.good and self._roof.good:
+            rises = expected_rise(
+                self._site, self._decision.flow, 0.0, self._cistern.value, self._roof.value
+            )
+            for rule, rise in zip(self._rules, rises, strict=True):
+                rule.expect(rise * self._site.tau)
+        self._publish_flow(self._decision.flow)
 
     def on_idle(self) -> float:
         """Stop where something speaks against running, whether or not commands come."""
@@ -529,19 +505,21 @@ class PumpNode(Lifecycle, LinkedNode):
             self._diagnose(now)
         return LISTEN_S
 
-    def progress(self) -> dict[str, Any]:
-        """Return what bringup shows, and waits for."""
-        kept = self._ledger.record
-        return {
-            "pump": self._state, "pump_state": self._decision.state,
-            "stands": self._decision.stands,
-            "speed": self._decision.turns_at,
-            "flow": self._decision.flow if self._decision.flow_known else None,
-            "active": self.lifecycle_state == ACTIVE and not self._drive.snapshot.unguarded,
-            "fault": kept.fault, "held": kept.held or kept.unknown,
-        }
+    def _look_for_suspend(self, now: float) -> None:
+        """Say, for a minute, that the machine was suspended while the pump was on."""
+        before, self._suspended = self._suspended, suspended_time()
+        seconds = self._suspended - before
+        if seconds > _PAUSE_S and not self._decision.stands:
+            self._suspend_seen = now
+            self.diagnose(
+                "suspend", ERROR, f"the machine was suspended for {seconds:.0f} s while the pump "
+                "was on, and only the drive's own communication timeout could stop it: keep this "
+                "machine from suspending", "suspended",
+            )
+        elif now - self._suspend_seen > _SAID_S:
+            self.diagnose("suspend", OK, "the machine stays awake while the pump is on")
 
-    # --- the pump -------------------------------------------------------------------------------
+    # --- the pump ---------------------------------------------------------------------------------
 
     def _reasons_against(self, now: float) -> dict[str, str]:
         """Return what this node has against running the pump, by interlock."""
@@ -559,30 +537,16 @@ class PumpNode(Lifecycle, LinkedNode):
                 reasons["drive_timeout"] = self._drive.timeout_problem(self._drive.snapshot)
             reasons["drive_guards_later"] = self._drive.snapshot.unguarded
         reasons["no_permit"] = self._permit.missing(boot_time())
-        reasons["two_controllers"] = self._two_publishers(now)
+        reasons["two_controllers"] = self._two_controllers(now)
         if self.live:
             # Another pump node may have the same drive: neither runs it then.
             reasons["two_pumps"] = self._rival(now)
         reasons["no_command"] = self._silence()
         return reasons
 
-    def _two_publishers(self, now: float) -> str:
+    def _two_controllers(self, now: float) -> str:
         problem = self.inputs.publishers["/pump/command"].problem(now)
         return f"{self._command.name} {problem}" if problem else ""
-
-    def _look_for_suspend(self, now: float) -> None:
-        """Say, for a minute, that the machine was suspended while the pump was on."""
-        before, self._suspended = self._suspended, suspended_time()
-        seconds = self._suspended - before
-        if seconds > _PAUSE_S and not self._decision.stands:
-            self._suspend_seen = now
-            self.diagnose(
-                "suspend", ERROR, f"the machine was suspended for {seconds:.0f} s while the pump "
-                "was on, and only the drive's own communication timeout could stop it: keep this "
-                "machine from suspending", "suspended",
-            )
-        elif now - self._suspend_seen > _SAID_S:
-            self.diagnose("suspend", OK, "the machine stays awake while the pump is on")
 
     def _silence(self) -> str:
         """Return that commands are missing, by the steady clock alone."""
@@ -595,30 +559,37 @@ class PumpNode(Lifecycle, LinkedNode):
             return f"this node itself stood still for {now - self._idle_at:.0f} s"
         return ""
 
-    def _value(self, entry: Input | None) -> float | None:
-        """Return the value of an input; None where it is not good, or none has come."""
-        return float(entry.value) if self.acted and entry is not None and entry.good else None
-
     def _step(self, now: float, dt: float) -> None:
-        """Decide on what is known, and say it."""
-        status, frost = self._drive.status(now), self._value(self._frost)
+        """Decide on what is known, and say it.
+
+        Args:
+            now: of the steady clock (s).
+            dt: time of the site since the last tick (s), steady or simulated; 0 between two.
+        """
+
+        def value(entry: Input | None) -> float | None:
+            good = self.acted and entry is not None and entry.good
+            return float(entry.value) if entry is not None and good else None
+
+        status, frost = self._drive.status(now), value(self._frost)
         seen = Observation(
-            command=self._value(self._command),
-            cistern_level=self._value(self._cistern),
-            roof_level=self._value(self._roof),
+            command=value(self._command),
+            cistern_level=value(self._cistern),
+            roof_level=value(self._roof),
             displacements=(self._rules[0].displacement, self._rules[1].displacement),
             frost=None if frost is None else frost > 0,
             speed=None if status is None else status.speed,
-            flow=self._value(self._meter),
+            flow=value(self._meter),
             drive_flow=None if status is None else status.flow,
             drive_ready=status is not None and (status.ready or status.running),
             drive_fault="" if now < self._resetting_until else _fault(status),
             runs_on=status is not None and status.runs_on,
             reasons=self._reasons_against(now),
         )
-        time_now = now if self.live else self._simulated
         drive_dt, self._decided = now - self._decided, now
-        self._decision = decision = self._control.step(time_now, dt, seen, drive_dt)
+        self._decision = decision = self._control.step(
+            now if self.live else self._simulated, dt, seen, drive_dt
+        )
         self._drive.demand(decision.speed)
         state = f"{decision.state}: {decision.why}"
         if state != self._state:
@@ -629,70 +600,64 @@ class PumpNode(Lifecycle, LinkedNode):
             self._logged = without_numbers
             self.get_logger().info(state)
 
-    def _expect(self) -> None:
-        """Expect of the levels what the pump does to them in a tick."""
-        if self._cistern.good and self._roof.good:
-            rises = expected_rise(
-                self._site, self._decision.flow, 0.0, self._cistern.value, self._roof.value
-            )
-            for rule, rise in zip(self._rules, rises, strict=True):
-                rule.expect(rise * self._site.tau)
+    # --- what is said -----------------------------------------------------------------------------
+
+    def progress(self) -> dict[str, Any]:
+        """Return what bringup shows, and waits for."""
+        kept, decision = self._ledger.record, self._decision
+        return {
+            "pump": self._state, "pump_state": decision.state,
+            "stands": decision.stands,
+            "speed": decision.turns_at,
+            "flow": decision.flow if decision.flow_known else None,
+            "active": self.lifecycle_state == ACTIVE and not self._drive.snapshot.unguarded,
+            "fault": kept.fault, "held": kept.held or kept.unknown,
+        }
 
     def _diagnose(self, now: float) -> None:
         """Say how each part is; what has numbers in it changes too often for the log."""
-        decision = self._decision
+        decision, say = self._decision, self.reports.diagnose
         code = decision.interlocks[0].interlock.code if decision.interlocks else ""
         level = ERROR if decision.state == "fault" else WARN if code else OK
-        say = self.reports.diagnose
         say("pump", level, self._state, code, self._cause(code))
-        limits = decision.warning or "nothing limits the pump"
-        say("limits", WARN if decision.warning else OK, limits,
-            "limited" if decision.warning else "", "")
+        limited = bool(decision.warning)
+        say("limits", WARN if limited else OK, decision.warning or "nothing limits the pump",
+            "limited" if limited else "", "")
         say("flow", OK, f"known so: {decision.source}", "", "")
-        trouble = self._two_publishers(now) or (
-            "" if self._command.good else f"{self._command.name} {self._command.why}"
-        )
-        silence = self._silence()
-        late = bool(silence) and self.acted
-        self.diagnose(
-            "command", ERROR if trouble else STALE if late else OK,
-            trouble or silence or "commands come",
-            self._command.code or "two_controllers" if trouble else "no_command" if late else "",
-        )
+        self._diagnose_command(now)
         bad = [one for one in (self._cistern, self._roof) if not one.good]
-        self.diagnose(
-            "levels", ERROR if bad else OK,
-            "; ".join(f"{one.name} {one.why}" for one in bad) or "both levels are good",
-            bad[0].code if bad else "",
+        self._say(
+            "levels", ERROR, "; ".join(f"{one.name} {one.why}" for one in bad),
+            bad[0].code if bad else "", "both levels are good",
         )
-        frost = f"{self._frost.name} {self._frost.why}" if not self._frost.good else ""
-        if self._frost.good and self._frost.value > 0:
-            frost = "there is frost"
         blind = (
             f"blind for {decision.blind_for:.0f} s: a level is unknown, or both were not known for "
             f"{self._settings.averaging_time:g} s yet"
         )
-        self.diagnose(
-            "delivery", WARN if decision.blind_for else OK,
-            blind if decision.blind_for else "what is pumped is compared with both levels",
-            "delivery_blind" if decision.blind_for else "",
+        self._say(
+            "delivery", WARN, blind if decision.blind_for else "", "delivery_blind",
+            "what is pumped is compared with both levels",
         )
-        kept = self._ledger.problem
-        self.diagnose(
-            "state file", ERROR if kept else OK, kept or "stops and faults are kept",
-            "state_not_kept" if kept else "",
+        self._say(
+            "state file", ERROR, self._ledger.problem, "state_not_kept", "stops and faults are kept"
         )
-        self.diagnose(
-            "frost", WARN if frost else OK, frost or "there is no frost",
-            "frost" if self._frost.good and frost else self._cause("frost_unknown"),
-        )
+        if self._frost.good:
+            frost = "there is frost" if self._frost.value > 0 else ""
+            self._say("frost", WARN, frost, "frost", "there is no frost")
+        else:
+            why = f"{self._frost.name} {self._frost.why}"
+            self._say("frost", WARN, why, self._cause("frost_unknown"), "")
         if self._permit.given:
             why = self._permit.missing(boot_time())
-            self.diagnose(
-                "supervisor", WARN if why else OK, why or "bringup lets the pump run",
-                "no_permit" if why else "",
-            )
+            self._say("supervisor", WARN, why, "no_permit", "bringup lets the pump run")
         self._diagnose_drive(now)
+
+    def _say(self, part: str, level: bytes, problem: str, code: str, well: str) -> None:
+        """Say that a part has a problem, or where there is none that it is well."""
+        if problem:
+            self.diagnose(part, level, problem, code)
+        else:
+            self.diagnose(part, OK, well)
 
     def _cause(self, code: str) -> str:
         """Return the code from which an interlock follows; empty where that is not known."""
@@ -704,11 +669,22 @@ class PumpNode(Lifecycle, LinkedNode):
         unknown = code == "frost_unknown" and cause == "input_refused"  # a NaN says so
         return "temperature_unknown" if unknown else cause
 
+    def _diagnose_command(self, now: float) -> None:
+        command, silence = self._command, self._silence()
+        trouble = self._two_controllers(now)
+        if not trouble and not command.good:
+            trouble = f"{command.name} {command.why}"
+        if trouble:
+            self.diagnose("command", ERROR, trouble, command.code or "two_controllers")
+        elif silence and self.acted:
+            self.diagnose("command", STALE, silence, "no_command")
+        else:
+            self.diagnose("command", OK, silence or "commands come")
+
     def _diagnose_drive(self, now: float) -> None:
         if self.lifecycle_state == UNCONFIGURED and not self._autostart:
-            self.diagnose(
-                "drive", WARN, self.refusal or "the node is not configured", "not_active"
-            )
+            why = self.refusal or "the node is not configured"
+            self.diagnose("drive", WARN, why, "not_active")
             return
         snapshot, status = self._drive.snapshot, self._drive.status(now)
         if status is None:
@@ -719,24 +695,26 @@ class PumpNode(Lifecycle, LinkedNode):
         if status.fault:
             code = "runs_on" if status.runs_on else "drive_fault"
             self.diagnose("drive", ERROR, f"the drive reports a fault: {status.fault}", code)
-        elif snapshot.problem or status.warning or not status.remote:
+        else:
             local = "" if status.remote else "it is in local control"
             said = "; ".join(filter(None, (snapshot.problem, status.warning, local)))
-            code = "drive_warning" if status.remote else "drive_local"
-            self.diagnose("drive", WARN, f"the drive: {said}", code)
-        else:
-            self.diagnose("drive", OK, f"connected to {snapshot.identity}")
+            self._say(
+                "drive", WARN, said and f"the drive: {said}",
+                "drive_warning" if status.remote else "drive_local",
+                f"connected to {snapshot.identity}",
+            )
+        own = self._drive.timeout
+        beware = f"; beware: {own.traps}" if own is not None and own.traps else ""
         problem, later = self._drive.timeout_problem(snapshot), snapshot.unguarded
-        level, code = (
-            (WARN, "drive_timeout_waived") if problem and self._without_timeout
-            else (ERROR, "drive_timeout") if problem
-            else (WARN, "drive_guards_later") if later else (OK, "")
-        )
-        said = problem or later or (
-            f"without this machine the drive stops after {snapshot.timeout_s:g} s"
-        )
-        traps = self._drive.timeout_traps
-        self.diagnose("drive timeout", level, f"{said}; beware: {traps}" if traps else said, code)
+        if problem and not self._without_timeout:
+            self.diagnose("drive timeout", ERROR, problem + beware, "drive_timeout")
+        elif problem or later:
+            code = "drive_timeout_waived" if problem else "drive_guards_later"
+            self.diagnose("drive timeout", WARN, (problem or later) + beware, code)
+        else:
+            seconds = f"{snapshot.timeout_s:g} s"
+            well = f"without this machine the drive stops after {seconds}{beware}"
+            self.diagnose("drive timeout", OK, well)
 
 
 def _fault(status: DriveStatus | None) -> str:
@@ -744,23 +722,10 @@ def _fault(status: DriveStatus | None) -> str:
     return "" if status is None or status.timed_out else status.fault
 
 
-def _help() -> str:
-    """Return the node's help."""
-    return node_help(
-        "pump", "pump", f"{__doc__}", [LIVE, site_file(), *parameters(default_site())[1:]],
-        "--ros-args -p drive:=danfoss_fc202 -p address:=gateway://127.0.0.1:5020 "
-        "-p autostart:=true",
-    )
-
-
-@command
-def main() -> int:
-    """Run the node."""
-    arguments = NodeParser().own_arguments()
-    if arguments.help:
-        print(_help())
-        return EXIT_DONE
-    return run_node(PumpNode)
+main = node_command(
+    PumpNode, "pump", "pump", __doc__, parameters,
+    "--ros-args -p drive:=danfoss_fc202 -p address:=gateway://127.0.0.1:5020 -p autostart:=true",
+)
 
 
 if __name__ == "__main__":

@@ -9,7 +9,6 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from greenroof_ros.common.command_line import EXIT_DONE, command
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.interface import recorded_topics
 from greenroof_ros.common.parameter import Parameter
@@ -17,19 +16,22 @@ from greenroof_ros.controllers.registry import DEFAULT, find_controller
 from greenroof_ros.graph.errors import LockstepError
 from greenroof_ros.graph.link import LISTEN_S, LinkedNode
 from greenroof_ros.graph.lockstep import CLOCK
-from greenroof_ros.graph.node_help import NodeParser, node_help
-from greenroof_ros.graph.node_process import run_node
+from greenroof_ros.graph.node_help import node_command
 from greenroof_ros.graph.parameters import declare
 from greenroof_ros.graph.serialization import decode_clock
+from greenroof_ros.model.site import Site
 from greenroof_ros.recording.bag_writer import BagWriter
 
-PARAMETERS = (
-    Parameter("directory", "bag", meaning="the bag; must not exist"),
-    Parameter(
-        "controller", DEFAULT, meaning="the active controller: a name, or package.module:Class",
-    ),
-    Parameter("peer_limit", 5.0, "s", 0.1, 1e6, "longest wait for the last messages"),
-)
+
+def parameters(site: Site | None = None) -> list[Parameter]:
+    """Return the node's parameters, which are the same at every site."""
+    return [
+        Parameter("directory", "bag", meaning="the bag; must not exist"),
+        Parameter(
+            "controller", DEFAULT, meaning="the active controller: a name, or package.module:Class",
+        ),
+        Parameter("peer_limit", 5.0, "s", 0.1, 1e6, "longest wait for the last messages"),
+    ]
 
 
 class RecorderNode(LinkedNode):
@@ -42,7 +44,7 @@ class RecorderNode(LinkedNode):
     def __init__(self) -> None:
         """Declare the parameters, make the bag and open the topics."""
         super().__init__("recorder", "recorder", may_be_live=False)
-        values = declare(self, PARAMETERS)
+        values = declare(self, parameters())
         directory = values["directory"]
         self._limit = values["peer_limit"]
         try:
@@ -158,20 +160,10 @@ class RecorderNode(LinkedNode):
             self._close()
 
 
-def _help() -> str:
-    return node_help(
-        "recorder", "recorder", __doc__, PARAMETERS,
-        "--ros-args -p directory:=my_bag -p controller:=mpc",
-    )
-
-
-@command
-def main() -> int:
-    """Run the node."""
-    if NodeParser().own_arguments().help:
-        print(_help())
-        return EXIT_DONE
-    return run_node(RecorderNode)
+main = node_command(
+    RecorderNode, "recorder", "recorder", __doc__, parameters,
+    "--ros-args -p directory:=my_bag -p controller:=mpc",
+)
 
 
 if __name__ == "__main__":

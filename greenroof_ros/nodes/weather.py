@@ -12,7 +12,6 @@ from datetime import datetime, timedelta, timezone
 from pathlib import Path
 from typing import Any
 
-from greenroof_ros.common.command_line import EXIT_DONE, command
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.parameter import Parameter
 from greenroof_ros.common.times import (
@@ -44,14 +43,8 @@ from greenroof_ros.graph.errors import LockstepError
 from greenroof_ros.graph.link import LinkedNode
 from greenroof_ros.graph.live import live_parameters
 from greenroof_ros.graph.lockstep import CLOCK
-from greenroof_ros.graph.node_help import NodeParser, node_help
-from greenroof_ros.graph.node_process import run_node
-from greenroof_ros.graph.parameters import (
-    LIVE,
-    declare,
-    default_site,
-    site_file,
-)
+from greenroof_ros.graph.node_help import node_command
+from greenroof_ros.graph.parameters import LIVE, declare, site_file
 from greenroof_ros.graph.reports import ERROR, OK, WARN
 from greenroof_ros.graph.validation import Input
 from greenroof_ros.model.site import Site
@@ -66,9 +59,11 @@ _USUAL = -1.0
 
 
 def parameters(site: Site) -> list[Parameter]:
-    """Return the node's parameters, but that of the site."""
+    """Return the node's parameters."""
     forecast = ForecastChoice()
     return [
+        LIVE,
+        site_file(),
         Parameter("weather_files", [str(default_weather())], meaning="hourly records, joined"),
         Parameter("start", DEFAULT_START, meaning="time of tick 0, ISO 8601"),
         Parameter("run_length", site.N, "ticks", 1, 2**40, "N"),
@@ -126,18 +121,14 @@ def parameters(site: Site) -> list[Parameter]:
 
 def _forecast(values: dict[str, Any]) -> ForecastChoice:
     """Return the forecasts that the parameters choose."""
-    text = values["forecast"]
+    name = "forecast"
     try:
-        choice = choose(text)
+        choice = choose(values[name])
+        name = "forecast_skill"
+        check_skill(values[name])
     except ValueError as error:
         raise ConfigurationError(
-            str(error), key="parameter forecast of weather", value=text
-        ) from error
-    try:
-        check_skill(values["forecast_skill"])
-    except ValueError as error:
-        raise ConfigurationError(
-            str(error), key="parameter forecast_skill of weather", value=values["forecast_skill"]
+            str(error), key=f"parameter {name} of weather", value=values[name]
         ) from error
     given = {name: values[f"forecast_{name}"] for name in OPTIONS}
     if given["delay"] == _USUAL:
@@ -251,27 +242,25 @@ class WeatherNode(LinkedNode):
         if self._thermometer.good:
             temperature = self._thermometer.value
         self._publish_frost(self._frost(temperature))
+        evapotranspiration: float | None
         if outlook is not None:
             self._publish_rain_forecast(outlook.rain)
             self._publish_evapotranspiration_forecast(outlook.evapotranspiration)
-            self._publish_rain(outlook.rain_now)
-            self._publish_evapotranspiration(outlook.evapotranspiration_now)
+            rain, evapotranspiration = outlook.rain_now, outlook.evapotranspiration_now
         else:
-            if rain is not None:
-                self._publish_rain(rain)
-            self._publish_climate(now)
+            # What is usual in this month, where the site says it.
+            zone = timezone(timedelta(hours=self._site.utc_offset or 0.0))
+            month = now.astimezone(zone).month
+            evapotranspiration = self._site.climatic_evapotranspiration(month)
+        if rain is not None:
+            self._publish_rain(rain)
+        if evapotranspiration is not None:
+            self._publish_evapotranspiration(evapotranspiration)
         instead = "unknown" if forecast is None else "forecast"
         self._say_gauge("rain gauge", self._rain_gauge, f"the present rain is {instead}")
         self._say_gauge(
             "thermometer", self._thermometer, f"the present temperature is {instead}"
         )
-
-    def _publish_climate(self, now: datetime) -> None:
-        """Publish the evapotranspiration that is usual in this month, where the site says it."""
-        zone = timezone(timedelta(hours=self._site.utc_offset or 0.0))
-        usual = self._site.climatic_evapotranspiration(now.astimezone(zone).month)
-        if usual is not None:
-            self._publish_evapotranspiration(usual)
 
     def _outlook(
         self, forecast: LiveForecast, now: datetime, rain: float | None
@@ -294,12 +283,9 @@ class WeatherNode(LinkedNode):
             return None
         issued = f"the newest forecast was issued at {to_people(outlook.issued)}"
         if problem:
-            self.diagnose(
-                "forecast", WARN, f"{issued}; what was read before holds on: {problem}",
-                "forecast_unreadable",
-            )
-        else:
-            self.diagnose("forecast", OK, issued)
+            issued += f"; what was read before holds on: {problem}"
+        code = "forecast_unreadable" if problem else ""
+        self.diagnose("forecast", WARN if problem else OK, issued, code)
         return outlook
 
     def _frost(self, temperature: float) -> float:
@@ -307,16 +293,13 @@ class WeatherNode(LinkedNode):
         if not math.isnan(temperature):
             self.diagnose("frost", OK, "the temperature is known")
             return float(temperature <= 0)
+        level, pumps = WARN, "may run all the same"
         if math.isnan(self._unknown_frost):
-            self.diagnose(
-                "frost", ERROR, "the temperature is unknown, and so whether there is frost: the "
-                "pumps stand (unknown_frost_may_pump)", "temperature_unknown",
-            )
-        else:
-            self.diagnose(
-                "frost", WARN, "the temperature is unknown, and so whether there is frost: the "
-                "pumps may run all the same (unknown_frost_may_pump)", "temperature_unknown",
-            )
+            level, pumps = ERROR, "stand"
+        self.diagnose(
+            "frost", level, "the temperature is unknown, and so whether there is frost: the pumps "
+            f"{pumps} (unknown_frost_may_pump)", "temperature_unknown",
+        )
         return self._unknown_frost
 
     def _say_gauge(self, part: str, gauge: Input, instead: str) -> None:
@@ -329,20 +312,9 @@ class WeatherNode(LinkedNode):
             )
 
 
-def _help() -> str:
-    return node_help(
-        "weather", "weather", __doc__, [LIVE, site_file(), *parameters(default_site())],
-        "--ros-args -p forecast:=persistence",
-    )
-
-
-@command
-def main() -> int:
-    """Run the node."""
-    if NodeParser().own_arguments().help:
-        print(_help())
-        return EXIT_DONE
-    return run_node(WeatherNode)
+main = node_command(
+    WeatherNode, "weather", "weather", __doc__, parameters, "--ros-args -p forecast:=persistence",
+)
 
 
 if __name__ == "__main__":

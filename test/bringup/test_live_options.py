@@ -292,7 +292,7 @@ NODES = {
 def test_a_parameter_that_a_node_has(tmp_path: Path, text: str) -> None:
     """It is left to the node."""
     pytest.importorskip("rclpy")
-    from greenroof_ros.nodes.parameter_file import refuse_unknown_in
+    from greenroof_ros.graph.parameters import refuse_unknown_in
 
     file = tmp_path / "nodes.yaml"
     file.write_text(text)
