@@ -5,20 +5,18 @@ from __future__ import annotations
 import re
 import signal
 import subprocess
-import sys
 import time
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from diagnostic_msgs.msg import DiagnosticArray
-from graphs import environment, wait_for
+from graphs import Process, wait_for
 from lifecycle_msgs.srv import ChangeState, GetState
 from places import CONFIG, guarding
+from ros_rig import Observer, start_node
 from rosgraph_msgs.msg import Clock
 from simulators import PATIENCE_S
-from std_msgs.msg import Float64, String
-from test_nodes import Observer, qos
+from std_msgs.msg import Float64
 
 from greenroof_ros.drives.address import parse_address
 from greenroof_ros.simulators.faults import DEFAULT
@@ -27,34 +25,30 @@ from greenroof_ros.simulators.workbench import Workbench
 # Ten ticks of 1 s in a second, and a drive that ramps ten times as fast as in real time.
 PERIOD_S, FACTOR = 0.1, 10
 MAKES = {path.stem for path in (CONFIG / "drives").glob("*.yaml")}
-OK, WARN, ERROR, STALE = b"\x00", b"\x01", b"\x02", b"\x03"
 LEAST_TIMES = {"least_on": 1.0, "least_off": 1.0, "starts_per_hour": 3600.0}
 
 
 class SimulatedDrive:
-    """The program, and its workbench."""
+    """The program, which ends with the test, and its workbench."""
 
-    def __init__(self, domain: int, cwd: Path, *options: str, make: str = "abb_acs880") -> None:
+    def __init__(
+        self, domain: int, cwd: Path, *options: str, make: str = "abb_acs880",
+        pace: tuple[str, ...] = ("--speed", str(FACTOR), "--boot", "0.1", "--timeout", "1.5"),
+    ) -> None:
         """Start it, and wait until it is ready."""
-        self._command = [sys.executable, "-m", "greenroof_ros.drive_simulator", "--drive", make]
-        self._command += ["--speed", str(FACTOR), "--boot", "0.1", "--timeout", "1.5", *options]
-        self._domain, self._cwd = domain, cwd
+        self.domain, self.cwd = domain, cwd
+        self._options = ("--drive", make, *pace, *options)
         self.start("--port", "0", "--workbench", "0")
 
     def start(self, *options: str) -> None:
-        self.process = subprocess.Popen(
-            [*self._command, *options], cwd=self._cwd, env=environment(self._domain),
-            stdout=subprocess.PIPE, text=True,
+        self.process = Process(
+            self.domain, "drive_simulator", *self._options, *options, cwd=self.cwd
         )
-        assert self.process.stdout is not None
-        line = self.process.stdout.readline()
-        found = re.match(r"ready: drive (\S+), .*; workbench (\S+),", line)
-        assert found, line
-        self.address, self._workbench = found[1], found[2]
+        self.address, self.workbench = addresses(self.process)
 
     def ask(self, question: Callable[[Workbench], Any]) -> Any:
         """Do something at the workbench."""
-        workbench = Workbench(parse_address(self._workbench), timeout_s=PATIENCE_S)
+        workbench = Workbench(parse_address(self.workbench), timeout_s=PATIENCE_S)
         try:
             return question(workbench)
         finally:
@@ -68,9 +62,14 @@ class SimulatedDrive:
         self.ask(lambda bench: bench.inject(fault, parameter))
 
     def end(self) -> None:
-        if self.process.poll() is None:
-            self.process.terminate()
-            self.process.wait(120)
+        self.process.process.terminate()
+        self.process.wait(120)
+
+
+def addresses(simulator: Process) -> list[str]:
+    """Return what a simulator says when it is ready."""
+    line = wait_for(lambda: simulator.stdout().partition("\n")[0], 60, "a simulator that is ready")
+    return re.findall(r"(?:tcp|gateway)://[\d.:]+", line)
 
 
 class PumpRig:
@@ -80,52 +79,32 @@ class PumpRig:
         self.cwd, self.observer = cwd, observer
         self.domain = domain
         self.node = observer.node
-        self.flows: list[float] = []
-        self.states: list[str] = []
-        self.diagnoses: dict[str, tuple[bytes, str, str]] = {}
-        self.values: dict[str, dict[str, str]] = {}
+        self.flows: list[float] = observer.hear("/pump/flow")
+        self.states: list[str] = observer.hear("/pump/state")
         self.every_tick: Callable[[], None] = lambda: None
         self._ticks = 0
         self._volumes = [75.0, 0.3]
-        self._processes: list[subprocess.Popen[bytes]] = []
+        self._processes: list[subprocess.Popen[Any]] = []
         self._publishers: dict[str, Any] = {}
         self._open()
-        self.node.create_subscription(
-            Float64, "/pump/flow", lambda message: self.flows.append(message.data),
-            qos("/pump/flow"),
-        )
-        self.node.create_subscription(
-            String, "/pump/state", lambda message: self.states.append(message.data),
-            qos("/pump/state"),
-        )
-        self.node.create_subscription(
-            DiagnosticArray, "/diagnostics", self._on_diagnostics, qos("/diagnostics")
-        )
 
     def _open(self) -> None:
         """Begin without a past: a node that is started again takes part from the next tick on."""
         self.leave()
         self._publishers = {
-            name: self.node.create_publisher(kind, name, qos(name))
-            for name, kind in (
-                ("/clock", Clock), ("/cistern/level", Float64), ("/roof/level", Float64),
-                ("/weather/frost", Float64), ("/pump/command", Float64), ("/pump/meter", Float64),
-            )
+            name: self.observer.publisher(name)
+            for name in ("/clock", "/cistern/level", "/roof/level", "/weather/frost",
+                         "/pump/command", "/pump/meter")
         }
-
-    def _on_diagnostics(self, message: DiagnosticArray) -> None:
-        for status in message.status:
-            self.diagnoses[status.name] = (status.level, status.message, status.hardware_id)
-            self.values[status.name] = {one.key: one.value for one in status.values}
 
     def code(self, part: str) -> str:
         """Return the condition code of a part; empty where it is well."""
-        return self.values.get(f"/pump: {part}", {}).get("code", "")
+        return str(self.observer.values(f"/pump: {part}").get("code", ""))
 
     def start(
         self, address: str, *, drive: str = "abb_acs880", popen: dict[str, Any] | None = None,
         **parameters: object,
-    ) -> subprocess.Popen[bytes]:
+    ) -> subprocess.Popen[Any]:
         """Start the node; its state file is the same each time."""
         given = {
             "drive": guarding(drive, self.cwd) if drive in MAKES else drive,
@@ -135,14 +114,7 @@ class PumpRig:
         self.states.clear()
         if self._processes:
             self._open()
-        process = subprocess.Popen(
-            [
-                sys.executable, "-m", "greenroof_ros.nodes.pump", "--ros-args",
-                *(word for name, value in given.items() if value is not None
-                for word in ("-p", f"{name}:={value}")),
-            ],
-            cwd=self.cwd, **{"env": environment(self.domain), **(popen or {})},
-        )
+        process = start_node(self.domain, self.cwd, "pump", popen=popen, **given)
         self._processes.append(process)
         return process
 
@@ -201,7 +173,7 @@ class PumpRig:
             self.tick(command)
             return condition()
 
-        wait_for(ticked, seconds, f"{what} ({self.states[-3:]}, {self.diagnoses})")
+        wait_for(ticked, seconds, f"{what} ({self.states[-3:]})")
         return time.monotonic() - began
 
     def run(self, drive: SimulatedDrive, command: float = 0.5) -> None:
@@ -220,16 +192,11 @@ class PumpRig:
 
     def says(self, part: str, level: bytes, *words: str) -> bool:
         """Whether a part of the node is at a level, with some words."""
-        found = self.diagnoses.get(f"/pump: {part}")
-        return found is not None and found[0] == level and all(w in found[1] for w in words)
+        return self.observer.says(f"/pump: {part}", level, *words)()
 
     def call(self, kind: Any, name: str, **fields: object) -> Any:
         """Call a service of the node."""
-        client = self.node.create_client(kind, f"/pump/{name}")
-        self.observer.until(client.service_is_ready, 20, name)
-        future = client.call_async(kind.Request(**fields))
-        self.observer.until(future.done, 15, f"an answer of {name}")
-        return future.result()
+        return self.observer.call(kind, f"/pump/{name}", **fields)
 
     def change(self, label: str) -> bool:
         """Ask for a transition."""

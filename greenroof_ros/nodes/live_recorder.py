@@ -9,7 +9,6 @@ that hangs: what comes waits in memory, up to 32 MB, and is written when the dis
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -72,15 +71,13 @@ class LiveRecorderNode(LinkedNode):
         self._unwritten = 0  # messages for which there was no room in memory
         self._looked_at = time.monotonic()
         for topic, name in zip(topics, names, strict=True):
-            self.record(topic.name, self._writer(name))
+            self.record(topic.name, partial(self._take, name))
 
-    def _writer(self, name: str) -> Callable[[bytes], None]:
-        def callback(message: bytes) -> None:
-            write = partial(self._bag.write, name, time.time_ns(), message, time.monotonic())
-            if not DISK.do(write, len(message)):
-                self._unwritten += 1
-
-        return callback
+    def _take(self, name: str, message: bytes) -> None:
+        """Have a message written, with the time at which it came."""
+        write = partial(self._bag.write, name, time.time_ns(), message, time.monotonic())
+        if not DISK.do(write, len(message)):
+            self._unwritten += 1
 
     def on_idle(self) -> float:
         """Flush when it is time to, and say how recording goes."""

@@ -98,7 +98,6 @@ class PlantNode(LinkedNode):
         self._tick_ns = round(site.tau * 1e9)
         self._tick = 0
         self._written = 0
-        self._command = 0.0
         self._running = False
         self._held = False  # the tick is due, but not yet allowed: pace or recorder
         self._done = False
@@ -114,7 +113,7 @@ class PlantNode(LinkedNode):
         self._evapotranspiration = self.subscribe("/weather/evapotranspiration")
         # Frost ends a minimum time on; without one there is nothing but the command to obey.
         self._frost = self.subscribe("/weather/frost") if errors.minimum_on else None
-        self._command_input = self.subscribe("/pump/command")
+        self._command = self.subscribe("/pump/command")
         if self._external:
             self._flow = self.subscribe("/pump/flow")
         else:
@@ -169,7 +168,7 @@ class PlantNode(LinkedNode):
         if self._tick == 0:
             self._began = time.monotonic()  # before that the others were still joining
         rain = self._rain.value
-        self._command = command = self._command_input.value
+        command = self._command.value
         if self._external:
             pump = self._flow.value
         else:
@@ -242,7 +241,7 @@ class PlantNode(LinkedNode):
             "tick": self._tick,
             "cistern_level": cistern,
             "roof_level": roof,
-            "command": self._command,
+            "command": self._command.value,
         }
 
     def summary(self) -> dict[str, Any]:

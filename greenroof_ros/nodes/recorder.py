@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import time
 from collections import deque
-from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -68,31 +68,16 @@ class RecorderNode(LinkedNode):
         self._ending_since: float | None = None
         self._publish_written = self.publish_topic("/recorder/written")
         self._queues: list[deque[bytes]] = [deque() for _ in self._topics]
-        self._waiting = len(self._topics)  # how many topics have not yet sent the next tick
         for topic, queue in zip(self._topics, self._queues, strict=True):
-            self.subscribe(topic.name, self._collect(queue), raw=True)
+            self.subscribe(topic.name, partial(self._take, queue), raw=True)
         self._clock_index = [topic.name for topic in self._topics].index(CLOCK)
 
-    def _collect(self, queue: deque[bytes]) -> Callable[[bytes], None]:
-        def callback(message: bytes) -> None:
-            queue.append(message)
-            if len(queue) == 1:
-                self._waiting -= 1
-                if not self._waiting:
-                    self._write_ticks()
-
-        return callback
-
-    def progress(self) -> dict[str, Any]:
-        """Return where the bag is, an absolute path."""
-        return {"bag": str(self._bag.directory.resolve())}
-
-    def _write_ticks(self) -> None:
-        """Write every tick that is whole."""
-        self.acted = True
-        queues = self._queues
-        while all(queues):
-            messages = [queue.popleft() for queue in queues]
+    def _take(self, queue: deque[bytes], message: bytes) -> None:
+        """Keep a message of a topic, and write every tick that is whole by it."""
+        queue.append(message)
+        while all(self._queues):
+            self.acted = True
+            messages = [one.popleft() for one in self._queues]
             now = decode_clock(messages[self._clock_index])
             try:
                 self._bag.write_tick(now, messages)
@@ -101,8 +86,11 @@ class RecorderNode(LinkedNode):
                 raise self._damaged(error) from error
             if self._bag.safe == self._bag.ticks:
                 self._report_written()
-        self._waiting = sum(not queue for queue in queues)
-        self.set_time(now)
+            self.set_time(now)
+
+    def progress(self) -> dict[str, Any]:
+        """Return where the bag is, an absolute path."""
+        return {"bag": str(self._bag.directory.resolve())}
 
     def _report_written(self) -> None:
         self._publish_written(float(self._bag.safe))

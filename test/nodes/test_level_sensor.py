@@ -10,20 +10,14 @@ from pathlib import Path
 
 import pytest
 import yaml
+from graphs import environment, free_ports
+from places import CONFIG
+from ros_rig import ERROR, OK, Observer, start_node
+from simulators import PATIENCE_S
 
-rclpy = pytest.importorskip("rclpy", reason="nodes need ROS 2")
-pytest.importorskip("pymodbus", reason="sensors are on Modbus")
-
-from diagnostic_msgs.msg import DiagnosticArray  # noqa: E402
-from graphs import environment  # noqa: E402
-from places import CONFIG  # noqa: E402
-from simulators import PATIENCE_S  # noqa: E402
-from std_msgs.msg import Float64  # noqa: E402
-from test_nodes import Observer, observer, qos  # noqa: E402, F401
-
-from greenroof_ros.drives.address import parse_address  # noqa: E402
-from greenroof_ros.simulators.faults import SITE_FAULTS  # noqa: E402
-from greenroof_ros.simulators.workbench import Workbench  # noqa: E402
+from greenroof_ros.drives.address import parse_address
+from greenroof_ros.simulators.faults import SITE_FAULTS
+from greenroof_ros.simulators.workbench import Workbench
 
 
 def inject(address: str, fault: str) -> None:
@@ -32,31 +26,14 @@ def inject(address: str, fault: str) -> None:
     workbench.close()
 
 
-def test_levels_of_a_simulated_site(
-    domain: int, tmp_path: Path, observer: Observer  # noqa: F811
-) -> None:
+def test_levels_of_a_simulated_site(domain: int, tmp_path: Path, observer: Observer) -> None:
     """Both tanks: their levels once a period; of a bad sensor nothing, and why."""
     sensors = yaml.safe_load((CONFIG / "sensors.yaml").read_text())
-    for number, tank in enumerate(("cistern", "roof")):
-        sensors[tank] |= {"address": f"tcp://127.0.0.1:{15830 + domain * 2 + number}"}
-        sensors[tank] |= {"period": 0.2}
+    for tank, port in zip(("cistern", "roof"), free_ports(2), strict=True):
+        sensors[tank] |= {"address": f"tcp://127.0.0.1:{port}", "period": 0.2}
     file = tmp_path / "sensors.yaml"
     file.write_text(yaml.safe_dump(sensors))
-    levels: dict[str, list[float]] = {"cistern": [], "roof": []}
-    statuses: dict[str, tuple[bytes, str, str]] = {}
-    for tank, values in levels.items():
-        observer.node.create_subscription(
-            Float64, f"/{tank}/level", lambda message, to=values: to.append(message.data),
-            qos(f"/{tank}/level"),
-        )
-
-    def on_diagnostics(array: DiagnosticArray) -> None:
-        for one in array.status:
-            statuses[one.name] = (one.level, one.message, one.hardware_id)
-
-    observer.node.create_subscription(
-        DiagnosticArray, "/diagnostics", on_diagnostics, qos("/diagnostics")
-    )
+    levels = {tank: observer.hear(f"/{tank}/level") for tank in ("cistern", "roof")}
     site = subprocess.Popen(
         [
             sys.executable, "-m", "greenroof_ros.site_simulator", "--sensors", str(file),
@@ -65,13 +42,7 @@ def test_levels_of_a_simulated_site(
         cwd=tmp_path, env=environment(domain), stdout=subprocess.PIPE, text=True,
     )
     nodes = [
-        subprocess.Popen(
-            [
-                sys.executable, "-m", "greenroof_ros.nodes.level_sensor", "--tank", tank,
-                "--ros-args", "-p", f"sensors_file:={file}",
-            ],
-            cwd=tmp_path, env=environment(domain),
-        )
+        start_node(domain, tmp_path, f"level_sensor --tank {tank}", sensors_file=file)
         for tank in levels
     ]
     try:
@@ -87,18 +58,17 @@ def test_levels_of_a_simulated_site(
         began, before = time.monotonic(), len(levels["roof"])
         observer.until(lambda: len(levels["roof"]) >= before + 30, 60, "30 levels")
         assert time.monotonic() - began > 2.5  # 6 s, but for what may have waited
+        part = "/roof_sensor: sensor"
         for fault in ("roof_silent", "roof_absurd"):
             inject(found[1], fault)
-            observer.until(
-                lambda: statuses.get("/roof_sensor: sensor", (b"",))[0] == b"\x02", 60, fault
-            )
+            observer.until(observer.says(part, ERROR), 60, fault)
             before, other = len(levels["roof"]), len(levels["cistern"])
             observer.until(lambda: len(levels["cistern"]) > other + 3, 60, "the other's levels")  # noqa: B023
             assert len(levels["roof"]) == before
-            assert sensors["roof"]["address"] in statuses["/roof_sensor: sensor"][2]
+            assert sensors["roof"]["address"] in observer.diagnoses[part].hardware_id
             inject(found[1], "none")
             observer.until(lambda: len(levels["roof"]) > before, 60, "a level again")  # noqa: B023
-        observer.until(lambda: statuses["/roof_sensor: sensor"][0] == b"\x00", 60, "all is well")
+        observer.until(observer.says(part, OK), 60, "all is well")
     finally:
         for process in (*nodes, site):
             process.terminate()
@@ -112,13 +82,11 @@ def test_a_sensor_that_is_too_slow_for_its_readers_is_refused(domain: int, tmp_p
     head, roof = (CONFIG / "sensors.yaml").read_text().split("roof:")
     file = tmp_path / "sensors.yaml"
     file.write_text(head + "roof:" + roof.replace("period: 1.0", "period: 2.6"))
-    done = subprocess.run(
-        [
-            sys.executable, "-m", "greenroof_ros.nodes.level_sensor", "--tank", "roof",
-            "--ros-args", "-p", f"sensors_file:={file}",
-        ],
-        cwd=tmp_path, env=environment(domain), capture_output=True, text=True, timeout=60,
+    node = start_node(
+        domain, tmp_path, "level_sensor --tank roof", sensors_file=file,
+        popen={"stderr": subprocess.PIPE, "text": True},
     )
-    assert done.returncode == 2
-    assert f"{file}, line 36: roof.period = 2.6: must be at most 2.5 s, half of" in done.stderr
-    assert "Traceback" not in done.stderr
+    said = node.communicate(timeout=60)[1]
+    assert node.returncode == 2
+    assert f"{file}, line 36: roof.period = 2.6: must be at most 2.5 s, half of" in said
+    assert len(said.splitlines()) == 1

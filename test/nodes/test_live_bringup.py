@@ -2,47 +2,32 @@
 
 from __future__ import annotations
 
-import json
 import os
 import re
-import resource
 import signal
 import socket
 import subprocess
 import sys
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import asdict
 from datetime import timedelta
 from itertools import pairwise
 from pathlib import Path
-from typing import Any
 
 import pytest
 from disks import disk_that_hangs, small_disk
 from graphs import Process, alive, bring_up, environment, free_ports, summary_of, wait_for
-from modbus_wire import Wire, acs880
 from places import CHECKOUT, CONFIG, guarding
+from pump_node_rig import SimulatedDrive, addresses
+from rcl_interfaces.srv import SetParameters
+from rclpy.parameter import Parameter
+from ros_rig import Site, write_forecast
 from rosbags.highlevel import AnyReader
-from simulators import PATIENCE_S
 
-rclpy = pytest.importorskip("rclpy", reason="nodes need ROS 2")
-
-from diagnostic_msgs.msg import DiagnosticArray  # noqa: E402
-from rcl_interfaces.srv import SetParameters  # noqa: E402
-from rclpy.parameter import Parameter  # noqa: E402
-from std_msgs.msg import Float64, String  # noqa: E402
-from test_live import Site, observer, site, write_forecast  # noqa: E402, F401
-from test_nodes import qos  # noqa: E402
-
-from greenroof_ros.bringup.drive import DriveChoice  # noqa: E402
-from greenroof_ros.drives.address import parse_address  # noqa: E402
-from greenroof_ros.drives.drive_file import find_drive_file  # noqa: E402
-from greenroof_ros.drives.exchange import DriveExchange  # noqa: E402
-from greenroof_ros.experiment.incidents import read_incidents  # noqa: E402
-from greenroof_ros.simulators.workbench import Workbench  # noqa: E402
+from greenroof_ros.experiment.incidents import read_incidents
 
 NOBODY = ("--sensors", "external", "--pump", "external", "--weather", "external")
 # A low roof, a full cistern, no rain, no frost: mpc pumps.
@@ -91,7 +76,7 @@ def live(domain: int, cwd: Path, *arguments: str, code: int = 0) -> Iterator[Pro
 
 
 def test_a_site_is_kept_up_and_systemd_told(
-    domain: int, tmp_path: Path, site: Site, monkeypatch: pytest.MonkeyPatch,  # noqa: F811
+    domain: int, tmp_path: Path, site: Site, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Ready when the sensors are there, alive all the time, and a killed controller comes back."""
     systemd = Systemd(tmp_path / "notify")
@@ -113,9 +98,9 @@ def test_a_site_is_kept_up_and_systemd_told(
         site.until(
             lambda: commands[-1][0] > killed + 1 and commands[-1][1] > 0, 60, "a command again"
         )
-        kept = change_weight(site, 25)
-        assert kept() == {"parameter_changes": [6.0 + number for number in range(20)],
-                          "parameter_change_count": 25}
+        change_weight(site, 25)
+        kept = site.watcher.values("/mpc")["parameter_changes"]
+        assert [one["value"] for one in kept] == [6.0 + number for number in range(20)]
         site.during(2)
         beats = systemd.times("WATCHDOG=1")
         # WatchdogSec of examples/greenroof.service.
@@ -148,69 +133,49 @@ def test_a_site_is_kept_up_and_systemd_told(
     assert abs(stamps[-1] - time.time()) < 60
 
 
-def change_weight(site: Site, count: int) -> Callable[[], dict[str, Any]]:  # noqa: F811
-    """Change a parameter of mpc so often; return what it says of that."""
-    said: dict[str, Any] = {}
-
-    def note(array: DiagnosticArray) -> None:
-        for status in array.status:
-            if status.name == "/mpc":
-                values = {entry.key: json.loads(entry.value) for entry in status.values}
-                said["parameter_changes"] = [one["value"] for one in values["parameter_changes"]]
-                said["parameter_change_count"] = values["parameter_change_count"]
-
-    site.node.create_subscription(DiagnosticArray, "/diagnostics", note, qos("/diagnostics"))
-    client = site.node.create_client(SetParameters, "/mpc/set_parameters")
-    site.until(client.service_is_ready, 60, "the service")
+def change_weight(site: Site, count: int) -> None:
+    """Change a parameter of mpc so often."""
     for number in range(count):
         weight = Parameter("weight", value=1.0 + number).to_parameter_msg()
-        answer = client.call_async(SetParameters.Request(parameters=[weight]))
-        site.until(answer.done, 60, "an answer")
-    site.until(lambda: said.get("parameter_change_count") == count, 60, "the changes")
-    return lambda: said
+        site.call(SetParameters, "/mpc/set_parameters", parameters=[weight])
+    site.until(
+        lambda: site.watcher.values("/mpc")["parameter_change_count"] == count, 60, "the changes"
+    )
 
 
-class Hardware:
+class Hardware(SimulatedDrive):
     """A drive, and where they are wanted tanks and level sensors, simulated by programs."""
 
     def __init__(self, domain: int, cwd: Path, speed: str = "1") -> None:
-        self._domain, self._cwd = domain, cwd
-        drive = Process(
-            domain, "drive_simulator", "--drive", "abb_acs880", "--port", "0", "--workbench", "0",
-            "--ramp", "1", "--speed", speed, cwd=cwd,
-        )
-        self.drive, self._bench = _addresses(drive)
+        super().__init__(domain, cwd, pace=("--ramp", "1", "--speed", speed))
         self.file = guarding("abb_acs880", cwd)
 
-    def add_tanks(self) -> None:
-        """Fill the tanks and start the sensors of ``sensors.yaml``."""
-        cwd, (cistern, roof) = self._cwd, free_ports(2)
+    def be_a_site(self, parameters: str = "") -> tuple[str, ...]:
+        """Fill the tanks, start sensors, write a forecast; return the options of bringup."""
+        cistern, roof = free_ports(2)
         text = (CONFIG / "sensors.yaml").read_text()
-        (cwd / "sensors.yaml").write_text(
+        (self.cwd / "sensors.yaml").write_text(
             text.replace(":5030", f":{cistern}").replace(":5031", f":{roof}")
             .replace("period: 1.0", "period: 0.5")
         )
-        tanks = Process(
-            self._domain, "site_simulator", "--sensors", "sensors.yaml", "--drive-at", self._bench,
-            "--workbench", "0", "--rain", "0", "--initial", "high-low", cwd=cwd,
+        addresses(Process(
+            self.domain, "site_simulator", "--sensors", "sensors.yaml", "--drive-at",
+            self.workbench, "--workbench", "0", "--rain", "0", "--initial", "high-low",
+            cwd=self.cwd,
+        ))
+        write_forecast(self.cwd / "forecast.csv", timedelta(minutes=5), 0.0, 12.0)
+        (self.cwd / "nodes.yaml").write_text(
+            f"/**:\n  ros__parameters:\n    recovery_time: 1.0\n    least_off: 1.0\n{parameters}"
         )
-        _addresses(tanks)
+        return (
+            "--controller", "onoff", "--sensors", "sensors.yaml", "--forecast", "forecast.csv",
+            "--drive", self.file, "--drive-at", self.address, "--node-parameters", "nodes.yaml",
+        )
 
     def speed(self) -> float:
         """Return the pump's true speed, share of the rated one; each call takes 0.1 s."""
         time.sleep(0.1)
-        return float(self._ask(lambda bench: bench.speed()))
-
-    def inject(self, fault: str) -> None:
-        """Let something go wrong at the drive."""
-        self._ask(lambda bench: bench.inject(fault))
-
-    def _ask(self, question: Callable[[Workbench], Any]) -> Any:
-        bench = Workbench(parse_address(self._bench), timeout_s=PATIENCE_S)
-        try:
-            return question(bench)
-        finally:
-            bench.close()
+        return super().speed()
 
 
 # Makes a pump node deaf to its permit while there is a file of that name.
@@ -224,14 +189,8 @@ if "greenroof_ros.nodes.pump" in sys.orig_argv:
 """
 
 
-def _addresses(simulator: Process) -> list[str]:
-    """Return what a simulator says when it is ready."""
-    line = wait_for(lambda: simulator.stdout().partition("\n")[0], 60, "a simulator that is ready")
-    return re.findall(r"(?:tcp|gateway)://[\d.:]+", line)
-
-
 def test_a_live_site_with_drive_and_sensors(
-    domain: int, tmp_path: Path, site: Site, monkeypatch: pytest.MonkeyPatch,  # noqa: F811
+    domain: int, tmp_path: Path, site: Site, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The controller pumps and the roof rises; whatever fails, the pump stops, and goes on.
 
@@ -239,30 +198,16 @@ def test_a_live_site_with_drive_and_sensors(
     """
     hardware = Hardware(domain, tmp_path)
     hardware.inject("timeout_off")
-    hardware.add_tanks()
-    write_forecast(tmp_path / "forecast.csv", timedelta(minutes=5), 0.0, 12.0)
-    (tmp_path / "nodes.yaml").write_text(
-        "/**:\n  ros__parameters:\n    recovery_time: 1.0\n    least_off: 1.0\n"
-        "    activate_without_drive_timeout: true\n"
-    )
+    options = hardware.be_a_site("    activate_without_drive_timeout: true\n")
     (tmp_path / "sitecustomize.py").write_text(DEAF)
     monkeypatch.setenv("PYTHONPATH", str(tmp_path))
     deaf = tmp_path / "deaf"
-    levels: list[float] = []
-    states: list[tuple[float, str]] = []
-    site.node.create_subscription(
-        Float64, "/site1/roof/level", lambda message: levels.append(message.data),
-        qos("/roof/level"),
+    levels = site.watcher.hear("/roof/level", namespace="/site1")
+    states = site.watcher.hear(
+        "/pump/state", lambda one: (time.monotonic(), one.data), namespace="/site1"
     )
-    site.node.create_subscription(
-        String, "/site1/pump/state",
-        lambda message: states.append((time.monotonic(), message.data)), qos("/pump/state"),
-    )
-    with live(
-        domain, tmp_path, "--controller", "onoff", "--sensors", "sensors.yaml",
-        "--forecast", "forecast.csv", "--drive", hardware.file, "--drive-at", hardware.drive,
-        "--node-parameters", "nodes.yaml", "--namespace", "site1", "--peer-limit", "60", code=1,
-    ) as process:
+    options += ("--namespace", "site1", "--peer-limit", "60")
+    with live(domain, tmp_path, *options, code=1) as process:
         site.until(lambda: hardware.speed() > 0.9, 60, "the pump")
         site.until(lambda: levels[-1] > levels[0] + 0.0005, 60, "a roof that rises")
         killed = time.monotonic()
@@ -311,17 +256,9 @@ def test_a_live_site_with_drive_and_sensors(
 def test_a_disk_that_hangs_stops_no_pump(domain: int, tmp_path: Path) -> None:
     """Half a minute in which nothing can be written: the pump turns on, and no node is killed."""
     hardware = Hardware(domain, tmp_path)
-    hardware.add_tanks()
-    write_forecast(tmp_path / "forecast.csv", timedelta(minutes=5), 0.0, 12.0)
-    (tmp_path / "nodes.yaml").write_text(
-        "/**:\n  ros__parameters:\n    recovery_time: 1.0\n    least_off: 1.0\n"
-    )
+    options = hardware.be_a_site()
     with disk_that_hangs(tmp_path / "run") as hang:
-        with live(
-            domain, tmp_path, "--controller", "onoff", "--sensors", "sensors.yaml",
-            "--forecast", "forecast.csv", "--drive", hardware.file, "--drive-at", hardware.drive,
-            "--node-parameters", "nodes.yaml", code=1,
-        ) as process:
+        with live(domain, tmp_path, *options, code=1) as process:
             wait_for(lambda: hardware.speed() > 0.9, 90, "the pump")
             nodes = process.nodes()
             hang(True)
@@ -345,22 +282,6 @@ def test_a_disk_that_hangs_stops_no_pump(domain: int, tmp_path: Path) -> None:
     assert not any(part == "process" for _, part in incidents)
 
 
-def test_too_few_files_end_no_site(domain: int, tmp_path: Path) -> None:
-    """A node that died is started again when there are some, and the summary says what was."""
-    with live(domain, tmp_path, *NOBODY, code=1) as process:
-        wait_for(lambda: len(process.nodes()) == 2, 60, "nodes")
-        bringup = process.process.pid
-        limits = resource.prlimit(bringup, resource.RLIMIT_NOFILE)
-        resource.prlimit(bringup, resource.RLIMIT_NOFILE, (3, limits[1]))
-        os.kill(process.nodes()["controller"], signal.SIGKILL)
-        said = "mpc: cannot be started: Too many open files; tried again every 10 s"
-        wait_for(lambda: said in process.stderr(), 60, "the incident")
-        resource.prlimit(bringup, resource.RLIMIT_NOFILE, limits)
-        wait_for(lambda: len(process.nodes()) == 2, 60, "the controller")
-        time.sleep(1)
-    assert summary_of(tmp_path / "run")["status"] == "done"
-
-
 def test_a_full_disk_keeps_no_site_from_starting(domain: int, tmp_path: Path) -> None:
     """After a power cut nobody is there to make room; what was written before is not removed."""
     disk = tmp_path / "run"
@@ -381,36 +302,21 @@ def test_a_full_disk_keeps_no_site_from_starting(domain: int, tmp_path: Path) ->
         assert "No space left on device; the new configuration is in memory only" in said
 
 
-def test_a_second_bringup_at_a_drive_does_not_say_that_its_pump_stands(
-    domain: int, tmp_path: Path
-) -> None:
-    """The first one is this test; the second ends as one that may have left a pump on."""
-    wire = Wire(acs880())
-    choice = DriveChoice(find_drive_file("abb_acs880"), wire.gateway)
-    first = DriveExchange(*choice.read())
-    try:
-        first.start()
-        wait_for(lambda: first.snapshot.connected, 20, "the drive")
-        with live(
-            domain, tmp_path, "--sensors", "external", "--weather", "external",
-            "--drive", "abb_acs880", "--drive-at", wire.gateway, code=1,
-        ) as process:
-            wait_for(lambda: "/roof/level has not come" in process.stderr(), 60, "all nodes")
-        left = f"another program (process {os.getpid()}) runs the drive: left to it, which may run"
-        assert f"; {left} the pump" in process.stderr()
-        assert "are stopped" not in process.stderr()
-        assert summary_of(tmp_path / "run")["status"] == "failed"
-        assert wire.connections == 1
-    finally:
-        first.close()
-        wire.close()
+LATCH = """
+import sys, time
+from pathlib import Path
+from greenroof_ros.pumping.ledger import Ledger
+ledger = Ledger(Path(sys.argv[1]), time.time)
+ledger.fault("the drive reports: overload", "drive_fault")
+assert ledger.close() == ""
+"""
 
 
 def test_a_drive_in_the_loop(domain: int, tmp_path: Path) -> None:
     """In lockstep, at real time unless told otherwise; the drive stands at the end, be it early."""
     hardware = Hardware(domain, tmp_path, "20")
     run = ("--initial", "high-low", "--controller", "onoff", "--hours", "0.03", "--drive",
-           hardware.file, "--drive-at", hardware.drive)
+           hardware.file, "--drive-at", hardware.address)
     done = bring_up(domain, tmp_path, *run, "--speed", "20")
     assert done["pumped_m3"] > 0.3
     assert hardware.speed() == 0
@@ -424,26 +330,38 @@ def test_a_drive_in_the_loop(domain: int, tmp_path: Path) -> None:
     assert "bringup told the drive to stop" in early.stderr()
     wait_for(lambda: hardware.speed() == 0, 60, "the pump's stop")
     assert 1 < summary_of(tmp_path / "early")["last_tick"] < 60
+    # A fault is the drive's: it holds the pump in the next run, and bringup says so, and where.
+    state = state_of_drive()
+    subprocess.run(
+        [sys.executable, "-c", LATCH, str(state)], env=environment(domain), check=True
+    )
+    held = Process(domain, "bringup", "--output", "held", *run, "--speed", "20", cwd=tmp_path)
+    assert held.wait(300) == 1, held.stderr()
+    assert f"off, by {state}: the drive reports: overload" in held.stderr()
+    kept = summary_of(tmp_path / "held")
+    assert kept["pumped_m3"] == 0
+    (incident,) = kept["incidents"]
+    assert (incident["node"], incident["part"], incident["ended"]) == ("pump", "pump", None)
+    assert incident["cause"].startswith("fault: the drive reports: overload")
+    other = bring_up(
+        domain, tmp_path, *run, "--speed", "20", "--state", "another's", output="other"
+    )
+    assert other["pumped_m3"] > 0
 
 
 def test_a_drive_that_is_lost_in_the_loop_leaves_a_trace(domain: int, tmp_path: Path) -> None:
     """On the console, beside the bag and in the summary; the bag is as always."""
-    ports = free_ports(2)
-    command = ("drive_simulator", "--drive", "abb_acs880", "--port", str(ports[0]), "--workbench",
-               str(ports[1]), "--ramp", "1", "--speed", "20")
-    drive = Process(domain, *command, cwd=tmp_path)
-    _addresses(drive)
+    hardware = Hardware(domain, tmp_path, "20")
     run = Process(
         domain, "bringup", "--output", "run", "--hours", "0.2", "--speed", "20", "--state", "state",
-        "--drive", guarding("abb_acs880", tmp_path),
-        "--drive-at", f"gateway://127.0.0.1:{ports[0]}", cwd=tmp_path,
+        "--drive", hardware.file, "--drive-at", hardware.address, cwd=tmp_path,
     )
     run.wait_for_ticks(10_000)
-    drive.process.kill()
-    drive.wait(300)
+    hardware.process.process.kill()
+    hardware.process.wait(300)
     wait_for(lambda: "incident 1 at tick" in run.stderr(), 60, "the loss on the console")
-    again = Process(domain, *command, cwd=tmp_path)
-    _addresses(again)
+    port = hardware.address.rpartition(":")[2]
+    hardware.start("--port", port, "--workbench", "0")
     wait_for(lambda: "incident 1 is over at tick" in run.stderr(), 60, "the return on the console")
     assert run.wait(120) == 1, run.stderr()
     summary = summary_of(tmp_path / "run")
@@ -489,7 +407,7 @@ def test_a_start_at_which_everything_is_missing(domain: int, tmp_path: Path) -> 
     write_forecast(tmp_path / "forecast.csv", timedelta(days=2000), 0.0, 12.0)
     with live(
         domain, tmp_path, "--sensors", "sensors.yaml", "--forecast", "forecast.csv",
-        "--drive", hardware.file, "--drive-at", hardware.drive,
+        "--drive", hardware.file, "--drive-at", hardware.address,
     ) as process:
         wait_for(lambda: "missing:\n" in process.stderr(), 60, "the list")
         # Before any node was started: in the time that an import takes.
@@ -523,9 +441,7 @@ WITHOUT_FORECAST = (
 )
 
 
-def test_a_site_without_a_forecast(
-    domain: int, tmp_path: Path, site: Site,  # noqa: F811
-) -> None:
+def test_a_site_without_a_forecast(domain: int, tmp_path: Path, site: Site) -> None:
     """On/off pumps as soon as a thermometer says that there is no frost; nothing is lost."""
     commands = site.listen("/pump/command")
     with live(domain, tmp_path, *WITHOUT_FORECAST) as process:
@@ -548,9 +464,7 @@ def test_a_site_without_a_forecast(
     assert "forecast" not in process.stderr()
 
 
-def test_a_forecast_that_is_lost_at_a_site(
-    domain: int, tmp_path: Path, site: Site,  # noqa: F811
-) -> None:
+def test_a_forecast_that_is_lost_at_a_site(domain: int, tmp_path: Path, site: Site) -> None:
     """The start does not wait for it; on/off pumps, and the loss is one incident until it ends."""
     commands = site.listen("/pump/command")
     write_forecast(tmp_path / "forecast.csv", timedelta(days=2000), 0.0, 12.0)
@@ -584,7 +498,7 @@ def test_the_drive_of_the_readme(domain: int, tmp_path: Path) -> None:
     drive, run = simulator[2:], run[1:]
     assert drive.pop() == "&"
     drive[drive.index("--speed") + 1] = "15"
-    place, _ = _addresses(
+    place, _ = addresses(
         Process(domain, "drive_simulator", *drive, "--port", "0", "--workbench", "0", cwd=tmp_path)
     )
     run[run.index("--drive-at") + 1] = place
@@ -607,42 +521,6 @@ def state_of_drive() -> Path:
     return max(states, key=lambda path: path.stat().st_mtime)
 
 
-LATCH = """
-import sys, time
-from pathlib import Path
-from greenroof_ros.pumping.ledger import Ledger
-ledger = Ledger(Path(sys.argv[1]), time.time)
-ledger.fault("the drive reports: overload", "drive_fault")
-assert ledger.close() == ""
-"""
-
-
-def test_a_fault_of_an_earlier_run_in_the_loop(domain: int, tmp_path: Path) -> None:
-    """It is the drive's, holds the pump in this run, too, and bringup says so, and where it is."""
-    hardware = Hardware(domain, tmp_path, "20")
-    run = ("--initial", "high-low", "--controller", "onoff", "--hours", "0.02", "--drive",
-           hardware.file, "--drive-at", hardware.drive, "--speed", "20")
-    bring_up(domain, tmp_path, *run, output="first")
-    state = state_of_drive()
-    subprocess.run(
-        [sys.executable, "-c", LATCH, str(state)], env=environment(domain), check=True
-    )
-    held = Process(domain, "bringup", "--output", "held", *run, cwd=tmp_path)
-    assert held.wait(300) == 1, held.stderr()
-    assert f"off, by {state}: the drive reports: overload" in held.stderr()
-    kept = summary_of(tmp_path / "held")
-    assert kept["pumped_m3"] == 0
-    (incident,) = kept["incidents"]
-    assert (incident["node"], incident["part"], incident["ended"]) == ("pump", "pump", None)
-    assert incident["cause"].startswith("fault: the drive reports: overload")
-    other = Process(
-        domain, "bringup", "--output", "other", *run, "--state", "another's", cwd=tmp_path
-    )
-    assert other.wait(300) == 0, other.stderr()
-    assert "overload" not in other.stderr()
-    assert summary_of(tmp_path / "other")["pumped_m3"] > 0
-
-
 def test_a_killed_bringup_leaves_no_node(domain: int, tmp_path: Path) -> None:
     """And the next one goes on in the same directory, with a file of its own in the bag."""
     with live(domain, tmp_path, *NOBODY) as process:
@@ -662,15 +540,3 @@ def test_a_killed_bringup_leaves_no_node(domain: int, tmp_path: Path) -> None:
     with AnyReader([tmp_path / "run" / "bag"]) as reader:
         assert reader.message_count > 0
 
-
-def test_a_controller_that_cannot_start(domain: int, tmp_path: Path) -> None:
-    """Its parameters are as wrong at the next start."""
-    (tmp_path / "wrong.yaml").write_text("/**/mpc:\n  ros__parameters:\n    level_limit: -1.0\n")
-    process = Process(
-        domain, "bringup", "--plant", "external", "--state", "run", *NOBODY,
-        "--node-parameters", "wrong.yaml", cwd=tmp_path,
-    )
-    assert process.wait(300) == 2, process.stderr()
-    assert "error: node mpc ended (exit code 2)" in process.stderr()
-    assert "level_limit" in process.stderr()
-    assert summary_of(tmp_path / "run")["status"] == "failed"

@@ -8,12 +8,9 @@ from pathlib import Path
 import pytest
 from graphs import Process
 from places import CHECKOUT
-
-rclpy = pytest.importorskip("rclpy", reason="nodes need ROS 2")
-
-from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy  # noqa: E402
-from rosgraph_msgs.msg import Clock  # noqa: E402
-from test_nodes import Observer, observer, qos  # noqa: E402, F401
+from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
+from ros_rig import Observer, qos
+from rosgraph_msgs.msg import Clock
 
 START = 1_625_641_200  # 2021-07-07T02:00-05:00 in seconds since 1970
 PAGES = ("README.md", "doc/tutorials/first-run.md", "doc/reference/topics.md")
@@ -43,9 +40,7 @@ def first_seen(watcher: Observer, profile: QoSProfile) -> int:
     return seen[0]
 
 
-def test_echo_as_printed_shows_the_present(
-    domain: int, tmp_path: Path, observer: Observer  # noqa: F811
-) -> None:
+def test_echo_as_printed_shows_the_present(domain: int, tmp_path: Path, observer: Observer) -> None:
     """The first message is not older than the newest when the subscription was made."""
     (durability,) = printed_durabilities()
     newest = [0]

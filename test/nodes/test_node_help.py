@@ -14,14 +14,11 @@ from commands import run_command
 from graphs import environment, wait_for
 from mcap.reader import make_reader
 from places import CONFIG
+from rcl_interfaces.srv import DescribeParameters, ListParameters
+from rclpy.node import NodeNameNonExistentError
+from ros_rig import Observer
 
-rclpy = pytest.importorskip("rclpy", reason="nodes need ROS 2")
-
-from rcl_interfaces.srv import DescribeParameters, ListParameters  # noqa: E402
-from rclpy.node import NodeNameNonExistentError  # noqa: E402
-from test_nodes import Observer, observer  # noqa: E402, F401
-
-from greenroof_ros.common.interface import read_topics  # noqa: E402
+from greenroof_ros.common.interface import read_topics
 
 COMMANDS = (
     "plant", "weather", "recorder", "live_recorder", "controller", "controller --controller mpc",
@@ -87,22 +84,11 @@ def test_unknown_argument(tmp_path: Path, command: str, words: str) -> None:
 
 def parameters_of(watcher: Observer, node: str) -> dict[str, str]:
     """Return the description of each parameter of a started node, but rclpy's own."""
-
-    def call(kind: Any, name: str, request: Any) -> Any:
-        client = watcher.node.create_client(kind, f"/{node}/{name}")
-        watcher.until(client.service_is_ready, 60, f"{name} of {node}")
-        future = client.call_async(request)
-        watcher.until(future.done, 60, "an answer")
-        return future.result()
-
     names = [
-        name for name in
-        call(ListParameters, "list_parameters", ListParameters.Request()).result.names
+        name for name in watcher.call(ListParameters, f"/{node}/list_parameters").result.names
         if name not in ("use_sim_time", "start_type_description_service")
     ]
-    found = call(
-        DescribeParameters, "describe_parameters", DescribeParameters.Request(names=names)
-    )
+    found = watcher.call(DescribeParameters, f"/{node}/describe_parameters", names=names)
     return {each.name: " ".join(each.description.split()) for each in found.descriptors}
 
 
@@ -132,9 +118,7 @@ def check_topics(watcher: Observer, node: str, text: str) -> None:
     )
 
 
-def test_help_is_what_the_nodes_have(
-    domain: int, tmp_path: Path, observer: Observer  # noqa: F811
-) -> None:
+def test_help_is_what_the_nodes_have(domain: int, tmp_path: Path, observer: Observer) -> None:
     """Parameters and topics of the started nodes; their examples, as typed, are a graph."""
     helps = {
         node: run_module(tmp_path, f"{command} --help").stdout

@@ -5,41 +5,18 @@ from __future__ import annotations
 import json
 import signal
 import subprocess
-import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
-from graphs import bag_file, bring_up, environment, wait_for
+from graphs import bag_file, bring_up, wait_for
 from mcap.reader import make_reader
 from places import Once
+from ros_rig import Observer, start_node
 
-rclpy = pytest.importorskip("rclpy", reason="nodes need ROS 2")
-
-from greenroof_ros.common.interface import read_topics  # noqa: E402
-from greenroof_ros.graph.inputs import by_publisher, root_causes  # noqa: E402
-from greenroof_ros.graph.qos import qos_profile  # noqa: E402
-
-# A publisher that knows nothing of the graph: it answers each level with a command.
-ROGUE = """
-import signal
-import rclpy
-from rclpy.qos import DurabilityPolicy, QoSProfile
-from rclpy.duration import Duration
-from std_msgs.msg import Float64
-rclpy.init()
-node = rclpy.create_node("rogue")
-qos = QoSProfile(depth=64, durability=DurabilityPolicy.TRANSIENT_LOCAL)
-qos.liveliness_lease_duration = Duration(seconds=1)
-publisher = node.create_publisher(Float64, "/pump/command", qos)
-node.create_subscription(
-    Float64, "/roof/level", lambda _: publisher.publish(Float64(data=0.77)), qos_profile=10
-)
-print("here", flush=True)
-signal.signal(signal.SIGINT, signal.SIG_DFL)  # the middleware may lock up when it is taken down
-rclpy.spin(node)
-"""
+from greenroof_ros.common.interface import read_topics
+from greenroof_ros.graph.inputs import by_publisher, root_causes
 
 
 class Nodes:
@@ -49,20 +26,14 @@ class Nodes:
         self.domain, self.cwd = domain, cwd
         self.started: dict[str, subprocess.Popen[str]] = {}
 
-    def start(self, name: str, *arguments: str) -> subprocess.Popen[str]:
-        """Start a command of Python under a name of the test's own."""
+    def node(self, name: str, **parameters: object) -> None:
+        """Start one; a controller by its own name."""
+        which = f"controller --controller {name}" if name in ("mpc", "onoff") else name
         with (self.cwd / f"{name}.log").open("w") as log:
-            self.started[name] = process = subprocess.Popen(
-                [sys.executable, *arguments], cwd=self.cwd, env=environment(self.domain), text=True,
-                stdin=subprocess.PIPE, stdout=log, stderr=log,
+            popen = {"stdin": subprocess.PIPE, "stdout": log, "stderr": log, "text": True}
+            self.started[name] = start_node(
+                self.domain, self.cwd, which, popen=popen, **parameters
             )
-        return process
-
-    def node(self, name: str, *arguments: str) -> subprocess.Popen[str]:
-        """Start a node of this package."""
-        module = "controller" if name in ("mpc", "onoff") else name
-        which = ("--controller", name) if module == "controller" else ()
-        return self.start(name, "-m", f"greenroof_ros.nodes.{module}", *which, *arguments)
 
     def log(self, name: str) -> str:
         return (self.cwd / f"{name}.log").read_text()
@@ -99,25 +70,17 @@ def by_hand(domain: int, cwd: Path) -> Iterator[Nodes]:
             process.wait(300)
 
 
-def parameters(**values: object) -> list[str]:
-    """Return ROS arguments that set parameters."""
-    return [
-        "--ros-args",
-        *(word for name, value in values.items() for word in ("-p", f"{name}:={value}")),
-    ]
-
-
 @pytest.fixture(scope="session")
 def recorded_by_hand(domain: int, once: Once) -> Path:
     """A run of 360 ticks, each node started when the others wait; its exit codes in codes.json."""
 
     def fill(cwd: Path) -> None:
         with by_hand(domain, cwd) as it:
-            it.node("weather", *parameters(run_length=360))
+            it.node("weather", run_length=360)
             it.says("weather", "waiting for plant\n")
-            it.node("recorder", *parameters(directory="bag"))
+            it.node("recorder", directory="bag")
             it.says("recorder", "waiting for mpc, plant\n")
-            it.node("plant", *parameters(run_length=360, record="true"))
+            it.node("plant", run_length=360, record="true")
             it.says("plant", "waiting for the controller\n")
             it.says("weather", "waiting for the controller\n")
             it.node("mpc")
@@ -148,69 +111,13 @@ def test_started_by_hand_gives_the_bag_of_bringup(
     assert mine.read_bytes() == bag_file(run).read_bytes()
 
 
-class TickCount:
-    """A node of the test's own that counts the ticks, and keeps the flows."""
-
-    def __init__(self, domain: int) -> None:
-        from rclpy.executors import SingleThreadedExecutor
-        from rclpy.node import Node
-        from std_msgs.msg import Float64
-
-        self.flows: list[float] = []
-        self.context = rclpy.Context()
-        rclpy.init(args=[], context=self.context, domain_id=domain)
-        self.node = Node("observer", context=self.context, start_parameter_services=False)
-        self.executor = SingleThreadedExecutor(context=self.context)
-        self.executor.add_node(self.node)
-        self.node.create_subscription(
-            Float64, "/pump/flow", lambda message: self.flows.append(message.data),
-            qos_profile(read_topics()["/pump/flow"].qos),
-        )
-
-    def wait_for(self, ticks: int) -> None:
-        def reached() -> bool:
-            self.spin()
-            return len(self.flows) >= ticks
-
-        wait_for(reached, 60, f"{ticks} ticks")
-
-    def spin(self) -> None:
-        for _ in range(100):
-            self.executor.spin_once(timeout_sec=0.001)
-
-    def close(self) -> None:
-        self.node.destroy_node()
-        self.context.try_shutdown()
-
-
-def test_second_command_never_pumps(nodes: Nodes) -> None:
-    """A second publisher of the command: the run ends within a second, with both names."""
-    nodes.node("weather")
-    nodes.node("onoff")
-    nodes.node("plant", *parameters(run_length=40_000, speed=200.0))
-    ticks = TickCount(nodes.domain)
-    try:
-        ticks.wait_for(100)
-        nodes.start("rogue", "-c", ROGUE)
-        nodes.says("plant", "FATAL")
-        assert nodes.code("plant", 60) == 1
-    finally:
-        ticks.close()
-    (said,) = [line for line in nodes.log("plant").splitlines() if "FATAL" in line]
-    assert "/pump/command" in said
-    assert "(onoff" in said
-    for name in ("weather", "onoff"):
-        assert nodes.code(name, 60) == 1
-        assert "plant has ended" in nodes.log(name)
-
-
 @pytest.mark.parametrize("how", [signal.SIGKILL, signal.SIGINT], ids=["killed", "ctrl-c"])
 def test_plant_that_goes_ends_the_others(nodes: Nodes, how: signal.Signals) -> None:
     """By name, with exit code 1; the bag is closed. ROS knows a killed node for 20 s."""
     nodes.node("weather")
     nodes.node("onoff")
-    nodes.node("recorder", *parameters(directory="bag", controller="onoff"))
-    nodes.node("plant", *parameters(run_length=40_000, record="true", speed=500.0))
+    nodes.node("recorder", directory="bag", controller="onoff")
+    nodes.node("plant", run_length=40_000, record="true", speed=500.0)
     file = nodes.cwd / "bag" / "bag_0.mcap"
     wait_for(lambda: file.exists() and file.stat().st_size > 20_000, 60, "a growing bag")
     nodes.started["plant"].send_signal(how)
@@ -235,18 +142,15 @@ def test_plant_that_goes_ends_the_others(nodes: Nodes, how: signal.Signals) -> N
     ids=["weather", "onoff"],
 )
 def test_fatal_line_names_the_cause(
-    nodes: Nodes, victim: str, how: signal.Signals, line: str
+    nodes: Nodes, observer: Observer, victim: str, how: signal.Signals, line: str
 ) -> None:
     """Not the controller that waits for the weather's forecast, and no controller but this one."""
     nodes.node("weather")
     nodes.node("onoff")
-    nodes.node("plant", *parameters(run_length=40_000, speed=100.0, peer_limit=5.0))
-    ticks = TickCount(nodes.domain)
-    try:
-        ticks.wait_for(50)
-        nodes.started[victim].send_signal(how)
-    finally:
-        ticks.close()
+    nodes.node("plant", run_length=40_000, speed=100.0, peer_limit=5.0)
+    flows = observer.hear("/pump/flow")
+    observer.until(lambda: len(flows) >= 50, 60, "50 ticks")
+    nodes.started[victim].send_signal(how)
     assert nodes.code("plant", 60) == 1
     (said,) = [text for text in nodes.log("plant").splitlines(True) if "FATAL" in text]
     assert said.endswith(line), said

@@ -15,8 +15,6 @@ from graphs import Process, bag_file, bring_up, environment, wait_for
 from mcap.reader import make_reader
 from places import CHECKOUT
 
-pytest.importorskip("rclpy", reason="the graph needs ROS 2")
-
 DRIVER = CHECKOUT / "examples" / "pump_driver.py"
 # Table I of the paper.
 A1, A2, A_IN = 25.0, 68.8, 0.305**2 * math.pi

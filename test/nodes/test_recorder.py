@@ -7,7 +7,6 @@ import re
 import signal
 import subprocess
 import sys
-import time
 from pathlib import Path
 
 import pytest
@@ -17,11 +16,10 @@ from disks import small_disk
 from graphs import Process, bag_file, bring_up, environment, summary_of
 from mcap.reader import make_reader
 from places import Once
+from ros_rig import Observer
 from rosbags.highlevel import AnyReader
 
 from greenroof_ros.report.runs import find_runs
-
-pytest.importorskip("rclpy", reason="the graph needs ROS 2")
 
 
 @pytest.fixture(scope="session")
@@ -86,36 +84,17 @@ def test_metadata_and_channels_agree(recorded: Path) -> None:
     assert not described
 
 
-def test_killed_recorder_costs_at_most_32_ticks(domain: int, tmp_path: Path) -> None:
+def test_killed_recorder_costs_at_most_32_ticks(
+    domain: int, tmp_path: Path, observer: Observer
+) -> None:
     """kill -9 in mid-run: recover restores all but what the plant can be ahead of the file."""
-    rclpy = pytest.importorskip("rclpy")
-    from rclpy.executors import SingleThreadedExecutor
-    from rclpy.node import Node
-    from rclpy.qos import QoSProfile
-    from rosgraph_msgs.msg import Clock
-
     process = Process(domain, "bringup", "--output", "run", cwd=tmp_path)
-    context = rclpy.Context()
-    rclpy.init(args=[], context=context, domain_id=domain)
-    node = Node("observer", context=context, start_parameter_services=False)
-    stamps: list[int] = []
-    node.create_subscription(
-        Clock, "/clock", lambda message: stamps.append(message.clock.sec), QoSProfile(depth=10_000)
-    )
-    executor = SingleThreadedExecutor(context=context)
-    executor.add_node(node)
-    try:
-        process.wait_for_ticks(size=60_000)
-        while not stamps:
-            executor.spin_once(timeout_sec=0.1)
-        os.kill(process.nodes()["recorder"], signal.SIGKILL)
-        assert process.wait(300) == 1
-        until = time.monotonic() + 1
-        while time.monotonic() < until:
-            executor.spin_once(timeout_sec=0.1)
-    finally:
-        node.destroy_node()
-        context.try_shutdown()
+    stamps = observer.hear("/clock", lambda one: one.clock.sec)
+    process.wait_for_ticks(size=60_000)
+    observer.until(lambda: stamps, 60, "the clock")
+    os.kill(process.nodes()["recorder"], signal.SIGKILL)
+    observer.until(lambda: process.process.poll() is not None, 300, "the end of the run")
+    assert process.wait(300) == 1
     reached = stamps[-1] - 1_625_641_200  # the tick that the plant had begun
     done = recover(tmp_path / "run")
     assert done.returncode == 0, done.stderr

@@ -1,0 +1,32 @@
+"""A node of the test's own, and the site that it plays; without ROS 2 there is nothing to test."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from importlib.util import find_spec
+from typing import TYPE_CHECKING
+
+import pytest
+
+if TYPE_CHECKING:
+    from ros_rig import Observer, Site
+
+collect_ignore_glob = ["test_*.py"] if find_spec("rclpy") is None else []
+if find_spec("pymodbus") is None:  # drives and sensors are on Modbus
+    collect_ignore_glob += ["test_pump_node.py", "test_level_sensor.py", "test_live_bringup.py"]
+
+
+@pytest.fixture
+def observer(domain: int) -> Iterator[Observer]:
+    from ros_rig import Observer
+
+    it = Observer(domain)
+    yield it
+    it.close()
+
+
+@pytest.fixture
+def site(observer: Observer) -> Site:
+    from ros_rig import Site
+
+    return Site(observer)

@@ -1,0 +1,309 @@
+"""A node of the test's own in a real graph: what it hears, says and asks; and nodes beside it."""
+
+from __future__ import annotations
+
+import json
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from datetime import UTC, datetime, timedelta
+from pathlib import Path
+from typing import Any
+
+import rclpy
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+from graphs import environment, wait_for
+from places import CONFIG
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.node import Node
+
+from greenroof_ros.common.interface import read_live_topics, read_topics
+from greenroof_ros.graph.qos import message_class, qos_profile
+
+OK, WARN, ERROR, STALE = b"\x00", b"\x01", b"\x02", b"\x03"
+TAU = 0.2
+# What a busy machine may take (s). That each bound holds, test_input_rules.py shows by a clock of
+# its own, and so does the campaign of faults.
+LATE = 60.0
+FORECASTS = ("/forecast/precipitation", "/forecast/evapotranspiration")
+_TOPICS = {**read_topics(), **read_live_topics()}
+
+
+def qos(topic: str) -> Any:
+    """Return a topic's profile in the interface."""
+    return qos_profile(_TOPICS[topic].qos)
+
+
+def ros_arguments(**parameters: object) -> list[str]:
+    """Return ROS arguments that set parameters; those that are None are left out."""
+    given = [f"{name}:={value}" for name, value in parameters.items() if value is not None]
+    return ["--ros-args", *(word for one in given for word in ("-p", one))]
+
+
+def start_node(
+    domain: int, cwd: Path, command: str, *, popen: dict[str, Any] | None = None,
+    **parameters: object,
+) -> subprocess.Popen[Any]:
+    """Start a node by hand: its module, and arguments."""
+    arguments = ros_arguments(**parameters) if parameters else []
+    return subprocess.Popen(
+        [sys.executable, "-m", *f"greenroof_ros.nodes.{command}".split(), *arguments], cwd=cwd,
+        **{"env": environment(domain), **(popen or {})},
+    )
+
+
+@contextmanager
+def nodes(domain: int, cwd: Path, *commands: str) -> Iterator[list[subprocess.Popen[str]]]:
+    """Start nodes by hand, and end them by Ctrl-C."""
+    errors = {"stderr": subprocess.PIPE, "text": True}
+    started = [start_node(domain, cwd, command, popen=errors) for command in commands]
+    try:
+        yield started
+    finally:
+        for process in started:
+            process.send_signal(signal.SIGINT)
+        for process in started:
+            process.wait(300)
+
+
+class Observer:
+    """A node of the test's own.
+
+    Attributes:
+        diagnoses: of each name on /diagnostics what was said last.
+        said: all sentences that came there.
+    """
+
+    def __init__(self, domain: int) -> None:
+        self.context = rclpy.Context()
+        rclpy.init(args=[], context=self.context, domain_id=domain)
+        self.node = Node("observer", context=self.context, start_parameter_services=False)
+        self.executor = SingleThreadedExecutor(context=self.context)
+        self.executor.add_node(self.node)
+        self.diagnoses: dict[str, DiagnosticStatus] = {}
+        self.said: list[str] = []
+        self.node.create_subscription(
+            DiagnosticArray, "/diagnostics", self._on_diagnostics, qos("/diagnostics")
+        )
+
+    def _on_diagnostics(self, message: DiagnosticArray) -> None:
+        for status in message.status:
+            self.diagnoses[status.name] = status
+            self.said.append(status.message)
+
+    def until(self, condition: Callable[[], Any], seconds: float, what: str) -> Any:
+        """Spin until a condition holds."""
+
+        def spun() -> Any:
+            self.executor.spin_once(timeout_sec=0.05)
+            return condition()
+
+        return wait_for(spun, seconds, what)
+
+    def hear(
+        self, topic: str, value: Callable[[Any], Any] = lambda one: one.data, namespace: str = ""
+    ) -> list[Any]:
+        """Return the list in which the values of a topic are from now on."""
+        heard: list[Any] = []
+        self.node.create_subscription(
+            message_class(_TOPICS[topic].type), namespace + topic,
+            lambda one: heard.append(value(one)), qos(topic),
+        )
+        return heard
+
+    def publisher(self, topic: str, node: Node | None = None) -> Any:
+        """Open a topic, for the observer or another node."""
+        kind = message_class(_TOPICS[topic].type)
+        return (node or self.node).create_publisher(kind, topic, qos(topic))
+
+    def call(self, kind: Any, service: str, **fields: object) -> Any:
+        """Call a service, once it is there."""
+        client = self.node.create_client(kind, service)
+        self.until(client.service_is_ready, 60, service)
+        future = client.call_async(kind.Request(**fields))
+        self.until(future.done, 60, f"an answer of {service}")
+        return future.result()
+
+    def says(self, part: str, level: bytes, *words: str) -> Callable[[], bool]:
+        """Return whether a part is at a level, with some words."""
+
+        def said() -> bool:
+            found = self.diagnoses.get(part)
+            return found is not None and found.level == level and (
+                all(word in found.message for word in words)
+            )
+
+        return said
+
+    def values(self, name: str) -> dict[str, Any]:
+        """Return what a node said last of itself, or a part's code and what goes with it."""
+        found = self.diagnoses.get(name)
+        if found is None:
+            return {}
+        pairs = {one.key: one.value for one in found.values}
+        return pairs if ": " in name else {key: json.loads(text) for key, text in pairs.items()}
+
+    def close(self) -> None:
+        self.node.destroy_node()
+        self.context.try_shutdown()
+
+
+class Site:
+    """The sensors and the weather of a site, and what is heard from the node under test.
+
+    Attributes:
+        values: what is published ten times a second; one may be a function of time.
+    """
+
+    def __init__(self, watcher: Observer) -> None:
+        """Publish nothing yet."""
+        self.watcher = watcher
+        self.node, self.says, self.call = watcher.node, watcher.says, watcher.call
+        self.said, self.diagnoses = watcher.said, watcher.diagnoses
+        self.values: dict[str, Any] = {}
+        self.publishers: dict[str, Any] = {}
+        self._next = time.monotonic()
+
+    def listen(self, topic: str) -> list[tuple[float, Any]]:
+        """Note when each value of a topic comes."""
+        return self.watcher.hear(topic, lambda one: (time.monotonic(), one.data))
+
+    def play(self) -> None:
+        """Publish the present values."""
+        if time.monotonic() < self._next:
+            return
+        self._next = time.monotonic() + 0.1
+        for topic, value in self.values.items():
+            if topic not in self.publishers:
+                self.publishers[topic] = self.watcher.publisher(topic)
+            data = value(time.monotonic()) if callable(value) else value
+            self.publishers[topic].publish(message_class(_TOPICS[topic].type)(data=data))
+
+    def until(self, condition: Callable[[], Any], seconds: float, what: str) -> None:
+        """Play until a condition holds."""
+
+        def played() -> Any:
+            self.play()
+            return condition()
+
+        said = {name: one.message for name, one in self.diagnoses.items()}
+        self.watcher.until(played, seconds, f"{what} (before: {said})")
+
+    def during(self, seconds: float) -> None:
+        """Play for so long; a moment in which the machine stands still counts for 0.1 s."""
+        played = 0.0
+        while played < seconds:
+            began = time.monotonic()
+            self.play()
+            self.watcher.executor.spin_once(timeout_sec=0.05)
+            played += min(time.monotonic() - began, 0.1)
+
+    def be_dry(self) -> list[tuple[float, Any]]:
+        """Have a dry roof and enough water, both moving, and return the commands."""
+        began = time.monotonic()
+        self.values = {
+            "/cistern/level": lambda now: 2.5 - 1.6e-4 * (now - began),
+            "/roof/level": lambda now: 0.02 + 1e-5 * (now - began),
+            "/weather/frost": 0.0,
+            "/forecast/precipitation": [0.0] * 10,
+            "/forecast/evapotranspiration": [1e-6] * 10,
+        }
+        return self.listen("/pump/command")
+
+
+def newest(values: list[tuple[float, Any]]) -> Any:
+    """Return the value that came last; None before there is one."""
+    return values[-1][1] if values else None
+
+
+def start_live(
+    domain: int, cwd: Path, command: str, **parameters: object
+) -> subprocess.Popen[Any]:
+    """Start a node with a tick of 0.2 s in a live graph."""
+    file = cwd / "site.yaml"
+    file.write_text((CONFIG / "site.yaml").read_text().replace("tau: 1.0 ", f"tau: {TAU} "))
+    return start_node(
+        domain, cwd, command, **{"live": "true", "site_file": file, **parameters}
+    )
+
+
+@contextmanager
+def live_node(
+    domain: int, cwd: Path, command: str, **parameters: object
+) -> Iterator[subprocess.Popen[Any]]:
+    """Start such a node, and end it; it must end well."""
+    process = start_live(domain, cwd, command, **parameters)
+    try:
+        yield process
+    finally:
+        process.send_signal(signal.SIGCONT)
+        process.send_signal(signal.SIGINT)
+        # The kernel ends a node whose middleware takes long to go, as on a busy machine.
+        assert process.wait(300) in (0, -signal.SIGALRM)
+
+
+FORECAST_HEADER = "issued,time,precipitation [mm/h],evapotranspiration [mm/day],temperature [degC]"
+
+
+def write_forecast(path: Path, ago: timedelta, rain: float, temperature: float) -> None:
+    """Put a file with one issue of 12 hours in place."""
+    issued = datetime.now(UTC).replace(microsecond=0) - ago
+    lines = [
+        f"{issued.isoformat()},{(issued + timedelta(hours=hour)).isoformat()},{rain},2.0,"
+        f"{temperature}"
+        for hour in range(12)
+    ]
+    draft = path.with_suffix(".new")
+    draft.write_text("\n".join([FORECAST_HEADER, *lines, ""]))
+    draft.replace(path)
+
+
+# Lets a process find that the machine was suspended for an hour while there is a file *suspended*:
+# between two decisions of a node, or in the middle of one, before and after which it looks how long
+# that was.
+SUSPENDED = """
+import sys
+import time
+from pathlib import Path
+awake, slept, looks = time.clock_gettime, 0.0, 0
+def clock_gettime(clock):
+    global slept, looks
+    if clock != time.CLOCK_BOOTTIME:
+        return awake(clock)
+    looks += sys._getframe(2).f_code.co_name == "suspended_time"
+    if Path("suspended").exists() or (Path("suspended_in_a_decision").exists() and looks % 2 == 0
+            and sys._getframe(2).f_code.co_name == "suspended_time"):
+        slept = 3600.0
+    return awake(clock) + slept
+time.clock_gettime = clock_gettime
+"""
+_IMPOSTOR = """
+import sys, rclpy
+from rclpy.node import Node
+from std_msgs.msg import Float64
+from greenroof_ros.common.interface import read_live_topics
+from greenroof_ros.graph.qos import qos_profile
+rclpy.init()
+node = Node(sys.argv[1], start_parameter_services=False)
+topic = read_live_topics()[sys.argv[2]]
+publisher = node.create_publisher(Float64, sys.argv[2], qos_profile(topic.qos))
+node.create_timer(0.1, lambda: publisher.publish(Float64(data=float(sys.argv[3]))))
+rclpy.spin(node)
+"""
+
+
+@contextmanager
+def impostor(domain: int, cwd: Path, name: str, topic: str, value: float) -> Iterator[None]:
+    """Publish what another node does, under its name, and report nothing."""
+    process = subprocess.Popen(
+        [sys.executable, "-c", _IMPOSTOR, name, topic, str(value)], cwd=cwd,
+        env=environment(domain),
+    )
+    try:
+        yield
+    finally:
+        process.kill()
+        process.wait(120)
