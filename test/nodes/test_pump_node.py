@@ -643,7 +643,8 @@ def test_wrong_parameters_end_it_in_one_line(tmp_path: Path, rig: PumpRig) -> No
     }
     for name, (value, words) in wrong.items():
         given = {
-            "address": "tcp://127.0.0.1:1", "live": "true", "site_file": slow, name: value,
+            "address": "tcp://127.0.0.1:1", "live": "true", "site_file": slow,
+            "command_limit": 4.0, name: value,
         }
         file = tmp_path / f"{name}.err"
         with file.open("w") as errors:
