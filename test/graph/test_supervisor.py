@@ -400,6 +400,7 @@ def test_a_node_that_cannot_be_started_again_for_now(
     monkeypatch.setattr(supervisor, "_LONGEST_WAIT_S", 1.0)
     with site(tmp_path, monkeypatch) as (here, failures, _):
         here.add("weather", "pump", "recorder")
+        here.until(lambda: here.supervisor.last.keys() == {"weather", "pump", "recorder"})
         here.until(lambda: here.supervisor.all_ready and not here.supervisor.inhibit)
         with few_files_left(1):
             os.kill(here.pid(node), signal.SIGKILL)
@@ -414,21 +415,6 @@ def test_a_node_that_cannot_be_started_again_for_now(
         f"ended (SIGKILL); starts again in 1 s{unrecorded}",
         f"cannot be started: Too many open files; tried again every 1 s{unrecorded}",
     ]
-
-
-def test_a_recorder_that_cannot_be_started_at_all(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """All others are ready, and the pump may run."""
-    with site(tmp_path, monkeypatch) as (here, failures, _):
-        here.add("weather", "pump")
-        with few_files_left(1):
-            here.add("recorder")
-        here.until(lambda: here.supervisor.all_ready and not here.supervisor.inhibit)
-        assert failures == [
-            ("recorder", "cannot be started: Too many open files; tried again every 10 s; "
-             "nothing is recorded until then")
-        ]
 
 
 # What a node of another version may say, or one that is broken.

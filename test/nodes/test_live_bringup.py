@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import os
 import re
-import resource
 import signal
 import socket
 import subprocess
@@ -23,7 +22,6 @@ from typing import Any
 import pytest
 from disks import disk_that_hangs, small_disk
 from graphs import Process, alive, bring_up, environment, free_ports, summary_of, wait_for
-from modbus_wire import Wire, acs880
 from places import CHECKOUT, CONFIG, guarding
 from rosbags.highlevel import AnyReader
 from simulators import PATIENCE_S
@@ -37,10 +35,7 @@ from std_msgs.msg import Float64, String  # noqa: E402
 from test_live import Site, observer, site, write_forecast  # noqa: E402, F401
 from test_nodes import qos  # noqa: E402
 
-from greenroof_ros.bringup.drive import DriveChoice  # noqa: E402
 from greenroof_ros.drives.address import parse_address  # noqa: E402
-from greenroof_ros.drives.drive_file import find_drive_file  # noqa: E402
-from greenroof_ros.drives.exchange import DriveExchange  # noqa: E402
 from greenroof_ros.experiment.incidents import read_incidents  # noqa: E402
 from greenroof_ros.simulators.workbench import Workbench  # noqa: E402
 
@@ -345,22 +340,6 @@ def test_a_disk_that_hangs_stops_no_pump(domain: int, tmp_path: Path) -> None:
     assert not any(part == "process" for _, part in incidents)
 
 
-def test_too_few_files_end_no_site(domain: int, tmp_path: Path) -> None:
-    """A node that died is started again when there are some, and the summary says what was."""
-    with live(domain, tmp_path, *NOBODY, code=1) as process:
-        wait_for(lambda: len(process.nodes()) == 2, 60, "nodes")
-        bringup = process.process.pid
-        limits = resource.prlimit(bringup, resource.RLIMIT_NOFILE)
-        resource.prlimit(bringup, resource.RLIMIT_NOFILE, (3, limits[1]))
-        os.kill(process.nodes()["controller"], signal.SIGKILL)
-        said = "mpc: cannot be started: Too many open files; tried again every 10 s"
-        wait_for(lambda: said in process.stderr(), 60, "the incident")
-        resource.prlimit(bringup, resource.RLIMIT_NOFILE, limits)
-        wait_for(lambda: len(process.nodes()) == 2, 60, "the controller")
-        time.sleep(1)
-    assert summary_of(tmp_path / "run")["status"] == "done"
-
-
 def test_a_full_disk_keeps_no_site_from_starting(domain: int, tmp_path: Path) -> None:
     """After a power cut nobody is there to make room; what was written before is not removed."""
     disk = tmp_path / "run"
@@ -379,31 +358,6 @@ def test_a_full_disk_keeps_no_site_from_starting(domain: int, tmp_path: Path) ->
         assert old.read_text() == "of before"
         said = process.stderr()
         assert "No space left on device; the new configuration is in memory only" in said
-
-
-def test_a_second_bringup_at_a_drive_does_not_say_that_its_pump_stands(
-    domain: int, tmp_path: Path
-) -> None:
-    """The first one is this test; the second ends as one that may have left a pump on."""
-    wire = Wire(acs880())
-    choice = DriveChoice(find_drive_file("abb_acs880"), wire.gateway)
-    first = DriveExchange(*choice.read())
-    try:
-        first.start()
-        wait_for(lambda: first.snapshot.connected, 20, "the drive")
-        with live(
-            domain, tmp_path, "--sensors", "external", "--weather", "external",
-            "--drive", "abb_acs880", "--drive-at", wire.gateway, code=1,
-        ) as process:
-            wait_for(lambda: "/roof/level has not come" in process.stderr(), 60, "all nodes")
-        left = f"another program (process {os.getpid()}) runs the drive: left to it, which may run"
-        assert f"; {left} the pump" in process.stderr()
-        assert "are stopped" not in process.stderr()
-        assert summary_of(tmp_path / "run")["status"] == "failed"
-        assert wire.connections == 1
-    finally:
-        first.close()
-        wire.close()
 
 
 def test_a_drive_in_the_loop(domain: int, tmp_path: Path) -> None:
