@@ -1,7 +1,6 @@
 """The site as a ROS 2 graph: ``greenroof run`` and ``greenroof live``.
 
-A run is simulated (:mod:`.simulated`), with a drive in the loop (:mod:`.in_the_loop` beside it) or
-live (:mod:`.live`).
+A run is simulated, also with a drive in the loop (:mod:`.simulated`), or live (:mod:`.live`).
 """
 
 from __future__ import annotations
@@ -11,13 +10,13 @@ import contextlib
 import sys
 from pathlib import Path
 
-from greenroof_ros.bringup.drive import add_drive_arguments, refuse_unknown
-from greenroof_ros.bringup.live import nodes_of, run_live
-from greenroof_ros.bringup.live_options import (
+from greenroof_ros.bringup.drive import add_drive_arguments
+from greenroof_ros.bringup.live import run_live
+from greenroof_ros.bringup.live_site import (
     EXTERNAL,
     add_live_arguments,
     live_site,
-    refuse_live_options,
+    refuse_options,
 )
 from greenroof_ros.bringup.simulated import run_simulated, simulated_run
 from greenroof_ros.common.command_line import EXIT_INTERRUPTED, command, within
@@ -96,11 +95,9 @@ def main() -> int:
     try:
         if arguments.plant == EXTERNAL:
             site = live_site(parser, arguments)
-            nodes = {name: module for name, module, *_ in nodes_of(site)}
-            refuse_unknown(site.node_parameters, site.namespace, nodes, site.controller)
             with _watcher(arguments, site.site_file):
-                return run_live(site, signals)
-        refuse_live_options(parser, arguments)
+                return run_live(site, arguments, signals)
+        refuse_options("simulated", parser, arguments)
         run = simulated_run(arguments)
         with _watcher(arguments, run.site_file):
             return run_simulated(run, arguments, signals)

@@ -17,6 +17,7 @@ from greenroof_ros.drives.address import Address, parse_drive_address
 from greenroof_ros.drives.drive_file import DriveFile, find_drive_file, read_drive_file
 from greenroof_ros.graph.errors import no_ros
 from greenroof_ros.graph.states import PUMP
+from greenroof_ros.graph.supervisor import StopDrive
 from greenroof_ros.pumping.ledger import state_directory
 
 _MAY_RUN = (
@@ -54,45 +55,49 @@ class DriveChoice:
         """
         return read_drive_file(self.file), parse_drive_address(self.at, "--drive-at")
 
-    def state_file(self) -> Path:
-        """Return where a stop or a fault of this drive is kept unless ``--state`` says otherwise.
+    def state_file(self, state: Path | None) -> Path:
+        """Return where a stop or a fault of this drive is kept; its directory is made.
 
         It is the drive's, not a run's, so that a fault outlives the run that found it; and the same
         for each way to write the address.
 
+        Args:
+            state: the directory that ``--state`` names; None for the drive's own.
+
         Raises:
-            ConfigurationError: the file or the address is wrong, or the host is not known.
+            ConfigurationError: the file or the address is wrong, the host is not known, or the
+                directory cannot be made.
         """
-        file, address = self.read()
+        if state is not None:
+            kept = state.resolve() / "pump.json"
+        else:
+            file, address = self.read()
+            try:
+                where = f"{address.place(file.tcp.port).strip('/')}-{file.device_id_at(address)}"
+            except OSError as error:
+                raise ConfigurationError(
+                    f"the host is not found ({error.strerror})", key="--drive-at", value=self.at
+                ) from error
+            name = re.sub(r"[^A-Za-z0-9._]+", "-", f"{self.file.stem}-{where}")
+            kept = state_directory() / f"{name}.json"
         try:
-            where = f"{address.place(file.tcp.port).strip('/')}-{file.device_id_at(address)}"
+            kept.parent.mkdir(parents=True, exist_ok=True)
         except OSError as error:
             raise ConfigurationError(
-                f"the host is not found ({error.strerror})", key="--drive-at", value=self.at
+                f"cannot be written: {error.strerror}", key="--state", value=str(kept.parent)
             ) from error
-        name = re.sub(r"[^A-Za-z0-9._]+", "-", f"{self.file.stem}-{where}")
-        return state_directory() / f"{name}.json"
+        return kept
 
-    def parameters(self, state: Path | None) -> dict[str, Any]:
+    def parameters(self, state_file: Path) -> dict[str, Any]:
         """Return the parameters of the pump node that follow from it.
 
         Args:
-            state: directory of what must survive a restart of the node; None for the drive's own.
-
-        Raises:
-            ConfigurationError: it cannot be made.
+            state_file: of what must survive a restart of the node.
         """
-        file = self.state_file() if state is None else state.resolve() / "pump.json"
-        try:
-            file.parent.mkdir(parents=True, exist_ok=True)
-        except OSError as error:
-            raise ConfigurationError(
-                f"cannot be written: {error.strerror}", key="--state", value=str(file.parent)
-            ) from error
         return {
             "drive": str(self.file),
             "address": self.at,
-            "state_file": str(file),
+            "state_file": str(state_file),
             "autostart": True,
         }
 
@@ -132,7 +137,7 @@ class DriveChoice:
                 key="--speed", value=f"{speed:g}" if speed else "max",
             )
 
-    def stopper(self) -> Callable[[int], tuple[bool, str]]:
+    def stopper(self) -> StopDrive:
         """Return what stops the drive without the pump node, of which it is told the process.
 
         It returns whether the drive says that the pump stands, and what came of it, in words. A
@@ -200,48 +205,65 @@ def add_drive_arguments(parser: argparse.ArgumentParser) -> None:
     )
 
 
+def refuse(*rules: tuple[bool, str, object, str]) -> None:
+    """Refuse a command line by the first rule that it breaks.
+
+    Args:
+        rules: of each whether it is broken, the option, its value, and what would be right.
+
+    Raises:
+        ConfigurationError: it breaks one.
+    """
+    for broken, option, value, expected in rules:
+        if broken:
+            raise ConfigurationError(expected, key=option, value=value)
+
+
 def chosen_drive(arguments: argparse.Namespace) -> DriveChoice | None:
     """Return the drive that a command line names, if it does.
 
     Raises:
         ConfigurationError: there is no such drive file, or something is missing.
     """
-    if arguments.drive is None:
-        if arguments.drive_at is not None:
-            raise ConfigurationError(
-                "needs --drive, which says what the drive is like",
-                key="--drive-at", value=arguments.drive_at,
-            )
-        return None
-    if arguments.drive_at is None:
-        raise ConfigurationError(
-            "needs --drive-at, such as tcp://192.168.0.20:502, gateway://... or /dev/ttyUSB0",
-            key="--drive", value=arguments.drive,
-        )
-    if arguments.pump == "external":
-        raise ConfigurationError(
-            "leaves the pump to somebody else's node, and --drive to the pump node; give one",
-            key="--pump", value="external",
-        )
-    return DriveChoice(find_drive_file(arguments.drive).resolve(), arguments.drive_at)
+    drive, at = arguments.drive, arguments.drive_at
+    refuse(
+        (drive is None and at is not None, "--drive-at", at,
+         "needs --drive, which says what the drive is like"),
+        (drive is not None and at is None, "--drive", drive,
+         "needs --drive-at, such as tcp://192.168.0.20:502, gateway://... or /dev/ttyUSB0"),
+        (drive is not None and arguments.pump == "external", "--pump", "external",
+         "leaves the pump to somebody else's node, and --drive to the pump node; give one"),
+    )
+    return None if drive is None else DriveChoice(find_drive_file(drive).resolve(), at)
 
 
-def own_parameters(arguments: argparse.Namespace) -> Path | None:
+def own_parameters(
+    arguments: argparse.Namespace, nodes: Mapping[str, str], controller: ControllerChoice
+) -> list[Path]:
     """Return the parameter file of a user's own, if there is one.
 
+    Args:
+        arguments: the command line.
+        nodes: of each node that is started the module.
+        controller: of the graph.
+
     Raises:
-        ConfigurationError: it is not there, or says something else of the drive than bringup, which
-            would then stop another drive than the pump node runs.
+        ConfigurationError: it is not there; or says what would have no effect; or something else of
+            the drive than bringup, which would then stop another drive than the pump node runs; or
+            there is no ROS 2.
     """
     file: Path | None = arguments.node_parameters
     if file is None:
-        return None
-    if not file.is_file():
-        raise ConfigurationError(
-            "must be a file that is there", key="--node-parameters", value=str(file)
-        )
+        return []
+    refuse((not file.is_file(), "--node-parameters", str(file), "must be a file that is there"))
     _refuse_drive(file, read_yaml(file), "")
-    return file
+    try:
+        from greenroof_ros.graph.parameters import refuse_unknown_in
+    except ImportError as error:
+        raise no_ros(error) from error
+    whole = {f"{arguments.namespace}/{name}": module for name, module in nodes.items()}
+    refuse_unknown_in(file, whole, controller)
+    return [file]
 
 
 def _refuse_drive(file: Path, content: YamlMapping, node: str) -> None:
@@ -267,27 +289,3 @@ def _refuse_drive(file: Path, content: YamlMapping, node: str) -> None:
                     f"{_OF_BRINGUP[key]} says it",
                     file=file, line=part.lines[key], key=f"{node}: {key}", value=part[key],
                 )
-
-
-def refuse_unknown(
-    file: Path | None, namespace: str, nodes: Mapping[str, str], controller: ControllerChoice
-) -> None:
-    """Refuse what would have no effect in a parameter file of a user's own.
-
-    Args:
-        file: which, if there is one.
-        namespace: of the graph.
-        nodes: of each node the module.
-        controller: of the graph.
-
-    Raises:
-        ConfigurationError: there is something, or no ROS 2.
-    """
-    if file is None:
-        return
-    try:
-        from greenroof_ros.graph.parameters import refuse_unknown_in
-    except ImportError as error:
-        raise no_ros(error) from error
-    whole = {f"{namespace}/{name}": module for name, module in nodes.items()}
-    refuse_unknown_in(file, whole, controller)

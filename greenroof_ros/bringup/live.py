@@ -2,23 +2,25 @@
 
 from __future__ import annotations
 
+import argparse
 import fcntl
 import json
+import math
 import os
 import shutil
+import sys
 import tempfile
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
-from dataclasses import replace
 from datetime import datetime, timezone
 from pathlib import Path
-from typing import Any
+from typing import Any, NoReturn
 
 import yaml
 
-from greenroof_ros.bringup.live_options import EXTERNAL, LiveSite
-from greenroof_ros.bringup.status import Expected, Status, values_of
+from greenroof_ros.bringup.drive import own_parameters
+from greenroof_ros.bringup.live_site import EXTERNAL, LiveNode, LiveSite
 from greenroof_ros.common.command_line import EXIT_DONE, EXIT_FAILED
 from greenroof_ros.common.disk import DISK
 from greenroof_ros.common.errors import ConfigurationError, OccupiedError
@@ -26,91 +28,183 @@ from greenroof_ros.common.signals import InterruptedRun, Signals
 from greenroof_ros.common.systemd import notify
 from greenroof_ros.common.versions import versions
 from greenroof_ros.controllers.registry import controller_names
-from greenroof_ros.drives.sensor_file import read_sensors
 from greenroof_ros.experiment import summary
 from greenroof_ros.experiment.incidents import INCIDENTS, PROCESS, IncidentLog, with_incidents
 from greenroof_ros.graph.domain import only_bringup, refuse_other_nodes
-from greenroof_ros.graph.live_supervisor import Failure, LiveSupervisor
-from greenroof_ros.graph.node_processes import NodeFailed
-from greenroof_ros.graph.states import PUMP, RECORDER
+from greenroof_ros.graph.supervisor import LiveSupervisor, NodeFailed
 
-_NODES = "greenroof_ros.nodes"
-_TANKS = ("cistern", "roof")
-_BRINGUP = "bringup"  # among the nodes that something was lost of
 # How often systemd is told (s), and how long the start may then still take (microseconds).
 _NOTIFY_S = 1.0
 _STILL_STARTING = "EXTEND_TIMEOUT_USEC=30000000"
-# Size of one file of the bag (MB), where the whole may be ten times that.
-_BAG_FILE_MB = 100.0
+# How long the list of what is missing must stand before it is said (s), and how long what has not
+# come yet is late, and not lost.
+_LISTED_S, _LATE_S = 1.0, 60.0
 # How long the end of a site waits for its summary to be written (s).
 _WRITTEN_S = 5.0
 # Files that are in memory (Linux).
 _IN_MEMORY = "/dev/shm"
 
 
-def run_live(site: LiveSite, signals: Signals) -> int:
+def run_live(site: LiveSite, arguments: argparse.Namespace, signals: Signals) -> int:
     """Start the nodes of a live site and keep them up until a signal comes.
 
     Returns:
         The exit code: 0 where it was asked to stop, the pump stands, and there was no incident.
 
     Raises:
-        ConfigurationError: there is a graph already, no ROS 2, or the directory cannot be made.
+        ConfigurationError: there is a graph already, no ROS 2, a wrong parameter file, or the
+            directory cannot be made.
     """
-    names = {name for name, *_ in nodes_of(site)} | {"plant", *controller_names()}
+    state: Path = arguments.state or Path("live")
+    nodes = list(site.nodes(state, state / "configuration"))
+    own = own_parameters(arguments, {node.name: node.module for node in nodes}, site.controller)
     with (
-        only_bringup(site.namespace),
-        _state_directory(site.state) as state,
-        Status(_expected(site)) as status,
+        only_bringup(arguments.namespace),
+        _state_directory(state) as state,
         tempfile.TemporaryDirectory(dir=_IN_MEMORY) as memory,
     ):
-        record = _Record(site, state, status)
-        record.say_last_end()
-        status.update({}, "starting", record.log)
-        refuse_other_nodes(site.namespace, names, signals.check)
+        record, start = _Record(site, state), _Start(nodes)
+        start.look({}, "starting")
+        names = {node.name for node in nodes} | {"plant", *controller_names()}
+        refuse_other_nodes(arguments.namespace, names, signals.check)
         supervisor = LiveSupervisor(
-            state / "log", _configuration(site, state, Path(memory), status), site.namespace,
-            silence_s=site.silence_s,
-            restarts=site.restarts,
-            stop_drive=site.drive.stopper() if site.drive is not None else None,
-            on_failure=record.add,
+            state / "log", _configuration(site, own, state, Path(memory)), arguments.namespace,
+            site.drive.stopper() if site.drive is not None else None,
+            record.add, silence_s=arguments.peer_limit, restarts=arguments.restarts,
         )
         try:
             record.write(summary.RUNNING)
             with supervisor:
-                for node in nodes_of(site):
-                    supervisor.add(*node)
-                _keep_up(supervisor, record, status, signals, pump=site.drive is not None)
-        except InterruptedRun as error:
-            signals.ignore()
-            if not supervisor.may_run:
-                record.write_last(summary.DONE, str(error))
-                status.say(f"{error}: the pump and the nodes are stopped")
-                status.say(with_incidents("done", record.log.count))
-                return EXIT_FAILED if record.log.count else EXIT_DONE
-            _fail(record, status, f"{error}; {supervisor.may_run}")
-            return EXIT_FAILED
-        except NodeFailed as error:
-            signals.ignore()
-            reason = "; ".join(filter(None, (error.reason, supervisor.may_run)))
-            _fail(record, status, reason, error.last_lines)
-            return EXIT_FAILED if supervisor.may_run else error.code
+                for node in nodes:
+                    supervisor.add(node.name, node.module, *node.arguments)
+                _keep_up(site, supervisor, record, start, signals)
         except Exception as error:  # whatever it is, the summary must not say that the site runs
-            reason = f"{type(error).__name__}: {error}"
-            _fail(record, status, "; ".join(filter(None, (reason, supervisor.may_run))))
-            raise
-    raise AssertionError("a live site ends by a signal or a failure")
+            signals.ignore()
+            return _end(record, supervisor, error)
 
 
-def _fail(record: _Record, status: Status, reason: str, *last_lines: str) -> None:
-    """Keep and say why the site ended, so that somebody looks at it."""
-    record.write_last(summary.FAILED, reason)
+def _keep_up(
+    site: LiveSite, supervisor: LiveSupervisor, record: _Record, start: _Start, signals: Signals
+) -> NoReturn:
+    """Watch the nodes for ever.
+
+    Raises:
+        InterruptedRun: a signal came.
+        NodeFailed: a node cannot be kept up.
+    """
+    ready = False
+    notified = -_NOTIFY_S
+    try:
+        while True:
+            supervisor.listen()
+            signals.check()  # a service manager signals the nodes, too: their end is no failure
+            supervisor.look()
+            record.look(supervisor, starting=start.late)
+            start.look(supervisor.last, supervisor.inhibit)
+            if not ready and supervisor.all_ready:
+                ready = True
+                _say("all nodes are here")
+                notify("READY=1")
+            now = time.monotonic()
+            if now - notified >= _NOTIFY_S:
+                notified = now
+                held = supervisor.inhibit
+                how = f"held: {held}" if held else values_of(supervisor.last)
+                notify("WATCHDOG=1", f"STATUS={how}", *([] if ready else [_STILL_STARTING]))
+    finally:
+        notify("STOPPING=1")
+        if site.drive is not None:
+            _say("waiting for the pump to stand")
+
+
+def _end(record: _Record, supervisor: LiveSupervisor, error: Exception) -> int:
+    """Keep and say why the site ended, so that somebody looks at it; return the exit code.
+
+    Raises:
+        Exception: the error, where that is a mistake in this program.
+    """
+    if isinstance(error, InterruptedRun) and not supervisor.may_run:
+        record.write(summary.DONE, str(error))
+        record.wait()
+        _say(f"{error}: the pump and the nodes are stopped")
+        _say(with_incidents("done", record.log.count))
+        return EXIT_FAILED if record.log.count else EXIT_DONE
+    reason, last_lines, code = str(error), "", EXIT_FAILED
+    if isinstance(error, NodeFailed):
+        reason, last_lines, code = error.reason, error.last_lines, error.code
+    elif not isinstance(error, InterruptedRun):
+        reason = f"{type(error).__name__}: {error}"
+    reason = "; ".join(filter(None, (reason, supervisor.may_run)))
+    record.write(summary.FAILED, reason)
+    record.wait()
     notify(f"STATUS={reason}")
-    status.say("\n".join([f"error: {reason}", *last_lines]))
+    _say("\n".join(filter(None, (f"error: {reason}", last_lines))))
+    if not isinstance(error, (InterruptedRun, NodeFailed)):
+        raise error
+    return EXIT_FAILED if supervisor.may_run else code
+
+
+class _Start:
+    """What the site needs before it can pump: a line each with what to do, until all is there.
+
+    The list is said when it has changed, by the codes of what is missing: their sentences have
+    numbers. Of what is lost later an incident tells.
+    """
+
+    def __init__(self, nodes: Sequence[LiveNode]) -> None:
+        self._expected = {
+            (node.name, part): it for node in nodes for part, it in node.expected.items()
+        }
+        self._over = False
+        self._late_until = time.monotonic() + _LATE_S
+        # What is missing, by node, part and code: what is said, and what is seen since when.
+        self._said: list[tuple[str, ...]] | None = None
+        self._seen: tuple[list[tuple[str, ...]], float] = ([], -math.inf)
+
+    @property
+    def late(self) -> bool:
+        """Whether what has not come yet may still come, and is not lost."""
+        return not self._over and time.monotonic() < self._late_until
+
+    def look(self, reports: Mapping[str, Mapping[str, Any]], inhibit: str) -> None:
+        """Say what is missing, where that has changed, and the end of the start.
+
+        Args:
+            reports: the last of each node.
+            inhibit: why the pump may not run; empty where it may.
+        """
+        if self._over:
+            return
+        missing: list[tuple[str, ...]] = []
+        lines = []
+        needed = bool(inhibit)
+        for (node, part), it in self._expected.items():
+            level, message, code = reports.get(node, {}).get("diagnoses", {}).get(part, [""] * 3)
+            if level not in it.well:
+                why = message or f"nothing yet from {it.where}"
+                to_do = it.to_do if message else f"if it does not come, {it.to_do}"
+                lines.append(f"  {it.what}: {why}; {to_do}")
+                missing.append((node, part, code))
+                needed |= it.needed
+        levels = levels_of(reports)
+        if not needed and "unknown" not in levels:
+            self._over = True
+            _say(f"running: {levels}")
+            return
+        if not lines and inhibit:
+            lines, missing = [f"  the pump is held: {inhibit}"], [(inhibit,)]
+        now = time.monotonic()
+        if missing != self._seen[0]:
+            self._seen = missing, now
+        title = "missing:" if self._said is None else "still missing:"
+        stands = self._said is None or now - self._seen[1] > _LISTED_S
+        if missing and missing != self._said and stands:
+            self._said = missing
+            _say("\n".join([title, *lines]))
 
 
 class _Record:
-    """What is kept of a site since its start, ``summary.json``.
+    """What is kept of a site since its start, ``summary.json``, and said of it.
 
     The disk's thread writes it: a disk that is full, or hangs, stops nobody.
 
@@ -118,22 +212,20 @@ class _Record:
         log: of the incidents.
     """
 
-    def __init__(self, site: LiveSite, state: Path, status: Status) -> None:
-        self.log = IncidentLog(status.say, state / INCIDENTS)
+    def __init__(self, site: LiveSite, state: Path) -> None:
+        """Read how the site ended the last time, and say it unless it was asked to."""
+        self.log = IncidentLog(_say, state / INCIDENTS)
         try:
             self.log.go_on()
         except (OSError, ValueError) as error:
-            status.say(f"warning: {error}; the incidents of earlier starts are not shown")
+            _say(f"warning: {error}; the incidents of earlier starts are not shown")
         self._state = state
-        self._status = status
-        self._began = _now()
         self._written = 0
+        self._warnings: set[str] = set()
+        self._problem = ""
         self._content: dict[str, Any] = {}
-        self._problem = self._said = ""
-        self._disk_is_late = False
-        self._what = summary.RUNNING
-        self._reason: str | None = None
-        self._last_time = _last_time(state)
+        self._began = _now()
+        self._last_time = before = _last_time(state)
         self._setting = {
             "controller": site.controller.name,
             "parameters": summary.finite(site.parameters),
@@ -144,74 +236,49 @@ class _Record:
             "drive_at": site.drive.at if site.drive else None,
             "versions": versions(),
         }
-
-    def say_last_end(self) -> None:
-        """Say how the site ended the last time, unless it was asked to."""
-        before = self._last_time
-        if before is None or before["status"] == summary.DONE:
-            return
-        if before["status"] == summary.RUNNING:
-            how = "bringup was killed, or the power failed"
-        else:
+        if before is not None and before["status"] != summary.DONE:
             how = f"bringup ended at {before['ended']}: {before['reason']}"
-        self._status.say(f"the last time, since {before['began']}, {how}")
+            if before["status"] == summary.RUNNING:
+                how = "bringup was killed, or the power failed"
+            _say(f"the last time, since {before['began']}, {how}")
 
-    def add(self, failure: Failure) -> None:
-        """Say and keep that a node failed."""
-        self.log.begin(failure.node, PROCESS, str(failure))
-        self._write()
+    def add(self, node: str, what: str) -> None:
+        """Say and keep that a node failed, and what was done about it."""
+        self.log.begin(node, PROCESS, what)
 
     def look(self, supervisor: LiveSupervisor, *, starting: bool) -> None:
-        """Find what was lost, or has come back, since the last call; keep it."""
+        """Find what was lost, or has come back, since the last call; say and keep it."""
         for node in supervisor.ready:
             self.log.end(node, PROCESS)
-        self.log.look(supervisor.last, starting=starting)
-        self._look_at_disk()
+        disk = f"{self._state}: the disk takes nothing; logs and summary wait in memory"
+        own = {"diagnoses": {"disk": ["ERROR" if DISK.late else "OK", disk, ""]}}
+        self.log.look({**supervisor.last, "bringup": own}, starting=starting)
         if self.log.changes != self._written:
-            self._write()
-        self._say_problem()
+            self.write(summary.RUNNING)
+        self._warn({
+            f"{node}: {text}"
+            for node, report in supervisor.last.items() for text in report["warnings"]
+        })
 
-    def _look_at_disk(self) -> None:
-        """Find that the disk hangs, and that it does no more."""
-        before, self._disk_is_late = self._disk_is_late, DISK.late
-        if self._disk_is_late and not before:
-            self.log.begin(
-                _BRINGUP, "disk",
-                f"{self._state}: the disk takes nothing; logs and summary wait in memory",
+    def _warn(self, of_nodes: set[str]) -> None:
+        """Say each warning that did not stand before: of nodes, and of what is not kept."""
+        own = {self._problem} if self._problem else set()
+        if DISK.refused and not DISK.late:
+            own.add(
+                f"{self._state}: {DISK.refused} pieces of logs found no room in memory since the "
+                "start, and are lost"
             )
-        elif before and not self._disk_is_late:
-            self.log.end(_BRINGUP, "disk")
-            if DISK.refused:
-                self._status.say(
-                    f"warning: {self._state}: {DISK.refused} pieces of logs found no room in "
-                    "memory since the start, and are lost"
-                )
+        for text in sorted((of_nodes | own) - self._warnings):
+            _say(f"warning: {text}")
+        self._warnings = of_nodes | own
 
-    def _say_problem(self) -> None:
-        problem, before = self._problem, self._said
-        if problem != before:
-            self._said = problem
-            if problem:
-                self._status.say(f"warning: {problem}")
-
-    def write_last(self, what: str, reason: str | None = None) -> None:
-        """Keep how the site ended, and say where that is not on the disk within 5 s."""
-        self.write(what, reason)
-        if not DISK.wait(_WRITTEN_S):
-            self._problem = f"{self._state}: the disk takes nothing; {summary.SUMMARY} is not kept"
-        self._say_problem()
-
-    def write(self, what: str, reason: str | None = None) -> None:
+    def write(self, status: str, reason: str | None = None) -> None:
         """Keep how the site is: one of those of :mod:`greenroof_ros.experiment.summary`."""
-        self._what, self._reason = what, reason
-        self._write()
-
-    def _write(self) -> None:
         self._content = {
-            "status": self._what,
-            "reason": self._reason,
+            "status": status,
+            "reason": reason,
             "began": self._began,
-            "ended": None if self._what == summary.RUNNING else _now(),
+            "ended": None if status == summary.RUNNING else _now(),
             "last_time": self._last_time,
             "incident_count": self.log.count,
             "incidents": self.log.as_dicts(),
@@ -228,6 +295,41 @@ class _Record:
         except OSError as error:
             self._problem = f"{error.filename or self._state}: {error.strerror}"
 
+    def wait(self) -> None:
+        """Wait until all is on the disk, and say where it is not within 5 s."""
+        if not DISK.wait(_WRITTEN_S):
+            self._problem = f"{self._state}: the disk takes nothing; {summary.SUMMARY} is not kept"
+        self._warn(self._warnings)
+
+
+def _say(text: str) -> None:
+    print(text, file=sys.stderr)
+
+
+def values_of(reports: Mapping[str, Mapping[str, Any]]) -> str:
+    """Return levels, command and pump in a line, as far as the nodes have said them."""
+    values = _values(reports)
+    parts = [levels_of(reports)]
+    if values.get("command") is not None:
+        parts.append(f"command {values['command']:.3f}")
+    if "pump" in values:
+        parts.append(f"pump {values['pump']}")
+    return ", ".join(parts)
+
+
+def levels_of(reports: Mapping[str, Mapping[str, Any]]) -> str:
+    """Return both levels, as far as the nodes have said them."""
+    levels = []
+    for name, places in (("cistern", 3), ("roof", 4)):
+        level = _values(reports).get(f"{name}_level")
+        levels.append(f"{name} unknown" if level is None else f"{name} {level:.{places}f} m")
+    return ", ".join(levels)
+
+
+def _values(reports: Mapping[str, Mapping[str, Any]]) -> dict[str, Any]:
+    """Return what the nodes said last, by its name."""
+    return {name: value for report in reports.values() for name, value in report.items()}
+
 
 def _last_time(state: Path) -> dict[str, Any] | None:
     """Return when and how the site was started and ended before; None where that is not known."""
@@ -239,92 +341,6 @@ def _last_time(state: Path) -> dict[str, Any] | None:
 
 def _now() -> str:
     return datetime.now(timezone.utc).isoformat(timespec="milliseconds")
-
-
-def _keep_up(
-    supervisor: LiveSupervisor, record: _Record, status: Status, signals: Signals, *, pump: bool
-) -> None:
-    """Watch the nodes for ever.
-
-    Raises:
-        InterruptedRun: a signal came.
-        NodeFailed: a node cannot be kept up.
-    """
-    ready = False
-    notified = -_NOTIFY_S
-    try:
-        while True:
-            supervisor.reports()
-            signals.check()  # a service manager signals the nodes, too: their end is no failure
-            supervisor.look()
-            record.look(supervisor, starting=status.late)
-            status.update(supervisor.last, supervisor.inhibit, record.log)
-            if not ready and supervisor.all_ready:
-                ready = True
-                status.say("all nodes are here")
-                notify("READY=1")
-            now = time.monotonic()
-            if now - notified >= _NOTIFY_S:
-                notified = now
-                held = supervisor.inhibit
-                how = f"held: {held}" if held else values_of(supervisor.last)
-                notify("WATCHDOG=1", f"STATUS={how}", *([] if ready else [_STILL_STARTING]))
-    finally:
-        notify("STOPPING=1")
-        if pump:
-            status.say("waiting for the pump to stand")
-
-
-def _expected(site: LiveSite) -> dict[tuple[str, str], Expected]:
-    """Return what a site needs before it can pump, by the node and the part that say how it is."""
-    expected = {}
-    if site.sensors is not None:
-        sensors = read_sensors(site.sensors)
-        for tank in _TANKS:
-            address = getattr(sensors, tank).address
-            expected[f"{tank}_sensor", "sensor"] = Expected(
-                f"level of the {tank}", address,
-                f"check the sensor's power and cable, and its address in {site.sensors.name}",
-            )
-    if site.forecast is not None:
-        expected["weather", "forecast"] = Expected(
-            "forecast", str(site.forecast),
-            "put a newer file in its place, which is read by itself; without one on/off waters",
-            needed=False,
-        )
-    if site.sensors is None or not site.weather:
-        expected[site.controller.name, "inputs"] = Expected(
-            f"inputs of {site.controller.name}", "your own nodes",
-            "start the nodes that publish them",
-        )
-    if site.drive is not None:
-        expected[PUMP, "drive"] = Expected(
-            "drive", site.drive.at,
-            "check its power and cable, and the address of --drive-at",
-        )
-    if site.weather:
-        expected["weather", "frost"] = Expected(
-            "frost", "/gauge/temperature" if site.forecast is None else "the forecast",
-            "start the node that publishes /gauge/temperature (degC)" if site.forecast is None else
-            "let the forecast have a column of temperature, or a node publish /gauge/temperature",
-            well=("OK", "WARN"),
-        )
-    return expected
-
-
-def nodes_of(site: LiveSite) -> Iterator[tuple[str, ...]]:
-    """Return the nodes of a site: name, module and arguments of each."""
-    if site.sensors is not None:
-        for tank in _TANKS:
-            yield f"{tank}_sensor", f"{_NODES}.level_sensor", "--tank", tank
-    if site.weather:
-        yield "weather", f"{_NODES}.weather"
-    controller = site.controller
-    yield controller.name, f"{_NODES}.controller", "--controller", controller.reference
-    if site.drive is not None:
-        yield PUMP, f"{_NODES}.pump"
-    if site.record:
-        yield RECORDER, f"{_NODES}.live_recorder"
 
 
 @contextmanager
@@ -354,16 +370,18 @@ def _state_directory(path: Path) -> Iterator[Path]:
         os.close(number)
 
 
-def _configuration(site: LiveSite, state: Path, memory: Path, status: Status) -> list[Path]:
+def _configuration(
+    site: LiveSite, own: Sequence[Path], state: Path, memory: Path
+) -> list[Path]:
     """Keep what the site was started with; in memory, and with a warning, on a full disk.
 
     After a power cut nobody is there to make room, and the plants need water.
 
     Args:
         site: as asked for.
-        state: its directory.
+        own: parameter files of the user's.
+        state: the directory of the site.
         memory: a directory that is on no disk, for as long as the site runs.
-        status: where the warning is said.
 
     Returns:
         The ROS 2 parameter files that all nodes read, bringup's and the user's.
@@ -371,24 +389,21 @@ def _configuration(site: LiveSite, state: Path, memory: Path, status: Status) ->
     Raises:
         OSError: it cannot be written there, either.
     """
-    place, part, old = (state / f"configuration{end}" for end in ("", ".part", ".old"))
-    for left in (part, old):
-        shutil.rmtree(left, ignore_errors=True)
+    place, part = state / "configuration", state / "configuration.part"
+    shutil.rmtree(part, ignore_errors=True)
     try:
-        files = _write_configuration(site, state, part, place)
-        if place.exists():
-            place.rename(old)
+        files = _write_configuration(site, own, state, part, place)
+        shutil.rmtree(place, ignore_errors=True)
         part.rename(place)
     except OSError as error:
         shutil.rmtree(part, ignore_errors=True)
-        status.say(f"warning: {place}: {error.strerror}; the new configuration is in memory only")
-        return _write_configuration(site, state, memory, memory)
-    shutil.rmtree(old, ignore_errors=True)
+        _say(f"warning: {place}: {error.strerror}; the new configuration is in memory only")
+        return _write_configuration(site, own, state, memory, memory)
     return files
 
 
 def _write_configuration(
-    site: LiveSite, state: Path, directory: Path, place: Path
+    site: LiveSite, own: Sequence[Path], state: Path, directory: Path, place: Path
 ) -> list[Path]:
     """Copy what the site was started with, and write the parameters of its nodes.
 
@@ -397,7 +412,8 @@ def _write_configuration(
 
     Args:
         site: as asked for.
-        state: its directory.
+        own: parameter files of the user's.
+        state: the directory of the site.
         directory: to write to; made where it is missing.
         place: where that will be.
 
@@ -408,51 +424,14 @@ def _write_configuration(
         OSError: it cannot be written.
     """
     directory.mkdir(exist_ok=True)
-    kept: dict[str, str] = {}
-    for name, file in (
-        ("site", site.site_file),
-        ("sensors", site.sensors),
-        ("drive", site.drive.file if site.drive is not None else None),
-        ("nodes", site.node_parameters),
-    ):
-        if file is not None:
-            (directory / name).mkdir()
-            shutil.copyfile(file, directory / name / file.name)
-            kept[name] = str(place / name / file.name)
+    for name, file in [*site.files().items(), *(("nodes", file) for file in own)]:
+        (directory / name).mkdir()
+        shutil.copyfile(file, directory / name / file.name)
     parameters = {
-        f"/**/{name}": {"ros__parameters": values}
-        for name, values in _parameters(site, state, kept).items()
+        f"/**/{node.name}": {"ros__parameters": node.parameters}
+        for node in site.nodes(state, place)
     }
     (directory / "parameters.yaml").write_text(
         yaml.safe_dump(parameters, sort_keys=False), encoding="utf-8"
     )
-    return [place / "parameters.yaml", *(Path(kept[name]) for name in kept if name == "nodes")]
-
-
-def _parameters(
-    site: LiveSite, state: Path, kept: dict[str, str]
-) -> dict[str, dict[str, Any]]:
-    """Return the parameters of each node that bringup decides."""
-    common = {"live": True, "site_file": kept["site"]}
-    parameters: dict[str, dict[str, Any]] = {
-        site.controller.name: {**common, **site.parameters},
-        RECORDER: {
-            "directory": str(state / "bag"),
-            "file_limit": min(_BAG_FILE_MB, site.bag_limit / 10),
-            "total_limit": site.bag_limit,
-        },
-    }
-    if site.weather:
-        parameters["weather"] = {
-            **common,
-            "forecast": str(site.forecast or ""),
-            "horizon": site.parameters.get("horizon", 0.0),
-            "all_members": site.controller.ensemble,
-        }
-    if site.sensors is not None:
-        for tank in _TANKS:
-            parameters[f"{tank}_sensor"] = {"sensors_file": kept["sensors"]}
-    if site.drive is not None:
-        kept_drive = replace(site.drive, file=Path(kept["drive"]))
-        parameters[PUMP] = {**common, **kept_drive.parameters(state)}
-    return parameters
+    return [place / "parameters.yaml", *(place / "nodes" / file.name for file in own)]

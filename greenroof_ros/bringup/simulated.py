@@ -1,18 +1,18 @@
-"""A simulated run as a graph: its directory, its nodes watched until the end, and its summary."""
+"""A simulated run as a graph, also with a drive in the loop: nodes watched to the end, summary."""
 
 from __future__ import annotations
 
 import argparse
 import shlex
+import signal
 import sys
+import time
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from greenroof_ros.bringup.drive import chosen_drive, own_parameters, refuse_unknown
-from greenroof_ros.bringup.in_the_loop import exchange_period, speed_of, wait_for_drive
-from greenroof_ros.bringup.live_options import EXTERNAL
+from greenroof_ros.bringup.drive import DriveChoice, chosen_drive, own_parameters, refuse
 from greenroof_ros.common.command_line import EXIT_DONE, EXIT_FAILED, EXIT_INTERRUPTED
-from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.signals import InterruptedRun, Signals
 from greenroof_ros.controllers.registry import controller_names
 from greenroof_ros.experiment import summary, summary_table
@@ -22,15 +22,16 @@ from greenroof_ros.experiment.progress import RunProgress
 from greenroof_ros.experiment.run import Run
 from greenroof_ros.experiment.run_directory import make_run_directory, write_configuration
 from greenroof_ros.graph.domain import only_bringup, refuse_other_nodes
-from greenroof_ros.graph.node_processes import NodeFailed
 from greenroof_ros.graph.states import FINISHED, PUMP, READY, RECORDER, ROLES
-from greenroof_ros.graph.supervisor import Supervisor
+from greenroof_ros.graph.supervisor import START_LIMIT_S, NodeFailed, Supervisor
 from greenroof_ros.recording.bag_reader import count_ticks
 
 _NODES = "greenroof_ros.nodes"
-_SHOWN = {"tick", "cistern_level", "roof_level", "command"}  # of what the plant says
-# From the start of the processes to all being ready (s): imports on a busy machine take seconds.
-_START_LIMIT_S = 30.0
+_SHOWN = ("tick", "cistern_level", "roof_level", "command")  # of what the plant says
+# How long a drive may take until it may run (s); an ABB's timeout guards 30 s after power-up only.
+_DRIVE_LIMIT_S = 60.0
+# Nodes that report four times a second fall silent for one reason within this time (s).
+_SAME_SILENCE_S = 0.5
 
 
 def simulated_run(arguments: argparse.Namespace) -> Run:
@@ -40,10 +41,10 @@ def simulated_run(arguments: argparse.Namespace) -> Run:
         ConfigurationError: an option, or a file that it names, is wrong.
     """
     run = run_from_arguments(arguments)
-    if arguments.pump == EXTERNAL or arguments.drive is not None:
+    if arguments.pump == "external" or arguments.drive is not None:
         run.sensor_pump_errors.refuse_external_pump()
-    if arguments.state is not None and arguments.drive is None:
-        raise ConfigurationError("is of a drive, or a live site", key="--state")
+    no_drive = arguments.state is not None and arguments.drive is None
+    refuse((no_drive, "--state", None, "is of a drive, or a live site"))
     return run
 
 
@@ -58,26 +59,27 @@ def run_simulated(run: Run, arguments: argparse.Namespace, signals: Signals) -> 
         OSError: the summary cannot be written.
         OutputError: it cannot be printed.
     """
-    namespace: str = arguments.namespace
-    controller = run.controller
-    drive, own = chosen_drive(arguments), own_parameters(arguments)
+    drive = chosen_drive(arguments)
     stop_drive = drive.stopper() if drive is not None else None
     nodes = {
-        **({} if drive is None else {PUMP: f"{_NODES}.pump"}),
+        **({PUMP: f"{_NODES}.pump"} if drive is not None else {}),
         "plant": f"{_NODES}.plant",
         "weather": f"{_NODES}.weather",
-        controller.name: f"{_NODES}.controller",
-        **({} if arguments.no_record else {RECORDER: f"{_NODES}.recorder"}),
+        run.controller.name: f"{_NODES}.controller",
+        **({RECORDER: f"{_NODES}.recorder"} if not arguments.no_record else {}),
     }
-    refuse_unknown(own, namespace, nodes, controller)
-    speed = speed_of(arguments.speed, drive)
-    if drive is not None:
-        drive.refuse_speed(speed, signals.check)
-    names = {*nodes, RECORDER, *controller_names()}
-    with only_bringup(namespace):
-        refuse_other_nodes(namespace, names, signals.check)
-        directory = make_run_directory(arguments.output, controller.name)
-        of_drive = {} if drive is None else drive.parameters(arguments.state)
+    own = own_parameters(arguments, nodes, run.controller)
+    speed = _speed(arguments, drive, signals.check)
+    with only_bringup(arguments.namespace):
+        refuse_other_nodes(
+            arguments.namespace, {*nodes, RECORDER, *controller_names()}, signals.check
+        )
+        directory = make_run_directory(arguments.output, run.controller.name)
+        of_drive = {} if drive is None else {
+            **drive.parameters(drive.state_file(arguments.state)),
+            # The time between two rounds of requests (s): a tick, within limits.
+            "exchange_period": min(max(run.site.tau / speed, 0.02), 0.1) if speed else 0.02,
+        }
         parameters = write_configuration(
             directory, run,
             {
@@ -86,48 +88,91 @@ def run_simulated(run: Run, arguments: argparse.Namespace, signals: Signals) -> 
                 "record": not arguments.no_record,
                 "peer_limit": arguments.peer_limit,
             },
-            {} if drive is None else {PUMP: {
-                **of_drive,
-                "exchange_period": exchange_period(run, speed),
-            }},
+            {} if drive is None else {PUMP: of_drive},
         )
         summary.write(summary.build_unfinished(run, summary.RUNNING), directory)
+        (directory / "log").mkdir()
         supervisor = Supervisor(
-            directory / "log", [parameters, *([] if own is None else [own])], namespace, stop_drive
+            directory / "log", [parameters, *own], arguments.namespace, stop_drive,
+            lambda node, what: print(f"{node}: {what}", file=sys.stderr),
         )
         progress = RunProgress(run.steps, run.site.tau)
         log = IncidentLog(progress.say, directory / INCIDENTS)
+        status, reason, code = summary.DONE, "", EXIT_DONE
         try:
-            with supervisor:
+            with supervisor, progress:
                 if drive is not None:
-                    supervisor.add(PUMP, nodes[PUMP])
-                    print(
-                        f"stops and faults of the drive are kept in {of_drive['state_file']}",
-                        file=sys.stderr,
-                    )
-                with progress:
-                    if drive is not None:
-                        wait_for_drive(
-                            supervisor, signals, of_drive["state_file"], progress, _START_LIMIT_S
-                        )
-                    for name, module in nodes.items():
-                        if name == controller.name:
-                            supervisor.add(name, module, "--controller", controller.reference)
-                        elif name != PUMP:
-                            supervisor.add(name, module)
-                    _watch(run, arguments.peer_limit, supervisor, signals, log, progress)
+                    supervisor.start(PUMP, nodes.pop(PUMP))
+                    _wait_for_drive(supervisor, signals, str(of_drive["state_file"]), progress)
+                for name, module in nodes.items():
+                    of_controller = name == run.controller.name
+                    chosen = ["--controller", run.controller.reference] if of_controller else []
+                    supervisor.start(name, module, *chosen)
+                _watch(run, arguments.peer_limit, supervisor, signals, log, progress)
         except InterruptedRun as error:
             signals.ignore()
             print(error, file=sys.stderr)
-            _end_early(run, directory, supervisor, log, summary.INTERRUPTED, str(error))
-            return EXIT_FAILED if supervisor.may_run else EXIT_INTERRUPTED
+            status, reason, code = summary.INTERRUPTED, str(error), EXIT_INTERRUPTED
         except NodeFailed as error:
             signals.ignore()
             print(f"error: {error}", file=sys.stderr)
-            _end_early(run, directory, supervisor, log, summary.FAILED, error.reason)
-            return EXIT_FAILED if supervisor.may_run else error.code
-        _end_whole(run, directory, supervisor, log, as_json=arguments.json)
-        return EXIT_FAILED if supervisor.may_run or log.count else EXIT_DONE
+            status, reason, code = summary.FAILED, error.reason, error.code
+        if status != summary.FAILED:
+            _say_unclosed_bag(supervisor)
+        if supervisor.may_run:
+            code = EXIT_FAILED
+        _end(run, directory, supervisor, log, status, reason, as_json=arguments.json)
+        return code or (EXIT_FAILED if log.count else EXIT_DONE)
+
+
+def _speed(
+    arguments: argparse.Namespace, drive: DriveChoice | None, check: Callable[[], None]
+) -> float:
+    """Return the simulated time per wall time; 0 for as fast as it goes, which no drive does."""
+    if drive is None:
+        return float(arguments.speed or 0.0)
+    speed = 1.0 if arguments.speed is None else float(arguments.speed)
+    drive.refuse_speed(speed, check)
+    return speed
+
+
+def _wait_for_drive(
+    supervisor: Supervisor, signals: Signals, state_file: str, progress: RunProgress
+) -> None:
+    """Wait until the pump node may run its drive: no run begins that could not pump.
+
+    What was latched in another run holds the pump in this one, and is said.
+
+    Raises:
+        NodeFailed: it ended, or something speaks against the drive for too long.
+        InterruptedRun: a signal came.
+    """
+    progress.say(f"stops and faults of the drive are kept in {state_file}")
+    until = time.monotonic() + _DRIVE_LIMIT_S
+    said: dict[str, Any] = {}
+    while not said.get("active"):
+        signals.check()
+        supervisor.permit.tell("waiting for nodes")
+        supervisor.listen()
+        said = supervisor.last.get(PUMP, {})
+        diagnoses = said.get("diagnoses", {})
+        trouble = "; ".join(
+            diagnoses[part][1] for part in ("drive", "drive timeout", "state file")
+            if part in diagnoses and diagnoses[part][0] != "OK"
+        )
+        progress.waiting(f"waiting for the drive: {trouble or 'the pump node starts'}")
+        _check(supervisor, START_LIMIT_S)
+        if time.monotonic() > until:
+            raise NodeFailed(
+                f"the drive cannot be run, after {_DRIVE_LIMIT_S:g} s: {trouble}; check its power "
+                "and cable, and the address of --drive-at", "", EXIT_FAILED,
+            )
+    latched = said.get("fault") or said.get("held")
+    if latched:
+        progress.say(
+            f"warning: the pump stays off, by {state_file}: {latched}; a fault is cleared by the "
+            "service /pump/reset, a stop by /pump/stop with false, and --state DIR is another's"
+        )
 
 
 def _watch(
@@ -148,32 +193,65 @@ def _watch(
         NodeFailed: one ended, hangs, or is not ready in time.
         InterruptedRun: a signal came.
     """
-    waiting = set(supervisor.nodes)
-    running = set(supervisor.nodes)
+    waiting, running, tick = set(supervisor.nodes), set(supervisor.nodes), -1
     while running:
         signals.check()
         supervisor.permit.tell("waiting for nodes" if waiting - {RECORDER} else "")
-        for node, report in supervisor.reports():
+        supervisor.listen()
+        last = supervisor.last
+        waiting -= {name for name in last if last[name]["state"] in (READY, FINISHED)}
+        running -= {name for name in last if last[name]["state"] == FINISHED}
+        for report in last.values():
             progress.warn(report["warnings"])
-            if report["state"] in (READY, FINISHED):
-                waiting.discard(node)
-            if report["state"] == FINISHED:
-                running.discard(node)
-            if node == "plant" and not waiting and report.keys() >= _SHOWN:
-                progress.update(
-                    report["tick"], report["cistern_level"], report["roof_level"],
-                    report["command"],
-                )
-        if not waiting:
-            log.look(supervisor.last, _tick(supervisor))
         if waiting:
-            progress.waiting(f"waiting for {', '.join(_missing(run, waiting, supervisor))}")
-        supervisor.check(_START_LIMIT_S if waiting else limit)
+            names = ", ".join(_missing(run, waiting, supervisor))
+            progress.waiting(f"waiting for {names}")
+        else:
+            before, tick = tick, _tick(supervisor)
+            if tick != before and last["plant"].keys() >= set(_SHOWN):
+                progress.update(*(last["plant"][name] for name in _SHOWN))
+            log.look(last, tick)
+        _check(supervisor, START_LIMIT_S if waiting else limit)
+
+
+def _check(supervisor: Supervisor, limit: float) -> None:
+    """Look whether all nodes live and speak.
+
+    Args:
+        supervisor: of the nodes.
+        limit: longest silence (s); half a second later, when all that it silenced are silent for as
+            long, it is reported.
+
+    Raises:
+        NodeFailed: one has ended, or some were silent for longer.
+    """
+    for name, node in supervisor.nodes.items():
+        ended = supervisor.ended(name)
+        if ended:
+            raise NodeFailed(
+                f"node {name} {ended}", supervisor.quoted(name), node.process.returncode
+            )
+    now = time.monotonic()
+    silent = {
+        name: now - node.heard for name, node in supervisor.nodes.items()
+        if now - node.heard > limit
+    }
+    # A node that is stopped silences those that wait for it: all of them are named, and which of
+    # them is stopped.
+    if max(silent.values(), default=0.0) > limit + _SAME_SILENCE_S:
+        raise NodeFailed(
+            "; ".join(
+                f"node {name}{' (stopped)' if supervisor.nodes[name].is_stopped else ''} "
+                f"has not answered for {limit:g} s"
+                for name in silent
+            ),
+            "\n".join(map(supervisor.quoted, silent)), EXIT_FAILED,
+        )
 
 
 def _tick(supervisor: Supervisor) -> int:
     """Return the tick that the plant has reached."""
-    return int(supervisor.last["plant"].get("tick", -1))
+    return int(supervisor.last.get("plant", {}).get("tick", -1))
 
 
 def _missing(run: Run, waiting: set[str], supervisor: Supervisor) -> list[str]:
@@ -186,83 +264,70 @@ def _missing(run: Run, waiting: set[str], supervisor: Supervisor) -> list[str]:
     return sorted(missing | (waiting - supervisor.last.keys()) or waiting)
 
 
-def _refused(supervisor: Supervisor) -> dict[str, int]:
-    """Return how many values of each topic the nodes refused."""
+def _say_unclosed_bag(supervisor: Supervisor) -> None:
+    """Say that the recorder could not close its bag, where it has begun one.
+
+    One whose middleware locked up (SIGALRM) had closed its bag before, or logged why it could not.
+    """
+    recorder = supervisor.nodes.get(RECORDER)
+    if recorder is not None and recorder.spoke and (
+        recorder.process.returncode not in (EXIT_DONE, -signal.SIGALRM)
+    ):
+        print("error: the recorder could not close its bag", file=sys.stderr)
+        print(supervisor.quoted(RECORDER), file=sys.stderr)
+
+
+def _end(
+    run: Run, directory: Path, supervisor: Supervisor, log: IncidentLog, status: str, reason: str,
+    *, as_json: bool,
+) -> None:
+    """Write the summary; print that of a run that is done, or say how its bag is opened."""
+    last = supervisor.last
     refused: dict[str, int] = {}
-    for report in supervisor.last.values():
+    for report in last.values():
         for topic, count in report["refused"].items():
             refused[topic] = refused.get(topic, 0) + count
-    return refused
-
-
-def _parameter_changes(run: Run, supervisor: Supervisor) -> list[dict[str, Any]]:
-    """Return the parameters of the controller that changed in the run."""
-    changes: list[dict[str, Any]] = supervisor.last.get(run.controller.name, {}).get(
-        "parameter_changes", []
-    )
-    return changes
-
-
-def _end_whole(
-    run: Run, directory: Path, supervisor: Supervisor, log: IncidentLog, *, as_json: bool,
-) -> None:
-    """Write and print the summary of a run that is done."""
-    plant, controller = supervisor.last["plant"], supervisor.last[run.controller.name]
-    result = summary.build(
-        run,
-        plant["metrics"],
-        plant["weeks"],
-        wall_s=plant["wall_s"],
-        solver=controller["solver"],
-        messages=supervisor.last.get(RECORDER, {}).get("messages"),
-        refused=_refused(supervisor),
-        parameter_changes=_parameter_changes(run, supervisor),
-        incidents=log.as_dicts(),
+    controller = last.get(run.controller.name, {})
+    said: dict[str, Any] = {
+        "refused": refused,
+        "parameter_changes": controller.get("parameter_changes", []),
+        "incidents": log.as_dicts(),
+    }
+    if status == summary.DONE:
+        plant = last["plant"]
+        result = summary.build(
+            run, plant["metrics"], plant["weeks"], wall_s=plant["wall_s"],
+            solver=controller["solver"], messages=last.get(RECORDER, {}).get("messages"), **said,
+        )
+        summary.write(result, directory)
+        summary_table.show(result, directory, as_json=as_json)
+        return
+    ticks = count_ticks(directory / "bag")
+    _say_what_is_in_bag(directory, ticks)
+    # A plant that was killed came further than it had said, and the recorder heard of it.
+    reached = max(_tick(supervisor), (ticks or 0) - 1)
+    result = summary.build_unfinished(
+        run, status, reason=reason, last_tick=reached if reached >= 0 else None, **said
     )
     summary.write(result, directory)
-    summary_table.show(result, directory, as_json=as_json)
 
 
-def _end_early(
-    run: Run, directory: Path, supervisor: Supervisor, log: IncidentLog, status: str, reason: str,
-) -> None:
-    """Write how far a run came that is not done, and say how its bag is opened."""
-    bag = directory / "bag"
-    ticks = count_ticks(bag)
-    for line in _bag_lines(directory, bag, ticks):
-        print(line, file=sys.stderr)
-    last = supervisor.last
-    # A plant that was killed came further than it had said, and the recorder heard of it.
-    reached = max(last.get("plant", {}).get("tick", -1), (ticks or 0) - 1)
-    summary.write(
-        summary.build_unfinished(
-            run, status, reason=reason, last_tick=reached if reached >= 0 else None,
-            refused=_refused(supervisor),
-            parameter_changes=_parameter_changes(run, supervisor),
-            incidents=log.as_dicts(),
-        ),
-        directory,
-    )
-
-
-def _bag_lines(directory: Path, bag: Path, ticks: int | None) -> list[str]:
+def _say_what_is_in_bag(directory: Path, ticks: int | None) -> None:
     """Say what is in the bag of a run that is not done, and how it is opened.
 
     Args:
         directory: of the run.
-        bag: in it.
         ticks: that it holds; None where there is none, or it was not closed.
     """
-    recover, report, info = (
-        f"  {tool} {shlex.quote(str(path))}"
-        for tool, path in (
-            ("greenroof recover", directory),
-            ("greenroof report", directory),
-            ("ros2 bag info", bag),
-        )
-    )
+    bag, run = directory / "bag", shlex.quote(str(directory))
+    report = f"  greenroof report {run}"
+    lines = ["no tick was recorded"]
     if ticks:
-        return [f"ticks in {bag}: {ticks}; to look at them:", report, info]
-    if ticks is None and bag.is_dir():
-        return [f"{bag} was not closed; to restore its ticks and look at them:", recover, report]
-    return ["no tick was recorded"]
+        info = f"  ros2 bag info {shlex.quote(str(bag))}"
+        lines = [f"ticks in {bag}: {ticks}; to look at them:", report, info]
+    elif ticks is None and bag.is_dir():
+        lines = [
+            f"{bag} was not closed; to restore its ticks and look at them:",
+            f"  greenroof recover {run}", report,
+        ]
+    print(*lines, sep="\n", file=sys.stderr)

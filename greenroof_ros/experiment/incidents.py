@@ -34,6 +34,7 @@ _LOSSES: dict[str, tuple[frozenset[str], float]] = {
     "state file": (_LOST, 0.0),
     "suspend": (_LOST, 0.0),
     "recording": (_LOST, 0.0),
+    "disk": (_LOST, 0.0),
     "sensor": (_LOST, 3.0),
     _FORECAST: (_NOT_GOOD, 3.0),
     "rain gauge": (_NOT_GOOD, 3.0),

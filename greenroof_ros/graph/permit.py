@@ -69,7 +69,6 @@ class PermitReader:
         self._pipe = int(os.environ[PERMIT_PIPE]) if self.given else -1
         if self.given:
             os.set_blocking(self._pipe, False)
-        self._rest = b""
         self._ended = False
         self._inhibit = ""
         self._at: float | None = None
@@ -99,9 +98,8 @@ class PermitReader:
                 read = os.read(self._pipe, 1 << 16)
                 self._ended = not read
                 data += read
-        *lines, self._rest = (self._rest + data).split(b"\n")
-        if lines:
-            # What a bringup of another version says is no permit where it says something else.
-            with contextlib.suppress(ValueError, KeyError, TypeError):
-                line = json.loads(lines[-1])
-                self._inhibit, self._at = str(line["inhibit"]), float(line["at"])
+        # A line is whole: so short a one is written at once. What a bringup of another version says
+        # is no permit where it says something else.
+        with contextlib.suppress(IndexError, ValueError, KeyError, TypeError):
+            line = json.loads(data.splitlines()[-1])
+            self._inhibit, self._at = str(line["inhibit"]), float(line["at"])

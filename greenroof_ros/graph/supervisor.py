@@ -1,12 +1,24 @@
-"""The nodes of a simulated run: started together, watched, and ended with the first that fails."""
+"""The processes of a graph's nodes: started, heard, logged, ended; on a live site started again."""
 
 from __future__ import annotations
 
+import atexit
+import contextlib
+import logging
+import os
+import selectors
 import signal
+import subprocess
 import sys
 import time
-from collections.abc import Callable, Sequence
+from collections import deque
+from collections.abc import Callable, Collection, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
+from dataclasses import dataclass, field
+from functools import partial
+from logging.handlers import RotatingFileHandler
 from pathlib import Path
+from typing import Any
 
 from greenroof_ros.common.command_line import (
     EXIT_DONE,
@@ -14,122 +26,513 @@ from greenroof_ros.common.command_line import (
     EXIT_OCCUPIED,
     EXIT_USAGE,
 )
-from greenroof_ros.graph.node_processes import NodeFailed, NodeProcesses
+from greenroof_ros.common.disk import DISK
+from greenroof_ros.common.processes import asked_to_end_with_this
+from greenroof_ros.drives.drive_file import LONGEST_RAMP_S
 from greenroof_ros.graph.permit import Permit
-from greenroof_ros.graph.states import PUMP, RECORDER
+from greenroof_ros.graph.states import PUMP, READY, RECORDER, REPORT_PIPE, read_report
 
-# Nodes that report four times a second fall silent for one reason within this time (s).
-_SAME_SILENCE_S = 0.5
+# How long to wait for a process that was asked to end, before the kernel ends it (s); and the pump
+# node, which waits until the pump stands: as long as the speed falls.
+ENDING_S, PUMP_ENDING_S = 8.0, 40.0
+# How long the kernel may take (s).
+KILLING_S = 5.0
+# How long a node that was just started may say nothing (s): imports on a busy machine take seconds.
+START_LIMIT_S = 30.0
+_LAST_LINES = 15
+# Size at which a node's log becomes its .log.1 in place of the one before it: a live site runs for
+# months. How long the end of nodes waits for what they printed to be written (s).
+_LOG_BYTES, _WRITTEN_S = 10_000_000, 2.0
+# A pause of this process itself (s): what it did not hear is not the nodes' silence.
+_PAUSE_S = 1.0
+
+# Of a live site: a node that says nothing for so long (s) holds the pump; reports come four times a
+# second. A pump node that did not say that the pump stands is killed then.
+SILENT_S = 2.0
+# How long after the permit was withdrawn the pump node may say that it runs the pump (s); the pump
+# may turn longer by its drive's ramp.
+_OBEYS_S = 2.0
+# The time before a restart (s): 1, 2, 4, ... to this, by the restarts of the last ten minutes.
+_LONGEST_WAIT_S = 10.0
+_WINDOW_S = 600.0
+
+# A full disk is no error of a log: what it does not take is lost. At the end, a disk that hangs
+# would be waited for; each line is flushed when it is written.
+logging.raiseExceptions = False
+atexit.unregister(logging.shutdown)
+
+# Stops the drive without the pump node, whose process it is told; returns whether the drive says
+# that the pump stands, and what came of it, in words.
+StopDrive = Callable[[int], tuple[bool, str]]
 
 
-class Supervisor(NodeProcesses):
-    """The node processes of one run. Leaving its ``with`` block ends them all.
-
-    Where the pump node dies, it cannot stop the drive any more: that is then done from here; and at
-    the end, whatever the pump node says.
+class NodeFailed(Exception):
+    """A node ended or hangs, and the graph with it; the message quotes the node's last lines.
 
     Attributes:
+        reason: the message without these lines.
+        last_lines: these; empty where the reason says all.
+        code: what the exit code should be.
+    """
+
+    def __init__(self, reason: str, last_lines: str, code: int | None) -> None:
+        """Fail; of the exit codes of a node only wrong use and another graph are handed on."""
+        super().__init__("\n".join(filter(None, (reason, last_lines))))
+        self.reason = reason
+        self.last_lines = last_lines
+        self.code = code if code in (EXIT_USAGE, EXIT_OCCUPIED) else EXIT_FAILED
+
+
+class NodeProcess:
+    """A process of a node, and what it has said.
+
+    Attributes:
+        process: that runs it.
+        heard: when it last said something of itself, or was started (steady clock, s).
+        spoke: whether it has.
+        last: that it said of itself; empty before.
+        last_lines: that it printed.
+    """
+
+    def __init__(self, process: subprocess.Popen[bytes], log: RotatingFileHandler) -> None:
+        self.process = process
+        self.heard = time.monotonic()
+        self.spoke = False
+        self.last: dict[str, Any] = {}
+        self.last_lines: deque[str] = deque(maxlen=_LAST_LINES)
+        self._log = log
+        self._cut = b""
+
+    def hear(self, data: bytes) -> None:
+        """Take what came through the pipe of its reports."""
+        self.spoke = True
+        self.heard = time.monotonic()
+        *lines, self._cut = (self._cut + data).split(b"\n")
+        for line in lines:
+            # One that did not fit into a full pipe is cut short; the next one says it again.
+            self.last = read_report(line) or self.last
+
+    def log(self, data: bytes) -> None:
+        """Keep what it prints: in its log, and in memory should the disk be full or hang."""
+        self.last_lines.extend(data.decode(errors="replace").splitlines())
+        record = logging.makeLogRecord({"msg": data.decode(errors="surrogateescape")})
+        DISK.do(partial(self._log.emit, record), len(data))
+
+    @property
+    def is_stopped(self) -> bool:
+        """Whether it was stopped, by Ctrl-Z or a debugger."""
+        with contextlib.suppress(OSError):  # it ends just now
+            stat = Path(f"/proc/{self.process.pid}/stat").read_text()
+            return stat.rpartition(")")[2].split()[0] in "Tt"
+        return False
+
+    def kill(self) -> None:
+        """Have the kernel end it."""
+        self.process.kill()
+        with contextlib.suppress(subprocess.TimeoutExpired):  # the kernel is busy with it
+            self.process.wait(1.0)
+
+
+class Supervisor:
+    """Node processes, each with a pipe on which it says every quarter of a second how it is.
+
+    Discovery in the graph can take seconds, and who watches over nodes must not miss a word. Where
+    the pump node dies, it cannot stop the drive any more: leaving the ``with`` block ends all nodes
+    and does that, whatever the pump node says.
+
+    Attributes:
+        nodes: those that were started, by name.
         permit: for the pump node, where there is one.
+        awake_since: when this process itself last stood still (steady clock, s), or began.
         may_run: that the pump may run after the end, and what protects; empty where it stands.
     """
 
     def __init__(
         self, logs: Path, parameters: Sequence[Path], namespace: str,
-        stop_drive: Callable[[int], tuple[bool, str]] | None,
+        stop_drive: StopDrive | None, on_failure: Callable[[str, str], None],
     ) -> None:
-        """Make the directory for what the nodes print, one file each.
+        """Start nothing yet.
 
         Args:
-            logs: that directory.
+            logs: the directory for what the nodes print, one file each; must exist.
             parameters: ROS 2 parameter files of all nodes; what a later one says counts.
             namespace: of all nodes, such as ``/site1``; empty for none.
-            stop_drive: stops the drive without the pump node, whose process it is told, and returns
-                whether it stands and what came of it, in words; None where there is none.
+            stop_drive: None where there is none, or the pump is somebody else's.
+            on_failure: told of a node that failed and the run goes on: its name, and what happened
+                and was done about it.
         """
-        super().__init__(logs, parameters, namespace)
+        self.nodes: dict[str, NodeProcess] = {}
         self.permit = Permit()
         self.may_run = ""
         self._stop_drive = stop_drive
-        logs.mkdir()
+        self._on_failure = on_failure
+        self._directory = logs
+        self._logs: dict[str, RotatingFileHandler] = {}
+        self._ros_arguments = ["--ros-args"]
+        for file in parameters:
+            self._ros_arguments += ["--params-file", str(file)]
+        if namespace:
+            self._ros_arguments += ["-r", f"__ns:={namespace}"]
+        self._pipes = selectors.DefaultSelector()
+        self._looked = self.awake_since = time.monotonic()
 
     def __enter__(self) -> Supervisor:
         """Nothing runs yet."""
         return self
 
-    def __exit__(self, _kind: object, error: object, _traceback: object) -> None:
-        """End all processes, and see that the drive is off."""
-        # A stopped process hears nothing else, and the others' last words wait for it.
+    def __exit__(self, *_: object) -> None:
+        """End all: the pump node first, the recorder last, whose bag holds all that was said."""
         for node in self.nodes.values():
-            node.process.send_signal(signal.SIGCONT)
-        # The recorder last, so that its bag holds all that the others said.
-        for group in (self.nodes.keys() - {RECORDER}, self.nodes.keys() & {RECORDER}):
-            self.end(group)
+            node.process.send_signal(signal.SIGCONT)  # one that is stopped hears nothing else
+        names = self.nodes.keys()
+        self._end(names & {PUMP})
+        if self._stop_drive is not None and PUMP in names:
+            self._see_drive_off(self._stop_drive)
+        self._end(names - {PUMP, RECORDER})
+        self._end(names & {RECORDER})
         self.permit.close()
-        if PUMP in self.nodes:
-            self._see_drive_off(said=self.nodes[PUMP].process.returncode != EXIT_DONE)
-        # A recorder whose middleware locked up (SIGALRM) had closed its bag before, or logged why
-        # it could not.
-        recorder = self.nodes.get(RECORDER)
-        closed = (
-            recorder is None or not recorder.spoke
-            or recorder.process.returncode in (EXIT_DONE, -signal.SIGALRM)
-        )
-        if not closed and not isinstance(error, NodeFailed):
-            print("error: the recorder could not close its bag", file=sys.stderr)
-            print(self.quoted(RECORDER), file=sys.stderr)
 
-    def add(self, node: str, module: str, *arguments: str) -> None:
-        """Start a node; see :meth:`NodeProcesses.start`."""
-        pipes = self.permit.open() if node == PUMP else {}
-        self.start(node, module, *arguments, pipes=pipes)
+    def _see_drive_off(self, stop_drive: StopDrive) -> None:
+        """Stop the drive, and tell it where the pump node did not end well, or the pump may run."""
+        process = self.nodes[PUMP].process
+        stands, said = stop_drive(process.pid)
+        self.may_run = "" if stands else said
+        if self.may_run or process.returncode != EXIT_DONE:
+            self._on_failure(PUMP, f"{self.ended(PUMP)}; {said}")
 
-    def _see_drive_off(self, *, said: bool) -> None:
-        """Stop the drive, and print what came of it where that is wanted, or the pump may run."""
-        if self._stop_drive is None:
-            return
-        stands, what = self._stop_drive(self.nodes[PUMP].process.pid)
-        self.may_run = "" if stands else what
-        if said or not stands:
-            print(what, file=sys.stderr)
+    # --- starting -------------------------------------------------------------------------------
 
-    def check(self, limit: float) -> None:
-        """Look whether all nodes live and speak.
+    def start(self, node: str, module: str, *arguments: str) -> None:
+        """Start one node; it does not see the terminal's Ctrl-C, which is this process's.
 
         Args:
-            limit: longest silence (s); half a second later, when all that it silenced are silent
-                for as long, it is reported.
+            node: its name; the pump node's decides that it gets a permit.
+            module: that it is, such as greenroof_ros.nodes.weather.
+            arguments: of the module's command line, beside those for ROS.
 
         Raises:
-            NodeFailed: one has ended, or some were silent for longer.
+            OSError: the system has no process or file descriptor to give; nothing is left open.
         """
-        for name, node in self.nodes.items():
-            how = node.how_it_ended()
-            if how is not None:
-                last_lines = self.quoted(name)
-                why = self.last.get(name, {}).get("failure")
-                code = node.process.returncode
-                raise NodeFailed(
-                    f"node {name} ended ({how})" + (f": {why}" if why else ""), last_lines,
-                    code if code in (EXIT_USAGE, EXIT_OCCUPIED) else EXIT_FAILED,
-                    [name], how,
-                )
-        now = time.monotonic()
-        silent = {
-            name: now - node.heard for name, node in self.nodes.items()
-            if now - node.heard > limit
-        }
-        # A node that is stopped silences those that wait for it: all of them are named, and which
-        # of them is stopped.
-        if max(silent.values(), default=0.0) > limit + _SAME_SILENCE_S:
-            stopped = [name for name in silent if self.nodes[name].is_stopped]
-            raise NodeFailed(
-                "; ".join(
-                    f"node {name}{' (stopped)' if name in stopped else ''} "
-                    f"has not answered for {limit:g} s"
-                    for name in silent
-                ),
-                "\n".join(map(self.quoted, silent)),
-                EXIT_FAILED,
-                stopped or list(silent),
-                f"{'stopped, ' if stopped else ''}silent for {limit:g} s",
+        if node not in self._logs:
+            self._logs[node] = _log_file(self._directory / f"{node}.log")
+        with contextlib.ExitStack() as its_ends, contextlib.ExitStack() as our_ends:
+            given = self.permit.open() if node == PUMP else {}
+            for number in given.values():
+                its_ends.callback(os.close, number)
+            reports, given[REPORT_PIPE] = _pipe(our_ends, its_ends)
+            printed, printing = _pipe(our_ends, its_ends)
+            process = subprocess.Popen(
+                [sys.executable, "-m", module, *arguments, *self._ros_arguments],
+                stdin=subprocess.DEVNULL,
+                stdout=printing,
+                stderr=subprocess.STDOUT,
+                env=asked_to_end_with_this() | {name: str(end) for name, end in given.items()},
+                pass_fds=given.values(),
+                start_new_session=True,
             )
+            our_ends.pop_all()
+        self.nodes[node] = NodeProcess(process, self._logs[node])
+        self._pipes.register(reports, selectors.EVENT_READ, self.nodes[node].hear)
+        self._pipes.register(printed, selectors.EVENT_READ, self.nodes[node].log)
+
+    # --- hearing --------------------------------------------------------------------------------
+
+    @property
+    def last(self) -> dict[str, dict[str, Any]]:
+        """The last report of each node that has said something."""
+        return {name: node.last for name, node in self.nodes.items() if node.last}
+
+    def listen(self) -> None:
+        """Hear what the nodes say, for at most a tenth of a second."""
+        self._read(0.1)  # which, where this process was stopped in it, may find nothing
+        now = time.monotonic()
+        if now - self._looked > _PAUSE_S:
+            self.awake_since = now
+            for node in self.nodes.values():
+                node.heard = now
+        self._looked = now
+
+    def _read(self, seconds: float) -> None:
+        """Read what the nodes say, after at most so long (s): all that their pipes hold by then."""
+        for key, _ in self._pipes.select(seconds):
+            data = os.read(key.fd, 1 << 20)
+            if data:
+                key.data(data)
+            else:
+                self._pipes.unregister(key.fd)
+                os.close(key.fd)
+
+    def quoted(self, node: str) -> str:
+        """Read all that a node has said, and return its last lines."""
+        self._read(0.0)
+        quoted = [f"  {line}" for line in self.nodes[node].last_lines] or ["  (none)"]
+        return "\n".join([f"last lines of {node}:", *quoted])
+
+    def ended(self, node: str) -> str:
+        """Return how a node ended, and why if it said so; empty while it runs."""
+        code = self.nodes[node].process.poll()
+        if code is None:
+            return ""
+        self._read(0.0)
+        how = f"exit code {code}" if code >= 0 else signal.Signals(-code).name
+        why = self.nodes[node].last.get("failure")
+        return f"ended ({how})" + (f": {why}" if why else "")
+
+    # --- ending ---------------------------------------------------------------------------------
+
+    def _end(self, nodes: Collection[str]) -> None:
+        """Ask these nodes to end, and after a while have the kernel end them.
+
+        Not by SIGINT: what a shell starts in its background ignores it, and so would a node that
+        just begins.
+        """
+        asked = time.monotonic()
+        limits = {
+            node: PUMP_ENDING_S if node == PUMP else ENDING_S
+            for node in nodes if self.nodes[node].process.poll() is None
+        }
+        for node in limits:
+            self.nodes[node].process.send_signal(signal.SIGTERM)
+        killed = set()
+        while limits:
+            self._read(0.02)
+            passed = time.monotonic() - asked
+            for node, limit in list(limits.items()):
+                process = self.nodes[node].process
+                if process.poll() is not None or passed > limit + KILLING_S:
+                    del limits[node]
+                elif passed > limit and node not in killed:
+                    killed.add(node)
+                    process.kill()
+        self._read(0.0)
+        if all(node.process.poll() is not None for node in self.nodes.values()):
+            DISK.wait(_WRITTEN_S)
+
+
+def _log_file(path: Path) -> RotatingFileHandler:
+    """Return what writes a node's log, opened with the first line."""
+    log = RotatingFileHandler(
+        path, maxBytes=_LOG_BYTES, backupCount=1, encoding="utf-8", errors="surrogateescape",
+        delay=True,
+    )
+    log.terminator = ""
+    return log
+
+
+def _pipe(our_ends: contextlib.ExitStack, its_ends: contextlib.ExitStack) -> tuple[int, int]:
+    """Open a pipe from another process to this one, each end of which is closed with its stack."""
+    reading, writing = os.pipe()
+    our_ends.callback(os.close, reading)
+    its_ends.callback(os.close, writing)
+    return reading, writing
+
+
+@dataclass
+class _Kept:
+    """A node of a live site: how it is started, and how it has fared."""
+
+    module: str
+    arguments: tuple[str, ...]
+    started: float = 0.0  # at what time (steady clock, s)
+    starts_again: float | None = None  # at what time, where it does not run
+    restarts: deque[float] = field(default_factory=deque)  # when, within the window
+    was_ready: bool = False
+    cannot_start: str = ""  # why the system gives no process for it
+
+
+class LiveSupervisor(Supervisor):
+    """The node processes of a live site, and whether the pump may run.
+
+    A node that ends, or says nothing for too long, is started again, after a while that grows; one
+    that needs that too often is given up, and the site with it, the pump stopped. The pump node is
+    told four times a second whether it may run. Where it dies, falls silent or does not obey, it is
+    killed, and the drive is stopped from here. The recorder is never given up, and ends nothing:
+    recording must not stop control.
+
+    Attributes:
+        inhibit: why the pump may not run; empty where it may.
+    """
+
+    def __init__(
+        self,
+        logs: Path,
+        parameters: Sequence[Path],
+        namespace: str,
+        stop_drive: StopDrive | None,
+        on_failure: Callable[[str, str], None],
+        *,
+        silence_s: float,
+        restarts: int,
+    ) -> None:
+        """Start nothing yet.
+
+        Args:
+            logs: see :class:`Supervisor`, also for the next four.
+            parameters: likewise.
+            namespace: likewise.
+            stop_drive: likewise.
+            on_failure: likewise.
+            silence_s: how long a node may say nothing before it is killed (s).
+            restarts: of one node within ten minutes; one more, and the site is stopped.
+        """
+        super().__init__(logs, parameters, namespace, stop_drive, on_failure)
+        # Files of rcl's own, besides what a node prints, would grow for months.
+        self._ros_arguments.append("--disable-external-lib-logs")
+        self.inhibit = "starting"
+        self._inhibited_since = time.monotonic()
+        self._met = False
+        self._kept: dict[str, _Kept] = {}
+        self._silence_s = silence_s
+        self._restarts = restarts
+        self._stopper = ThreadPoolExecutor(1)
+        self._stopper.submit(int)  # its thread is here before the system may have none to give
+        self._stopping: Future[tuple[bool, str]] | None = None
+
+    def __exit__(self, *error: object) -> None:
+        """End all; a stop of the drive that lasts first: two would be in each other's way."""
+        if self._stopping is not None:
+            self._stopping.result()
+        super().__exit__(*error)
+
+    def add(self, node: str, module: str, *arguments: str) -> None:
+        """Start a node, now and whenever it has failed; see :meth:`start`."""
+        self._kept[node] = _Kept(module, arguments)
+        self._start(node, time.monotonic())
+
+    def _start(self, name: str, now: float) -> None:
+        """Start a node; one for which the system has no process or file is tried again for ever."""
+        kept = self._kept[name]
+        kept.started, kept.starts_again = now, None
+        try:
+            self.start(name, kept.module, *kept.arguments)
+            kept.cannot_start = ""
+        except OSError as error:
+            kept.starts_again = now + _LONGEST_WAIT_S
+            why, before = error.strerror or str(error), kept.cannot_start
+            kept.cannot_start = why
+            if why != before:
+                again = f"tried again every {_LONGEST_WAIT_S:g} s{_unrecorded(name)}"
+                self._on_failure(name, f"cannot be started: {why}; {again}")
+
+    def look(self) -> None:
+        """Restart what failed, and tell the pump node whether it may run; called all the time.
+
+        Raises:
+            NodeFailed: a node was restarted too often, or was never ready and says that its
+                parameters are wrong.
+        """
+        now = time.monotonic()
+        for name, kept in self._kept.items():
+            if kept.starts_again is None:
+                kept.was_ready |= self._is_ready(name)
+                what = self.ended(name) or self._killed(name, now)
+                if what:
+                    self._failed(name, what, now)
+            elif now >= kept.starts_again and not (name == PUMP and self._stopping is not None):
+                self._start(name, now)
+        if self._stopping is not None and self._stopping.done():
+            _, said = self._stopping.result()
+            self._on_failure(PUMP, f"could not stop the drive; {said}")
+            self._stopping = None
+        before, self.inhibit = self.inhibit, self._reason_to_inhibit(now)
+        if self.inhibit and not before:
+            self._inhibited_since, self._met = now, False
+        self.permit.tell(self.inhibit)
+
+    def _killed(self, name: str, now: float) -> str:
+        """Kill a node that hangs or does not obey, and return why; empty where it does neither."""
+        node = self.nodes[name]
+        limit = self._silence_s if node.spoke else max(self._silence_s, START_LIMIT_S)
+        if name == PUMP and node.spoke and not self._says_it_stands():
+            limit = SILENT_S
+        why = self._disobeys(now) if name == PUMP else ""
+        if now - node.heard > limit:
+            why = f"had not answered for {limit:g} s{' (stopped)' if node.is_stopped else ''}"
+        if not why:
+            return ""
+        node.kill()
+        return f"{why}: killed"
+
+    def _says_it_stands(self) -> bool:
+        """Whether the pump node said last that the pump stands: it was seen to, or must by now."""
+        return self.nodes[PUMP].last.get("stands") is True
+
+    def _disobeys(self, now: float) -> str:
+        """Return what the pump node does although it may not; empty where it does nothing such.
+
+        A pump that turns although the node says that it is told to stop is met once while the pump
+        is held: the node is right perhaps, and another stop no use.
+        """
+        if not self.inhibit or self._says_it_stands():
+            return ""
+        passed = now - max(self._inhibited_since, self._kept[PUMP].started, self.awake_since)
+        state = self.nodes[PUMP].last.get("pump_state")
+        if passed > _OBEYS_S and state in ("running", "starting"):
+            return f"ran the pump for {_OBEYS_S:g} s after it was forbidden ({self.inhibit})"
+        if passed > _OBEYS_S + LONGEST_RAMP_S and state and not self._met:
+            self._met = True
+            return f"did not stop the pump within {_OBEYS_S + LONGEST_RAMP_S:g} s ({self.inhibit})"
+        return ""
+
+    def _failed(self, name: str, what: str, now: float) -> None:
+        """Tell that a node failed, and when it starts again.
+
+        Raises:
+            NodeFailed: not at all.
+        """
+        kept, code = self._kept[name], self.nodes[name].process.returncode
+        while kept.restarts and now - kept.restarts[0] > _WINDOW_S:
+            kept.restarts.popleft()
+        too_often = len(kept.restarts) >= self._restarts
+        if name != RECORDER:
+            if not kept.was_ready and code in (EXIT_USAGE, EXIT_OCCUPIED):
+                raise NodeFailed(f"node {name} {what}", self.quoted(name), code)
+            if too_often:
+                raise NodeFailed(
+                    f"node {name} {what}; it was restarted {len(kept.restarts)} times in the last "
+                    f"{_WINDOW_S / 60:g} minutes, and is given up",
+                    self.quoted(name), EXIT_FAILED,
+                )
+        wait = _WINDOW_S if too_often else min(2.0 ** len(kept.restarts), _LONGEST_WAIT_S)
+        kept.restarts.append(now)
+        kept.starts_again = now + wait
+        self._on_failure(name, f"{what}; starts again in {wait:g} s{_unrecorded(name)}")
+        if name == PUMP and self._stop_drive is not None:
+            self._stopping = self._stopper.submit(self._stop_drive, self.nodes[name].process.pid)
+
+    @property
+    def all_ready(self) -> bool:
+        """Whether every node runs and has all that it needs; a recorder is not waited for."""
+        return self._kept.keys() - {RECORDER} <= self.ready
+
+    @property
+    def ready(self) -> set[str]:
+        """The nodes that run and have all that they need."""
+        return {
+            name for name, kept in self._kept.items()
+            if kept.starts_again is None and self._is_ready(name)
+        }
+
+    def _is_ready(self, name: str) -> bool:
+        return self.nodes[name].last.get("state") == READY
+
+    def _reason_to_inhibit(self, now: float) -> str:
+        """Return why the pump may not run; empty where it may."""
+        reasons = []
+        for name, kept in self._kept.items():
+            if name in (PUMP, RECORDER):
+                continue
+            if kept.starts_again is not None or self.nodes[name].process.poll() is not None:
+                reasons.append(f"{name} is missing")
+            elif not self._is_ready(name):
+                waiting = self.nodes[name].last.get("waiting")
+                reasons.append(
+                    f"{name} waits for {', '.join(waiting)}" if waiting else f"{name} is starting"
+                )
+            elif now - self.nodes[name].heard > SILENT_S:
+                reasons.append(f"{name} is silent")
+        return ", ".join(reasons)
+
+
+def _unrecorded(name: str) -> str:
+    return "; nothing is recorded until then" if name == RECORDER else ""

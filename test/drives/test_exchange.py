@@ -1024,14 +1024,14 @@ def test_the_waits_for_a_ramp_fit_into_those_of_bringup_and_the_service() -> Non
     """The pump node's end; then the supervisor's stop, while another may be at work; the others."""
     from greenroof_ros.drives.drive_file import LONGEST_RAMP_S
     from greenroof_ros.drives.exchange import LEAVE_S, LONGEST_WAIT_S
-    from greenroof_ros.graph.node_processes import _ENDING_S, _KILLING_S, _PUMP_ENDING_S
+    from greenroof_ros.graph.supervisor import ENDING_S, KILLING_S, PUMP_ENDING_S
 
-    assert LONGEST_RAMP_S < LEAVE_S < LEAVE_S + LONGEST_WAIT_S < _PUMP_ENDING_S
+    assert LONGEST_RAMP_S < LEAVE_S < LEAVE_S + LONGEST_WAIT_S < PUMP_ENDING_S
     service = (CHECKOUT / "examples/greenroof.service").read_text()
     (line,) = (one for one in service.splitlines() if one.startswith("TimeoutStopSec="))
-    others = 2 * (_ENDING_S + _KILLING_S)  # those, and the recorder
+    others = 2 * (ENDING_S + KILLING_S)  # those, and the recorder
     assert float(line.partition("=")[2]) > max(
-        _PUMP_ENDING_S + _KILLING_S + LEAVE_S, 2 * LEAVE_S
+        PUMP_ENDING_S + KILLING_S + LEAVE_S, 2 * LEAVE_S
     ) + others
 
 

@@ -89,7 +89,6 @@ class LiveRun:
         self.figures = Figures()
         self.killed: list[str] = []
         self.incidents: list[dict[str, Any]] = []
-        self.alarms: list[str] = []
         self.bad_ends: list[str] = []
         # Controller, first tick, last tick.
         self.parts: list[tuple[str, int, int]] = []
@@ -148,13 +147,10 @@ class LiveRun:
     def _end(self, bringup: Process, controller: str) -> None:
         bringup.process.terminate()
         code = bringup.process.wait(60)
-        if code or "Traceback" in bringup.stderr():
+        if code not in (0, 1) or "Traceback" in bringup.stderr():  # 1: there were incidents
             self.bad_ends.append(f"{controller}: exit code {code}: {bringup.stderr()[-500:]}")
         summary = json.loads((self._disk / "summary.json").read_text())
         self.incidents += summary["incidents"]
-        self.alarms += [
-            line for line in bringup.stderr().splitlines() if line.startswith("warning: ")
-        ]
 
     def _fill(self) -> None:
         with (self._disk / "filling").open("wb", buffering=0) as file:
@@ -209,12 +205,11 @@ class LiveRun:
             totals = [total + one for total, one in zip(totals, live, strict=True)]
             lines.append(_row(controller, (last - first) * site.tau / 60, live))
         lines.append(_row("together", sum(b - a for _, a, b in self.parts) * site.tau / 60, totals))
-        causes = [" ".join((one["node"], one["what"], one["done"])) for one in self.incidents]
+        causes = [f"{one['node']}: {one['cause']}" for one in self.incidents]
         lines += [
             "", f"Killed: {len(self.killed)}. Incidents: {len(causes)}.", "",
             *(f"- {causes.count(cause)} times {cause}" for cause in sorted(set(causes))),
-            "", *(f"- {alarm}" for alarm in self.alarms if "record" in alarm),
-            *filter(None, [self.disk_note]), *self.bad_ends, "", self.figures.table(),
+            "", *filter(None, [self.disk_note]), *self.bad_ends, "", self.figures.table(),
         ]
         return "\n".join(lines)
 

@@ -6,9 +6,9 @@ doc/explanation/pump-safety.md and doc/explanation/live.md state the same figure
 from __future__ import annotations
 
 from greenroof_ros.drives.exchange import FIRST_WAIT_S, RUNS_ON_S, SEEN_S, SILENCE_MARGIN_S
-from greenroof_ros.graph import live_supervisor, permit
+from greenroof_ros.graph import permit
 from greenroof_ros.graph.live import LIMITS
-from greenroof_ros.graph.node_processes import _ENDING_S
+from greenroof_ros.graph.supervisor import ENDING_S, SILENT_S
 from greenroof_ros.model.pump_speed import flow_at
 from greenroof_ros.model.site import Site
 from greenroof_ros.nodes.pump import parameters as parameters_of_pump
@@ -25,7 +25,7 @@ LIMIT_S = 20.0
 # What a busy machine may add to any of these, and what measuring adds.
 SLACK_S = 1.0
 # Of a simulation, to the end of bringup: silence is noticed, and all nodes are ended.
-SIMULATION_END_S = SILENCE_S + _ENDING_S + SLACK_S
+SIMULATION_END_S = SILENCE_S + ENDING_S + SLACK_S
 
 
 def _limit(topic: str) -> float:
@@ -64,7 +64,7 @@ def bounds(site: Site) -> dict[str, float]:
         "frost": _limit("/weather/frost") + step,
         # The permit: at once for a node that ended, after its silence for one that hangs.
         "permit": permit._GREATEST_AGE_S + step,
-        "silent": live_supervisor._SILENT_S + permit._PERIOD_S + step,
+        "silent": SILENT_S + permit._PERIOD_S + step,
         # The drive stands by itself, or bringup stops it.
         "drive": DRIVE_TIMEOUT_S + end,
         "supervised": SILENCE_S + end,

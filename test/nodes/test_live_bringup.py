@@ -414,7 +414,7 @@ def test_a_start_at_which_everything_is_missing(domain: int, tmp_path: Path) -> 
         assert not process.nodes()
         first = process.stderr().partition("missing:\n")[2].splitlines()
         assert [line.partition(":")[0].strip() for line in first[:5]] == [
-            "level of the cistern", "level of the roof", "forecast", "drive", "frost",
+            "level of the cistern", "level of the roof", "forecast", "frost", "drive",
         ]
         to_do = ("check ", "put a newer file", "let the forecast have a column of temperature")
         assert all(any(words in line for words in to_do) for line in first[:5])

@@ -20,13 +20,13 @@ import pytest
 from graphs import alive, wait_for
 from places import CHECKOUT
 
-from greenroof_ros.bringup.status import troubles_of, values_of
+from greenroof_ros.bringup.live import _Start, values_of
+from greenroof_ros.bringup.live_site import Expected, LiveNode
 from greenroof_ros.common.clock import boot_time
 from greenroof_ros.common.disk import DISK
 from greenroof_ros.experiment.incidents import IncidentLog
-from greenroof_ros.graph import live_supervisor
-from greenroof_ros.graph.live_supervisor import Failure, LiveSupervisor
-from greenroof_ros.graph.node_processes import NodeFailed, NodeProcesses
+from greenroof_ros.graph import supervisor
+from greenroof_ros.graph.supervisor import LiveSupervisor, NodeFailed, Supervisor
 
 TOO_LONG_S = 60
 
@@ -34,8 +34,8 @@ TOO_LONG_S = 60
 class Site:
     """A supervisor with what its nodes and drive have done."""
 
-    def __init__(self, supervisor: LiveSupervisor, marks: Path) -> None:
-        self.supervisor = supervisor
+    def __init__(self, of_site: LiveSupervisor, marks: Path) -> None:
+        self.supervisor = of_site
         self.marks = marks
 
     def add(self, *nodes: str) -> None:
@@ -46,7 +46,7 @@ class Site:
         """Supervise until something holds."""
 
         def step() -> bool:
-            self.supervisor.reports()
+            self.supervisor.listen()
             self.supervisor.look()
             assert callable(condition)
             return bool(condition())
@@ -73,23 +73,23 @@ class Site:
 @contextmanager
 def site(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, *, silence_s: float = 5.0, restarts: int = 9
-) -> Iterator[tuple[Site, list[Failure], list[float]]]:
+) -> Iterator[tuple[Site, list[tuple[str, str]], list[float]]]:
     monkeypatch.setenv("PYTHONPATH", f"{CHECKOUT}{os.pathsep}{Path(__file__).parent}")
     marks = tmp_path / "marks"
     marks.mkdir()
-    failures: list[Failure] = []
+    failures: list[tuple[str, str]] = []
     stops: list[float] = []
 
     def stop_drive(_pump_node: int) -> tuple[bool, str]:
         stops.append(time.monotonic())
         return True, "the drive stands"
 
-    supervisor = LiveSupervisor(
-        tmp_path, [], "", silence_s=silence_s, restarts=restarts,
-        stop_drive=stop_drive, on_failure=failures.append,
+    of_site = LiveSupervisor(
+        tmp_path, [], "", stop_drive, lambda *what: failures.append(what),
+        silence_s=silence_s, restarts=restarts,
     )
-    with supervisor:
-        yield Site(supervisor, marks), failures, stops
+    with of_site:
+        yield Site(of_site, marks), failures, stops
 
 
 def test_a_node_that_died_is_started_again(
@@ -108,9 +108,8 @@ def test_a_node_that_died_is_started_again(
             _, started = here.starts("controller")[-1]
             assert started - died >= wait
             assert here.pid("controller") != killed
-        assert [(i.node, i.what, i.done) for i in failures] == [
-            ("controller", "ended (SIGKILL)", "starts again in 1 s"),
-            ("controller", "ended (SIGKILL)", "starts again in 2 s"),
+        assert failures == [
+            ("controller", f"ended (SIGKILL); starts again in {wait} s") for wait in (1, 2)
         ]
         here.until(lambda: here.permits()[-1]["inhibit"] == "")
         told = [permit["inhibit"] for permit in here.permits()]
@@ -139,9 +138,8 @@ def test_a_node_that_hangs_is_killed_and_started_again(
         here.until(lambda: here.supervisor.inhibit == "weather is missing")
         assert not alive(hung)
         here.until(lambda: not here.supervisor.inhibit)
-        assert [(i.node, i.what) for i in failures] == [
-            ("weather", "had not answered for 5 s (stopped): killed")
-        ]
+        killed = "had not answered for 5 s (stopped): killed; starts again in 1 s"
+        assert failures == [("weather", killed)]
 
 
 @pytest.mark.parametrize("how", [signal.SIGKILL, signal.SIGSTOP])
@@ -156,7 +154,9 @@ def test_the_drive_is_stopped_for_a_pump_node_that_cannot(
         here.until(lambda: len(here.starts("pump")) == 2)
         (stopped,) = stops
         assert stopped < here.starts("pump")[1][1]
-        assert [i.done for i in failures] == ["starts again in 1 s", "the drive stands"]
+        assert [what.rpartition("; ")[2] for _, what in failures] == [
+            "starts again in 1 s", "the drive stands"
+        ]
         here.until(lambda: here.supervisor.all_ready)
     assert len(stops) == 2 and len(failures) == 2  # at the end, whatever the pump node says
 
@@ -165,7 +165,7 @@ def test_a_pump_that_turns_on_is_stopped_once_more(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Longer than any ramp after it was forbidden; once, since the node may be right."""
-    monkeypatch.setattr(live_supervisor, "LONGEST_RAMP_S", 1.0)
+    monkeypatch.setattr(supervisor, "LONGEST_RAMP_S", 1.0)
     with site(tmp_path, monkeypatch, silence_s=9.0) as (here, failures, stops):
         here.add("weather", "pump")
         here.until(lambda: here.supervisor.all_ready and not here.supervisor.inhibit)
@@ -177,9 +177,10 @@ def test_a_pump_that_turns_on_is_stopped_once_more(
         here.until(lambda: len(here.starts("pump")) == 2)
         ended = time.monotonic() + 5
         here.until(lambda: time.monotonic() > ended)
-        assert [(i.node, i.what) for i in failures] == [
-            ("pump", "did not stop the pump within 3 s (weather is starting): killed"),
-            ("pump", "could not stop the drive"),
+        assert failures == [
+            ("pump", "did not stop the pump within 3 s (weather is starting): killed; "
+             "starts again in 1 s"),
+            ("pump", "could not stop the drive; the drive stands"),
         ]
         assert len(stops) == 1 and len(here.starts("pump")) == 2
 
@@ -197,7 +198,7 @@ def test_a_silent_pump_node_whose_pump_may_turn_is_killed_sooner(
         os.kill(here.pid("pump"), signal.SIGSTOP)
         here.until(lambda: failures)
         limit = 6 if stands else 2
-        assert failures[0].what == f"had not answered for {limit} s (stopped): killed"
+        assert failures[0][1].startswith(f"had not answered for {limit} s (stopped): killed;")
 
 
 def test_a_pump_node_that_does_not_end_by_itself(
@@ -210,7 +211,7 @@ def test_a_pump_node_that_does_not_end_by_itself(
         os.kill(here.pid("pump"), signal.SIGKILL)
         time.sleep(0.2)
     assert len(stops) == 1
-    assert str(failures[-1]) == "did not end well (SIGKILL); the drive stands"
+    assert failures == [("pump", "ended (SIGKILL); the drive stands")]
 
 
 def test_a_node_that_fails_again_and_again_is_given_up(
@@ -227,7 +228,9 @@ def test_a_node_that_fails_again_and_again_is_given_up(
     )
     assert failed.value.code == 1
     assert "fails was started" in str(failed.value)
-    assert [i.done for i in failures] == ["starts again in 1 s", "starts again in 2 s"]
+    assert failures == [
+        ("fails", f"ended (exit code 1); starts again in {wait} s") for wait in (1, 2)
+    ]
     assert not alive(here.starts("weather")[0][0])
 
 
@@ -238,8 +241,8 @@ def test_a_recorder_ends_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch
         here.supervisor.add("recorder", "small_node", "wrong", str(here.marks))
         here.until(lambda: len(failures) == 2)
         here.until(lambda: here.supervisor.all_ready and not here.supervisor.inhibit)
-    assert [(i.node, i.what, i.done) for i in failures] == [
-        ("recorder", "ended (exit code 2): parameter x must be a number",
+    assert failures == [
+        ("recorder", "ended (exit code 2): parameter x must be a number; "
          f"starts again in {wait} s; nothing is recorded until then") for wait in (1, 600)
     ]
 
@@ -279,16 +282,14 @@ def test_what_a_node_waits_for_holds_the_pump(
 _STOPPED = """
 import sys
 from pathlib import Path
-from greenroof_ros.graph.live_supervisor import LiveSupervisor
+from greenroof_ros.graph.supervisor import LiveSupervisor
 marks = Path(sys.argv[1])
-supervisor = LiveSupervisor(
-    marks, [], "", silence_s=3.0, restarts=9, stop_drive=None, on_failure=print
-)
+supervisor = LiveSupervisor(marks, [], "", None, print, silence_s=3.0, restarts=9)
 with supervisor:
     for node in ("weather", "pump"):
         supervisor.add(node, "small_node", node, str(marks))
     while not (marks / "end").exists():
-        supervisor.reports()
+        supervisor.listen()
         supervisor.look()
         if supervisor.all_ready:
             (marks / "ready").touch()
@@ -384,7 +385,7 @@ def test_a_start_for_which_there_are_too_few_files(
 ) -> None:
     """Wherever in it they run out: it is an error that can be handled, and leaves nothing open."""
     monkeypatch.setenv("PYTHONPATH", f"{CHECKOUT}{os.pathsep}{Path(__file__).parent}")
-    nodes = NodeProcesses(tmp_path, [], "")
+    nodes = Supervisor(tmp_path, [], "", None, print)
     before = _open_files()
     with few_files_left(files), pytest.raises(OSError, match="Too many open files"):
         nodes.start("weather", "small_node", "weather", str(tmp_path))
@@ -396,38 +397,24 @@ def test_a_node_that_cannot_be_started_again_for_now(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, node: str
 ) -> None:
     """It is said once and tried on; the pump is held, but not for a recorder."""
-    monkeypatch.setattr(live_supervisor, "_LONGEST_WAIT_S", 1.0)
+    monkeypatch.setattr(supervisor, "_LONGEST_WAIT_S", 1.0)
     with site(tmp_path, monkeypatch) as (here, failures, _):
         here.add("weather", "pump", "recorder")
+        here.until(lambda: here.supervisor.last.keys() == {"weather", "pump", "recorder"})
         here.until(lambda: here.supervisor.all_ready and not here.supervisor.inhibit)
         with few_files_left(1):
             os.kill(here.pid(node), signal.SIGKILL)
-            here.until(lambda: "cannot be started" in failures[-1].what if failures else False)
+            here.until(lambda: "cannot be started" in str(failures))
             ended = time.monotonic() + 4
             here.until(lambda: time.monotonic() > ended)
             assert here.supervisor.inhibit == ("weather is missing" if node == "weather" else "")
         here.until(lambda: len(here.starts(node)) == 2)
         here.until(lambda: here.supervisor.all_ready and not here.supervisor.inhibit)
     unrecorded = "; nothing is recorded until then" if node == "recorder" else ""
-    assert [(i.what, i.done) for i in failures if i.done != "the drive stands"] == [
-        ("ended (SIGKILL)", f"starts again in 1 s{unrecorded}"),
-        ("cannot be started: Too many open files", f"tried again every 1 s{unrecorded}"),
+    assert [what for _, what in failures if not what.endswith("the drive stands")] == [
+        f"ended (SIGKILL); starts again in 1 s{unrecorded}",
+        f"cannot be started: Too many open files; tried again every 1 s{unrecorded}",
     ]
-
-
-def test_a_recorder_that_cannot_be_started_at_all(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """All others are ready, and the pump may run."""
-    with site(tmp_path, monkeypatch) as (here, failures, _):
-        here.add("weather", "pump")
-        with few_files_left(1):
-            here.add("recorder")
-        here.until(lambda: here.supervisor.all_ready and not here.supervisor.inhibit)
-        assert [str(one) for one in failures] == [
-            "cannot be started: Too many open files; tried again every 10 s; "
-            "nothing is recorded until then"
-        ]
 
 
 # What a node of another version may say, or one that is broken.
@@ -451,6 +438,8 @@ def test_what_a_node_of_another_version_says(
         here.add("weather", "pump", "recorder")
         here.until(lambda: here.supervisor.all_ready and not here.supervisor.inhibit)
         log = IncidentLog(shown.append)
+        drive = {"drive": Expected("drive", "an address", "look at it")}
+        start = _Start([LiveNode("pump", "pump", (), {}, drive)])
         for strange in _STRANGE:
             raw = here.marks / "pump-raw"
             raw.with_suffix(".new").write_bytes(json.dumps(strange).encode() + b"\n")
@@ -458,10 +447,9 @@ def test_what_a_node_of_another_version_says(
             ended = time.monotonic() + 0.12
 
             def shows(ended: float = ended) -> bool:
-                for reports in ({"pump": here.supervisor.last["pump"]}, here.supervisor.last):
-                    troubles_of(reports, "")
-                    values_of(reports)
-                    log.look(reports)
+                start.look(here.supervisor.last, "")
+                values_of(here.supervisor.last)
+                log.look(here.supervisor.last)
                 return time.monotonic() > ended
 
             here.until(shows)

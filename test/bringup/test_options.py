@@ -1,9 +1,10 @@
-"""What bringup refuses of a live site and of a drive, and with what words."""
+"""What bringup refuses of a command line, and with what words; and what it says of a drive."""
 
 from __future__ import annotations
 
 import os
 import subprocess
+import sys
 from pathlib import Path
 
 import pytest
@@ -12,11 +13,15 @@ from graphs import environment, wait_for
 from modbus_wire import Wire, acs880
 from places import CHECKOUT
 
-from greenroof_ros.bringup.drive import DriveChoice
+from greenroof_ros.bringup.__main__ import make_parser
+from greenroof_ros.bringup.drive import DriveChoice, chosen_drive, own_parameters
+from greenroof_ros.bringup.live_site import _REFUSED, live_site, refuse_options
+from greenroof_ros.bringup.simulated import simulated_run
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.controllers.registry import find_controller
 from greenroof_ros.drives.drive_file import find_drive_file
 from greenroof_ros.drives.exchange import DriveExchange
+from greenroof_ros.experiment.options import parse_run_arguments
 
 LIVE = ("--plant", "external")
 NOBODY = ("--sensors", "external", "--pump", "external", "--weather", "external")
@@ -26,66 +31,76 @@ def bringup(tmp_path: Path, *arguments: str) -> subprocess.CompletedProcess[str]
     return run_command("bringup", *arguments, cwd=tmp_path, env=environment(0))
 
 
-@pytest.mark.parametrize(
-    "option",
-    [
-        ("--hours", "1"), ("--start", "2021-07-07T02:00"), ("--initial", "low-low"),
-        ("--cistern", "1"), ("--roof", "1"), ("--speed", "2"), ("--speed", "max"),
-        ("--output", "here"), ("--json",), ("--evapotranspiration", "fao56"),
-        ("--forecast-skill", "real"), ("--forecast-seed", "1"), ("--forecast-members", "2"),
-        ("--roof-noise", "0.1"), ("--roof-offset", "0.1"), ("--noise-seed", "5"),
-        ("--minimum-on", "60"), ("--minimum-off", "60"),
-    ],
-    ids=" ".join,
-)
-def test_a_live_site_has_no_simulation(tmp_path: Path, option: tuple[str, ...]) -> None:
-    done = bringup(tmp_path, *LIVE, *NOBODY, *option)
-    assert done.returncode == 2
+def refused(monkeypatch: pytest.MonkeyPatch, *words: str) -> str:
+    """Return with what words a command line is refused, which must be so."""
+    monkeypatch.setattr(sys, "argv", ["bringup", *words])
+    parser = make_parser()
+    arguments = parse_run_arguments(parser)
+    try:
+        if arguments.plant == "external":
+            live_site(parser, arguments)
+        else:
+            refuse_options("simulated", parser, arguments)
+            chosen_drive(arguments)
+            simulated_run(arguments)
+    except ConfigurationError as error:
+        return str(error)
+    raise AssertionError("it was not refused")
+
+
+# Of each option that only one way to run has, a value.
+ONLY = {
+    "live": {
+        "start": "2021-07-07T02:00", "hours": "1", "initial": "low-low", "cistern": "1",
+        "roof": "1", "evapotranspiration": "fao56", "gaps": "fill", "forecast-skill": "real",
+        "forecast-seed": "1", "forecast-members": "2", "forecast-delay": "1", "roof-noise": "0.1",
+        "roof-offset": "0.1", "noise-seed": "5", "minimum-on": "60", "minimum-off": "60",
+        "output": "here", "speed": "2", "json": None,
+    },
+    "simulated": {
+        "sensors": "x.yaml", "thermometer": "external", "restarts": "3", "bag-limit": "50",
+    },
+}
+
+
+@pytest.mark.parametrize("way", ONLY)
+def test_an_option_of_the_other_way_to_run(monkeypatch: pytest.MonkeyPatch, way: str) -> None:
+    options, why = _REFUSED[way]
+    assert ONLY[way].keys() == {option.replace("_", "-") for option in options}
+    for option, value in ONLY[way].items():
+        words = [*((*LIVE, *NOBODY) if way == "live" else ()), f"--{option}", value]
+        assert refused(monkeypatch, *filter(None, words)) == f"--{option}: {why}"
+
+
+def test_a_refusal_leaves_nothing_behind(tmp_path: Path) -> None:
+    done = bringup(tmp_path, *LIVE, *NOBODY, "--speed", "max")
+    assert (done.returncode, done.stdout) == (2, "")
     assert done.stderr == (
-        f"error: {option[0]}: is for a simulated site; live, time, weather and levels are the "
-        "site's own\n"
+        "error: --speed: is for a simulated site; live, time, weather and levels are the site's "
+        "own\n"
     )
     assert not list(tmp_path.iterdir())
 
 
-@pytest.mark.parametrize(
-    "option",
-    [
-        ("--sensors", "x.yaml"), ("--thermometer", "external"), ("--restarts", "3"),
-        ("--bag-limit", "50"),
-    ],
-    ids=" ".join,
-)
-def test_a_simulation_has_no_site(tmp_path: Path, option: tuple[str, ...]) -> None:
-    done = bringup(tmp_path, *option)
-    assert done.returncode == 2
-    assert done.stderr == (
-        f"error: {option[0]}: is for a live site: greenroof live, or bringup --plant external\n"
-    )
-
-
-@pytest.mark.parametrize("speed", ["60", "max"])
-def test_what_is_not_this_packages_simulator_runs_at_real_time_alone(
-    tmp_path: Path, speed: str
-) -> None:
+def test_what_is_not_this_packages_simulator_runs_at_real_time_alone(tmp_path: Path) -> None:
     """A real motor would run on made-up levels, with sixty times the starts per hour."""
     drive = acs880()
     wire = Wire(drive)
-    options = ("--drive", "abb_acs880", "--state", "state", "--hours", "0.01", "--speed", speed)
+    options = ("--drive", "abb_acs880", "--state", "state", "--hours", "0.01", "--speed")
     try:
-        done = bringup(tmp_path, *options, "--drive-at", wire.gateway)
+        done = bringup(tmp_path, *options, "60", "--drive-at", wire.gateway)
         assert not drive.written and len(wire.seen) == 1
     finally:
         wire.close()
     assert done.returncode == 2
     assert done.stderr.startswith(
-        f"error: --speed = '{speed}': is for the drive simulator alone, at loopback or on a pseudo-"
+        "error: --speed = '60': is for the drive simulator alone, at loopback or on a pseudo-"
     )
     assert "what is there does not identify itself as that" in done.stderr
-    assert done.stderr.count("\n") == 1
     # Of a network for documentation, RFC 5737.
-    done = bringup(tmp_path, *options, "--drive-at", "tcp://192.0.2.1")
+    done = bringup(tmp_path, *options, "max", "--drive-at", "tcp://192.0.2.1")
     assert done.returncode == 2
+    assert "--speed = 'max'" in done.stderr and done.stderr.count("\n") == 1
     assert "tcp://192.0.2.1 is neither at loopback nor a pseudo-terminal" in done.stderr
     assert not list(tmp_path.iterdir())
 
@@ -150,31 +165,19 @@ WRONG = {
     "no such drive": (
         ("--drive", "acme", "--drive-at", "tcp://127.0.0.1:1"), "abb_acs880"
     ),
-    "no such address": (
-        ("--drive", "abb_acs880", "--drive-at", "127.0.0.1"), "127.0.0.1"
-    ),
     "minimum times of a drive": (
         ("--drive", "abb_acs880", "--drive-at", "tcp://127.0.0.1:1", "--minimum-on", "60"),
         "minimum on and off times: are the pump driver's business",
     ),
     "state of nothing": (("--state", "here"), "--state: is of a drive, or a live site"),
-    "no such parameters": (
-        (*LIVE, *NOBODY, "--node-parameters", "no.yaml"),
-        "--node-parameters = 'no.yaml': must be a file that is there",
-    ),
-    "a small bag": ((*LIVE, *NOBODY, "--bag-limit", "1"), "--bag-limit"),
     "a site that is none": ((*LIVE, *NOBODY, "--site", "no.yaml"), "no.yaml"),
 }
 
 
 @pytest.mark.parametrize("case", WRONG)
-def test_what_is_wrong_is_said(tmp_path: Path, case: str) -> None:
+def test_what_is_wrong_is_said(monkeypatch: pytest.MonkeyPatch, case: str) -> None:
     arguments, message = WRONG[case]
-    done = bringup(tmp_path, *arguments)
-    assert done.returncode == 2
-    assert message in done.stderr
-    assert "Traceback" not in done.stderr
-    assert not list(tmp_path.iterdir())
+    assert message in refused(monkeypatch, *arguments)
 
 
 def test_a_serial_line_of_a_sensor_and_the_drive(tmp_path: Path) -> None:
@@ -193,6 +196,21 @@ def test_a_serial_line_of_a_sensor_and_the_drive(tmp_path: Path) -> None:
     assert [each.name for each in tmp_path.iterdir()] == ["sensors.yaml"]
 
 
+NODES = {
+    name: f"greenroof_ros.nodes.{module}" for name, module in {
+        "plant": "plant", "weather": "weather", "onoff": "controller", "pump": "pump",
+        "recorder": "live_recorder", "roof_sensor": "level_sensor",
+    }.items()
+}
+
+
+def parameters(namespace: str, file: Path) -> list[Path]:
+    """Return what bringup with a drive makes of a parameter file."""
+    words = ["--namespace", namespace, "--node-parameters", str(file)]
+    arguments = make_parser().parse_args(words if namespace else words[2:])
+    return own_parameters(arguments, NODES, find_controller("onoff"))
+
+
 @pytest.mark.parametrize(
     ("section", "line", "value"),
     [
@@ -200,9 +218,8 @@ def test_a_serial_line_of_a_sensor_and_the_drive(tmp_path: Path) -> None:
         ("pump", "device_id", 17), ("/site1/pump", "state_file", "mine.json"),
     ],
 )
-@pytest.mark.parametrize("live", [(), (*LIVE, *NOBODY[:2], *NOBODY[4:])], ids=["loop", "live"])
 def test_what_bringup_alone_says_of_the_drive(
-    tmp_path: Path, section: str, line: str, value: object, live: tuple[str, ...]
+    tmp_path: Path, section: str, line: str, value: object
 ) -> None:
     """Else the node would run one drive, and bringup stop another."""
     file = tmp_path / "nodes.yaml"
@@ -210,15 +227,11 @@ def test_what_bringup_alone_says_of_the_drive(
         "weather_station:\n  ros__parameters:\n    address: its own\n"
         f"{section}:\n  ros__parameters:\n    least_off: 1.0\n    {line}: {value}\n"
     )
-    done = bringup(
-        tmp_path, *live, "--drive", "abb_acs880", "--drive-at", "gateway://127.0.0.1:1",
-        "--node-parameters", str(file),
+    with pytest.raises(ConfigurationError) as error:
+        parameters("", file)
+    assert str(error.value).startswith(
+        f"{file}, line 7: {section}: {line} = {value!r}: must not be given to the node pump"
     )
-    assert done.returncode == 2
-    assert done.stderr.startswith(
-        f"error: {file}, line 7: {section}: {line} = {value!r}: must not be given to the node pump"
-    )
-    assert [each.name for each in tmp_path.iterdir()] == ["nodes.yaml"]
 
 
 # By what a file says: what is refused of it, beginning with its line.
@@ -229,14 +242,11 @@ NO_EFFECT = {
     "/**:\n  ros__parameters:\n    least_off: 1.0\n    recovery_tim: 0.5\n":
         "line 4: /**: recovery_tim = 0.5: there is no such parameter; the closest is "
         "recovery_time;",
-    "/**/mpc:\n  ros__parameters:\n    least_off: 1.0\n":
-        "line 3: /**/mpc: least_off = 1.0: there is no such parameter",
+    "/**/onoff:\n  ros__parameters:\n    least_off: 1.0\n":
+        "line 3: /**/onoff: least_off = 1.0: there is no such parameter",
     "/**/weather:\n  ros__parameters:\n    issue_limt: 1.0\n":
         "line 3: /**/weather: issue_limt = 1.0: there is no such parameter; the closest is "
         "issue_limit;",
-    "/**/recorder:\n  ros__parameters:\n    direktory: bag\n":
-        "line 3: /**/recorder: direktory = 'bag': there is no such parameter; the closest is "
-        "directory;",
     "# mine\n/**/pum:\n  ros__parameters:\n    least_off: 1.0\n":
         "line 2: /**/pum: bringup starts no such node; the closest is /**/pump;",
     "site1:\n  onof:\n    ros__parameters:\n      recovery_time: 1.0\n":
@@ -252,30 +262,34 @@ NO_EFFECT = {
 
 
 @pytest.mark.parametrize("text", NO_EFFECT)
-@pytest.mark.parametrize("way", ["loop", "live"])
-def test_a_parameter_that_would_have_no_effect(tmp_path: Path, text: str, way: str) -> None:
+def test_a_parameter_that_would_have_no_effect(tmp_path: Path, text: str) -> None:
     """rclpy takes a mistyped limit without a word."""
+    pytest.importorskip("rclpy")
     file = tmp_path / "nodes.yaml"
     file.write_text(text)
+    with pytest.raises(ConfigurationError) as error:
+        parameters("site1", file)
+    assert str(error.value).startswith(f"{file}, {NO_EFFECT[text]}")
+
+
+@pytest.mark.parametrize("way", ["loop", "live"])
+def test_a_wrong_parameter_file_is_refused_before_anything_is_made(
+    tmp_path: Path, way: str
+) -> None:
     (tmp_path / "forecast.csv").write_text("")
+    (tmp_path / "nodes.yaml").write_text("pump:\n  least_off: 1.0\n")
     site = (*LIVE, "--sensors", "external", "--forecast", "forecast.csv")
-    done = bringup(
-        tmp_path, *(site if way == "live" else ()), "--drive", "abb_acs880",
-        "--drive-at", "gateway://127.0.0.1:1", "--namespace", "site1",
-        "--node-parameters", str(file),
-    )
-    assert done.returncode == 2
-    assert done.stderr.startswith(f"error: {file}, {NO_EFFECT[text]}")
-    assert not (tmp_path / "live").exists()
-    assert not (tmp_path / "runs").exists()
-
-
-NODES = {
-    f"/site1/{name}": f"greenroof_ros.nodes.{module}" for name, module in {
-        "plant": "plant", "weather": "weather", "onoff": "controller", "pump": "pump",
-        "recorder": "live_recorder", "roof_sensor": "level_sensor",
-    }.items()
-}
+    for file, message in (
+        ("nodes.yaml", "nodes.yaml, line 2: pump: least_off = 1.0: has no effect here"),
+        ("no.yaml", "--node-parameters = 'no.yaml': must be a file that is there"),
+    ):
+        done = bringup(
+            tmp_path, *(site if way == "live" else ()), "--drive", "abb_acs880",
+            "--drive-at", "gateway://127.0.0.1:1", "--node-parameters", file,
+        )
+        assert done.returncode == 2
+        assert done.stderr.startswith(f"error: {message}")
+    assert {each.name for each in tmp_path.iterdir()} == {"nodes.yaml", "forecast.csv"}
 
 
 @pytest.mark.parametrize(
@@ -292,11 +306,9 @@ NODES = {
 def test_a_parameter_that_a_node_has(tmp_path: Path, text: str) -> None:
     """It is left to the node."""
     pytest.importorskip("rclpy")
-    from greenroof_ros.graph.parameters import refuse_unknown_in
-
     file = tmp_path / "nodes.yaml"
     file.write_text(text)
-    refuse_unknown_in(file, NODES, find_controller("onoff"))
+    assert parameters("site1", file) == [file]
 
 
 def test_a_state_file_is_a_drives_however_its_address_is_written(
@@ -307,7 +319,7 @@ def test_a_state_file_is_a_drives_however_its_address_is_written(
     file = find_drive_file("abb_acs880")
 
     def name(at: str) -> str:
-        return DriveChoice(file, at).state_file().name
+        return DriveChoice(file, at).state_file(None).name
 
     local = "abb_acs880-127.0.0.1-502-1.json"
     assert name("gateway://localhost") == name("gateway://127.0.0.1:502,1") == local
