@@ -6,6 +6,7 @@ import contextlib
 import os
 import select
 import socket
+import struct
 import threading
 import time
 import tty
@@ -98,20 +99,26 @@ class Wire:
 def script(dialogue: str) -> tuple[list[bytes], Callable[[bytes], Answer]]:
     """Return the requests of a dialogue, and what answers them in that order.
 
+    Before each stands the head of Modbus TCP, as of Modbus Messaging on TCP/IP V1.0b, section 3.1:
+    transaction (2 bytes, 1, 2, ...), protocol 0000, length, and unit 1.
+
     Args:
-        dialogue: a request and its answer by turns, one to a line, after a word of one's own;
-            an empty answer is silence.
+        dialogue: ``WORD : REQUEST -> ANSWER : REMARK``, one to a line; without an answer it is the
+            request, repeated.
     """
-    lines = [line.split(":", 1)[1] for line in dialogue.strip().splitlines()]
-    requests = [frame(line) for line in lines[::2]]
-    answers = [frame(line) for line in lines[1::2]]
+    requests, answers = [], []
+    for number, line in enumerate(dialogue.strip().splitlines(), start=1):
+        request, _, answer = line.split(":")[1].partition("->")
+        for text, whole in ((request, requests), (answer or request, answers)):
+            body = b"\1" + frame(text)
+            whole.append(struct.pack(">HHH", number, 0, len(body)) + body)
     rest = iter(answers)
 
-    def answer(_request: bytes) -> Answer:
+    def answer_next(_request: bytes) -> Answer:
         data = next(rest, b"")
         return [(0.0, data)] if data else []
 
-    return requests, answer
+    return requests, answer_next
 
 
 class Registers:

@@ -116,7 +116,7 @@ class DriveChoice:
         """
         if speed == 1:
             return
-        from greenroof_ros.drives.identity import why_no_simulator
+        from greenroof_ros.drives.drive import why_no_simulator
         from greenroof_ros.drives.modbus_line import DriveError
 
         file, address = self.read()
@@ -147,8 +147,8 @@ class DriveChoice:
             ConfigurationError: the file or the address is wrong, or pymodbus is not installed.
         """
         try:
+            from greenroof_ros.drives.drive import HeldError
             from greenroof_ros.drives.exchange import stop_drive
-            from greenroof_ros.drives.lock import HeldError
         except ModuleNotFoundError as error:
             raise ConfigurationError(
                 f"a drive needs pymodbus: pip install 'greenroof_ros[pump]' ({error})"

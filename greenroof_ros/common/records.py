@@ -1,7 +1,7 @@
 """Frozen dataclasses read from YAML, each error with file, line, key and value.
 
-A dataclass says with `Entry`, in the annotation of each field, what the key means and which values
-it may have; what reads a file and what writes its documentation both go by that.
+A dataclass says with `entry`, as the default of each field, what the key means and which values it
+may have; what reads a file and what writes its documentation both go by that.
 """
 
 from __future__ import annotations
@@ -10,9 +10,9 @@ import math
 import re
 import types
 from collections.abc import Mapping
-from dataclasses import MISSING, dataclass, fields, is_dataclass
+from dataclasses import MISSING, dataclass, field, fields, is_dataclass
 from pathlib import Path
-from typing import Annotated, Any, NewType, TypeVar, Union, get_args, get_origin, get_type_hints
+from typing import Any, NewType, TypeVar, Union, get_args, get_origin, get_type_hints
 
 from greenroof_ros.common.errors import ConfigurationError, did_you_mean
 from greenroof_ros.common.files import YamlMapping
@@ -41,6 +41,30 @@ class Entry:
     choices: tuple[str, ...] = ()
 
 
+def entry(
+    meaning: str,
+    low: float = -math.inf,
+    high: float = math.inf,
+    *,
+    choices: tuple[str, ...] = (),
+    default: Any = MISSING,
+    factory: Any = MISSING,
+) -> Any:
+    """Return the field of a dataclass that is a key of a file.
+
+    Args:
+        meaning: see `Entry`, as the next three.
+        low: the least number.
+        high: the greatest number.
+        choices: the only texts.
+        default: of a key that may be left away.
+        factory: makes it, where it is a mapping.
+    """
+    told = {"entry": Entry(meaning, low, high, choices)}
+    made: Any = field(default=default, default_factory=factory, metadata=told)
+    return made
+
+
 @dataclass(frozen=True)
 class Key:
     """A key of a file: a field of a dataclass."""
@@ -49,29 +73,25 @@ class Key:
     kind: Any
     entry: Entry
     optional: bool
-    default: Any
 
 
 def keys(kind: Any) -> list[Key]:
-    """Return the keys that a dataclass reads; fields without `Entry` are none."""
-    hints = get_type_hints(kind, include_extras=True)
-    found = []
-    for one in fields(kind):
-        if get_origin(hints[one.name]) is Annotated:
-            inner, entry = get_args(hints[one.name])
-            made = one.default_factory is not MISSING
-            found.append(Key(
-                one.name, inner, entry, made or one.default is not MISSING,
-                None if made or one.default is MISSING else one.default,
-            ))
-    return found
+    """Return the keys that a dataclass reads; fields that are no `entry` are none."""
+    hints = get_type_hints(kind)
+    return [
+        Key(
+            one.name, hints[one.name], one.metadata["entry"],
+            one.default is not MISSING or one.default_factory is not MISSING,
+        )
+        for one in fields(kind) if "entry" in one.metadata
+    ]
 
 
 def read_record(kind: type[Record], file: Path, mapping: YamlMapping, key: str = "") -> Record:
     """Return a dataclass with the values of a mapping.
 
     Args:
-        kind: a frozen dataclass whose fields have an `Entry`.
+        kind: a frozen dataclass whose fields are made by `entry`.
         file: where the mapping stands.
         mapping: as `files.read_yaml` reads it.
         key: the mapping's own key; empty for a whole file.
@@ -84,17 +104,14 @@ def read_record(kind: type[Record], file: Path, mapping: YamlMapping, key: str =
     return made
 
 
-def error_at(
-    file: Path, content: YamlMapping, key: str, value: object, expected: str
-) -> ConfigurationError:
-    """Return what is wrong with a key such as ``registers.control``, with the line that it is in.
+def error_at(file: Path, content: YamlMapping, key: str, expected: str) -> ConfigurationError:
+    """Return what is wrong with a key such as ``registers.control``, with its line and its value.
 
     Args:
         file: that was read.
         content: of it.
         key: by names, and in lists by numbers that begin with 1.
-        value: that stands there; None for none.
-        expected: what is wrong with it.
+        expected: what is wrong with what stands there, or is missing.
     """
     place: Any = content
     line = None
@@ -104,6 +121,9 @@ def error_at(
         elif isinstance(place, list) and part.isdecimal():
             place = place[int(part) - 1]
             line = min(place.lines.values()) if isinstance(place, YamlMapping) else line
+        else:
+            place = None
+    value = None if isinstance(place, (list, YamlMapping)) else place
     return ConfigurationError(expected, file=file, line=line, key=key, value=value)
 
 

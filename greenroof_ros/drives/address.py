@@ -8,10 +8,9 @@ import socket
 from dataclasses import dataclass, replace
 from ipaddress import ip_address
 from pathlib import Path
-from typing import Annotated
 
 from greenroof_ros.common.errors import ConfigurationError
-from greenroof_ros.common.records import Entry
+from greenroof_ros.common.records import entry
 
 _TCP = re.compile(
     r"(?P<scheme>tcp|gateway)://(?P<host>[A-Za-z0-9._-]+|\[[0-9A-Fa-f:]+\])(:(?P<port>\d{1,5}))?/?"
@@ -26,10 +25,10 @@ def _is_pseudo(line: str) -> bool:
 class Serial:
     """Modbus RTU, 8 data bits."""
 
-    baud_rate: Annotated[int, Entry("bits per second", low=1200, high=1_000_000)]
-    parity: Annotated[str, Entry("parity bit", choices=("even", "odd", "none"))]
-    stop_bits: Annotated[int, Entry("stop bits", low=1, high=2)]
-    device_id: Annotated[int, Entry("slave address", low=1, high=247)]
+    baud_rate: int = entry("bits per second", 1200, 1_000_000)
+    parity: str = entry("parity bit", choices=("even", "odd", "none"))
+    stop_bits: int = entry("stop bits", 1, 2)
+    device_id: int = entry("slave address", 1, 247)
 
     def parity_letter(self, line: str) -> str:
         """Return E, O or N for a line; a pseudo-terminal knows no parity and refuses it."""

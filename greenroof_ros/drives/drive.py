@@ -1,16 +1,21 @@
-"""One drive on Modbus, driven as its file says."""
+"""One drive on Modbus, driven as its file says, by one program at a time."""
 
 from __future__ import annotations
 
+import contextlib
 import math
+import os
+import re
+import stat
 import time
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
+from pathlib import Path
 
+from greenroof_ros.common.lock import LockedError, take_lock
 from greenroof_ros.drives.address import Address
 from greenroof_ros.drives.drive_file import Condition, DriveFile, Register, Step
-from greenroof_ros.drives.modbus_line import DriveError, ModbusLine
-from greenroof_ros.drives.values import decode, limits
+from greenroof_ros.drives.modbus_line import SIMULATOR, DriveError, decode, limits
 
 # Between two looks at whether a drive has reached a state (s).
 _LOOK_S = 0.05
@@ -18,6 +23,8 @@ _LOOK_S = 0.05
 _STANDS = 0.01
 # A speed so little below 0 (share of rated speed) is noise of a pump at rest.
 _NOISE = 0.02
+# Where the locks are.
+_DIRECTORIES = (Path("/run/lock"), Path("/tmp"))
 _LOCAL = "; it is in local control: hand it over to the bus at its panel"
 
 
@@ -64,20 +71,16 @@ class DriveStatus:
 
 
 class Drive:
-    """One drive; one connection.
+    """One drive; one connection, which who uses it opens and closes.
 
     Attributes:
         file: what the drive is like.
+        line: the connection.
         timeout_note: why its own communication timeout counts as off; empty where it does not.
         stopped: whether the last `stop` on this connection was written; None where there was none.
     """
 
-    def __init__(
-        self,
-        file: DriveFile,
-        address: Address,
-        timeout_s: float = 0.5,
-    ) -> None:
+    def __init__(self, file: DriveFile, address: Address, timeout_s: float = 0.5) -> None:
         """Prepare it; nothing is opened yet.
 
         Args:
@@ -85,14 +88,10 @@ class Drive:
             address: where it is.
             timeout_s: longest wait for a connection, and for each answer (s).
         """
-        self.file = file
+        self.file, self.line = file, file.line(address, timeout_s)
         self.timeout_note = ""
         self.stopped: bool | None = None
         self._timeout, self._interface = file.timeout.over(address), address.interface
-        self._line = ModbusLine(
-            address, port=file.tcp.port, device_id=file.device_id_at(address), serial=file.serial,
-            timeout_s=timeout_s,
-        )
         self._full_scale: dict[str, float] = {}
         # What the drive was left in by somebody else is not known.
         self._prepared = False
@@ -100,29 +99,12 @@ class Drive:
         self._word: int | None = None
         # The drive has given back a control word that was written.
         self._echoes = False
-        steps = file.sequences
         # The bits of the control word that mean something here.
         self._bits = 0
-        for step in (*steps.ready, *steps.run, *steps.stop, *steps.reset):
-            if step.write == "control" and isinstance(step.value, int):
-                self._bits |= step.value
-
-    @property
-    def connected(self) -> bool:
-        """Whether the connection stands, as far as this end knows."""
-        return self._line.connected
-
-    def connect(self) -> None:
-        """Open the connection.
-
-        Raises:
-            DriveError: it cannot be opened.
-        """
-        self._line.connect()
-
-    def close(self) -> None:
-        """Close the connection; the drive is left as it is."""
-        self._line.close()
+        for steps in vars(file.sequences).values():
+            for step in steps:
+                if step.write == "control":
+                    self._bits |= step.value
 
     def identify(self) -> str:
         """Return what the nameplate says, for people.
@@ -147,29 +129,29 @@ class Drive:
         """
         own = self._timeout
         if own is None:
-            raise DriveError(
+            raise self.line.error(
                 "answer",
-                f"{self._line.where}: {self.file.path} tells of none by which a connection there "
-                f"is guarded (timeout.{self._interface}); if a gateway to the drive's serial port "
-                "is there, the address is gateway://HOST:PORT",
+                f"{self.file.path} tells of none by which a connection there is guarded "
+                f"(timeout.{self._interface}); if a gateway to the drive's serial port is there, "
+                "the address is gateway://HOST:PORT",
             )
-        register = self.file.registers[own.register]
+        self.timeout_note = ""
         raw = self._raw(own.register)
         seconds = self._scaled(own.register, raw)
-        self.timeout_note = ""
         if raw in own.off_values or seconds is None or seconds <= 0:
-            self.timeout_note = f"{register.meaning} (register {register.manual}) is {raw}: off"
-        for setting in () if self.timeout_note else own.settings:
-            register = self.file.registers[setting.register]
+            self.timeout_note = f"{self._named(own.register)} is {raw}: off"
+            return None
+        for setting in (own.action, own.mode):
+            if setting is None:
+                continue
             chosen = self._number(setting.register)
             if chosen not in setting.stops:
                 text = setting.runs_on.get(chosen, "not known to the drive's file")
                 self.timeout_note = (
-                    f"{register.meaning} (register {register.manual}) is {chosen}: {text}; the "
-                    "pump might run on"
+                    f"{self._named(setting.register)} is {chosen}: {text}; the pump might run on"
                 )
-                break
-        return None if self.timeout_note else seconds
+                return None
+        return seconds
 
     def read(self) -> DriveStatus:
         """Return what the drive says of itself.
@@ -189,9 +171,7 @@ class Drive:
             if self.file.warnings is not None:
                 raw = self._number(self.file.warnings.register)
                 warning = self.file.warnings.text(raw) or warning
-        speed = self._scaled("speed", self._raw("speed"))
-        if speed is None:
-            raise DriveError("answer", f"{self._line.where}: its speed is not available")
+        speed = self._known("speed")
         if -_NOISE <= speed <= 0:
             speed = 0.0
         elif speed < 0:
@@ -201,14 +181,8 @@ class Drive:
         if "flow" in self.file.registers:
             flow = self._scaled("flow", self._raw("flow"))
         return DriveStatus(
-            ready=self._holds(status.ready, seen),
-            running=self._holds(status.running, seen),
-            fault=fault,
-            warning=warning,
-            speed=speed,
-            flow=flow,
-            remote=status.remote is None or self._holds(status.remote, seen),
-            timed_out=timed_out,
+            self._holds(status.ready, seen), self._holds(status.running, seen), fault, warning,
+            speed, flow, remote=not self.local(seen), timed_out=timed_out,
         )
 
     def local(self, seen: dict[str, int] | None = None) -> bool:
@@ -242,7 +216,7 @@ class Drive:
         seen: dict[str, int] = {}
         if self._holds(self.file.status.fault, seen):
             text = self.file.faults.text(self._number(self.file.faults.register))
-            raise DriveError("drive", f"{self._line.where}: fault: {text or 'no cause named'}")
+            raise self.line.error("drive", f"fault: {text or 'no cause named'}")
         if not self._prepared or not self._holds(self.file.status.enabled, seen):
             if not self._perform(self.file.sequences.ready, go_on):
                 return
@@ -300,13 +274,12 @@ class Drive:
             if error.kind == "connection":
                 raise
             return ""
-        if not (word ^ self._word) & self._bits:
-            self._echoes = True
-            return ""
-        if not self._echoes:
+        same = not (word ^ self._word) & self._bits
+        self._echoes |= same
+        if same or not self._echoes:
             return ""
         return (
-            f"{self._line.where}: somebody else writes to the drive: its control word is "
+            f"{self.line.where}: somebody else writes to the drive: its control word is "
             f"0x{word:04X}, and 0x{self._word:04X} was written (unless the drive itself changed it)"
         )
 
@@ -334,13 +307,10 @@ class Drive:
         for step in steps:
             if not go_on():
                 return False
-            if isinstance(step.value, int):
-                word = int(step.value)
-            else:
-                word = self._encoded(step.write, speed)
+            word = self._encoded(step.write, speed) if isinstance(step.value, str) else step.value
             if step.write == "control":
                 self._word = None
-            self._line.write(self.file.registers[step.write].address, word)
+            self.line.write(self.file.registers[step.write].address, word)
             if step.write == "control":
                 self._word = word
             until = step.until
@@ -356,27 +326,22 @@ class Drive:
     ) -> bool:
         """Wait for a state; return False where the wait was given up because of `go_on`."""
         deadline = time.monotonic() + step.within_s
-        while True:
-            now: dict[str, int] = {}
-            if self._holds(until, now):
-                return True
+        while not self._holds(until, now := dict[str, int]()):
             if not go_on():
                 return False
             if time.monotonic() > deadline:
-                raw = now[until.register]
-                says = f": {self._says(now)}" if until.register == "status" else ""
-                raise DriveError(
+                raw, texts = now[until.register], self.file.status.bits.items()
+                says = ""
+                if until.register == "status":
+                    says = f": {', '.join(text for bit, text in texts if raw >> bit & 1)}"
+                raise self.line.error(
                     "drive",
-                    f"{self._line.where}: {step.write} = 0x{word:04X} had no effect within "
-                    f"{step.within_s:g} s; {until.register} is 0x{raw:04X}, not "
-                    f"0x{until.value:04X} under the mask 0x{until.mask:04X}{says}"
-                    + (_LOCAL if self.local(now) else ""),
+                    f"{step.write} = 0x{word:04X} had no effect within {step.within_s:g} s; "
+                    f"{until.register} is 0x{raw:04X}, not 0x{until.value:04X} under the mask "
+                    f"0x{until.mask:04X}{says}" + (_LOCAL if self.local(now) else ""),
                 )
             time.sleep(_LOOK_S)
-
-    def _says(self, seen: dict[str, int]) -> str:
-        raw = seen.get("status", 0)
-        return ", ".join(text for bit, text in self.file.status.bits.items() if raw >> bit & 1)
+        return True
 
     # --- values -----------------------------------------------------------------------------------
 
@@ -388,7 +353,7 @@ class Drive:
     def _raw(self, name: str) -> int | float | str:
         register = self.file.registers[name]
         return decode(
-            self._line.read(register.address, register.width), register.type, register.word_order
+            self.line.read(register.address, register.width), register.type, register.word_order
         )
 
     def _number(self, name: str) -> int:
@@ -396,50 +361,164 @@ class Drive:
         assert isinstance(raw, int)
         return raw
 
-    def _factor(self, register: Register) -> float:
-        """Return by what a raw value is multiplied."""
-        if not register.full_scale:
-            return register.scale
-        if register.full_scale not in self._full_scale:
-            scale, raw = self.file.registers[register.full_scale], self._number(
-                register.full_scale
-            )
-            value = self._believable(scale, raw, raw * scale.scale, scale.low)
-            if value <= 0:
-                raise DriveError(
-                    "answer", f"{self._line.where}: {scale.meaning} is {raw}, which cannot be"
-                )
-            self._full_scale[register.full_scale] = value
-        return register.scale / self._full_scale[register.full_scale]
-
     def _scaled(self, name: str, raw: int | float | str) -> float | None:
+        """Return the value of a register in its unit; None for not available.
+
+        Raises:
+            DriveError: it is not believable.
+        """
         register = self.file.registers[name]
-        assert isinstance(raw, (int, float))
+        assert not isinstance(raw, str)
         if raw == register.missing:
             return None
+        value = raw * self._factor(register)
         low = min(register.low, -_NOISE) if name == "speed" else register.low
-        return self._believable(register, raw, raw * self._factor(register), low)
-
-    def _believable(
-        self, register: Register, raw: int | float, value: float, low: float
-    ) -> float:
         if not math.isfinite(value) or not low <= value <= register.high:
-            raise DriveError(
+            raise self.line.error(
                 "answer",
-                f"{self._line.where}: {register.meaning} (register {register.manual}) is {raw}: "
-                f"{f'{value:g} {register.unit}'.strip()}, believable are {low:g} to "
-                f"{register.high:g}",
+                f"{self._named(name)} is {raw}: {f'{value:g} {register.unit}'.strip()}, believable "
+                f"are {low:g} to {register.high:g}",
             )
         return value
+
+    def _known(self, name: str) -> float:
+        """Return the value of a register in its unit, which must be available."""
+        value = self._scaled(name, self._raw(name))
+        if value is None:
+            raise self.line.error("answer", f"its {name} is not available")
+        return value
+
+    def _factor(self, register: Register) -> float:
+        """Return by what a raw value is multiplied."""
+        full = register.full_scale
+        if not full:
+            return register.scale
+        if full not in self._full_scale:
+            self._full_scale[full] = self._known(full)
+        return register.scale / self._full_scale[full]
 
     def _encoded(self, name: str, value: float) -> int:
         register = self.file.registers[name]
         raw = round(value / self._factor(register))
         low, high = limits(register.type)
         if not low <= raw <= high:
-            raise DriveError(
+            raise self.line.error(
                 "drive",
-                f"{self._line.where}: a speed of {value:.1%} would be {raw} in {register.meaning} "
-                f"(register {register.manual}), which holds {low:g} to {high:g}",
+                f"a speed of {value:.1%} would be {raw} in {self._named(name)}, which holds "
+                f"{low:g} to {high:g}",
             )
         return raw & 0xFFFF
+
+    def _named(self, name: str) -> str:
+        register = self.file.registers[name]
+        return f"{register.meaning} (register {register.manual})"
+
+
+class HeldError(DriveError):
+    """Another process has the lock.
+
+    Attributes:
+        holder: its number; None where it could not write it, on a full disk.
+    """
+
+    def __init__(self, message: str, holder: int | None) -> None:
+        super().__init__("drive", message)
+        self.holder = holder
+
+
+class DriveLock:
+    """One driver for a drive: held by one process of all users of this machine at a time.
+
+    A serial line is one driver's, whatever devices are connected to it. A driver on another
+    computer, or in a container with a file system of its own, is not kept off by it.
+    """
+
+    def __init__(self, file: DriveFile, address: Address) -> None:
+        """Take nothing yet."""
+        self._file, self._address = file, address
+        self._held: tuple[int, Path] | None = None
+
+    @property
+    def taken(self) -> bool:
+        """Whether this has it."""
+        return self._held is not None
+
+    def take(self) -> None:
+        """Take it; may wait for the name of a host to be looked up.
+
+        Raises:
+            HeldError: another process has it.
+            DriveError: its file cannot be opened, or the host is not known.
+        """
+        path = self._path()
+        try:
+            self._held = take_lock(path, 0o666), path
+        except LockedError as error:
+            raise HeldError(
+                f"{self._address}: process {error.holder or 'unknown'} of this machine runs this "
+                f"drive already (lock {path}); end that one, and this one goes on by itself",
+                error.holder,
+            ) from None
+        except OSError as error:
+            raise DriveError(
+                "drive",
+                f"{self._address}: the lock {path} cannot be opened ({error.strerror}), without "
+                "which two programs could run one drive; make it writable, or remove it",
+            ) from error
+
+    def release(self) -> None:
+        """Give it back, if it was taken."""
+        if self._held is not None:
+            lock, path = self._held
+            with contextlib.suppress(OSError):  # another user's file stays
+                path.unlink()
+            os.close(lock)
+            self._held = None
+
+    def _path(self) -> Path:
+        """Return the file, by the same name for each way to write the address.
+
+        Raises:
+            DriveError: the host is not known.
+        """
+        address = self._address
+        try:
+            name = address.place(self._file.tcp.port)
+        except OSError as error:
+            raise DriveError(
+                "connection", f"{address}: cannot connect: the host is not found ({error.strerror})"
+            ) from error
+        if not address.line:
+            name += f"-{self._file.device_id_at(address)}"
+        # Where not everybody may write, two users would each take another directory.
+        shared = [each for each in _DIRECTORIES
+                  if each.is_dir() and each.stat().st_mode & stat.S_IWOTH]
+        return (shared or [_DIRECTORIES[-1]])[0] / (
+            f"greenroof_ros-{re.sub('[^A-Za-z0-9.]+', '-', name.strip('/'))}.lock"
+        )
+
+
+def why_no_simulator(file: DriveFile, address: Address, timeout_s: float = 0.5) -> str:
+    """Return why a drive is not, for certain, the drive simulator; empty where it is.
+
+    Nothing is written to it, and nothing at all is sent to one that is not at loopback or a
+    pseudo-terminal.
+
+    Raises:
+        DriveError: nobody answers there, of the kind ``connection``.
+    """
+    if not address.is_here:
+        return f"{address} is neither at loopback nor a pseudo-terminal"
+    line = file.line(address, timeout_s)
+    try:
+        line.connect()
+        named = line.identification()
+    except DriveError as error:
+        if error.kind == "connection":
+            raise
+        return f"what is there does not identify itself as that ({error})"
+    finally:
+        line.close()
+    if named == SIMULATOR:
+        return ""
+    return f"what is at {address} identifies itself as {named[0]!r}, {named[1]!r}"

@@ -3,18 +3,17 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field, replace
+from collections.abc import Iterator
+from dataclasses import dataclass, is_dataclass, replace
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Any
 
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.files import YamlMapping, read_yaml, shared_directory
-from greenroof_ros.common.records import Entry, Word, error_at, read_record
+from greenroof_ros.common.records import Word, entry, error_at, read_record
 from greenroof_ros.drives.address import Address, Serial
-from greenroof_ros.drives.values import WIDTHS, WORD_ORDERS
+from greenroof_ros.drives.modbus_line import WIDTHS, WORD_ORDERS, ModbusLine, coding_mistakes
 
-# How many registers a value takes; a text says so itself.
-WIDTH = {**WIDTHS, "text": 0}
 UNITS = ("", "share", "s", "m3/s")
 SPEED = "speed"
 # The longest ramp down that a drive may have (s), after *stop* and after its own timeout: no drive
@@ -27,27 +26,25 @@ LONGEST_RAMP_S = 30.0
 class Source:
     """A document that the file was made from."""
 
-    title: Annotated[str, Entry("what it is called")]
-    document: Annotated[str, Entry("its number and revision, as on its title page")]
-    where: Annotated[str, Entry("where it was read")]
+    title: str = entry("what it is called")
+    document: str = entry("its number and revision, as on its title page")
+    where: str = entry("where it was read")
 
 
 @dataclass(frozen=True)
 class Numbering:
     """How the manual's numbers of registers follow from the addresses on the wire."""
 
-    offset: Annotated[int, Entry("manual's number minus address on the wire", low=0, high=465536)]
-    meaning: Annotated[str, Entry("the manual's own rule, in a sentence")]
+    offset: int = entry("manual's number minus address on the wire", 0, 465536)
+    meaning: str = entry("the manual's own rule, in a sentence")
 
 
 @dataclass(frozen=True)
 class Tcp:
     """Modbus TCP."""
 
-    port: Annotated[int, Entry("TCP port, of a gateway, too", low=1, high=65535)]
-    device_id: Annotated[
-        int, Entry("unit identifier; behind a gateway it is that of `serial`", low=0, high=255),
-    ]
+    port: int = entry("TCP port, of a gateway, too", 1, 65535)
+    device_id: int = entry("unit identifier; behind a gateway it is that of `serial`", 0, 255)
 
 
 @dataclass(frozen=True)
@@ -58,39 +55,35 @@ class Register:
     one is named.
     """
 
-    address: Annotated[int, Entry("on the wire, the first register is 0", low=0, high=65535)]
-    manual: Annotated[int, Entry("the manual's number for it; address + numbering.offset", low=0)]
-    type: Annotated[str, Entry("how it is coded", choices=tuple(WIDTH))]
-    meaning: Annotated[str, Entry("what it holds")]
-    source: Annotated[str, Entry("page or table of one of the sources, or 'none'")]
-    word_order: Annotated[
-        str, Entry("which half of 32 bits comes first", choices=WORD_ORDERS),
-    ] = ""
-    length: Annotated[
-        int, Entry("of a text: how many registers of two characters each", low=0, high=64),
-    ] = 0
-    unit: Annotated[str, Entry("of the scaled value; empty: a plain word", choices=UNITS)] = ""
-    scale: Annotated[float, Entry("value = scale x raw")] = 1.0
-    full_scale: Annotated[
-        str, Entry("a register by whose value this one is divided, read on connecting"),
-    ] = ""
-    low: Annotated[float, Entry("the least believable value, in the unit")] = -math.inf
-    high: Annotated[float, Entry("the greatest believable value, in the unit")] = math.inf
-    missing: Annotated[Word | None, Entry("the raw value that says 'not available'")] = None
+    address: int = entry("on the wire, the first register is 0", 0, 65535)
+    manual: int = entry("the manual's number for it; address + numbering.offset", 0)
+    type: str = entry("how it is coded", choices=(*WIDTHS, "text"))
+    meaning: str = entry("what it holds")
+    source: str = entry("page or table of one of the sources, or 'none'")
+    word_order: str = entry("which half of 32 bits comes first", choices=WORD_ORDERS, default="")
+    length: int = entry("of a text: how many registers of two characters each", 0, 64, default=0)
+    unit: str = entry("of the scaled value; empty: a plain word", choices=UNITS, default="")
+    scale: float = entry("value = scale x raw", default=1.0)
+    full_scale: str = entry(
+        "a register by whose value this one is divided, read on connecting", default=""
+    )
+    low: float = entry("the least believable value, in the unit", default=-math.inf)
+    high: float = entry("the greatest believable value, in the unit", default=math.inf)
+    missing: Word | None = entry("the raw value that says 'not available'", default=None)
 
     @property
     def width(self) -> int:
         """How many registers the value takes."""
-        return WIDTH[self.type] or self.length
+        return WIDTHS.get(self.type, self.length)
 
 
 @dataclass(frozen=True)
 class Condition:
     """What holds where register & mask == value."""
 
-    mask: Annotated[Word, Entry("bits that count", low=1, high=0xFFFFFFFF)]
-    value: Annotated[Word, Entry("what they must be", low=0, high=0xFFFFFFFF)]
-    register: Annotated[str, Entry("name of the register")] = "status"
+    mask: Word = entry("bits that count", 1, 0xFFFFFFFF)
+    value: Word = entry("what they must be", 0, 0xFFFFFFFF)
+    register: str = entry("name of the register", default="status")
 
     def holds(self, raw: int) -> bool:
         """Tell whether a raw value fulfils it."""
@@ -101,62 +94,50 @@ class Condition:
 class Step:
     """One write, and what the drive must say before the next."""
 
-    write: Annotated[str, Entry("name of the register that is written")]
-    value: Annotated[
-        Word | str,
-        Entry("the word, or 'speed': the speed asked for", low=0, high=0xFFFF, choices=(SPEED,)),
-    ]
-    until: Annotated[Condition | None, Entry("what must hold before the next step")] = None
-    within_s: Annotated[float, Entry("how long that may take (s)", low=0.05, high=60)] = 1.0
+    write: str = entry("name of the register that is written")
+    value: Word | str = entry(
+        "the word, or 'speed': the speed asked for", 0, 0xFFFF, choices=(SPEED,)
+    )
+    until: Condition | None = entry("what must hold before the next step", default=None)
+    within_s: float = entry("how long that may take (s)", 0.05, 60, default=1.0)
 
 
 @dataclass(frozen=True)
 class Sequences:
     """What is written, in order, to bring the drive from one state to another."""
 
-    ready: Annotated[
-        tuple[Step, ...],
-        Entry(
-            "from any state without fault (power-up, reset, local control) to where `run` works"
-        ),
-    ]
-    run: Annotated[
-        tuple[Step, ...], Entry("speed and run; written again in every cycle while it runs"),
-    ]
-    stop: Annotated[
-        tuple[Step, ...], Entry("ramp down and off; written again in every cycle while off"),
-    ]
-    reset: Annotated[tuple[Step, ...], Entry("acknowledge a fault; leaves the drive off")]
+    ready: tuple[Step, ...] = entry(
+        "from any state without fault (power-up, reset, local control) to where `run` works"
+    )
+    run: tuple[Step, ...] = entry("speed and run; written again in every cycle while it runs")
+    stop: tuple[Step, ...] = entry("ramp down and off; written again in every cycle while off")
+    reset: tuple[Step, ...] = entry("acknowledge a fault; leaves the drive off")
 
 
 @dataclass(frozen=True)
 class Status:
     """What the status word says."""
 
-    enabled: Annotated[Condition, Entry("`run` works without `ready` before it")]
-    ready: Annotated[Condition, Entry("no fault, no interlock: it would start")]
-    running: Annotated[Condition, Entry("the motor is fed")]
-    fault: Annotated[Condition, Entry("a fault holds it off")]
-    warning: Annotated[Condition | None, Entry("a warning stands")] = None
-    remote: Annotated[Condition | None, Entry("it obeys the bus")] = None
-    bits: Annotated[
-        dict[int, str],
-        Entry("texts of the status word's bits, 0 the least significant", low=0, high=31),
-    ] = field(default_factory=dict)
+    enabled: Condition = entry("`run` works without `ready` before it")
+    ready: Condition = entry("no fault, no interlock: it would start")
+    running: Condition = entry("the motor is fed")
+    fault: Condition = entry("a fault holds it off")
+    warning: Condition | None = entry("a warning stands", default=None)
+    remote: Condition | None = entry("it obeys the bus", default=None)
+    bits: dict[int, str] = entry(
+        "texts of the status word's bits, 0 the least significant", 0, 31, factory=dict
+    )
 
 
 @dataclass(frozen=True)
 class Codes:
     """A register of faults or warnings, and its texts."""
 
-    register: Annotated[str, Entry("its name")]
-    kind: Annotated[str, Entry("one code, or a bit for each", choices=("code", "bits"))]
-    texts: Annotated[
-        dict[Word, str],
-        Entry(
-            "text of each code, or of each bit (0 the least significant)", low=0, high=0xFFFFFFFF
-        ),
-    ] = field(default_factory=dict)
+    register: str = entry("its name")
+    kind: str = entry("one code, or a bit for each", choices=("code", "bits"))
+    texts: dict[Word, str] = entry(
+        "text of each code, or of each bit (0 the least significant)", 0, 0xFFFFFFFF, factory=dict
+    )
 
     def only(self, raw: int, among: tuple[Word, ...]) -> bool:
         """Tell whether a raw value says nothing but what is among some codes or bits."""
@@ -178,71 +159,51 @@ class Codes:
 class Action:
     """A setting on which it depends whether the communication timeout stops the pump."""
 
-    register: Annotated[str, Entry("its name")]
-    stops: Annotated[
-        dict[int, str], Entry("values with which it stops the pump, and their names", low=0),
-    ]
-    runs_on: Annotated[
-        dict[int, str],
-        Entry(
-            "values with which it does not, or not for certain, or not until somebody resets it: "
-            "the timeout counts as off", low=0,
-        ),
-    ]
+    register: str = entry("its name")
+    stops: dict[int, str] = entry("values with which it stops the pump, and their names", 0)
+    runs_on: dict[int, str] = entry(
+        "values with which it does not, or not for certain, or not until somebody resets it: the "
+        "timeout counts as off", 0,
+    )
 
 
 @dataclass(frozen=True)
 class Timeout:
     """The communication timeout of one of the drive's interfaces."""
 
-    register: Annotated[str, Entry("name of the register that holds the time")]
-    kept_alive_by: Annotated[str, Entry("which messages start it anew")]
-    how_to_set: Annotated[str, Entry("for people: where and to what")]
-    off_values: Annotated[tuple[Word, ...], Entry("raw times that mean off")] = ()
-    action: Annotated[Action | None, Entry("where it says what it then does")] = None
-    mode: Annotated[
-        Action | None, Entry("where it says which messages start it anew, if that can be chosen"),
-    ] = None
-    trips: Annotated[
-        tuple[Word, ...],
-        Entry("codes (or bits) of `faults` by which the drive says that it has passed", low=0),
-    ] = ()
-    unguarded_after_power_up_s: Annotated[
-        float,
-        Entry(
-            "so long after power-up it does not guard (s); the pump stands so long after each "
-            "connection, since the drive may have been switched on just before", low=0, high=600,
-        ),
-    ] = 0.0
-    local_settings_decide: Annotated[
-        bool,
-        Entry(
-            "what the pump does then is set in the drive and cannot be read: a person must say "
-            "that it stops (`local_settings_stop_the_pump`)"
-        ),
-    ] = False
-    traps: Annotated[str, Entry("when it does not guard")] = ""
-
-    @property
-    def settings(self) -> tuple[Action, ...]:
-        """Those on which it depends whether it stops the pump."""
-        return tuple(one for one in (self.action, self.mode) if one is not None)
+    register: str = entry("name of the register that holds the time")
+    kept_alive_by: str = entry("which messages start it anew")
+    how_to_set: str = entry("for people: where and to what")
+    off_values: tuple[Word, ...] = entry("raw times that mean off", default=())
+    action: Action | None = entry("where it says what it then does", default=None)
+    mode: Action | None = entry(
+        "where it says which messages start it anew, if that can be chosen", default=None
+    )
+    trips: tuple[Word, ...] = entry(
+        "codes (or bits) of `faults` by which the drive says that it has passed", 0, default=()
+    )
+    unguarded_after_power_up_s: float = entry(
+        "so long after power-up it does not guard (s); the pump stands so long after each "
+        "connection, since the drive may have been switched on just before", 0, 600, default=0.0,
+    )
+    local_settings_decide: bool = entry(
+        "what the pump does then is set in the drive and cannot be read: a person must say that it "
+        "stops (`local_settings_stop_the_pump`)", default=False,
+    )
+    traps: str = entry("when it does not guard", default="")
 
 
 @dataclass(frozen=True)
 class Timeouts:
     """The drive's own communication timeouts: each interface has one, which guards it alone."""
 
-    serial: Annotated[
-        Timeout | None, Entry("of its serial port, over a line or a gateway"),
-    ] = None
-    tcp: Annotated[Timeout | None, Entry("of its own Ethernet port, or its adapter's")] = None
+    serial: Timeout | None = entry("of its serial port, over a line or a gateway", default=None)
+    tcp: Timeout | None = entry("of its own Ethernet port, or its adapter's", default=None)
 
     @property
     def known(self) -> dict[str, Timeout]:
         """Those of which the file tells, by interface."""
-        both = {"serial": self.serial, "tcp": self.tcp}
-        return {name: one for name, one in both.items() if one is not None}
+        return {name: own for name, own in vars(self).items() if own is not None}
 
     def over(self, address: Address) -> Timeout | None:
         """Return the one that guards a connection; None where the file tells of none."""
@@ -253,38 +214,34 @@ class Timeouts:
 class Nameplate:
     """A register that tells people which drive this is."""
 
-    register: Annotated[str, Entry("its name")]
-    texts: Annotated[dict[int, str], Entry("names of its values")] = field(default_factory=dict)
+    register: str = entry("its name")
+    texts: dict[int, str] = entry("names of its values", factory=dict)
 
 
 @dataclass(frozen=True)
 class DriveFile:
     """A make of drive."""
 
-    make: Annotated[str, Entry("maker")]
-    model: Annotated[str, Entry("the drive, and the option or adapter that speaks Modbus")]
-    sources: Annotated[tuple[Source, ...], Entry("documents that the file was made from")]
-    unverified: Annotated[
-        tuple[str, ...],
-        Entry("keys of this file (such as registers.control) that no manual's text was found for"),
-    ]
-    numbering: Annotated[Numbering, Entry("the manual's numbers of registers")]
-    tcp: Annotated[Tcp, Entry("Modbus TCP")]
-    serial: Annotated[Serial, Entry("Modbus RTU as delivered")]
-    registers: Annotated[
-        dict[str, Register],
-        Entry("by name; `control`, `reference`, `status` and `speed` must be there"),
-    ]
-    sequences: Annotated[Sequences, Entry("control words")]
-    status: Annotated[Status, Entry("the status word")]
-    faults: Annotated[Codes, Entry("fault codes")]
-    timeout: Annotated[Timeouts, Entry("the drive's own communication timeouts")]
-    nameplate: Annotated[tuple[Nameplate, ...], Entry("read on connecting")]
-    least_speed: Annotated[
-        float, Entry("share of rated speed below which it is not run", low=0, high=1),
-    ]
-    set_up: Annotated[tuple[str, ...], Entry("for people: what must be set in the drive")]
-    warnings: Annotated[Codes | None, Entry("warning codes")] = None
+    make: str = entry("maker")
+    model: str = entry("the drive, and the option or adapter that speaks Modbus")
+    sources: tuple[Source, ...] = entry("documents that the file was made from")
+    unverified: tuple[str, ...] = entry(
+        "keys of this file (such as registers.control) that no manual's text was found for"
+    )
+    numbering: Numbering = entry("the manual's numbers of registers")
+    tcp: Tcp = entry("Modbus TCP")
+    serial: Serial = entry("Modbus RTU as delivered")
+    registers: dict[str, Register] = entry(
+        "by name; `control`, `reference`, `status` and `speed` must be there"
+    )
+    sequences: Sequences = entry("control words")
+    status: Status = entry("the status word")
+    faults: Codes = entry("fault codes")
+    timeout: Timeouts = entry("the drive's own communication timeouts")
+    nameplate: tuple[Nameplate, ...] = entry("read on connecting")
+    least_speed: float = entry("share of rated speed below which it is not run", 0, 1)
+    set_up: tuple[str, ...] = entry("for people: what must be set in the drive")
+    warnings: Codes | None = entry("warning codes", default=None)
     path: Path = Path()
 
     @property
@@ -302,18 +259,27 @@ class DriveFile:
             return address.device_id
         return (self.tcp if address.interface == "tcp" else self.serial).device_id
 
+    def line(self, address: Address, timeout_s: float) -> ModbusLine:
+        """Return a connection to the drive, not yet opened.
+
+        Args:
+            address: where it is.
+            timeout_s: longest wait for a connection, and for each answer (s).
+        """
+        return ModbusLine(
+            address, port=self.tcp.port, device_id=self.device_id_at(address), serial=self.serial,
+            timeout_s=timeout_s,
+        )
+
     @property
     def unverified_and_vital(self) -> tuple[str, ...]:
         """Those unverified keys by which a pump may run when it must not."""
-        steps = (*self.sequences.ready, *self.sequences.run, *self.sequences.stop)
-        registers = {"status", *(step.write for step in steps)}
-        for own in self.timeout.known.values():
-            registers |= {own.register, *(one.register for one in own.settings)}
-        vital = ("numbering", "sequences", "timeout", *(f"registers.{name}" for name in registers))
-        return tuple(
-            key for key in self.unverified
-            if any(key == each or key.startswith(f"{each}.") for each in vital)
-        )
+        parts = ("sequences.ready.", "sequences.run.", "sequences.stop.", "timeout.")
+        vital = ["numbering.", "sequences.", "timeout.", "registers.status."]
+        vital += [
+            f"registers.{name}." for key, name, _ in _references(self) if key.startswith(parts)
+        ]
+        return tuple(key for key in self.unverified if f"{key}.".startswith(tuple(vital)))
 
 
 def find_drive_file(name: str) -> Path:
@@ -346,156 +312,138 @@ def read_drive_file(path: Path) -> DriveFile:
     """
     content = read_yaml(path)
     drive = replace(read_record(DriveFile, path, content), path=path)
-    _Check(drive, content).all()
+    for key, expected in _mistakes(drive, content):
+        raise error_at(path, content, key, expected)
     return drive
 
 
-class _Check:
-    """Holds the parts of a file against each other."""
+# What each register must be like that is named somewhere, beside its unit.
+_BITS, _WORD, _ANY = "bits", "word", "any"
 
-    def __init__(self, drive: DriveFile, content: YamlMapping) -> None:
-        self.drive, self.content = drive, content
 
-    def fail(self, key: str, value: object, expected: str) -> None:
-        """Raise the error of a key such as ``registers.control``."""
-        raise error_at(self.drive.path, self.content, key, value, expected)
+def _parts(part: Any, key: str) -> Iterator[tuple[str, Any]]:
+    """Yield each record in a part of a file, with its key."""
+    below: dict[Any, Any] = {}
+    if is_dataclass(part):
+        yield key, part
+        below = vars(part)
+    elif isinstance(part, dict):
+        below = part
+    elif isinstance(part, tuple):
+        below = dict(enumerate(part, start=1))
+    for name, each in below.items():
+        yield from _parts(each, f"{key}.{name}".removeprefix("."))
 
-    def all(self) -> None:
-        """Check everything."""
-        for name, register in self.drive.registers.items():
-            self._register(name, register)
-        needed = {"control": "", "reference": "share", "status": "", "speed": "share"}
-        for name, unit in needed.items():
-            if name not in self.drive.registers:
-                self.fail("registers", None, f"{name} is missing: every drive needs it")
-            self._unit(f"registers.{name}", name, unit)
-        if "flow" in self.drive.registers:
-            self._unit("registers.flow", "flow", "m3/s")
-        self._sequences()
-        self._status()
-        self._others()
-        self._unverified()
 
-    def _known(self, key: str, name: str) -> Register:
-        if name not in self.drive.registers:
-            self.fail(key, name, f"must be one of registers: {', '.join(self.drive.registers)}")
-        return self.drive.registers[name]
+def _references(drive: DriveFile) -> Iterator[tuple[str, str, str]]:
+    """Yield each key that names a register, that name, and what the register must be like."""
+    for name, unit in {"control": "", "reference": "share", "status": "", "speed": "share"}.items():
+        yield "registers", name, unit
+    if "flow" in drive.registers:
+        yield "registers", "flow", "m3/s"
+    for key, part in _parts(drive, ""):
+        match part:
+            case Step():
+                yield f"{key}.write", part.write, _WORD
+            case Register() if part.full_scale:
+                yield f"{key}.full_scale", part.full_scale, _BITS
+            case Condition() | Codes() | Action():
+                yield f"{key}.register", part.register, _BITS
+            case Timeout():
+                yield f"{key}.register", part.register, "s"
+            case Nameplate():
+                yield f"{key}.register", part.register, _ANY
 
-    def _bits(self, key: str, name: str) -> None:
-        if not self._known(key, name).type.startswith("uint"):
-            self.fail(key, name, "must be a register of the type uint16 or uint32")
 
-    def _unit(self, key: str, name: str, unit: str) -> None:
-        register = self._known(key, name)
-        if register.unit != unit:
-            self.fail(
-                f"registers.{name}.unit" if register.unit else f"registers.{name}",
-                register.unit or None,
-                f"must have the unit {unit}" if unit else "must be a plain word, without a unit",
+def _mistakes(drive: DriveFile, content: YamlMapping) -> Iterator[tuple[str, str]]:
+    """Yield each key that contradicts another one, and why; what follows goes by those before."""
+    registers = drive.registers
+    for name, register in registers.items():
+        for key, why in _register_mistakes(register, drive.numbering.offset):
+            yield f"registers.{name}.{key}", why
+    for key, name, like in _references(drive):
+        found = registers.get(name)
+        if found is None and key == "registers":
+            yield key, f"{name} is missing: every drive needs it"
+        elif found is None:
+            yield key, f"must be one of registers: {', '.join(registers)}"
+        elif like == _BITS and not found.type.startswith("uint"):
+            yield key, "must be a register of the type uint16 or uint32"
+        elif like == _WORD and found.width != 1:
+            yield key, "must be a register of 16 bits"
+        elif like in UNITS and found.unit != like:
+            yield (
+                f"registers.{name}.unit" if found.unit else f"registers.{name}",
+                f"must have the unit {like}" if like else "must be a plain word, without a unit",
             )
-
-    def _register(self, name: str, register: Register) -> None:
-        key = f"registers.{name}"
-        offset = self.drive.numbering.offset
-        if register.manual - register.address != offset:
-            self.fail(
-                f"{key}.manual", register.manual,
-                f"must be {register.address + offset}: address {register.address} + "
-                f"numbering.offset {offset}; one of the two is wrong",
-            )
-        if register.address + register.width > 65536:
-            self.fail(f"{key}.address", register.address, "leaves no room for a second register")
-        if (WIDTH[register.type] == 2) != bool(register.word_order):
-            self.fail(
-                f"{key}.word_order", register.word_order or None,
-                "must be 'high first' or 'low first'" if WIDTH[register.type] == 2
-                else f"does not belong to {register.type}, which is no number of 32 bits",
-            )
-        if (register.type == "text") != bool(register.length):
-            self.fail(
-                f"{key}.length", register.length,
-                "must say how many registers" if register.type == "text"
-                else f"belongs to a text, not to {register.type}",
-            )
-        if register.scale == 0 or not math.isfinite(register.scale):
-            self.fail(f"{key}.scale", register.scale, "must be finite and not 0")
-        if register.low > register.high:
-            self.fail(f"{key}.low", register.low, f"must be at most high, {register.high:g}")
+    for name, register in registers.items():
         if register.full_scale:
-            self._bits(f"{key}.full_scale", register.full_scale)
-            full = self.drive.registers[register.full_scale]
+            full = registers[register.full_scale]
             if not 0 < full.low <= full.high < math.inf or full.full_scale:
-                self.fail(
-                    f"registers.{register.full_scale}", None,
-                    f"must have low, above 0, and high, and no full_scale: {name} is divided by it",
+                yield f"registers.{register.full_scale}", (
+                    f"must have low, above 0, and high, and no full_scale: {name} is divided by it"
                 )
-        if register.unit and register.type == "text":
-            self.fail(f"{key}.unit", register.unit, "does not belong to a text")
-
-    def _condition(self, key: str, condition: Condition | None) -> None:
-        if condition is None:
-            return
-        self._bits(f"{key}.register", condition.register)
-        if condition.value & ~condition.mask:
-            self.fail(
-                f"{key}.value", f"0x{condition.value:04X}",
-                f"has bits outside of the mask 0x{condition.mask:04X}: it could never hold",
+    for key, part in _parts(drive, ""):
+        if isinstance(part, Condition) and part.value & ~part.mask:
+            yield f"{key}.value", (
+                f"has bits outside of the mask 0x{part.mask:04X}: it could never hold"
             )
+        elif isinstance(part, Action):
+            for value in part.stops.keys() & part.runs_on.keys():
+                yield f"{key}.stops.{value}", "stands in stops and in runs_on, too"
+    yield from _sequence_mistakes(drive)
+    for number, key in enumerate(drive.unverified, start=1):
+        if not _stands(key, content):
+            yield f"unverified.{number}", "names no key of this file"
 
-    def _sequences(self) -> None:
-        for name in ("ready", "run", "stop", "reset"):
-            steps: tuple[Step, ...] = getattr(self.drive.sequences, name)
-            written = set()
-            for number, step in enumerate(steps, start=1):
-                key = f"sequences.{name}.{number}"
-                register = self._known(f"{key}.write", step.write)
-                if register.width != 1:
-                    self.fail(f"{key}.write", step.write, "must be a register of 16 bits")
-                if step.value == SPEED and (name != "run" or register.unit != "share"):
-                    self.fail(
-                        f"{key}.value", step.value,
-                        "can be written in sequences.run only, to a register whose unit is share",
-                    )
-                written.add(step.value if step.value == SPEED else step.write)
-                self._condition(f"{key}.until", step.until)
-            if name != "ready" and "control" not in written:
-                self.fail(f"sequences.{name}", None, "must write the register control")
-            if name == "run" and SPEED not in written:
-                self.fail("sequences.run", None, "must write the speed")
-            if name == "run" and steps[-1].write != "control":
-                self.fail("sequences.run", None, "must end with the register control")
 
-    def _status(self) -> None:
-        for name in ("enabled", "ready", "running", "fault", "warning", "remote"):
-            self._condition(f"status.{name}", getattr(self.drive.status, name))
+def _register_mistakes(register: Register, offset: int) -> Iterator[tuple[str, str]]:
+    if register.manual - register.address != offset:
+        yield "manual", (
+            f"must be {register.address + offset}: address {register.address} + numbering.offset "
+            f"{offset}; one of the two is wrong"
+        )
+    yield from coding_mistakes(register.type, register.word_order)
+    text = register.type == "text"
+    if text != bool(register.length):
+        yield "length", (
+            "must say how many registers" if text else f"belongs to a text, not to {register.type}"
+        )
+    if register.address + register.width > 65536:
+        yield "address", "leaves no room for a second register"
+    if register.scale == 0 or not math.isfinite(register.scale):
+        yield "scale", "must be finite and not 0"
+    if register.low > register.high:
+        yield "low", f"must be at most high, {register.high:g}"
+    if register.unit and text:
+        yield "unit", "does not belong to a text"
 
-    def _others(self) -> None:
-        drive = self.drive
-        self._bits("faults.register", drive.faults.register)
-        if drive.warnings is not None:
-            self._bits("warnings.register", drive.warnings.register)
-        for interface, own in drive.timeout.known.items():
-            key = f"timeout.{interface}"
-            self._unit(f"{key}.register", own.register, "s")
-            for name, setting in (("action", own.action), ("mode", own.mode)):
-                if setting is None:
-                    continue
-                self._bits(f"{key}.{name}.register", setting.register)
-                for value in setting.stops:
-                    if value in setting.runs_on:
-                        self.fail(
-                            f"{key}.{name}.stops", value, "stands in stops and in runs_on, too"
-                        )
-        for number, plate in enumerate(drive.nameplate, start=1):
-            self._known(f"nameplate.{number}.register", plate.register)
 
-    def _unverified(self) -> None:
-        for key in self.drive.unverified:
-            place: Any = self.content
-            for part in key.split("."):
-                if isinstance(place, list) and part.isdecimal() and 0 < int(part) <= len(place):
-                    place = place[int(part) - 1]
-                elif isinstance(place, YamlMapping) and part in place:
-                    place = place[part]
-                else:
-                    self.fail("unverified", key, "names no key of this file")
+def _sequence_mistakes(drive: DriveFile) -> Iterator[tuple[str, str]]:
+    for name, steps in vars(drive.sequences).items():
+        for number, step in enumerate(steps, start=1):
+            share = drive.registers[step.write].unit == "share"
+            if step.value == SPEED and not (name == "run" and share):
+                yield f"sequences.{name}.{number}.value", (
+                    "can be written in sequences.run only, to a register whose unit is share"
+                )
+        written = [step.write for step in steps]
+        if name != "ready" and "control" not in written:
+            yield f"sequences.{name}", "must write the register control"
+    run = drive.sequences.run
+    if SPEED not in [step.value for step in run]:
+        yield "sequences.run", "must write the speed"
+    if run[-1].write != "control":
+        yield "sequences.run", "must end with the register control"
+
+
+def _stands(key: str, content: Any) -> bool:
+    """Tell whether there is something under a key, such as ``sequences.run.2``."""
+    for part in key.split("."):
+        if isinstance(content, YamlMapping) and part in content:
+            content = content[part]
+        elif isinstance(content, list) and part.isdecimal() and 0 < int(part) <= len(content):
+            content = content[int(part) - 1]
+        else:
+            return False
+    return True

@@ -9,11 +9,9 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 from greenroof_ros.drives.address import Address
-from greenroof_ros.drives.device_thread import DeviceThread, Known
-from greenroof_ros.drives.drive import Drive, DriveStatus
+from greenroof_ros.drives.drive import Drive, DriveLock, DriveStatus, HeldError
 from greenroof_ros.drives.drive_file import LONGEST_RAMP_S, DriveFile
-from greenroof_ros.drives.lock import DriveLock, HeldError
-from greenroof_ros.drives.modbus_line import DriveError
+from greenroof_ros.drives.modbus_line import DeviceThread, DriveError, Known
 
 # Waits between two attempts to connect (s): the first, and the longest.
 FIRST_WAIT_S, LONGEST_WAIT_S = 0.25, 5.0
@@ -94,8 +92,111 @@ class Snapshot(Known):
         return self.state in (State.STOPPED, State.RUNNING, State.STOPPING)
 
 
-class _LeaveError(DriveError):
-    """The drive must be left in silence now."""
+class RunsOnError(DriveError):
+    """A drive that was told to stop runs on, and must be left in silence now."""
+
+
+class _Fall:
+    """How the speed of a drive falls that is told to stop."""
+
+    def __init__(self) -> None:
+        self._lowest, self._fell_at = math.inf, -math.inf
+
+    def still_s(self, status: DriveStatus, now: float) -> float:
+        """Take in what the drive says now; return for how long its speed has not fallen (s)."""
+        if abs(status.speed) < self._lowest - SLOWER:
+            self._lowest, self._fell_at = abs(status.speed), now
+        return now - self._fell_at
+
+
+class Obedience:
+    """Whether a drive that is told to stop does so, over connections that break, too.
+
+    One whose speed falls, however slowly, obeys. One in local control is a person's at its panel;
+    it is that person's to stop. All times are of `time.monotonic` (s).
+    """
+
+    def __init__(self, where: str) -> None:
+        """Know nothing of a drive.
+
+        Args:
+            where: it is, for messages.
+        """
+        self._where = where
+        # Since *stop* is the last word; None where the drive is run, or stands.
+        self._fall: _Fall | None = None
+        # For how long it could be seen that the speed does not fall, and when that was said last on
+        # this connection.
+        self._seen_s, self._said_at = 0.0, math.inf
+        # Since when *stop* is taken, and no speed is read.
+        self._unread_from = math.inf
+        # On so many connections, one after the other, *stop* could not be written at last.
+        self._refusals = 0
+        # Until when the drive was left in silence because it runs on or its speed cannot be read,
+        # since it last stood or ran.
+        self._left_until = -math.inf
+
+    def told_to_stop(self, now: float) -> None:
+        """Note that *stop* was written, and is the last word."""
+        self._fall = self._fall or _Fall()
+        self._unread_from = min(self._unread_from, now)
+
+    def forget(self) -> None:
+        """Note that the last word is not *stop*, or may be somebody else's."""
+        self._fall = None
+
+    def heard(self) -> None:
+        """Note that the speed was read, or that a person at the drive's panel sees to it."""
+        self._unread_from = math.inf
+
+    def judge(self, status: DriveStatus, now: float) -> DriveStatus:
+        """Return what the drive said, with a fault where it was told to stop and runs on.
+
+        Raises:
+            RunsOnError: the fault was to be seen for long enough.
+        """
+        fall, said_at, self._said_at = self._fall, self._said_at, math.inf
+        if fall is None or abs(status.speed) <= TURNS or not status.remote:
+            self._fall, self._left_until = None, -math.inf
+            return status
+        still_s = fall.still_s(status, now)
+        if still_s <= RUNS_ON_S:
+            self._seen_s = 0.0
+            return status
+        self._said_at, self._seen_s = now, self._seen_s + max(0.0, now - said_at)
+        says = f"it acknowledges *stop*, but its speed has not fallen for {RUNS_ON_S:g} s"
+        if self._seen_s > SEEN_S and now - self._left_until > RUNS_ON_AGAIN_S:
+            raise RunsOnError("drive", f"{self._where}: {says} (it is {status.speed:.1%})")
+        fault = "; ".join(filter(None, (status.fault, says)))
+        return replace(status, fault=fault, timed_out=False, runs_on=True)
+
+    def lost(self, stopped: bool | None, now: float) -> str | None:
+        """Note that the connection is gone.
+
+        Args:
+            stopped: whether *stop* was written at last; None where nothing could be.
+            now: the time.
+
+        Returns:
+            Why the drive must be left in silence, after what happened; None where it need not.
+        """
+        self._said_at = math.inf
+        if stopped is not None:
+            self._refusals = 0 if stopped else self._refusals + 1
+        unread = now - self._unread_from > RUNS_ON_S
+        if stopped and unread and now - self._left_until > RUNS_ON_AGAIN_S:
+            return (
+                "; its speed cannot be read, and whether it stands has not been known for "
+                f"{RUNS_ON_S:g} s, although *stop* is written"
+            )
+        if self._refusals > 1:
+            return "; *stop* could not be written on two connections one after the other"
+        return None
+
+    def left(self, until: float) -> None:
+        """Note until when the drive is left in silence."""
+        if not self._refusals:
+            self._left_until = until
 
 
 class DriveExchange(DeviceThread[Snapshot]):
@@ -157,23 +258,14 @@ class DriveExchange(DeviceThread[Snapshot]):
         # Until then a fault is to be acknowledged.
         self._reset_until = -math.inf
         self._leave_by = math.inf
-        # Before the next attempt to connect, and whether that is the last.
+        # When to connect next, what to wait for after that, and whether it is the last attempt.
         self._connect_at, self._wait_s = -math.inf, FIRST_WAIT_S
         self._last_attempt = False
         self._paused_until = -math.inf
         self._settings_at = -math.inf
         # So many rounds, one after the other, had no valid answer.
         self._unanswered = 0
-        # On so many connections, one after the other, *stop* could not be written at last.
-        self._not_stopped = 0
-        # How the speed falls since *stop* is the last word, over connections that break, too; None
-        # where the drive is run, or stands.
-        self._fall: _Fall | None = None
-        # Since when connections begin with a *stop* that is taken, and no speed is read.
-        self._unread_from: float | None = None
-        # Until when the drive is left in silence, and when it was so last because it runs on or
-        # its speed cannot be read, since it last stood or ran.
-        self._silent_until = self._left_at = -math.inf
+        self._obedience = Obedience(str(address))
         own = file.timeout.over(address)
         self._unguarded_s = 0.0 if own is None else own.unguarded_after_power_up_s
         self._guarded_from = -math.inf
@@ -239,7 +331,7 @@ class DriveExchange(DeviceThread[Snapshot]):
     def _step(self) -> None:
         """Do what the state asks for."""
         if self._snapshot.state is State.SILENT:
-            self._pause_until(self._silent_until)
+            self._pause_until(self._connect_at)
             self._update(state=State.CONNECTING)
         elif self._snapshot.state is State.CONNECTING:
             self._connect()
@@ -250,12 +342,15 @@ class DriveExchange(DeviceThread[Snapshot]):
 
     def _lost(self, error: Exception, problem: str) -> None:
         """Let go of the connection; be silent, connect anew after a while, or end."""
-        now, why = time.monotonic(), self._why_silent(error)
+        now, drive = time.monotonic(), self._drive
+        why = self._obedience.lost(drive.stopped, now)
+        if isinstance(error, RunsOnError):
+            why = ""  # it says that itself
         self._done = self._last_attempt
         if why is None or self._done:
             # One that closes its connections gets as much time as one that does not answer: two of
             # them in a moment must not lead to silence.
-            closes = self._drive.stopped is False and not self._drive.connected
+            closes = drive.stopped is False and not drive.line.connected
             self._connect_at = now + self._wait_s + (self._timeout_s if closes else 0.0)
             self._wait_s = min(2 * self._wait_s, LONGEST_WAIT_S)
             self._fail(problem, state=State.CONNECTING, status=None)
@@ -263,9 +358,8 @@ class DriveExchange(DeviceThread[Snapshot]):
             known = self._snapshot.timeout_s
             timeout_s = self._timeout_limit_s if known is None else known
             silence_s = timeout_s + SILENCE_MARGIN_S
-            self._silent_until = now + silence_s
-            if not self._not_stopped:
-                self._left_at = self._silent_until
+            self._connect_at = now + silence_s
+            self._obedience.left(self._connect_at)
             self._fail(
                 f"{problem}{why}, so nothing is sent for {silence_s:g} s: the drive's own "
                 f"communication timeout ({timeout_s:g} s"
@@ -273,30 +367,15 @@ class DriveExchange(DeviceThread[Snapshot]):
                 "message might put off",
                 state=State.SILENT, status=None,
             )
+        self._let_go()
+
+    def _let_go(self) -> None:
+        """Close the connection; at the end, make way for other drivers."""
         try:
-            self._drive.close()
+            self._drive.line.close()
         finally:
             if self._done:
                 self._only.release()
-
-    def _why_silent(self, error: Exception) -> str | None:
-        """Return why it must be left in silence, after the problem; None where it need not."""
-        stopped, now = self._drive.stopped, time.monotonic()
-        if stopped is not None:
-            self._not_stopped = 0 if stopped else self._not_stopped + 1
-        if isinstance(error, _LeaveError):
-            return ""
-        if (
-            stopped and self._unread_from is not None and now - self._unread_from > RUNS_ON_S
-            and now - self._left_at > RUNS_ON_AGAIN_S
-        ):
-            return (
-                "; its speed cannot be read, and whether it stands has not been known for "
-                f"{RUNS_ON_S:g} s, although *stop* is written"
-            )
-        if self._not_stopped > 1:
-            return "; *stop* could not be written on two connections one after the other"
-        return None
 
     def _connect(self) -> None:
         """Stop a drive first, then see what it is and whether it would stop by itself."""
@@ -306,15 +385,13 @@ class DriveExchange(DeviceThread[Snapshot]):
             return
         self._drive = drive = Drive(self._file, self._address, self._timeout_s)
         self._last_attempt, self._unanswered = self._closing, 0
-        drive.connect()
+        drive.line.connect()
         self._guarded_from = time.monotonic() + self._unguarded_s
         try:
             self._stop()
-            if self._unread_from is None:
-                self._unread_from = time.monotonic()
             # Another one's word, which takes a while to come, cannot stand there yet.
             drive.intruder()
-            status = self._judge(self._read())
+            status = self._obedience.judge(self._read(), time.monotonic())
         except DriveError as error:
             # How long a silence must be is worth another question.
             if error.kind != "connection" and not self._snapshot.timeout_known:
@@ -369,18 +446,20 @@ class DriveExchange(DeviceThread[Snapshot]):
                 self._read_settings()
         except DriveError as error:
             self._unanswered += 1
-            if self._unanswered >= LOST_AFTER or not self._drive.connected:
+            if self._unanswered >= LOST_AFTER or not self._drive.line.connected:
                 raise
             self._fail(str(error))
             # What is still to come of the late answer must not be taken for the next.
             time.sleep(self._period_s)
             return
         self._unanswered = 0
-        status = self._judge(status)
+        status = self._obedience.judge(status, time.monotonic())
         standing = State.STOPPED if status.stands else State.STOPPING
+        if not problem and time.monotonic() < self._paused_until:
+            problem = self._snapshot.problem  # it did not come to run, which this does not end
         self._update(
             state=State.RUNNING if runs else standing, status=status, read_at=time.monotonic(),
-            problem=problem or self._lasting(), unguarded=self._unguarded(),
+            problem=problem, unguarded=self._unguarded(),
         )
         if not self._closing:
             self._pause(self._period_s - (time.monotonic() - started))
@@ -390,33 +469,7 @@ class DriveExchange(DeviceThread[Snapshot]):
         left = _stand(self._drive, self._leave_by)
         self._done = True
         self._update(state=State.CONNECTING, status=left, read_at=time.monotonic())
-        try:
-            self._drive.close()
-        finally:
-            self._only.release()
-
-    def _judge(self, status: DriveStatus) -> DriveStatus:
-        """Return what the drive said, with a fault where it was told to stop and runs on.
-
-        One whose speed falls, however slowly, obeys. One in local control is a person's at its
-        panel; it is that person's to stop.
-
-        Raises:
-            DriveError: it must be left in silence now.
-        """
-        fall, now, before = self._fall, time.monotonic(), self._snapshot
-        if fall is None or abs(status.speed) <= TURNS or not status.remote:
-            self._fall, self._left_at = None, -math.inf
-            return status
-        if fall.still_s(status) <= RUNS_ON_S:
-            return status
-        says = f"it acknowledges *stop*, but its speed has not fallen for {RUNS_ON_S:g} s"
-        if before.status is not None and says in before.status.fault:
-            fall.seen_s += now - before.read_at
-        if fall.seen_s > SEEN_S and now - self._left_at > RUNS_ON_AGAIN_S:
-            raise _LeaveError("drive", f"{self._address}: {says} (it is {status.speed:.1%})")
-        fault = "; ".join(filter(None, (status.fault, says)))
-        return replace(status, fault=fault, timed_out=False, runs_on=True)
+        self._let_go()
 
     def _read(self) -> DriveStatus:
         """Return what the drive says, after acknowledging that its communication timeout passed.
@@ -429,9 +482,9 @@ class DriveExchange(DeviceThread[Snapshot]):
         except DriveError as error:
             # A person at its panel has it, and sees whether it turns.
             if error.kind != "connection" and drive.local():
-                self._unread_from = None
+                self._obedience.heard()
             raise
-        self._unread_from = None
+        self._obedience.heard()
         if status.timed_out:
             self._fail(f"the drive had stopped by itself: {status.fault}")
             try:
@@ -442,10 +495,6 @@ class DriveExchange(DeviceThread[Snapshot]):
             status = drive.read()
         return status
 
-    def _lasting(self) -> str:
-        """Return the problem that a good round does not end: the drive did not come to run."""
-        return self._snapshot.problem if time.monotonic() < self._paused_until else ""
-
     def _order(self) -> tuple[bool, str]:
         """Do what is asked for; return whether it runs, and what the drive has against it."""
         pause_s = PAUSE_S
@@ -453,7 +502,7 @@ class DriveExchange(DeviceThread[Snapshot]):
             intruder = self._drive.intruder()
             if intruder:
                 pause_s = INTRUDER_PAUSE_S
-                self._fall = None  # it may be the other one whom the drive obeys
+                self._obedience.forget()  # it may be the other one whom the drive obeys
                 raise DriveError(
                     "drive", f"{intruder}; stopped until {pause_s:g} s after the last such word"
                 )
@@ -480,29 +529,13 @@ class DriveExchange(DeviceThread[Snapshot]):
             self._drive.run(speed, lambda: self._wanted() is not None)
         except DriveError as error:
             if error.kind != "drive":
-                self._fall = None  # it may obey an order whose answer was lost
+                self._obedience.forget()  # it may obey an order whose answer was lost
             raise
-        self._fall = None
+        self._obedience.forget()
 
     def _stop(self) -> None:
         self._drive.stop()
-        self._fall = self._fall or _Fall()
-
-
-class _Fall:
-    """How the speed of a drive falls that is told to stop."""
-
-    def __init__(self) -> None:
-        self._lowest, self._fell_at = math.inf, time.monotonic()
-        # For how long (s) it could be seen that it does not fall.
-        self.seen_s = 0.0
-
-    def still_s(self, status: DriveStatus) -> float:
-        """Take in what the drive says now; return for how long its speed has not fallen (s)."""
-        now = time.monotonic()
-        if abs(status.speed) < self._lowest - SLOWER:
-            self._lowest, self._fell_at, self.seen_s = abs(status.speed), now, 0.0
-        return now - self._fell_at
+        self._obedience.told_to_stop(time.monotonic())
 
 
 def _stand(drive: Drive, until: float) -> DriveStatus:
@@ -513,8 +546,8 @@ def _stand(drive: Drive, until: float) -> DriveStatus:
     fall = _Fall()
     while True:
         drive.stop()
-        status = drive.read()
-        if status.stands or fall.still_s(status) > STILL_S or time.monotonic() > until:
+        status, now = drive.read(), time.monotonic()
+        if status.stands or fall.still_s(status, now) > STILL_S or now > until:
             return status
         time.sleep(0.1)
 
@@ -559,7 +592,7 @@ def _stop(file: DriveFile, address: Address, timeout_s: float) -> DriveStatus:
     while True:
         drive = Drive(file, address, timeout_s)
         try:
-            drive.connect()
+            drive.line.connect()
             return _stand(drive, until)
         except DriveError:
             attempts -= 1
@@ -567,4 +600,4 @@ def _stop(file: DriveFile, address: Address, timeout_s: float) -> DriveStatus:
                 raise
             time.sleep(FIRST_WAIT_S)
         finally:
-            drive.close()
+            drive.line.close()

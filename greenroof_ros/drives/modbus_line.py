@@ -2,16 +2,22 @@
 
 Function codes 03 and 04 (read holding registers, input registers), 06 (write single register) and
 43/14 (read device identification) of the Modbus Application Protocol V1.1b3. No request is sent
-twice: who calls decides what a lost one means.
+twice: who calls decides what a lost one means. Besides, what registers hold, and a thread that
+keeps up with one device.
 """
 
 from __future__ import annotations
 
 import logging
+import math
 import socket
 import struct
-from collections.abc import Callable
-from typing import TYPE_CHECKING
+import threading
+import time
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any, Generic, TypeVar
 
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.drives.address import Address, Serial
@@ -19,6 +25,12 @@ from greenroof_ros.drives.address import Address, Serial
 if TYPE_CHECKING:
     from pymodbus.client import ModbusSerialClient, ModbusTcpClient
     from pymodbus.pdu import ModbusPDU
+
+# How many registers a number takes.
+WIDTHS = {"uint16": 1, "int16": 1, "uint32": 2, "int32": 2, "float32": 2}
+WORD_ORDERS = ("", "high first", "low first")
+# By what the drive simulator names itself, function 43/14: maker and product.
+SIMULATOR = ("greenroof_ros", "drive simulator")
 
 # Its messages are ours in other words; without a handler they would go to the terminal.
 logging.getLogger("pymodbus").addHandler(logging.NullHandler())
@@ -73,7 +85,11 @@ def check_installed() -> None:
 
 
 class ModbusLine:
-    """One device on Modbus."""
+    """A connection to one device.
+
+    Attributes:
+        where: address and device, for messages.
+    """
 
     def __init__(
         self, address: Address, *, port: int, device_id: int, serial: Serial, timeout_s: float
@@ -81,7 +97,7 @@ class ModbusLine:
         """Prepare it; nothing is opened yet.
 
         Args:
-            address: where it is.
+            address: where the device is.
             port: the TCP port, unless the address has one.
             device_id: unit identifier or slave address.
             serial: settings of a serial line.
@@ -92,12 +108,9 @@ class ModbusLine:
         """
         check_installed()
         from pymodbus.client import ModbusTcpClient
-        from pymodbus.exceptions import ModbusException
 
-        self._errors = (ModbusException, OSError)
         self.where = f"{address}, device {device_id}"
-        self._device_id = device_id
-        self._timeout_s = timeout_s
+        self._device_id, self._timeout_s = device_id, timeout_s
         self._client: ModbusTcpClient | ModbusSerialClient
         if address.line:
             self._client = _serial_client(address.line, serial, timeout_s)
@@ -118,11 +131,11 @@ class ModbusLine:
             DriveError: it cannot be opened.
         """
         if not self._client.connect():
-            raise DriveError("connection", f"{self.where}: cannot connect")
+            raise self.error("connection", "cannot connect")
         try:
             self._set(*_OPTIONS)
         except OSError as error:  # it was closed meanwhile
-            raise DriveError("connection", f"{self.where}: cannot connect: {error}") from error
+            raise self.error("connection", f"cannot connect: {error}") from error
 
     def close(self) -> None:
         """Close the connection.
@@ -132,13 +145,6 @@ class ModbusLine:
         way arrives later.
         """
         self._client.close()  # type: ignore[no-untyped-call]
-
-    def _set(self, *options: tuple[int, int, int | bytes]) -> None:
-        """Set options of the socket, if there is one."""
-        plug = self._client.socket
-        if isinstance(plug, socket.socket):
-            for level, option, value in options:
-                plug.setsockopt(level, option, value)
 
     def read(self, address: int, count: int, *, inputs: bool = False) -> list[int]:
         """Read holding registers, or input registers.
@@ -151,10 +157,8 @@ class ModbusLine:
         read = client.read_input_registers if inputs else client.read_holding_registers
         answer = self._ask(what, 4 if inputs else 3, read, address, count=count)
         if len(answer.registers) != count:
-            raise DriveError(
-                "answer",
-                f"{self.where}: {what}: {len(answer.registers)} registers came, not {count}",
-            )
+            came = len(answer.registers)
+            raise self.error("answer", f"{what}: {came} registers came, not {count}")
         return list(answer.registers)
 
     def write(self, address: int, word: int) -> None:
@@ -166,10 +170,9 @@ class ModbusLine:
         what = f"writing 0x{word:04X} to register {address}"
         answer = self._ask(what, 6, self._client.write_register, address, word)
         if answer.address != address or list(answer.registers) != [word]:
-            raise DriveError(
+            raise self.error(
                 "answer",
-                f"{self.where}: {what}: the answer speaks of {answer.registers} in register "
-                f"{answer.address}",
+                f"{what}: the answer speaks of {answer.registers} in register {answer.address}",
             )
 
     def identification(self) -> tuple[str, str]:
@@ -178,9 +181,7 @@ class ModbusLine:
         Raises:
             DriveError: no answer, or a wrong one.
         """
-        answer = self._ask(
-            "reading its identification", 43, self._client.read_device_information
-        )
+        answer = self._ask("reading its identification", 43, self._client.read_device_information)
         said = getattr(answer, "information", {})
         maker, product = (bytes(said.get(each, b"")).decode("latin-1") for each in (0, 1))
         return maker, product
@@ -190,24 +191,22 @@ class ModbusLine:
         **options: int,
     ) -> ModbusPDU:
         """Return the answer to a request, if it is one to that function and no exception."""
+        from pymodbus.exceptions import ModbusException
+
         if not self.connected:
-            raise DriveError("connection", f"{self.where}: {what}: the connection was closed")
+            raise self.error("connection", f"{what}: the connection was closed")
         try:
             answer = request(*values, device_id=self._device_id, **options)
-        except self._errors as error:
+        except (ModbusException, OSError) as error:
             raise self._silence(what, error) from error
         if answer.isError():
             code = answer.exception_code
-            raise DriveError(
-                "answer",
-                f"{self.where}: {what}: refused with exception {code}, "
-                f"{_EXCEPTIONS.get(code, 'unknown')}",
-            )
+            name = _EXCEPTIONS.get(code, "unknown")
+            raise self.error("answer", f"{what}: refused with exception {code}, {name}")
         if answer.function_code != function:
-            raise DriveError(
+            raise self.error(
                 "answer",
-                f"{self.where}: {what}: the answer has function {answer.function_code}, not "
-                f"{function}",
+                f"{what}: the answer has function {answer.function_code}, not {function}",
             )
         return answer
 
@@ -215,11 +214,20 @@ class ModbusLine:
         if isinstance(error, ConnectionError):
             self.close()
         if not self.connected:
-            return DriveError("connection", f"{self.where}: {what}: the connection was closed")
+            return self.error("connection", f"{what}: the connection was closed")
         self._set((socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0)))
-        return DriveError(
-            "connection", f"{self.where}: {what}: no valid answer within {self._timeout_s:g} s"
-        )
+        return self.error("connection", f"{what}: no valid answer within {self._timeout_s:g} s")
+
+    def error(self, kind: str, what: str) -> DriveError:
+        """Return what went wrong, with where."""
+        return DriveError(kind, f"{self.where}: {what}")
+
+    def _set(self, *options: tuple[int, int, int | bytes]) -> None:
+        """Set options of the socket, if there is one."""
+        plug = self._client.socket
+        if isinstance(plug, socket.socket):
+            for level, option, value in options:
+                plug.setsockopt(level, option, value)
 
 
 def _serial_client(line: str, settings: Serial, timeout_s: float) -> ModbusSerialClient:
@@ -246,3 +254,145 @@ def _serial_client(line: str, settings: Serial, timeout_s: float) -> ModbusSeria
         line, baudrate=settings.baud_rate, timeout=timeout_s, retries=0,
         parity=settings.parity_letter(line), stopbits=settings.stop_bits,
     )
+
+
+# --- what registers hold --------------------------------------------------------------------------
+
+
+def coding_mistakes(kind: str, word_order: str) -> Iterator[tuple[str, str]]:
+    """Yield that a file says an order of two words where there are none, or does not say it."""
+    if WIDTHS.get(kind) == 2 and not word_order:
+        yield "word_order", "must be 'high first' or 'low first'"
+    elif word_order and WIDTHS.get(kind) != 2:
+        yield "word_order", f"does not belong to {kind}, which is no number of 32 bits"
+
+
+def limits(kind: str) -> tuple[float, float]:
+    """Return the least and the greatest value of a type."""
+    if kind == "float32":
+        return -math.inf, math.inf
+    bits = 16 * WIDTHS[kind]
+    return (0, 2**bits - 1) if kind.startswith("u") else (-(2 ** (bits - 1)), 2 ** (bits - 1) - 1)
+
+
+def decode(registers: Sequence[int], kind: str, word_order: str = "") -> int | float | str:
+    """Return the value in some registers: a text for the type ``text``, else a number."""
+    from pymodbus.client.mixin import ModbusClientMixin
+
+    types = ModbusClientMixin.DATATYPE
+    value = ModbusClientMixin.convert_from_registers(
+        registers, types.STRING if kind == "text" else types[kind.upper()],
+        "little" if word_order == "low first" else "big", "latin-1",
+    )
+    assert not isinstance(value, list)
+    return value.replace("\0", " ").strip() if isinstance(value, str) else value
+
+
+def encode(value: float, kind: str, word_order: str = "") -> list[int]:
+    """Return the registers of a number, rounded and limited to what the type can hold."""
+    from pymodbus.client.mixin import ModbusClientMixin
+
+    if kind != "float32":
+        low, high = limits(kind)
+        value = int(min(max(round(value), low), high))
+    return ModbusClientMixin.convert_to_registers(
+        value, ModbusClientMixin.DATATYPE[kind.upper()],
+        "little" if word_order == "low first" else "big",
+    )
+
+
+# --- a thread for one device ----------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Known:
+    """What is known of a device at one moment.
+
+    Attributes:
+        read_at: when it last said something (s, `time.monotonic`).
+        problem: what went wrong last and is not over; empty for nothing.
+    """
+
+    read_at: float = -math.inf
+    problem: str = "not yet connected"
+
+
+K = TypeVar("K", bound=Known)
+
+
+class DeviceThread(ABC, Generic[K]):
+    """Does one step after another with a device until it is closed.
+
+    Whatever a step comes to, another one follows. Nothing here raises into the caller: what went
+    wrong is in `snapshot`.
+    """
+
+    def __init__(self, what: str, known: K) -> None:
+        """Prepare it.
+
+        Args:
+            what: is done, for messages.
+            known: of the device, before anything is.
+        """
+        self._what, self._snapshot, self._lock = what, known, threading.Lock()
+        self._closing = self._done = False
+        self._wake = threading.Event()
+        self._thread = threading.Thread(target=self._work, name=what, daemon=True)
+
+    @property
+    def snapshot(self) -> K:
+        """What is known now."""
+        return self._snapshot
+
+    def start(self) -> None:
+        """Begin."""
+        self._thread.start()
+
+    def _end(self, within_s: float) -> bool:
+        """Have it end; tell whether it has within a time (s)."""
+        self._closing = True
+        self._wake.set()
+        if self._thread.ident is not None:
+            self._thread.join(within_s)
+        return not self._thread.is_alive()
+
+    # --- in the thread ----------------------------------------------------------------------------
+
+    @abstractmethod
+    def _step(self) -> None:
+        """Do what is to be done now, and wait until the next is due.
+
+        Raises:
+            DriveError: it failed.
+        """
+
+    @abstractmethod
+    def _lost(self, error: Exception, problem: str) -> None:
+        """Take in that a step failed, and let go of the connection."""
+
+    def _work(self) -> None:
+        while not self._done:
+            try:
+                try:
+                    self._step()
+                except DriveError as error:
+                    self._lost(error, str(error))
+                except Exception as error:  # whatever it is, the next step begins anew
+                    logging.getLogger(__name__).exception("%s failed", self._what)
+                    self._lost(error, f"{self._what} failed: {error!r}")
+            except Exception as error:
+                self._update(problem=f"{self._what} failed: {error!r}")
+
+    def _update(self, **changes: Any) -> None:
+        with self._lock:
+            self._snapshot = replace(self._snapshot, **changes)
+
+    def _pause(self, seconds: float) -> None:
+        """Wait, at most until something is asked for."""
+        self._wake.wait(max(0.0, seconds))
+        self._wake.clear()
+
+    def _pause_until(self, due: float) -> None:
+        """Wait until a time (s, `time.monotonic`), whatever is asked for but the end."""
+        while not self._closing and (rest := due - time.monotonic()) > 0:
+            self._pause(rest)

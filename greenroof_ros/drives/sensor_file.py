@@ -6,14 +6,18 @@ import math
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated
 
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.files import read_yaml, shared_directory
-from greenroof_ros.common.records import Entry, Word, error_at, read_record
+from greenroof_ros.common.records import Word, entry, error_at, read_record
 from greenroof_ros.drives.address import Serial, parse_address
-from greenroof_ros.drives.modbus_line import ModbusLine
-from greenroof_ros.drives.values import WIDTHS, WORD_ORDERS, limits
+from greenroof_ros.drives.modbus_line import (
+    WIDTHS,
+    WORD_ORDERS,
+    ModbusLine,
+    coding_mistakes,
+    limits,
+)
 
 TANKS = ("cistern", "roof")
 _LONGEST_FILTER_S = 30.0
@@ -29,44 +33,42 @@ class Sensor:
     rounding off where it begins to move. Levels of tanks are slow enough for that.
     """
 
-    address: Annotated[str, Entry("tcp://HOST:PORT, or a serial device such as /dev/ttyUSB0")]
-    device_id: Annotated[int, Entry("unit identifier or slave address", low=0, high=255)]
-    register: Annotated[
-        int, Entry("its address on the wire, the first register is 0", low=0, high=65535)
-    ]
-    kind: Annotated[
-        str, Entry("input registers (function 4) or holding (3)", choices=("input", "holding"))
-    ]
-    type: Annotated[str, Entry("how the value is coded", choices=tuple(WIDTHS))]
-    scale: Annotated[float, Entry("level = scale x raw + offset; m per count", low=-1e3, high=1e3)]
-    low: Annotated[float, Entry("least level that is accepted (m)", low=-10, high=100)]
-    high: Annotated[float, Entry("greatest level that is accepted (m)", low=-10, high=100)]
-    offset: Annotated[float, Entry("level where raw is 0 (m)", low=-100, high=100)] = 0.0
-    word_order: Annotated[
-        str, Entry("which half of 32 bits comes first", choices=WORD_ORDERS)
-    ] = ""
-    missing: Annotated[Word | None, Entry("the raw value that says 'no reading'")] = None
-    median: Annotated[
-        int, Entry("readings of which the median is taken, an odd number; 1: no filter", low=1,
-                   high=99)
-    ] = 5
-    period: Annotated[float, Entry(
-        "from one reading to the next (s); at most half of level_limit", low=0.05, high=3600
-    )] = 1.0
-    baud_rate: Annotated[
-        int, Entry("of a serial line: bits per second", low=1200, high=1_000_000)
-    ] = 19200
-    parity: Annotated[
-        str, Entry("of a serial line: parity bit", choices=("even", "odd", "none"))
-    ] = "even"
-    stop_bits: Annotated[int, Entry("of a serial line: stop bits", low=1, high=2)] = 1
+    address: str = entry("tcp://HOST:PORT, or a serial device such as /dev/ttyUSB0")
+    device_id: int = entry("unit identifier or slave address", 0, 255)
+    register: int = entry("its address on the wire, the first register is 0", 0, 65535)
+    kind: str = entry(
+        "input registers (function 4) or holding (3)", choices=("input", "holding")
+    )
+    type: str = entry("how the value is coded", choices=tuple(WIDTHS))
+    scale: float = entry("level = scale x raw + offset; m per count", -1e3, 1e3)
+    low: float = entry("least level that is accepted (m)", -10, 100)
+    high: float = entry("greatest level that is accepted (m)", -10, 100)
+    offset: float = entry("level where raw is 0 (m)", -100, 100, default=0.0)
+    word_order: str = entry("which half of 32 bits comes first", choices=WORD_ORDERS, default="")
+    missing: Word | None = entry("the raw value that says 'no reading'", default=None)
+    median: int = entry(
+        "readings of which the median is taken, an odd number; 1: no filter", 1, 99, default=5
+    )
+    period: float = entry(
+        "from one reading to the next (s); at most half of level_limit", 0.05, 3600, default=1.0
+    )
+    baud_rate: int = entry("of a serial line: bits per second", 1200, 1_000_000, default=19200)
+    parity: str = entry(
+        "of a serial line: parity bit", choices=("even", "odd", "none"), default="even"
+    )
+    stop_bits: int = entry("of a serial line: stop bits", 1, 2, default=1)
 
     @property
     def serial(self) -> Serial:
         """The settings of a serial line."""
         return Serial(self.baud_rate, self.parity, self.stop_bits, self.device_id)
 
-    def connection(self, timeout_s: float) -> ModbusLine:
+    @property
+    def registers(self) -> int:
+        """How many registers the value takes."""
+        return WIDTHS[self.type]
+
+    def line(self, timeout_s: float) -> ModbusLine:
         """Return a connection to it, not yet opened.
 
         Args:
@@ -77,18 +79,13 @@ class Sensor:
             serial=self.serial, timeout_s=timeout_s,
         )
 
-    @property
-    def registers(self) -> int:
-        """How many registers the value takes."""
-        return WIDTHS[self.type]
-
 
 @dataclass(frozen=True)
 class Sensors:
     """The sensors of both tanks."""
 
-    cistern: Annotated[Sensor, Entry("level sensor of the cistern")]
-    roof: Annotated[Sensor, Entry("level sensor of the roof")]
+    cistern: Sensor = entry("level sensor of the cistern")
+    roof: Sensor = entry("level sensor of the roof")
 
 
 def default_sensors() -> Path:
@@ -109,42 +106,33 @@ def read_sensors(path: Path, level_limit: float = math.inf) -> Sensors:
     """
     content = read_yaml(path)
     sensors = read_record(Sensors, path, content)
-    wrong = [
-        (f"{tank}.{key}", expected)
-        for tank in TANKS
-        for key, expected in _mistakes(getattr(sensors, tank), level_limit)
-    ]
-    cistern, roof = sensors.cistern, sensors.roof
-    if not wrong and parse_address(roof.address).shares_line(parse_address(cistern.address)):
-        wrong.append((
-            "roof.address",
-            "is the cistern's serial line, which one program alone can open: put a Modbus TCP "
-            "gateway on it (tcp://HOST:PORT), or take another line",
-        ))
-    if _place(cistern) == _place(roof):
-        wrong.append(("roof.register", "is the cistern's: both sensors would be the same"))
-    for key, expected in wrong:
-        tank, _, name = key.partition(".")
-        raise error_at(path, content, key, content[tank].get(name), expected)
+    for key, expected in _mistakes(sensors, level_limit):
+        raise error_at(path, content, key, expected)
     return sensors
 
 
-def _place(sensor: Sensor) -> tuple[object, ...]:
-    return sensor.address, sensor.device_id, sensor.kind, sensor.register
+def _mistakes(sensors: Sensors, level_limit: float) -> Iterator[tuple[str, str]]:
+    """Yield each key that contradicts another one, and why; what follows goes by those before."""
+    for tank in TANKS:
+        for key, expected in _sensor_mistakes(getattr(sensors, tank), level_limit):
+            yield f"{tank}.{key}", expected
+    cistern, roof = sensors.cistern, sensors.roof
+    if parse_address(roof.address).shares_line(parse_address(cistern.address)):
+        yield "roof.address", (
+            "is the cistern's serial line, which one program alone can open: put a Modbus TCP "
+            "gateway on it (tcp://HOST:PORT), or take another line"
+        )
+    places = {(each.address, each.device_id, each.kind, each.register) for each in (cistern, roof)}
+    if len(places) == 1:
+        yield "roof.register", "is the cistern's: both sensors would be the same"
 
 
-def _mistakes(sensor: Sensor, level_limit: float) -> Iterator[tuple[str, str]]:
-    """Yield each key that cannot be as it is, and why."""
+def _sensor_mistakes(sensor: Sensor, level_limit: float) -> Iterator[tuple[str, str]]:
     try:
         parse_address(sensor.address)
     except ConfigurationError as error:
         yield "address", str(error).rpartition(": ")[2]
-    wide = sensor.registers == 2
-    if wide != bool(sensor.word_order):
-        yield "word_order", (
-            "must be 'high first' or 'low first'" if wide
-            else f"does not belong to {sensor.type}, which is one register"
-        )
+    yield from coding_mistakes(sensor.type, sensor.word_order)
     if sensor.register + sensor.registers > 65536:
         yield "register", "leaves no room for a second register"
     if sensor.scale == 0:

@@ -17,12 +17,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
 
-from greenroof_ros.common.records import Entry
+from greenroof_ros.common.records import entry
 
 Array = NDArray[np.float64]
 
@@ -49,10 +48,10 @@ class Climate:
     ``config/forecasts/skill.yaml``.
     """
 
-    wet_share: Annotated[float, Entry("share of the hours with rain (1)", 1e-4, 0.9)]
-    scale: Annotated[float, Entry("k, scale of an hour's rain (mm)", 1e-3, 100.0)]
-    growth: Annotated[float, Entry("b, how much faster than z rain grows (1)", 0.1, 5.0)]
-    memory: Annotated[float, Entry("T, hours after which z is correlated by 1/e", 0.5, 24.0)]
+    wet_share: float = entry("share of the hours with rain (1)", 1e-4, 0.9)
+    scale: float = entry("k, scale of an hour's rain (mm)", 1e-3, 100.0)
+    growth: float = entry("b, how much faster than z rain grows (1)", 0.1, 5.0)
+    memory: float = entry("T, hours after which z is correlated by 1/e", 0.5, 24.0)
 
     @property
     def threshold(self) -> float:

@@ -15,13 +15,12 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
 
 from greenroof_ros.common.files import read_yaml, shared_directory
-from greenroof_ros.common.records import Entry, read_record
+from greenroof_ros.common.records import entry, read_record
 from greenroof_ros.forecast.climate import Climate
 
 Array = NDArray[np.float64]
@@ -40,27 +39,20 @@ class Errors:
     deviation: from nothing at the lead 0 to all of the constant where nothing is known.
     """
 
-    reach: Annotated[
-        float, Entry("L, lead at which a weather's coherence is down by 1/e (h)", 1.0, 1e6)
-    ]
-    fading: Annotated[float, Entry("p, how suddenly that comes (1)", 0.1, 10.0)]
-    timing: Annotated[float, Entry("sigma_1, error of timing one day ahead (h)", 0.0, 24.0)]
-    timing_growth: Annotated[
-        float, Entry("q, exponent of its growth with the lead (1)", 0.0, 2.0)
-    ]
-    wetness: Annotated[
-        float, Entry("by how much too often it rains, where nothing is known (1)", -2.0, 2.0)
-    ]
-    amount: Annotated[
-        float,
-        Entry("by which what falls is multiplied, where nothing is known (1)", 0.0, 10.0),
-    ]
-    persistence: Annotated[
-        float, Entry("hours after which an issue's errors are correlated by 1/e", 1.0, 240.0)
-    ]
-    evapotranspiration: Annotated[
-        float, Entry("relative error of evapotranspiration, where nothing is known (1)", 0.0, 2.0)
-    ]
+    reach: float = entry("L, lead at which a weather's coherence is down by 1/e (h)", 1.0, 1e6)
+    fading: float = entry("p, how suddenly that comes (1)", 0.1, 10.0)
+    timing: float = entry("sigma_1, error of timing one day ahead (h)", 0.0, 24.0)
+    timing_growth: float = entry("q, exponent of its growth with the lead (1)", 0.0, 2.0)
+    wetness: float = entry("by how much too often it rains, where nothing is known (1)", -2.0, 2.0)
+    amount: float = entry(
+        "by which what falls is multiplied, where nothing is known (1)", 0.0, 10.0
+    )
+    persistence: float = entry(
+        "hours after which an issue's errors are correlated by 1/e", 1.0, 240.0
+    )
+    evapotranspiration: float = entry(
+        "relative error of evapotranspiration, where nothing is known (1)", 0.0, 2.0
+    )
 
 
 @dataclass(frozen=True)
@@ -72,8 +64,8 @@ class Skill:
         errors: of the forecasts.
     """
 
-    climate: Annotated[Climate, Entry("the rain of the place")]
-    errors: Annotated[Errors, Entry("what forecasts of it have wrong")]
+    climate: Climate = entry("the rain of the place")
+    errors: Errors = entry("what forecasts of it have wrong")
 
     def times_lead(self, factor: float) -> Skill:
         """Return a skill whose errors at each lead are this one's at so many times that lead."""

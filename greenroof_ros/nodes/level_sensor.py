@@ -14,7 +14,7 @@ from typing import Any
 
 from greenroof_ros.common.command_line import EXIT_DONE, command
 from greenroof_ros.common.parameter import Parameter
-from greenroof_ros.drives.level_sensor import SensorExchange
+from greenroof_ros.drives.level_sensor import LevelSensor
 from greenroof_ros.drives.sensor_file import default_sensors, read_sensors
 from greenroof_ros.graph.link import LISTEN_S, LinkedNode
 from greenroof_ros.graph.live import LIMITS
@@ -55,12 +55,12 @@ class LevelSensorNode(LinkedNode):
         self._level: float | None = None
         self._started = self._published = time.monotonic()
         self.reports.hardware = f"{self._sensor.address}, device {self._sensor.device_id}"
-        self._exchange = SensorExchange(self._sensor)
-        self._exchange.start()
+        self._reader = LevelSensor(self._sensor)
+        self._reader.start()
 
     def on_idle(self) -> float:
         """Publish a new reading that is good; say why another one is not."""
-        reading, now = self._exchange.snapshot, time.monotonic()
+        reading, now = self._reader.snapshot, time.monotonic()
         if now - max(reading.read_at, self._started) > _PERIODS * self._sensor.period:
             self._level = None
             self.diagnose(
@@ -83,7 +83,7 @@ class LevelSensorNode(LinkedNode):
 
     def on_stop(self) -> None:
         """Let go of the sensor."""
-        self._exchange.close()
+        self._reader.close()
 
 
 @command

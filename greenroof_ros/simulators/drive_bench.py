@@ -11,7 +11,7 @@ from pymodbus.constants import ExcCodes
 
 from greenroof_ros.drives.address import Address
 from greenroof_ros.drives.drive_file import DriveFile
-from greenroof_ros.drives.identity import PRODUCT, VENDOR
+from greenroof_ros.drives.modbus_line import SIMULATOR
 from greenroof_ros.model.initial_state import default_state
 from greenroof_ros.model.pump_speed import flow_at
 from greenroof_ros.model.site import Site
@@ -75,7 +75,7 @@ class DriveBench:
                 self.device_id, self.drive.addresses(),
                 lambda: self.drive.registers(time.monotonic()), self._write,
             )],
-            self._wire, (VENDOR, PRODUCT),
+            self._wire, SIMULATOR,
         )
         self._registers = [0, 0, faults.DEFAULT, 0, 0, round(self._level / faults.LEVEL_UNIT)]
         self._workbench = make_workbench(workbench_address, self._read_workbench, self._put)

@@ -13,7 +13,7 @@ from pymodbus.constants import ExcCodes
 
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.drives.drive_file import DriveFile, Register
-from greenroof_ros.drives.values import encode
+from greenroof_ros.drives.modbus_line import encode
 from greenroof_ros.simulators.control_profiles import ControlProfile, Motion, Seen, profile_of
 
 _RATED_RPM = 1500.0

@@ -13,9 +13,8 @@ from pymodbus.constants import ExcCodes
 
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.drives.address import Address, parse_address
-from greenroof_ros.drives.modbus_line import DriveError
+from greenroof_ros.drives.modbus_line import DriveError, encode
 from greenroof_ros.drives.sensor_file import TANKS, Sensor, Sensors
-from greenroof_ros.drives.values import encode
 from greenroof_ros.model.plant import Plant
 from greenroof_ros.model.pump_speed import flow_at
 from greenroof_ros.model.site import Site

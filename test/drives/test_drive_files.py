@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -12,8 +13,8 @@ import pytest
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.files import shared_directory
 from greenroof_ros.drives.address import Address, parse_address, parse_drive_address
-from greenroof_ros.drives.drive_file import Register, find_drive_file, read_drive_file
-from greenroof_ros.drives.values import decode
+from greenroof_ros.drives.drive_file import find_drive_file, read_drive_file
+from greenroof_ros.drives.modbus_line import decode
 
 SHIPPED = sorted((shared_directory() / "config" / "drives").glob("*.yaml"))
 
@@ -35,12 +36,6 @@ def test_shipped_files_are_right(path: Path) -> None:
             assert 0 < full.low < full.high < 10_000
     # A drive whose vital words nobody has seen in its manual says so.
     assert drive.unverified_and_vital
-
-
-def test_there_are_four() -> None:
-    assert [path.stem for path in SHIPPED] == [
-        "abb_acs880", "danfoss_fc202", "grundfos_cim500", "schneider_atv630",
-    ]
 
 
 ABB = SHIPPED[0].read_text(encoding="utf-8")
@@ -138,15 +133,15 @@ def refused(tmp_path: Path, old: str, new: str) -> str:
             "    type: uint16\n    word_order: low first\n    unit: s",
             "registers.timeout_time.word_order = 'low first': does not belong to uint16",
         ),
-        ("    scale: 0.1\n", "    scale: 0\n", "registers.timeout_time.scale = 0.0: must be fin"),
+        ("    scale: 0.1\n", "    scale: 0\n", "registers.timeout_time.scale = 0: must be fin"),
         (
             "    scale: 0.1\n", "    scale: 0.1\n    full_scale: nothing\n",
             "registers.timeout_time.full_scale = 'nothing': must be one of registers:",
         ),
-        ("    low: -1.6\n", "    low: 2\n", "registers.speed.low = 2.0: must be at most high, 1.6"),
+        ("    low: -1.6\n", "    low: 2\n", "registers.speed.low = 2: must be at most high, 1.6"),
         (
             "stops: {1: Fault,", "stops: {2: Fault,",
-            "timeout.serial.action.stops = 2: stands in stops and",
+            "timeout.serial.action.stops.2 = 'Fault': stands in stops and",
         ),
         (
             "  serial:\n    register: timeout_time", "  usb:\n    register: timeout_time",
@@ -162,7 +157,7 @@ def refused(tmp_path: Path, old: str, new: str) -> str:
         ),
         (
             "  - registers.fault\n", "  - registers.faulty\n",
-            "unverified = 'registers.faulty': names no key of this file",
+            "unverified.5 = 'registers.faulty': names no key of this file",
         ),
         ("least_speed: 0.3", "least_speed: 30", "least_speed = 30: must be from 0 to 1"),
         ("nameplate:\n  - {register: rating}", "nameplate: rating", "nameplate = 'rating': must"),
@@ -206,33 +201,40 @@ def test_a_file_of_ones_own(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("text", "address"),
+    ("text", "address", "interface"),
     [
-        ("tcp://10.0.0.7", Address(host="10.0.0.7")),
-        ("tcp://pump.local:5020", Address(host="pump.local", port=5020)),
-        ("tcp://[::1]:502", Address(host="::1", port=502)),
-        ("gateway://10.0.0.7:4001", Address(host="10.0.0.7", port=4001, gateway=True)),
-        ("gateway://10.0.0.7", Address(host="10.0.0.7", gateway=True)),
-        ("/dev/ttyUSB0", Address(line="/dev/ttyUSB0")),
+        ("tcp://10.0.0.7", Address(host="10.0.0.7"), "tcp"),
+        ("tcp://pump.local:5020", Address(host="pump.local", port=5020), "tcp"),
+        ("tcp://[::1]:502", Address(host="::1", port=502), "tcp"),
+        ("gateway://10.0.0.7", Address(host="10.0.0.7", gateway=True), "serial"),
+        ("/dev/ttyUSB0", Address(line="/dev/ttyUSB0"), "serial"),
+        ("tcp://10.0.0.7,0", Address(host="10.0.0.7", device_id=0), "tcp"),
+        ("gateway://10.0.0.7:41,17", Address("10.0.0.7", 41, "", True, 17), "serial"),
+        ("/dev/ttyUSB0,247", Address(line="/dev/ttyUSB0", device_id=247), "serial"),
     ],
 )
-def test_addresses(text: str, address: Address) -> None:
-    assert parse_address(text) == address
-    assert str(address) == text
+def test_addresses(text: str, address: Address, interface: str) -> None:
+    """A gateway leads to the serial port."""
+    assert parse_drive_address(text, "at") == address
+    assert str(address) == text and address.interface == interface
+    assert address.device_id is not None or parse_address(text) == address
 
 
 @pytest.mark.parametrize(
-    ("text", "address"),
+    ("text", "asked"),
     [
-        ("tcp://10.0.0.7,0", Address(host="10.0.0.7", device_id=0)),
-        ("tcp://[::1]:502", Address(host="::1", port=502)),
-        ("gateway://10.0.0.7:4001,17", Address("10.0.0.7", 4001, gateway=True, device_id=17)),
-        ("/dev/ttyUSB0,247", Address(line="/dev/ttyUSB0", device_id=247)),
+        ("gateway://host", 17), ("tcp://host", 3), ("/dev/ttyS0", 17), ("gateway://host,200", 200),
+        ("tcp://host,0", 0),
     ],
 )
-def test_addresses_with_a_device_id(text: str, address: Address) -> None:
-    assert parse_drive_address(text, "at") == address
-    assert str(address) == text
+def test_the_device_that_is_asked(text: str, asked: int) -> None:
+    """Behind a gateway the slave address, of the file or of the address."""
+    read = read_drive_file(SHIPPED[0])
+    two = replace(
+        read, serial=replace(read.serial, device_id=17), tcp=replace(read.tcp, device_id=3)
+    )
+    line = two.line(parse_drive_address(text, "at"), 1.0)
+    assert line.where == f"{text}, device {asked}"
 
 
 @pytest.mark.parametrize(
@@ -264,14 +266,6 @@ def test_one_place_has_one_name(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("text", "interface"),
-    [("tcp://10.0.0.7", "tcp"), ("gateway://10.0.0.7", "serial"), ("/dev/ttyUSB0", "serial")],
-)
-def test_a_gateway_leads_to_the_serial_port(text: str, interface: str) -> None:
-    assert parse_address(text).interface == interface
-
-
-@pytest.mark.parametrize(
     "text", ["", "10.0.0.7", "tcp://", "tcp://host:0", "tcp://host:70000", "udp://host", "COM3"]
 )
 def test_no_addresses(text: str) -> None:
@@ -279,26 +273,22 @@ def test_no_addresses(text: str) -> None:
         parse_address(text)
 
 
-def register(kind: str, order: str = "", length: int = 0) -> Register:
-    return Register(0, 0, kind, "", "", word_order=order, length=length)
-
-
 @pytest.mark.parametrize(
-    ("made", "words", "value"),
+    ("kind", "order", "words", "value"),
     [
-        (register("uint16"), [0xFFFE], 65534),
-        (register("int16"), [0xFFFE], -2),
-        (register("uint32", "high first"), [0x0001, 0x0002], 65538),
-        (register("uint32", "low first"), [0x0001, 0x0002], 131073),
-        (register("int32", "high first"), [0xFFFF, 0xFFFD], -3),
+        ("uint16", "", [0xFFFE], 65534),
+        ("int16", "", [0xFFFE], -2),
+        ("uint32", "high first", [0x0001, 0x0002], 65538),
+        ("uint32", "low first", [0x0001, 0x0002], 131073),
+        ("int32", "high first", [0xFFFF, 0xFFFD], -3),
         # IEEE 754, as worked in every text book: 0x3FC00000 is 1.5.
-        (register("float32", "high first"), [0x3FC0, 0x0000], 1.5),
-        (register("float32", "low first"), [0x0000, 0x3FC0], 1.5),
-        (register("text", length=2), [0x4142, 0x4300], "ABC"),
+        ("float32", "high first", [0x3FC0, 0x0000], 1.5),
+        ("float32", "low first", [0x0000, 0x3FC0], 1.5),
+        ("text", "", [0x4142, 0x4300], "ABC"),
     ],
 )
-def test_values_of_all_types(made: Register, words: list[int], value: object) -> None:
-    assert decode(words, made.type, made.word_order) == value
+def test_values_of_all_types(kind: str, order: str, words: list[int], value: object) -> None:
+    assert decode(words, kind, order) == value
 
 
 def test_without_the_library_the_extra_is_named() -> None:

@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-import select
-import socket
-import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -17,10 +14,9 @@ from places import guarding
 from simulators import Bus, Simulator, until
 
 from greenroof_ros.drives.address import parse_address
+from greenroof_ros.drives.drive import why_no_simulator
 from greenroof_ros.drives.drive_file import find_drive_file, read_drive_file
-from greenroof_ros.drives.exchange import DriveExchange, stop_drive
-from greenroof_ros.drives.identity import why_no_simulator
-from greenroof_ros.drives.modbus_line import DriveError
+from greenroof_ros.drives.exchange import DriveExchange
 
 MAKES = ("abb_acs880", "danfoss_fc202", "grundfos_cim500", "schneider_atv630")
 FREE = ("--port", "0", "--workbench", "0")
@@ -38,37 +34,6 @@ def driver(make: str, drive: Simulator) -> Iterator[DriveExchange]:
         yield exchange
     finally:
         exchange.close()
-
-
-@contextmanager
-def gateway(behind: int, lasts_s: float) -> Iterator[int]:
-    """Listen at a port, and pass on what comes, for so long on each connection (s)."""
-    listener = socket.create_server(("127.0.0.1", 0))
-
-    def pass_on(one: socket.socket) -> None:
-        with one, socket.create_connection(("127.0.0.1", behind)) as two:
-            until_then = time.monotonic() + lasts_s
-            while time.monotonic() < until_then:
-                for source in select.select([one, two], [], [], 0.05)[0]:
-                    data = source.recv(4096)
-                    if not data:
-                        return
-                    (two if source is one else one).sendall(data)
-
-    def accept() -> None:
-        while True:
-            try:
-                one, _ = listener.accept()
-            except OSError:
-                return
-            threading.Thread(target=pass_on, args=(one,), daemon=True).start()
-
-    threading.Thread(target=accept, daemon=True).start()
-    try:
-        yield listener.getsockname()[1]
-    finally:
-        listener.shutdown(socket.SHUT_RDWR)
-        listener.close()
 
 
 def reach(exchange: DriveExchange, drive: Simulator, speed: float) -> None:
@@ -134,19 +99,6 @@ def test_a_line_that_is_no_pseudo_terminal_and_another_server_are_no_simulator()
         wire.close()
 
 
-def test_a_motor_stops_by_the_drives_own_timeout_when_its_client_hears_no_more() -> None:
-    """Half open: nothing gets through, so only the drive itself can stop it, 1 s later."""
-    make = "abb_acs880"
-    with Simulator(
-        "drive_simulator", "--drive", make, *FREE, "--ramp", "0.2", "--timeout", "1"
-    ) as drive, driver(make, drive) as exchange:
-        reach(exchange, drive, 0.6)
-        drive.inject("half_open")
-        until(lambda: drive.speed() == 0)
-        assert exchange.snapshot.problem != ""
-    assert "communication timeout: nothing for 1 s" in drive.said
-
-
 @pytest.mark.parametrize(
     ("place", "action"),
     # ETHL and SLL, EAV64332
@@ -179,15 +131,6 @@ def test_each_port_of_an_altivar_has_a_timeout_of_its_own(
     assert "communication timeout: nothing for 2 s" in drive.said
 
 
-def test_modbus_rtu_over_a_pseudo_terminal() -> None:
-    make = "danfoss_fc202"
-    with Simulator(
-        "drive_simulator", "--drive", make, "--serial", "pty", "--workbench", "0", "--ramp", "0.4"
-    ) as drive, driver(make, drive) as exchange:
-        reach(exchange, drive, 0.6)
-        reach(exchange, drive, 0.0)
-
-
 # --- a drive that refuses to be stopped -----------------------------------------------------------
 
 
@@ -202,13 +145,15 @@ def keep_asking(exchange: DriveExchange, speed: float, reached: Callable[[], boo
     until(asked, within)
 
 
-ANY_MESSAGE = ("abb_acs880", "grundfos_cim500", "schneider_atv630")
-
-
-@pytest.mark.parametrize("fault", ["refused_writes", "exception"])
-@pytest.mark.parametrize("make", ANY_MESSAGE)
+@pytest.mark.parametrize(
+    ("make", "fault", "place"),
+    [
+        ("abb_acs880", "refused_writes", FREE), ("grundfos_cim500", "exception", FREE),
+        ("schneider_atv630", "refused_writes", ("--serial", "pty", "--workbench", "0")),
+    ],
+)
 def test_a_drive_for_which_a_refused_order_is_a_sign_of_life_stops_by_itself(
-    make: str, fault: str
+    make: str, fault: str, place: tuple[str, ...]
 ) -> None:
     """Exception 6, busy, to all; the drive's own timeout needs as much silence to fall.
 
@@ -217,7 +162,7 @@ def test_a_drive_for_which_a_refused_order_is_a_sign_of_life_stops_by_itself(
     timeout = 5 if make == "grundfos_cim500" else 2  # the one of a Grundfos cannot be set
     silence = 11 if make == "abb_acs880" else timeout + 1
     with Simulator(
-        "drive_simulator", "--drive", make, *FREE, "--ramp", "0.4", "--timeout", "2"
+        "drive_simulator", "--drive", make, *place, "--ramp", "0.4", "--timeout", "2"
     ) as drive:
         if make == "abb_acs880":
             with Bus(drive.ports[0]) as panel:
@@ -234,37 +179,7 @@ def test_a_drive_for_which_a_refused_order_is_a_sign_of_life_stops_by_itself(
     assert f"communication timeout: nothing for {timeout} s" in drive.said
 
 
-def test_the_same_over_a_serial_line() -> None:
-    make = "schneider_atv630"
-    with Simulator(
-        "drive_simulator", "--drive", make, "--serial", "pty", "--workbench", "0", "--ramp", "0.4",
-        "--timeout", "2",
-    ) as drive, driver(make, drive) as exchange:
-        reach(exchange, drive, 0.6)
-        drive.inject("refused_writes")
-        keep_asking(exchange, 0.6, lambda: drive.speed() == 0, 12)
-
-
-def test_a_stop_that_is_refused_three_times_leaves_the_rest_to_the_drive() -> None:
-    make = "schneider_atv630"
-    with Simulator(
-        "drive_simulator", "--drive", make, *FREE, "--ramp", "0.4", "--timeout", "2"
-    ) as drive, driver(make, drive) as exchange:
-        reach(exchange, drive, 0.6)
-        drive.inject("refused_writes")
-        exchange.close()
-        assert exchange.snapshot.status is None
-        with pytest.raises(DriveError, match="refused with exception 6"):
-            stop_drive(
-                read_drive_file(find_drive_file(make)),
-                parse_address(f"tcp://127.0.0.1:{drive.ports[0]}"),
-            )
-        until(lambda: drive.speed() == 0, 8)
-
-
-@pytest.mark.parametrize(
-    "make", ["abb_acs880", "danfoss_fc202", "grundfos_cim500", "schneider_atv630"]
-)
+@pytest.mark.parametrize("make", MAKES)
 def test_a_drive_that_acknowledges_stop_and_runs_on_stops_by_itself(
     make: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -285,77 +200,6 @@ def test_a_drive_that_acknowledges_stop_and_runs_on_stops_by_itself(
         reach(exchange, drive, 0.4)
         reach(exchange, drive, 0.0)
     assert f"communication timeout: nothing for {timeout} s" in drive.said
-
-
-def test_the_same_behind_a_gateway_that_closes_each_connection_after_3_s(
-    monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """Judged after 6 s instead of 10, so that no connection lives to see that."""
-    monkeypatch.setattr("greenroof_ros.drives.exchange.RUNS_ON_S", 6.0)
-    make = "danfoss_fc202"
-    with Simulator(
-        "drive_simulator", "--drive", make, *FREE, "--ramp", "0.4", "--timeout", "2"
-    ) as drive, gateway(drive.ports[0], 3.0) as port:
-        exchange = DriveExchange(
-            read_drive_file(find_drive_file(make)), parse_address(f"gateway://127.0.0.1:{port}"),
-            period_s=0.1, dead_man_s=1.0,
-        )
-        exchange.start()
-        try:
-            reach(exchange, drive, 0.6)
-            drive.inject("runs_on")
-            exchange.demand(None)
-            until(lambda: "acknowledges *stop*" in exchange.snapshot.problem, 40)
-            assert "so nothing is sent for 3 s" in exchange.snapshot.problem
-            until(lambda: drive.speed() == 0, 20)
-        finally:
-            exchange.close()
-    assert "communication timeout: nothing for 2 s" in drive.said
-
-
-# --- the end --------------------------------------------------------------------------------------
-
-
-def test_close_waits_for_a_ramp_however_long() -> None:
-    """From 0.9 a ramp of 6 s takes 5.4 s."""
-    make = "abb_acs880"
-    with Simulator(
-        "drive_simulator", "--drive", make, *FREE, "--ramp", "6", "--timeout", "2"
-    ) as drive, driver(make, drive) as exchange:
-        keep_asking(exchange, 0.9, lambda: drive.speed() > 0.89, 20)
-        began = time.monotonic()
-        exchange.close()
-        assert 4.5 < time.monotonic() - began < 15
-        assert drive.speed() < 0.01
-        assert exchange.snapshot.status is not None and exchange.snapshot.status.stands
-
-
-def test_close_of_a_drive_that_runs_on_says_so() -> None:
-    make = "danfoss_fc202"
-    with Simulator(
-        "drive_simulator", "--drive", make, *FREE, "--ramp", "0.4"
-    ) as drive, driver(make, drive) as exchange:
-        reach(exchange, drive, 0.6)
-        drive.inject("stuck_running", 6000)
-        began = time.monotonic()
-        exchange.close()
-        assert time.monotonic() - began < 12
-        assert drive.speed() == pytest.approx(0.6)
-        left = exchange.snapshot.status
-        assert left is not None and not left.stands and left.speed == pytest.approx(0.6, abs=1e-3)
-
-
-def test_close_of_a_drive_that_is_not_heard_says_nothing_of_it() -> None:
-    make = "danfoss_fc202"
-    with Simulator(
-        "drive_simulator", "--drive", make, *FREE, "--ramp", "0.4", "--timeout", "2"
-    ) as drive, driver(make, drive) as exchange:
-        reach(exchange, drive, 0.6)
-        drive.inject("half_open")
-        exchange.close()
-        assert exchange.snapshot.status is None and not exchange.snapshot.connected
-        assert "no valid answer" in exchange.snapshot.problem
-        until(lambda: drive.speed() == 0, 8)
 
 
 # --- somebody else --------------------------------------------------------------------------------
@@ -414,44 +258,3 @@ def test_somebody_else_who_writes_run_or_stop_has_the_drive_stopped(
         keep_asking(exchange, 0.6, lambda: drive.speed() > 0.5, 10)
         assert time.monotonic() - last > 2.0
         assert exchange.snapshot.connected and not caught()
-
-
-# --- what the drive says --------------------------------------------------------------------------
-
-
-def test_a_timeout_that_is_turned_off_at_the_panel_is_noticed(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    monkeypatch.setattr("greenroof_ros.drives.exchange.SETTINGS_S", 0.5)
-    make = "danfoss_fc202"
-    with Simulator(
-        "drive_simulator", "--drive", make, *FREE, "--ramp", "0.4", "--timeout", "2"
-    ) as drive, driver(make, drive) as exchange:
-        reach(exchange, drive, 0.6)
-        assert exchange.snapshot.timeout_s == 2
-        drive.inject("timeout_off")
-        keep_asking(exchange, 0.6, lambda: exchange.snapshot.timeout_s is None, 5)
-        assert exchange.snapshot.timeout_known
-        assert "is 0: Off; the pump might run on" in exchange.snapshot.timeout_note
-
-
-def test_a_pump_that_turns_backwards_is_a_fault_and_noise_at_rest_is_none() -> None:
-    """ABB, 20000 is 100 %: -100 is -0.5 %, 0xFF9C; -8000 is -40 %, 0xE0C0."""
-    make = "abb_acs880"
-    with Simulator("drive_simulator", "--drive", make, *FREE) as drive, driver(
-        make, drive
-    ) as exchange:
-        with Bus(drive.ports[0]) as bus:
-            drive.inject("absurd_value", 0xFF9C)
-            until(lambda: bus.read(4) == 0xFF9C)
-        read_at = time.monotonic()
-        until(lambda: exchange.snapshot.read_at > read_at + 0.3)
-        status = exchange.snapshot.status
-        assert status is not None and (status.speed, status.fault) == (0.0, "")
-        drive.inject("absurd_value", 0xE0C0)
-        until(lambda: exchange.snapshot.status is not None and exchange.snapshot.status.fault != "")
-        status = exchange.snapshot.status
-        assert status is not None and status.fault == "the pump turns backwards (speed -40.0%)"
-        assert not status.stands and drive.speed() == 0
-        drive.inject("none")
-        until(lambda: exchange.snapshot.status is not None and exchange.snapshot.status.fault == "")

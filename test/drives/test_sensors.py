@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 import time
+from contextlib import closing
 from pathlib import Path
 
 import pytest
@@ -13,8 +14,7 @@ from places import CONFIG
 from simulators import until
 
 from greenroof_ros.common.errors import ConfigurationError
-from greenroof_ros.drives.level_sensor import LevelSensor, SensorExchange
-from greenroof_ros.drives.modbus_line import DriveError
+from greenroof_ros.drives.level_sensor import LevelSensor
 from greenroof_ros.drives.sensor_file import Sensor, read_sensors
 
 SHIPPED = (CONFIG / "sensors.yaml").read_text()
@@ -34,24 +34,25 @@ def levels(readings: list[str], **changed: object) -> list[float | str]:
     left = list(readings)
 
     def answer(request: bytes) -> Answer:
+        if not left:
+            return []
         assert request[7] == (4 if changed.get("kind", "input") == "input" else 3)
         data = bytes.fromhex(left.pop(0))
         rest = bytes([request[6], request[7], len(data)]) + data
         return [(0.0, request[:4] + len(rest).to_bytes(2, "big") + rest)]
 
-    wire = Wire(answer)
-
-    client = LevelSensor(sensor(wire.at, **changed), timeout_s=0.3)
     found: list[float | str] = []
-    try:
-        for _ in readings:
-            try:
-                found.append(client.read())
-            except DriveError as error:
-                found.append(str(error).removeprefix(f"{wire.at}, device 1: "))
-        client.close()
-    finally:
-        wire.close()
+    with closing(Wire(answer)) as wire, closing(
+        LevelSensor(sensor(wire.at, **changed), timeout_s=0.3)
+    ) as client:
+        before = client.snapshot
+        client.start()
+        while len(found) < len(readings):
+            now = client.snapshot
+            if now is not before:
+                found.append(now.problem.removeprefix(f"{wire.at}, device 1: ") or now.level or 0.0)
+            before = now
+            time.sleep(0.001)
     return found
 
 
@@ -104,7 +105,7 @@ def test_the_median_leaves_single_wrong_readings_out_and_starts_anew_after_a_ref
 def test_a_sensor_that_comes_and_goes_is_read_again_by_itself() -> None:
     """Nobody there, then a sensor, then silence, then the sensor again; threads raise nothing."""
     port = free_ports(1)[0]
-    exchange = SensorExchange(sensor(f"tcp://127.0.0.1:{port}"), timeout_s=0.2)
+    exchange = LevelSensor(sensor(f"tcp://127.0.0.1:{port}"), timeout_s=0.2)
     assert exchange.snapshot.problem == "not yet read"
     exchange.start()
     try:
@@ -137,7 +138,7 @@ def test_a_sensor_that_comes_and_goes_is_read_again_by_itself() -> None:
 
 def test_no_error_ends_the_reading_for_good() -> None:
     """A host's name with an empty part is a UnicodeError: it is said, and tried again."""
-    exchange = SensorExchange(sensor("tcp://no..where:502"), timeout_s=0.2)
+    exchange = LevelSensor(sensor("tcp://no..where:502"), timeout_s=0.2)
     exchange.start()
     try:
         until(lambda: "tcp://no..where:502: reading failed: Unicode" in exchange.snapshot.problem)
