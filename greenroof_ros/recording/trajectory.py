@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 import io
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from datetime import datetime
 from pathlib import Path
-from types import ModuleType
 
 import numpy as np
 from numpy.typing import NDArray
 
-from greenroof_ros.common.errors import ConfigurationError
+from greenroof_ros.common.errors import ConfigurationError, in_extra
 
 # Attribute: column of the file.
 _COLUMNS = {
@@ -70,7 +70,8 @@ class Trajectory:
         Raises:
             ConfigurationError: polars is not installed.
         """
-        polars = _polars()
+        with in_extra("study"):
+            import polars
         stream = io.BytesIO()
         polars.DataFrame(
             {column: getattr(self, name) for name, column in _COLUMNS.items()}
@@ -85,7 +86,8 @@ def read_parquet(path: Path) -> Trajectory:
         ConfigurationError: there is no such file, it is damaged or no trajectory, or polars is
             not installed.
     """
-    polars = _polars()
+    with in_extra("study"):
+        import polars
     try:
         content = path.read_bytes()
     except OSError as error:
@@ -97,36 +99,21 @@ def read_parquet(path: Path) -> Trajectory:
         raise ConfigurationError(
             "is empty, cut short or no parquet file; make the run again", file=path
         ) from error
-    wrong = [
-        column
-        for column in _COLUMNS.values()
-        if column not in table.columns or table.schema[column] != polars.Float64
-    ]
-    if wrong:
+    names = _COLUMNS.values()
+    whole = len(table) and all(
+        name in table.columns and table.schema[name] == polars.Float64
+        and not table[name].null_count()
+        for name in names
+    )
+    start: datetime | None = None
+    with suppress(ValueError):
+        start = datetime.fromisoformat(metadata.get("start", ""))
+    if not whole or start is None or start.utcoffset() is None:
         raise ConfigurationError(
-            f"is no trajectory: it has no column of floats named {', '.join(wrong)}", file=path
+            "is no trajectory: it must have samples, columns of floats without gaps named "
+            f"{', '.join(names)}, and in its metadata 'start' with its offset from UTC",
+            file=path,
         )
-    try:
-        start = datetime.fromisoformat(metadata["start"])
-    except (KeyError, ValueError) as error:
-        raise ConfigurationError(
-            "is no trajectory: its metadata have no 'start' in ISO 8601", file=path
-        ) from error
-    if start.utcoffset() is None:
-        raise ConfigurationError(
-            "must say its offset from UTC", file=path, key="start", value=metadata["start"]
-        )
-    if not len(table) or any(table[column].null_count() for column in _COLUMNS.values()):
-        raise ConfigurationError("is no trajectory: it has no samples, or gaps", file=path)
     return Trajectory(
         start=start, **{name: table[column].to_numpy() for name, column in _COLUMNS.items()}
     )
-
-
-def _polars() -> ModuleType:
-    """Import polars, which a plain installation does not have."""
-    try:
-        import polars
-    except ModuleNotFoundError as error:
-        raise ConfigurationError("needs polars: pip install 'greenroof_ros[study]'") from error
-    return polars
