@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import io
-from contextlib import suppress
 from dataclasses import dataclass, replace
 from datetime import datetime
 from pathlib import Path
@@ -99,21 +98,27 @@ def read_parquet(path: Path) -> Trajectory:
         raise ConfigurationError(
             "is empty, cut short or no parquet file; make the run again", file=path
         ) from error
-    names = _COLUMNS.values()
-    whole = len(table) and all(
-        name in table.columns and table.schema[name] == polars.Float64
-        and not table[name].null_count()
-        for name in names
-    )
-    start: datetime | None = None
-    with suppress(ValueError):
-        start = datetime.fromisoformat(metadata.get("start", ""))
-    if not whole or start is None or start.utcoffset() is None:
+    wrong = [
+        column
+        for column in _COLUMNS.values()
+        if column not in table.columns or table.schema[column] != polars.Float64
+    ]
+    if wrong:
         raise ConfigurationError(
-            "is no trajectory: it must have samples, columns of floats without gaps named "
-            f"{', '.join(names)}, and in its metadata 'start' with its offset from UTC",
-            file=path,
+            f"is no trajectory: it has no column of floats named {', '.join(wrong)}", file=path
         )
+    try:
+        start = datetime.fromisoformat(metadata["start"])
+    except (KeyError, ValueError) as error:
+        raise ConfigurationError(
+            "is no trajectory: its metadata have no 'start' in ISO 8601", file=path
+        ) from error
+    if start.utcoffset() is None:
+        raise ConfigurationError(
+            "must say its offset from UTC", file=path, key="start", value=metadata["start"]
+        )
+    if not len(table) or any(table[column].null_count() for column in _COLUMNS.values()):
+        raise ConfigurationError("is no trajectory: it has no samples, or gaps", file=path)
     return Trajectory(
         start=start, **{name: table[column].to_numpy() for name, column in _COLUMNS.items()}
     )

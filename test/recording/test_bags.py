@@ -1,4 +1,4 @@
-"""Bags and trajectories: what is written comes back, by this package's readers and by others."""
+"""Bags: what is written comes back, by this package's readers and by others."""
 
 from __future__ import annotations
 
@@ -9,7 +9,6 @@ from datetime import datetime
 from pathlib import Path
 from random import Random
 
-import numpy as np
 import pytest
 import yaml
 from mcap.reader import make_reader
@@ -22,7 +21,6 @@ from greenroof_ros.recording.bag_reader import count_ticks, load_bag
 from greenroof_ros.recording.bag_writer import BagWriter
 from greenroof_ros.recording.damaged_bag import restore
 from greenroof_ros.recording.results_table import parameter_columns, row_parameters
-from greenroof_ros.recording.trajectory import Trajectory, read_parquet
 
 START = datetime.fromisoformat("2021-07-07T02:00-05:00")
 START_NS = 1625641200 * 10**9  # 07:00 UTC, by date -d
@@ -194,28 +192,6 @@ def test_a_file_that_cannot_grow_keeps_what_was_safe(tmp_path: Path, room: int) 
         resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
     assert writer.safe > 0
     assert restore(tmp_path / "bag", tmp_path / "new") == f"{writer.safe} ticks"
-
-
-def test_a_trajectory_keeps_every_bit(tmp_path: Path) -> None:
-    """Numbers that no decimal of 15 digits holds."""
-    random = np.random.default_rng(1)
-    names = (
-        "time", "cistern", "roof", "precipitation", "evapotranspiration", "command", "pump_flow",
-        "outflow", "drainage", "frost",
-    )
-    columns = {name: random.random(50) * 10.0 ** random.integers(-300, 300) for name in names}
-    (tmp_path / "run.parquet").write_bytes(Trajectory(start=START, **columns).to_parquet())
-    read = read_parquet(tmp_path / "run.parquet")
-    assert read.start == START
-    for name, values in columns.items():
-        assert getattr(read, name).tobytes() == values.tobytes(), name
-
-
-def test_a_file_that_is_no_trajectory(tmp_path: Path) -> None:
-    """It is named, with what to do."""
-    (tmp_path / "run.parquet").write_bytes(b"PAR1")
-    with pytest.raises(ConfigurationError, match=r"run\.parquet: is empty, cut short or no"):
-        read_parquet(tmp_path / "run.parquet")
 
 
 def test_parameters_are_columns_of_their_own() -> None:
