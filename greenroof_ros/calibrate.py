@@ -44,7 +44,7 @@ from greenroof_ros.calibration.suspicions import refuse_wrong
 from greenroof_ros.calibration.target import reachable_target
 from greenroof_ros.calibration.verdict import refuse_hopeless, warning
 from greenroof_ros.common.command_line import EXIT_DONE, command
-from greenroof_ros.common.errors import ConfigurationError
+from greenroof_ros.common.errors import ConfigurationError, in_extra
 from greenroof_ros.common.files import read_text, shared_directory
 from greenroof_ros.common.progress_lines import ProgressLines
 from greenroof_ros.model.pump_curve import PumpCurve, fit_pump_curve
@@ -175,10 +175,8 @@ def _check_output(output: Path, page_file: Path) -> None:
 
 def _read_sheet(file: Path, site: Site) -> PumpCurve:
     """Return the pump curve of a data sheet."""
-    try:
+    with in_extra("study"):
         from greenroof_ros.report.pump_figures import read_pump_data
-    except ModuleNotFoundError as error:
-        raise _missing(error) from error
     points = read_pump_data(file)
     sheet = fit_pump_curve([flow for flow, _ in points], [head for _, head in points])
     if sheet.c_hat - site.d + site.suction_level <= 0:
@@ -188,10 +186,6 @@ def _read_sheet(file: Path, site: Site) -> PumpCurve:
             "roof (Eq. 3e)", file=file,
         )
     return sheet
-
-
-def _missing(error: ModuleNotFoundError) -> ConfigurationError:
-    return ConfigurationError(f"needs {error.name}: pip install 'greenroof_ros[study]'")
 
 
 def _fit(
@@ -208,10 +202,9 @@ def _fit(
         text: of the site file.
         notes: what is to be said of the fit already.
     """
-    try:
+    with in_extra("study"):
         from greenroof_ros.calibration import figures, page
-    except ModuleNotFoundError as error:
-        raise _missing(error) from error
+
     def read(site: Site) -> Record:
         if measured.is_dir():
             return read_bag_record(measured, site)

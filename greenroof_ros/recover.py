@@ -8,7 +8,7 @@ from pathlib import Path
 
 from greenroof_ros.common.command_line import command
 from greenroof_ros.common.errors import ConfigurationError
-from greenroof_ros.recording.bag_files import numbered_files
+from greenroof_ros.recording.bag_writer import bag_files
 from greenroof_ros.recording.damaged_bag import recovered_bag, restore
 
 
@@ -26,7 +26,7 @@ def recover(directory: Path, output: Path | None = None) -> tuple[Path, str]:
         ConfigurationError: there is no bag, it holds no whole tick, or the output exists.
     """
     bag = directory / "bag" if (directory / "bag").is_dir() else directory
-    if not numbered_files(bag):
+    if not bag_files(bag):
         raise ConfigurationError(
             "must be a run directory or the bag in it, and holds no .mcap file", file=directory
         )

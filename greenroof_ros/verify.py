@@ -13,7 +13,7 @@ from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
 from greenroof_ros.common.command_line import EXIT_DONE, command, within
-from greenroof_ros.common.errors import ConfigurationError
+from greenroof_ros.common.errors import ConfigurationError, in_extra
 from greenroof_ros.common.files import shared_directory
 from greenroof_ros.common.progress_lines import ProgressLines
 from greenroof_ros.common.times import to_people
@@ -188,12 +188,8 @@ def _page(
         _refuse_unwritable(file, (".html", ".csv"), "--output")
     if not any(file.suffix == ".html" for file in output):
         return lambda *_: ""
-    try:
+    with in_extra("study"):
         from greenroof_ros.verification.page import render
-    except ModuleNotFoundError as error:
-        raise ConfigurationError(
-            f"needs {error.name}: pip install 'greenroof_ros[study]'"
-        ) from error
     return render
 
 

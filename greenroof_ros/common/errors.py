@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection
+from collections.abc import Collection, Iterator
+from contextlib import contextmanager
 from difflib import SequenceMatcher
 from pathlib import Path
 
@@ -37,6 +38,24 @@ class ConfigurationError(Exception):
 
 class OccupiedError(ConfigurationError):
     """Another graph is where this one was to run; commands end with exit code 3."""
+
+
+@contextmanager
+def in_extra(extra: str) -> Iterator[None]:
+    """Import what a plain installation does not have.
+
+    Args:
+        extra: of this package that installs it, such as ``study``.
+
+    Raises:
+        ConfigurationError: it is not there; it says what to install.
+    """
+    try:
+        yield
+    except ModuleNotFoundError as error:
+        raise ConfigurationError(
+            f"needs {error.name}: pip install 'greenroof_ros[{extra}]'"
+        ) from error
 
 
 # How alike two names must be, from 0 to 1: of three letters one may be wrong.

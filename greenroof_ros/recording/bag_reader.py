@@ -2,20 +2,52 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from datetime import tzinfo
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from greenroof_ros.common.errors import ConfigurationError
+from greenroof_ros.common.errors import ConfigurationError, in_extra
+from greenroof_ros.common.files import read_yaml
+from greenroof_ros.common.interface import Topic, find_namespace, read_topics
 from greenroof_ros.common.times import from_epoch_ns
+from greenroof_ros.model.plant import maximum_pump_flow
 from greenroof_ros.model.site import Site
-from greenroof_ros.recording.bag_files import content_of
-from greenroof_ros.recording.bag_limits import limits_of, plausible, refuse
-from greenroof_ros.recording.bag_topics import NEEDED, OPTIONAL, Stamps, Values, read_topics
+from greenroof_ros.recording.bag_writer import METADATA
 from greenroof_ros.recording.trajectory import Trajectory
+from greenroof_ros.weather.records import EVAPOTRANSPIRATION, PRECIPITATION, QUANTITIES
+
+Stamps = NDArray[np.int64]
+Values = NDArray[np.float64]
+
+# Topic: column of a trajectory. A sample needs the first four; the others count as 0.
+_NEEDED = {
+    "/roof/level": "roof",
+    "/cistern/level": "cistern",
+    "/pump/command": "command",
+    "/pump/flow": "pump_flow",
+}
+_COLUMNS = {
+    **_NEEDED,
+    "/weather/precipitation": "precipitation",
+    "/weather/evapotranspiration": "evapotranspiration",
+    "/cistern/outflow": "outflow",
+    "/roof/drainage": "drainage",
+    "/weather/frost": "frost",
+}
+_TYPE = "std_msgs/msg/Float64"
+
+# A live graph says by a NaN that it does not know: the interface's meaning of the topic.
+_MAY_BE_UNKNOWN = ("/weather/frost",)
+
+# Fewer wrong values than this share of a topic's are outliers of a sensor; more are a mistake.
+_MOST_OUTLIERS = 0.01
+
+# What a person or another rounding adds to a limit that is met exactly.
+_ROUNDING = 1 + 1e-9
 
 # No message for longer than both is a gap: in seconds, and in median spacings.
 _GAP_S, _GAP_SPACINGS = 600, 10
@@ -24,19 +56,14 @@ _MOST_NAMED = 10
 
 
 def count_ticks(bag: Path) -> int | None:
-    """Return how many ticks a bag of this package holds, by its index.
+    """Return how many whole ticks a bag of this package holds.
 
     None where it was not closed: its recorder was killed, or its disk was full.
     """
-    if not (bag / "metadata.yaml").is_file():
+    if not (bag / METADATA).is_file():
         return None
-    ticks = 0
-    for file in bag.glob("*.mcap"):
-        content = content_of(file)
-        if content is None:
-            return None
-        ticks += content.ticks
-    return ticks
+    about = read_yaml(bag / METADATA)["rosbag2_bagfile_information"]
+    return min(int(topic["message_count"]) for topic in about["topics_with_message_count"])
 
 
 class Recorded(NamedTuple):
@@ -44,6 +71,13 @@ class Recorded(NamedTuple):
 
     trajectory: Trajectory
     notes: tuple[str, ...] = ()
+
+
+class _Series(NamedTuple):
+    """The values of a topic, and when each was logged (ns)."""
+
+    times: Stamps
+    values: Values
 
 
 def load_bag(
@@ -68,37 +102,37 @@ def load_bag(
     Raises:
         ConfigurationError: the bag is damaged, foreign, or its values cannot be true.
     """
-    times, values = read_topics(bag, repair)
-    notes = [f"{topic} is not in the bag and counts as 0" for topic in OPTIONAL
-             if topic not in times]
-    if own:
-        notes += refuse(values, external_pump=external_pump)
-    for topic, limit in ({} if own else limits_of(site, values)).items():
-        fine = plausible(bag, topic, limit, times[topic], values[topic])
-        outliers = np.count_nonzero(~fine)
-        if outliers:
-            notes.append(
-                f"{outliers} of {len(fine)} values of {topic} are not finite or out of range, and "
-                "are left out"
-            )
-            times[topic], values[topic] = times[topic][fine], values[topic][fine]
-        if not len(times[topic]):  # what was never known
-            del times[topic], values[topic]
-    stamps = np.unique(np.concatenate(list(times.values())))
-    samples = stamps[stamps >= max(times[topic][0] for topic in NEEDED)]
+    found = _read_series(bag, repair)
+    notes = [
+        f"{topic} is not in the bag and counts as 0" for topic in _COLUMNS if topic not in found
+    ]
+    interface, highest = read_topics(), _highest_of_site(site)
+    series = {}
+    for topic, one in found.items():
+        if own:
+            one, note = _as_the_plant_took_it(interface[topic], one, external_pump)
+        else:
+            one, note = _without_outliers(bag, interface[topic], highest.get(topic), one)
+        notes += note
+        if len(one.times):  # else it was never known
+            series[topic] = one
+    stamps = np.unique(np.concatenate([one.times for one in series.values()]))
+    samples = stamps[stamps >= max(series[topic].times[0] for topic in _NEEDED)]
     if len(samples) < 2:
         raise ConfigurationError(
-            f"must hold two samples of {', '.join(NEEDED)} at least, not {len(samples)}",
+            f"must hold two samples of {', '.join(_NEEDED)} at least, not {len(samples)}",
             file=bag,
         )
-    gaps = _gaps(samples)
+    spacings = np.diff(samples)
+    longest = max(_GAP_S * 1e9, _GAP_SPACINGS * float(np.median(spacings)))
+    gaps = np.flatnonzero(spacings > longest)  # the samples after which no message came for long
     columns: dict[str, Values] = {}
-    for topic, name in {**NEEDED, **OPTIONAL}.items():
+    for topic, name in _COLUMNS.items():
         columns[name] = np.zeros(len(samples))
-        if topic in times:
+        if topic in series:
             # Of messages with one stamp the last counts.
-            index = np.searchsorted(times[topic], samples, side="right") - 1
-            columns[name] = np.where(index >= 0, values[topic][np.maximum(index, 0)], 0.0)
+            index = np.searchsorted(series[topic].times, samples, side="right") - 1
+            columns[name] = np.where(index >= 0, series[topic].values[np.maximum(index, 0)], 0.0)
         if name not in ("roof", "cistern"):
             columns[name][gaps] = 0.0
     columns["roof"] = columns["roof"] * site.a2
@@ -110,11 +144,137 @@ def load_bag(
     return Recorded(Trajectory(start=start, time=time, **columns), tuple(notes))
 
 
-def _gaps(samples: Stamps) -> NDArray[np.intp]:
-    """Return the samples after which no message came for long."""
-    spacings = np.diff(samples)
-    longest = max(_GAP_S * 1e9, _GAP_SPACINGS * float(np.median(spacings)))
-    return np.flatnonzero(spacings > longest)
+def _read_series(bag: Path, repair: str) -> dict[str, _Series]:
+    """Read each topic of a bag that is used, in time's order.
+
+    The topics may be under a namespace, as in /site1/roof/level; the result has their plain names.
+
+    Raises:
+        ConfigurationError: the bag is damaged, or lacks what is needed.
+    """
+    with in_extra("study"):
+        from rosbags import highlevel, typesys
+    times: dict[str, list[int]] = {}
+    values: dict[str, list[float]] = {}
+    try:
+        with highlevel.AnyReader(
+            [bag], default_typestore=typesys.get_typestore(typesys.Stores.ROS2_JAZZY)
+        ) as reader:
+            found = {connection.topic: connection.msgtype for connection in reader.connections}
+            namespace = find_namespace(found, list(_NEEDED), bag)
+            names = {f"{namespace}{topic}": topic for topic in _COLUMNS}
+            _check_topics(bag, found, names)
+            connections = [one for one in reader.connections if one.topic in names]
+            for connection, stamp, raw in reader.messages(connections=connections):
+                topic = names[connection.topic]
+                message: Any = reader.deserialize(raw, connection.msgtype)
+                times.setdefault(topic, []).append(stamp)
+                values.setdefault(topic, []).append(message.data)
+    except ConfigurationError:
+        raise
+    except Exception as error:  # rosbags hands on whatever its storages and codecs raise
+        reason = str(error).splitlines()[0] if str(error) else type(error).__name__
+        raise ConfigurationError(
+            f"cannot be read as a bag: {reason} If its recorder was killed, {repair}", file=bag
+        ) from error
+    silent = [topic for topic in _NEEDED if topic not in times]
+    if silent:
+        raise ConfigurationError(f"holds no message of {', '.join(silent)}", file=bag)
+    return {topic: _Series(np.array(times[topic]), np.array(values[topic])) for topic in times}
+
+
+def _check_topics(bag: Path, found: Mapping[str, str], names: Mapping[str, str]) -> None:
+    """Refuse a bag that lacks a needed topic, or has one of another type.
+
+    Args:
+        bag: its directory.
+        found: the type of each of its topics.
+        names: the name in the interface of each that is used, by its name in the bag.
+    """
+    missing = [topic for name, topic in names.items() if topic in _NEEDED and name not in found]
+    if missing:
+        there = ", ".join(sorted(found)) or "none"
+        raise ConfigurationError(
+            f"has no {', '.join(missing)}, which the report needs; its topics are: {there}",
+            file=bag,
+        )
+    for name in names:
+        if found.get(name, _TYPE) != _TYPE:
+            raise ConfigurationError(
+                f"must be of type {_TYPE}, not {found[name]}", file=bag, key=name
+            )
+
+
+def _highest_of_site(site: Site) -> dict[str, tuple[float, str]]:
+    """Return how high the values of topics can be at a site, and what that is."""
+    full = maximum_pump_flow(site, site.a1 * site.z_o)
+    _, _, rain = QUANTITIES[PRECIPITATION]
+    _, _, evaporation = QUANTITIES[EVAPOTRANSPIRATION]
+    # A crop takes that many times the most that grass does.
+    evaporation *= max(1.0, site.crop_coefficient)
+    return {
+        "/roof/level": (site.highest_roof_level, f"twice the soil's depth of {site.z_soil:g} m"),
+        "/cistern/level": (
+            site.highest_cistern_level, f"three times the outlet's level of {site.z_o:g} m"
+        ),
+        "/pump/flow": (3 * full, "three times what the pumps can give"),
+        "/weather/precipitation": (rain / 3.6e6, f"{rain:g} mm/h"),
+        "/weather/evapotranspiration": (
+            evaporation / 8.64e7 * site.a2, f"{evaporation:g} mm/day over a2"
+        ),
+    }
+
+
+def _as_the_plant_took_it(
+    topic: Topic, series: _Series, external_pump: bool
+) -> tuple[_Series, list[str]]:
+    """Return what the plant of a run made of the values of a topic: what it refused acted as 0.
+
+    What the plant itself says is as it is: the run's own numbers are of it.
+    """
+    fine = (series.values >= topic.low) & (series.values <= topic.high)  # a NaN is neither
+    plants = "plant" not in topic.subscribers or (topic.name == "/pump/flow" and not external_pump)
+    if plants or fine.all():
+        return series, []
+    return series._replace(values=np.where(fine, series.values, 0.0)), [
+        f"{np.count_nonzero(~fine)} of {len(fine)} values of {topic.name} were refused in the run, "
+        f"and acted as 0: not from {topic.low:g} to {topic.high:g} {topic.unit}"
+    ]
+
+
+def _without_outliers(
+    bag: Path, topic: Topic, of_site: tuple[float, str] | None, series: _Series
+) -> tuple[_Series, list[str]]:
+    """Return the values of a topic without those that a sensor cannot have meant.
+
+    Raises:
+        ConfigurationError: these are too many for outliers, or most of those that are not 0 are too
+            large: a pump or rain in a wrong unit may be at work for less than a hundredth of the
+            time.
+    """
+    high, why = topic.high, ""
+    if of_site is not None and of_site[0] * _ROUNDING < high:
+        high, why = of_site[0] * _ROUNDING, f" ({of_site[1]})"
+    times, values = series
+    fine = (values >= topic.low) & (values <= high)  # a NaN is neither
+    if fine.all():
+        return series, []
+    unknown = np.isnan(values) & (topic.name in _MAY_BE_UNKNOWN)
+    wrong = np.flatnonzero(~fine & ~unknown)
+    large = np.count_nonzero(values > high)
+    if len(wrong) and (
+        len(wrong) >= _MOST_OUTLIERS * len(values) or 2 * large >= np.count_nonzero(values)
+    ):
+        raise ConfigurationError(
+            f"must be from {topic.low:g} to {high:g} {topic.unit}{why}, but is "
+            f"{values[wrong[0]]:g} {topic.unit} at "
+            f"{from_epoch_ns(int(times[wrong[0]])).isoformat()}; is a unit wrong?",
+            file=bag, key=topic.name,
+        )
+    return _Series(times[fine], values[fine]), [
+        f"{np.count_nonzero(~fine)} of {len(fine)} values of {topic.name} are not finite or out of "
+        "range, and are left out"
+    ]
 
 
 def _gap_note(samples: Stamps, gaps: NDArray[np.intp], zone: tzinfo) -> str:

@@ -1,29 +1,51 @@
-"""Bags: mcap files in rosbag2's layout, written tick by tick."""
+"""Writes bags as rosbag2 has them: numbered mcap files, and the ``metadata.yaml`` that names them.
+
+rosbag2, rosbags, Foxglove and PlotJuggler open them. Nothing in them depends on the wall clock or
+on where they lie: two equal runs give equal bytes.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import os
+import struct
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager, suppress
 from pathlib import Path
+from typing import Any, BinaryIO, NamedTuple
 
-from greenroof_ros.common.interface import Topic
-from greenroof_ros.recording.bag_metadata import write_metadata
-from greenroof_ros.recording.mcap_file import McapFile
+import yaml
+import zstandard
+from mcap.exceptions import McapError
+from mcap.reader import FOOTER_SIZE
+from mcap.records import Channel, Footer, Schema, Statistics
+from mcap.stream_reader import MAGIC_SIZE, StreamReader
+from mcap.writer import CompressionType, Writer
+
+from greenroof_ros.common.files import read_yaml, shared_directory
+from greenroof_ros.common.interface import Qos, Topic
+
+METADATA = "metadata.yaml"
+
+# What is raised in reading a file that was cut or damaged.
+DAMAGED = (
+    McapError, EOFError, MemoryError, OverflowError, RuntimeError, ValueError, struct.error,
+    zstandard.ZstdError,
+)
 
 # How many ticks go to the operating system together. What a kill -9 can cost is what the plant is
 # ahead of them, at most 32 ticks.
 _TICKS_PER_CHUNK = 16
 
+# The names that an mcap channel has for a topic's profiles and type hash.
+_PROFILES, _HASH = "offered_qos_profiles", "topic_type_hash"
+
+# rosbag2's metadata version and RMW_DURATION_INFINITE, which stands for "no limit".
+_METADATA_VERSION = 9
+_INFINITE = {"sec": 9223372036, "nsec": 854775807}
+
 
 class BagWriter:
-    """Writes a bag that rosbag2, rosbags, Foxglove and PlotJuggler open.
-
-    Two equal runs give equal bytes.
-
-    Attributes:
-        directory: the bag, ``metadata.yaml`` and one ``.mcap`` file.
-        ticks: how many ticks were written.
-        safe: how many of them a killed process would leave behind.
-    """
+    """Writes the bag of a simulation, tick by tick, into one file."""
 
     def __init__(self, directory: Path, topics: Sequence[Topic]) -> None:
         """Make the bag's directory and write the head of its file.
@@ -37,10 +59,18 @@ class BagWriter:
             OSError: it cannot be written.
         """
         self.directory = directory
-        self.ticks = self.safe = 0
-        self._topics = list(topics)
         directory.mkdir(parents=True)
-        self._file = McapFile(directory / f"{directory.name}_0.mcap", self._topics)
+        self._file = BagFile(directory / f"{directory.name}_0.mcap", topics)
+
+    @property
+    def ticks(self) -> int:
+        """How many ticks were written."""
+        return self._file.written
+
+    @property
+    def safe(self) -> int:
+        """How many of them a killed process would leave behind."""
+        return self._file.safe
 
     def write_tick(self, time_ns: int, messages: Sequence[bytes]) -> None:
         """Write one tick.
@@ -52,23 +82,9 @@ class BagWriter:
         Raises:
             OSError: for instance on a full disk; the file then ends with the safe ticks.
         """
-        try:
-            self._file.write(time_ns, enumerate(messages))
-        except OSError:
-            self._file.cut()
-            raise
-        self.ticks += 1
+        self._file.write(time_ns, enumerate(messages))
         if self.ticks % _TICKS_PER_CHUNK == 0:
-            self.flush()
-
-    def flush(self) -> None:
-        """Hand everything written so far to the operating system; a killed process keeps it.
-
-        Raises:
-            OSError: for instance on a full disk; the file then ends with the safe ticks.
-        """
-        self._file.flush()
-        self.safe = self.ticks
+            self._file.flush()
 
     def close(self) -> None:
         """Finish the file and write ``metadata.yaml``.
@@ -78,5 +94,284 @@ class BagWriter:
                 the safe ticks.
         """
         self._file.close()
-        self.safe = self.ticks
-        write_metadata(self.directory, self._topics, [self._file.content])
+        write_metadata(self.directory, [read_index(self._file.path)])
+
+
+class BagFile:
+    """An mcap file that is written; where no more of it can be, it ends with its last flush.
+
+    Of what did not fit, a part would else be in the file; how much can be recovered would then be
+    another number than that of what is known to be safe.
+
+    Attributes:
+        path: the file.
+        written: how often something was written.
+        safe: how much of that was flushed; a killed process keeps it.
+    """
+
+    def __init__(self, path: Path, topics: Sequence[Topic]) -> None:
+        """Make the file and write its head.
+
+        Args:
+            path: must not exist.
+            topics: those that it can hold.
+
+        Raises:
+            FileExistsError: the file exists.
+            OSError: it cannot be written.
+        """
+        self.path = path
+        self.written = self.safe = 0
+        self._safe_bytes = 0
+        self._stream: BinaryIO = path.open("xb")
+        self._writer = start_writer(self._stream)
+        self._add = self._writer.add_message
+        types = read_yaml(shared_directory() / "msg_defs" / "types.yaml")
+        schemas: dict[str, int] = {}
+        self._channels = []
+        for topic in topics:
+            kind = topic.type
+            if kind not in schemas:
+                schemas[kind] = self._writer.register_schema(
+                    kind, "ros2msg", _definition(types, kind).encode()
+                )
+            about = {_PROFILES: _yaml([_qos_profile(topic.qos)]), _HASH: types[kind]["hash"]}
+            self._channels.append(
+                self._writer.register_channel(topic.name, "cdr", schemas[kind], about)
+            )
+        self._counts = [0] * len(self._channels)
+
+    @property
+    def size(self) -> int:
+        """How many bytes of it are written; those of the present chunk are not yet."""
+        return self._stream.tell()
+
+    def write(self, time_ns: int, messages: Iterable[tuple[int, bytes]]) -> None:
+        """Write messages of one time.
+
+        Args:
+            time_ns: nanoseconds since 1970.
+            messages: of each the index of its topic, and the message, serialised (CDR).
+
+        Raises:
+            OSError: for instance on a full disk.
+        """
+        with self._cut_on_error():
+            for index, message in messages:
+                self._add(
+                    self._channels[index], time_ns, message, time_ns, self._counts[index]
+                )
+                self._counts[index] += 1
+        self.written += 1
+
+    def flush(self, *, to_disk: bool = False) -> None:
+        """Hand everything written so far to the operating system.
+
+        Args:
+            to_disk: have it brought to the disk: it is there after a power failure, too.
+
+        Raises:
+            OSError: for instance on a full disk.
+        """
+        with self._cut_on_error():
+            self._writer.flush()
+            if to_disk:
+                os.fsync(self._stream.fileno())
+        self.safe, self._safe_bytes = self.written, self._stream.tell()
+
+    def close(self) -> None:
+        """Write the index and the end of the file.
+
+        Raises:
+            OSError: for instance on a full disk.
+        """
+        with self._cut_on_error():
+            self._writer.finish()
+            self._stream.close()
+        self.safe = self.written
+
+    def cut(self) -> None:
+        """Leave nothing behind the last flush, and no file without one; let it go."""
+        with suppress(OSError):  # the disk itself may be gone
+            self._stream.close()  # tries again to write the rest
+        with suppress(OSError):
+            os.truncate(self.path, self._safe_bytes)
+            if not self._safe_bytes:
+                self.path.unlink()
+
+    @contextmanager
+    def _cut_on_error(self) -> Iterator[None]:
+        try:
+            yield
+        except OSError:
+            self.cut()
+            raise
+
+
+def start_writer(stream: BinaryIO) -> Writer:
+    """Return mcap's writer for a file of a bag, and write the file's head."""
+    writer = Writer(stream, compression=CompressionType.ZSTD)
+    writer.start(profile="ros2", library="greenroof_ros")
+    return writer
+
+
+def bag_files(bag: Path) -> list[Path]:
+    """Return the files of a bag, the oldest first."""
+    numbered = (path for path in bag.glob("*_*.mcap") if _number(path).isdecimal())
+    return sorted(numbered, key=lambda path: int(_number(path)))
+
+
+def next_file(files: Sequence[Path], bag: Path) -> Path:
+    """Return what the file after these is called, the oldest first."""
+    number = int(_number(files[-1])) + 1 if files else 0
+    return bag / f"{bag.name}_{number}.mcap"
+
+
+def _number(file: Path) -> str:
+    return file.stem.rpartition("_")[2]
+
+
+class FileIndex(NamedTuple):
+    """What is in a file of a bag that was closed.
+
+    Attributes:
+        name: of the file.
+        types: of messages, by the numbers of their schemas.
+        channels: one of each topic.
+        statistics: how many messages there are, and from when to when (ns since 1970).
+    """
+
+    name: str
+    types: dict[int, str]
+    channels: list[Channel]
+    statistics: Statistics
+
+
+def read_index(path: Path) -> FileIndex | None:
+    """Return what is in a file; None where it was not closed, or cannot be read."""
+    types: dict[int, str] = {}
+    channels: list[Channel] = []
+    with suppress(OSError, *DAMAGED), path.open("rb") as stream:
+        stream.seek(-(FOOTER_SIZE + MAGIC_SIZE), os.SEEK_END)
+        footer = next(StreamReader(stream, skip_magic=True).records)
+        if not isinstance(footer, Footer) or not footer.summary_start:
+            return None
+        stream.seek(footer.summary_start)
+        # It is not read to its end: a day has thousands of chunks, and each its own index.
+        for record in StreamReader(stream, skip_magic=True).records:
+            if isinstance(record, Schema):
+                types[record.id] = record.name
+            elif isinstance(record, Channel):
+                channels.append(record)
+            elif isinstance(record, Statistics):
+                return FileIndex(path.name, types, channels, record)
+    return None
+
+
+def write_metadata(bag: Path, indices: Iterable[FileIndex | None]) -> None:
+    """Write ``metadata.yaml`` in one step: a reader finds the old text or the new one.
+
+    Args:
+        bag: its directory.
+        indices: of its files, the oldest first; it names those that were closed. Where there is
+            none, the bag has no ``metadata.yaml``.
+
+    Raises:
+        OSError: it cannot be written; the old one is as it was.
+    """
+    files = [index for index in indices if index is not None]
+    if not files:
+        (bag / METADATA).unlink(missing_ok=True)
+        return
+    part = bag / f".{METADATA}.part"
+    try:
+        part.write_text(_metadata(files), encoding="utf-8")
+        part.replace(bag / METADATA)
+    except OSError:
+        part.unlink(missing_ok=True)
+        raise
+
+
+def _metadata(files: Sequence[FileIndex]) -> str:
+    topics: dict[str, dict[str, Any]] = {}
+    for file in files:
+        for channel in file.channels:
+            if channel.topic not in topics:
+                topics[channel.topic] = {
+                    "topic_metadata": {
+                        "name": channel.topic,
+                        "type": file.types.get(channel.schema_id, ""),
+                        "serialization_format": channel.message_encoding,
+                        "offered_qos_profiles": _parsed(channel.metadata.get(_PROFILES, "")),
+                        "type_description_hash": channel.metadata.get(_HASH, ""),
+                    },
+                    "message_count": 0,
+                }
+            count = file.statistics.channel_message_counts.get(channel.id, 0)
+            topics[channel.topic]["message_count"] += count
+    seen = [file.statistics for file in files]
+    start = min(one.message_start_time for one in seen)
+    end = max(one.message_end_time for one in seen)
+    return _yaml({
+        "rosbag2_bagfile_information": {
+            "version": _METADATA_VERSION,
+            "storage_identifier": "mcap",
+            "duration": {"nanoseconds": end - start},
+            "starting_time": {"nanoseconds_since_epoch": start},
+            "message_count": sum(one.message_count for one in seen),
+            "topics_with_message_count": list(topics.values()),
+            # Of whole files; the chunks in them are compressed, which mcap says itself.
+            "compression_format": "",
+            "compression_mode": "",
+            "relative_file_paths": [file.name for file in files],
+            "files": [
+                {
+                    "path": file.name,
+                    "starting_time": {"nanoseconds_since_epoch": one.message_start_time},
+                    "duration": {"nanoseconds": one.message_end_time - one.message_start_time},
+                    "message_count": one.message_count,
+                }
+                for file, one in zip(files, seen, strict=True)
+            ],
+            "custom_data": None,
+            "ros_distro": "jazzy",
+        }
+    })
+
+
+def _qos_profile(qos: Qos) -> dict[str, Any]:
+    """Return a profile as rosbag2 writes it down."""
+    lease = dict(_INFINITE)
+    if qos.lease_s != float("inf"):
+        lease = {"sec": int(qos.lease_s), "nsec": round(qos.lease_s % 1 * 1e9)}
+    return {
+        "history": "keep_last",
+        "depth": qos.depth,
+        "reliability": qos.reliability,
+        "durability": qos.durability,
+        "deadline": dict(_INFINITE),
+        "lifespan": dict(_INFINITE),
+        "liveliness": "automatic",
+        "liveliness_lease_duration": lease,
+        "avoid_ros_namespace_conventions": False,
+    }
+
+
+def _definition(types: Mapping[str, Any], name: str) -> str:
+    """Return a type's definition with those that it uses appended, as bags hold it."""
+    parts = [types[name]["definition"]]
+    for used in types[name].get("uses", ()):
+        short = used.replace("/msg/", "/")
+        parts.append(f"{'=' * 80}\nMSG: {short}\n{types[used]['definition']}")
+    return "\n".join(parts) + "\n"
+
+
+def _yaml(content: object) -> str:
+    return yaml.safe_dump(content, sort_keys=False, default_flow_style=False, width=10_000)
+
+
+def _parsed(profiles: str) -> list[Any]:
+    """Return the profiles that a channel of anybody's file says it has."""
+    with suppress(yaml.YAMLError):
+        return yaml.safe_load(profiles) or []
+    return []

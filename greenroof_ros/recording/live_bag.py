@@ -11,13 +11,16 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from contextlib import suppress
 from pathlib import Path
 
 from greenroof_ros.common.interface import Topic
-from greenroof_ros.recording.bag_files import content_of, numbered_files
-from greenroof_ros.recording.bag_metadata import METADATA, write_metadata
-from greenroof_ros.recording.mcap_file import McapFile
+from greenroof_ros.recording.bag_writer import (
+    BagFile,
+    bag_files,
+    next_file,
+    read_index,
+    write_metadata,
+)
 
 # How often what came goes to the disk: what a kill -9, or a power failure, can cost (s).
 FLUSH_S = 10.0
@@ -62,17 +65,13 @@ class LiveBag:
         self._index = {topic.name: index for index, topic in enumerate(self._topics)}
         self._file_bytes = file_bytes
         self._total_bytes = total_bytes
-        self._file: McapFile | None = None
-        self._unsafe = 0  # how many messages were not yet flushed
+        # All files, the oldest first, with the indices of those that were closed.
+        self._files = {path: read_index(path) for path in bag_files(directory)}
+        self._file: BagFile | None = None  # that is being written: the last of them
+        self._day = 0  # in which it was begun, since 1970
+        self._before = 0  # how many messages were recorded before it
         self._flushed = -math.inf
         self._again = -math.inf  # when to try again, of the steady clock
-        numbered = numbered_files(directory)
-        self._next = numbered[-1][0] + 1 if numbered else 0
-        # All files, the oldest first, and what is in those of them that were closed.
-        self._paths = [path for _, path in numbered]
-        self._closed = {
-            path: content for path in self._paths if (content := content_of(path)) is not None
-        }
 
     def write(self, topic: str, time_ns: int, message: bytes, now: float) -> None:
         """Record a message.
@@ -86,19 +85,18 @@ class LiveBag:
         if now < self._again:
             self.lost += 1
             return
-        added = False
+        day = time_ns // _DAY_NS
         try:
             if self._file is not None and (
-                self._file.size >= self._file_bytes
-                or time_ns // _DAY_NS != self._file.first_ns // _DAY_NS
+                self._file.size >= self._file_bytes or day != self._day
             ):
-                self._close()
-            file = self._file or self._open(now)
-            self._unsafe += 1
-            added = True
-            file.write(time_ns, [(self._index[topic], message)])
+                self._close(self._file)
+            if self._file is None:
+                self._file = self._open()
+                self._flushed, self._day = now, day
+            self._file.write(time_ns, [(self._index[topic], message)])
         except OSError as error:
-            self.lost += not added  # else it is among those that were not flushed
+            self.lost += 1
             self._fail(error, now)
 
     def look(self, now: float) -> None:
@@ -111,9 +109,8 @@ class LiveBag:
             return
         self._flushed = now
         try:
-            self._file.flush()
-            self._file.sync()
-            self._keep_safe()
+            self._file.flush(to_disk=True)
+            self._keep_safe(self._file)
             self._remove_oldest()
         except OSError as error:
             self._fail(error, now)
@@ -121,74 +118,49 @@ class LiveBag:
     def close(self) -> None:
         """Close the file that is being written; what fails in it is in :attr:`problem`."""
         try:
-            self._close()
+            if self._file is not None:
+                self._close(self._file)
         except OSError as error:
             self._fail(error, -math.inf)
 
-    def _open(self, now: float) -> McapFile:
+    def _open(self) -> BagFile:
         self.directory.mkdir(parents=True, exist_ok=True)
-        path = self.directory / f"{self.directory.name}_{self._next}.mcap"
-        self._next += 1
-        self._paths.append(path)
-        self._flushed = now
-        self._file = McapFile(path, self._topics)
-        return self._file
+        path = next_file(list(self._files), self.directory)
+        self._files[path] = None
+        self._before = self.recorded
+        return BagFile(path, self._topics)
 
-    def _close(self) -> None:
-        if self._file is None:
-            return
-        self._file.close()
-        self._keep_safe()
-        self._closed[self._file.path] = self._file.content
+    def _close(self, file: BagFile) -> None:
+        file.close()
         self._file = None
+        self._keep_safe(file)
+        self._files[file.path] = read_index(file.path)
         self._remove_oldest()
-        self._write_metadata()
+        write_metadata(self.directory, self._files.values())
 
-    def _keep_safe(self) -> None:
+    def _keep_safe(self, file: BagFile) -> None:
         """Count what was flushed: recording works."""
-        self.recorded += self._unsafe
-        self._unsafe = 0
+        self.recorded = self._before + file.safe
         self.problem = ""
 
     def _fail(self, error: OSError, now: float) -> None:
         """Give up for a while: leave what is safe, and count the rest as lost."""
         self.problem = f"{self.directory}: {error.strerror or error}"
         self._again = now + RETRY_S
-        lost, self._unsafe = self._unsafe, 0
-        self.lost += lost
         file, self._file = self._file, None
-        if file is None:
-            return
-        with suppress(OSError):  # the disk itself may be gone
+        if file is not None:
+            self.lost += file.written - file.safe
             file.cut()
-            if lost == file.content.count:  # nothing of it is safe
-                file.path.unlink()
 
     def _remove_oldest(self) -> None:
-        """Keep the bag within its limit; the file that is being written is not removed."""
-        present = self._file.path if self._file is not None else None
-        sizes = {path: path.stat().st_size for path in self._paths if path.exists()}
-        self._paths = list(sizes)
-        too_much = sum(sizes.values()) - self._total_bytes
-        removed = []
-        for path, size in sizes.items():
-            if too_much <= 0 or path == present:
-                break
-            removed.append(path)
-            too_much -= size
-        if removed:
-            self._paths = self._paths[len(removed):]
+        """Keep the bag within its limit; the newest file stays in any case."""
+        sizes = {path: path.stat().st_size for path in self._files if path.exists()}
+        self._files = {path: self._files[path] for path in sizes}
+        while len(sizes) > 1 and sum(sizes.values()) > self._total_bytes:
+            oldest = next(iter(sizes))
+            del sizes[oldest], self._files[oldest]
             try:
-                self._write_metadata()  # first: it never names a file that is gone
+                # First: it never names a file that is gone.
+                write_metadata(self.directory, self._files.values())
             finally:
-                for path in removed:
-                    self._closed.pop(path, None)
-                    path.unlink()
-
-    def _write_metadata(self) -> None:
-        """Name the closed files."""
-        files = [self._closed[path] for path in self._paths if path in self._closed]
-        if files:
-            write_metadata(self.directory, self._topics, files)
-        else:
-            (self.directory / METADATA).unlink(missing_ok=True)
+                oldest.unlink()

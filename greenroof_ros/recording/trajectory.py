@@ -6,12 +6,11 @@ import io
 from dataclasses import dataclass, replace
 from datetime import datetime
 from pathlib import Path
-from types import ModuleType
 
 import numpy as np
 from numpy.typing import NDArray
 
-from greenroof_ros.common.errors import ConfigurationError
+from greenroof_ros.common.errors import ConfigurationError, in_extra
 
 # Attribute: column of the file.
 _COLUMNS = {
@@ -70,7 +69,8 @@ class Trajectory:
         Raises:
             ConfigurationError: polars is not installed.
         """
-        polars = _polars()
+        with in_extra("study"):
+            import polars
         stream = io.BytesIO()
         polars.DataFrame(
             {column: getattr(self, name) for name, column in _COLUMNS.items()}
@@ -85,7 +85,8 @@ def read_parquet(path: Path) -> Trajectory:
         ConfigurationError: there is no such file, it is damaged or no trajectory, or polars is
             not installed.
     """
-    polars = _polars()
+    with in_extra("study"):
+        import polars
     try:
         content = path.read_bytes()
     except OSError as error:
@@ -121,12 +122,3 @@ def read_parquet(path: Path) -> Trajectory:
     return Trajectory(
         start=start, **{name: table[column].to_numpy() for name, column in _COLUMNS.items()}
     )
-
-
-def _polars() -> ModuleType:
-    """Import polars, which a plain installation does not have."""
-    try:
-        import polars
-    except ModuleNotFoundError as error:
-        raise ConfigurationError("needs polars: pip install 'greenroof_ros[study]'") from error
-    return polars

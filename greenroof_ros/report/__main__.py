@@ -11,7 +11,7 @@ from rich.progress import BarColumn, Progress, TextColumn
 from rich.table import Table
 
 from greenroof_ros.common.command_line import EXIT_DONE, command, within
-from greenroof_ros.common.errors import ConfigurationError
+from greenroof_ros.common.errors import ConfigurationError, in_extra
 from greenroof_ros.report.assessment import Assumptions
 from greenroof_ros.report.entries import FailedRun
 from greenroof_ros.report.results import Report, best_runs, result
@@ -136,12 +136,8 @@ def _former_report(directory: Path, own: Callable[[str], bool], *, force: bool) 
 def main() -> int:
     """Make the report that the command line asks for."""
     arguments = make_parser().parse_args()
-    try:
+    with in_extra("study"):
         from greenroof_ros.report import figures, page
-    except ModuleNotFoundError as error:
-        raise ConfigurationError(
-            f"needs {error.name}: pip install 'greenroof_ros[study]'"
-        ) from error
     output: Path = arguments.output or arguments.paths[0] / "report"
     assumptions = Assumptions(
         energy_price=arguments.energy_price,

@@ -14,16 +14,14 @@ from io import BytesIO
 from pathlib import Path
 
 import numpy as np
-import zstandard
 from mcap.data_stream import ReadDataStream
-from mcap.exceptions import McapError
 from mcap.opcode import Opcode
 from mcap.records import Channel, Chunk
 from mcap.stream_reader import get_chunk_data_stream
 from numpy.typing import NDArray
 
 from greenroof_ros.common.interface import read_topics
-from greenroof_ros.recording.bag_files import content_of, numbered_files
+from greenroof_ros.recording.bag_writer import DAMAGED, bag_files, read_index
 from greenroof_ros.watch import wire
 
 # How far back the past of a bag in many files is read, from its newest message (ns).
@@ -93,11 +91,8 @@ class _DamagedError(Exception):
     """A file does not go on as an mcap file does."""
 
 
-# What the libraries raise for what is no record, or no content of one: lz4 a RuntimeError.
-_DAMAGED = (
-    _DamagedError, McapError, EOFError, ValueError, struct.error, zstandard.ZstdError, RuntimeError,
-    MemoryError,
-)
+# What is raised for what is no record, or no content of one.
+_DAMAGED = (_DamagedError, *DAMAGED)
 
 
 class Recorded:
@@ -151,7 +146,7 @@ class Recorded:
 
     def _look(self) -> str:
         """See which files there are, and how long each is by now; return what is wrong there."""
-        paths = [path for _, path in numbered_files(self.bag)]
+        paths = bag_files(self.bag)
         if not paths:
             return f"There is no recording at {self.bag}."
         if not self._begun:
@@ -333,12 +328,13 @@ def _recent(paths: list[Path]) -> list[Path]:
     """Return the files of a bag in which the last week is, the oldest first."""
     newest: int | None = None
     for place in range(len(paths) - 1, 0, -1):
-        content = content_of(paths[place])
-        if content is None:
+        index = read_index(paths[place])
+        if index is None:
             continue  # it is being written, or its writer was killed
+        last = index.statistics.message_end_time
         if newest is None:
-            newest = content.last_ns
-        elif content.last_ns < newest - _PAST_NS:
+            newest = last
+        elif last < newest - _PAST_NS:
             return paths[place + 1 :]
     return paths
 

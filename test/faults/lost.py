@@ -8,7 +8,8 @@ from mcap.exceptions import McapError
 from mcap.records import Chunk, Message
 from mcap.stream_reader import StreamReader, breakup_chunk
 
-from greenroof_ros.recording.live_bag import FLUSH_S, numbered_files
+from greenroof_ros.recording.bag_writer import bag_files
+from greenroof_ros.recording.live_bag import FLUSH_S
 
 # What a recorder may lose (s): what came since its last flush, and a flush that was under way.
 BOUND_S = FLUSH_S + 1.0
@@ -16,8 +17,8 @@ BOUND_S = FLUSH_S + 1.0
 
 def newest_file(bag: Path) -> Path | None:
     """Return the file of a live bag that is being written."""
-    numbered = numbered_files(bag)
-    return numbered[-1][1] if numbered else None
+    files = bag_files(bag)
+    return files[-1] if files else None
 
 
 def last_message(file: Path) -> float:

@@ -110,13 +110,6 @@ def test_killed_recorder_costs_at_most_32_ticks(
     assert len(trajectory.time) == ticks
 
 
-def test_recovering_a_whole_bag_changes_nothing(recorded: Path, tmp_path: Path) -> None:
-    """Recovery of a bag that is not damaged gives its bytes."""
-    done = recover(recorded, "--output", str(tmp_path / "bag"))
-    assert done.returncode == 0
-    assert bag_file(tmp_path).read_bytes() == bag_file(recorded).read_bytes()
-
-
 def test_full_disk(domain: int, tmp_path: Path) -> None:
     """A disk that fills up is an error that says so, and the bag can be recovered."""
     disk = tmp_path / "disk"

@@ -1,25 +1,26 @@
-"""Bags and trajectories: what is written comes back, by this package's readers and by others."""
+"""Bags: what is written comes back, by this package's readers and by others."""
 
 from __future__ import annotations
 
+import os
 import resource
 import struct
 from datetime import datetime
 from pathlib import Path
 from random import Random
 
-import numpy as np
 import pytest
+import yaml
 from mcap.reader import make_reader
+from mcap.writer import Writer
 from paper import PAPER_SITE
 
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.interface import read_topics
-from greenroof_ros.recording.bag_reader import load_bag
+from greenroof_ros.recording.bag_reader import count_ticks, load_bag
 from greenroof_ros.recording.bag_writer import BagWriter
-from greenroof_ros.recording.damaged_bag import read_ticks
+from greenroof_ros.recording.damaged_bag import restore
 from greenroof_ros.recording.results_table import parameter_columns, row_parameters
-from greenroof_ros.recording.trajectory import Trajectory, read_parquet
 
 START = datetime.fromisoformat("2021-07-07T02:00-05:00")
 START_NS = 1625641200 * 10**9  # 07:00 UTC, by date -d
@@ -28,84 +29,159 @@ TOPICS = (
 )
 
 
-def write_bag(directory: Path, ticks: int) -> list[dict[str, float]]:
-    """Write a bag of values that no two ticks or topics share; return them."""
+def bag_writer(directory: Path) -> BagWriter:
+    """Begin a bag of a simulation, with its clock."""
     interface = read_topics()
-    writer = BagWriter(directory, [interface[name] for name in TOPICS])
-    rows = []
+    return BagWriter(directory, [interface[name] for name in ("/clock", *TOPICS)])
+
+
+def clock(time_ns: int) -> bytes:
+    """Return a Clock in CDR."""
+    return struct.pack("<III", 256, time_ns // 10**9, time_ns % 10**9)
+
+
+def value(topic: str, tick: int) -> float:
+    """Return a value that no other tick or topic has."""
+    first, more = {
+        "/roof/level": (0.03, 1e-5), "/cistern/level": (2.3, -1e-4), "/pump/command": (0.5, 1e-4),
+        "/pump/flow": (4e-3, 1e-7), "/weather/precipitation": (0.0, 1e-8),
+    }[topic]
+    return first + tick * more
+
+
+def write_bag(directory: Path, ticks: int) -> list[tuple[str, int, int, bytes]]:
+    """Write a bag, and return its messages: topic, time, tick, content."""
+    writer = bag_writer(directory)
+    written = []
     for tick in range(ticks):
-        values = dict(zip(
-            TOPICS, (0.03 + tick * 1e-5, 2.3 - tick * 1e-4, 0.5 + tick / 1e4, 4e-3 + tick * 1e-7,
-                     tick * 1e-8), strict=True,
-        ))
-        # CDR: little-endian header, then the number.
-        messages = [b"\x00\x01\x00\x00" + struct.pack("<d", value) for value in values.values()]
-        writer.write_tick(START_NS + tick * 10**9, messages)
-        rows.append(values)
+        time_ns = START_NS + tick * 10**9
+        messages = {"/clock": clock(time_ns)}
+        for topic in TOPICS:  # CDR: little-endian header, then the number
+            messages[topic] = b"\x00\x01\x00\x00" + struct.pack("<d", value(topic, tick))
+        writer.write_tick(time_ns, list(messages.values()))
+        written += [(topic, time_ns, tick, message) for topic, message in messages.items()]
     writer.close()
-    return rows
+    return written
+
+
+def messages_of(file: Path) -> list[tuple[str, int, int, bytes]]:
+    """Return the messages of a file by the format's own library: topic, time, number, content."""
+    with file.open("rb") as stream:
+        return [
+            (channel.topic, message.log_time, message.sequence, message.data)
+            for _, channel, message in make_reader(stream, validate_crcs=True).iter_messages()
+        ]
 
 
 def test_a_bag_comes_back(tmp_path: Path) -> None:
     """Levels as volumes over the bottom areas of Table I, everything else as it was."""
-    rows = write_bag(tmp_path / "bag", 40)
+    write_bag(tmp_path / "bag", 40)
     zone = START.tzinfo
     assert zone is not None
     read, notes = load_bag(tmp_path / "bag", PAPER_SITE, zone, own=False)
     assert read.start == START
     assert read.time.tolist() == list(range(40))
-    assert read.roof.tolist() == [row["/roof/level"] * 68.8 for row in rows]
-    assert read.cistern.tolist() == [row["/cistern/level"] * 25 for row in rows]
-    assert read.command.tolist() == [row["/pump/command"] for row in rows]
-    assert read.pump_flow.tolist() == [row["/pump/flow"] for row in rows]
-    assert read.precipitation.tolist() == [row["/weather/precipitation"] for row in rows]
+    for name, topic, area in (
+        ("roof", "/roof/level", 68.8), ("cistern", "/cistern/level", 25),
+        ("command", "/pump/command", 1), ("pump_flow", "/pump/flow", 1),
+        ("precipitation", "/weather/precipitation", 1),
+    ):
+        expected = [value(topic, tick) * area for tick in range(40)]
+        assert getattr(read, name).tolist() == expected, name
     assert not read.drainage.any()
     assert any("/roof/drainage is not in the bag" in str(note) for note in notes)
 
 
-def test_a_bag_is_read_by_mcap(tmp_path: Path) -> None:
-    """Topics, types, times and sequence, by the format's own library."""
-    write_bag(tmp_path / "bag", 3)
-    with (tmp_path / "bag" / "bag_0.mcap").open("rb") as stream:
-        found = [
-            (channel.topic, schema.name, message.log_time, message.sequence)
-            for schema, channel, message in make_reader(stream, validate_crcs=True).iter_messages()
-        ]
-    assert sorted(found) == sorted(
-        (topic, "std_msgs/msg/Float64", START_NS + tick * 10**9, tick)
-        for tick in range(3) for topic in TOPICS
-    )
+def test_a_whole_bag_comes_out_as_it_is(tmp_path: Path) -> None:
+    """The format's own library finds what was written; recovery gives its bytes."""
+    written = write_bag(tmp_path / "bag", 200)
+    assert messages_of(tmp_path / "bag" / "bag_0.mcap") == written
+    assert restore(tmp_path / "bag", tmp_path / "new" / "bag") == "200 ticks"
+    for name in ("bag_0.mcap", "metadata.yaml"):
+        again = (tmp_path / "new" / "bag" / name).read_bytes()
+        assert again == (tmp_path / "bag" / name).read_bytes()
 
 
 @pytest.mark.parametrize("share", [0.3, 0.5])
 def test_a_bag_that_was_cut_keeps_its_whole_ticks(tmp_path: Path, share: float) -> None:
     """From the first on, without a gap, and no half tick."""
-    rows = write_bag(tmp_path / "bag", 200)
+    written = write_bag(tmp_path / "bag", 200)
     file = tmp_path / "bag" / "bag_0.mcap"
-    whole = file.read_bytes()
-    file.write_bytes(whole[: int(share * len(whole))])
-    ticks = list(read_ticks(file))
-    assert 0 < len(ticks) < 200
-    for tick, ((channels, time_ns, messages), row) in enumerate(zip(ticks, rows, strict=False)):
-        assert time_ns == START_NS + tick * 10**9
-        values = {
-            channel.topic: struct.unpack("<d", message[4:])[0]
-            for channel, message in zip(channels, messages, strict=True)
-        }
-        assert values == row
+    os.truncate(file, int(share * file.stat().st_size))
+    (tmp_path / "bag" / "metadata.yaml").unlink()
+    said = restore(tmp_path / "bag", tmp_path / "new")
+    found = messages_of(tmp_path / "new" / "new_0.mcap")
+    ticks, rest = divmod(len(found), len(TOPICS) + 1)
+    assert 0 < ticks < 200 and rest == 0
+    assert found == written[: len(found)]
+    assert said == f"{ticks} ticks"
+    assert count_ticks(tmp_path / "bag") is None and count_ticks(tmp_path / "new") == ticks
+
+
+def test_half_a_tick_is_left_out(tmp_path: Path) -> None:
+    """Where so much comes in a tick that a chunk ends within it."""
+    writer = bag_writer(tmp_path / "bag")
+    for tick in range(20):
+        writer.write_tick(
+            START_NS + tick * 10**9, [clock(0), *(os.urandom(150_000) for _ in TOPICS)]
+        )
+    writer.close()
+    file = tmp_path / "bag" / "bag_0.mcap"
+    os.truncate(file, file.stat().st_size * 2 // 3)
+    ticks = int(restore(tmp_path / "bag", tmp_path / "new").removesuffix(" ticks"))
+    found = messages_of(tmp_path / "new" / "new_0.mcap")
+    assert 5 < ticks < 20 and len(found) == ticks * (len(TOPICS) + 1)
+
+
+def test_hostile_files_do_no_harm(tmp_path: Path) -> None:
+    """Whatever stands in a file: something whole of it is restored, or nothing, in words."""
+    write_bag(tmp_path / "bag", 64)
+    whole, random = (tmp_path / "bag" / "bag_0.mcap").read_bytes(), Random(1)
+    (tmp_path / "hostile").mkdir()
+    amounts = set()
+    for number in range(200):
+        content = bytearray(whole[: random.choice((len(whole), random.randrange(len(whole))))])
+        for _ in range(random.choice((1, 8))):
+            at = random.randrange(len(content))
+            content[at : at + 8] = random.choice((b"x", bytes(8), b"\xff" * 8, b"\0" * 7 + b"\x7f"))
+        (tmp_path / "hostile" / "hostile_0.mcap").write_bytes(content)
+        try:
+            amounts.add(restore(tmp_path / "hostile", tmp_path / str(number)))
+        except ConfigurationError:
+            amounts.add("nothing")
+            assert not (tmp_path / str(number)).exists()
+    assert {"nothing", "16 ticks", "32 ticks", "48 ticks", "64 ticks"} <= amounts
+
+
+def test_a_bag_of_anybodys_that_was_cut(tmp_path: Path) -> None:
+    """A topic and a type that this package does not know, in no chunks."""
+    (tmp_path / "scan").mkdir()
+    with (tmp_path / "scan" / "scan_0.mcap").open("wb") as stream:
+        writer = Writer(stream, use_chunking=False)
+        writer.start()
+        channel = writer.register_channel("/scan", "json", writer.register_schema("scan", "", b""))
+        for time_ns in range(10):
+            writer.add_message(channel, time_ns, b"{}", time_ns)
+    assert restore(tmp_path / "scan", tmp_path / "new") == "10 messages"
+    assert messages_of(tmp_path / "new" / "new_0.mcap") == [
+        ("/scan", time_ns, 0, b"{}") for time_ns in range(10)
+    ]
+    about = yaml.safe_load((tmp_path / "new" / "metadata.yaml").read_text())
+    [topic] = about["rosbag2_bagfile_information"]["topics_with_message_count"]
+    assert (topic["topic_metadata"]["type"], topic["message_count"]) == ("scan", 10)
 
 
 @pytest.mark.parametrize("room", range(20_000, 24_000, 400))
 def test_a_file_that_cannot_grow_keeps_what_was_safe(tmp_path: Path, room: int) -> None:
     """Wherever in its chunks the room ends: as many ticks as the writer says, and no more."""
-    interface = read_topics()
-    writer = BagWriter(tmp_path / "bag", [interface[name] for name in TOPICS])
+    writer = bag_writer(tmp_path / "bag")
     random = Random(1)
 
     def write() -> None:
         for tick in range(2000):
+            time_ns = START_NS + tick * 10**9
             messages = [struct.pack("<Id", 256, random.random()) for _ in TOPICS]
-            writer.write_tick(START_NS + tick * 10**9, messages)
+            writer.write_tick(time_ns, [clock(time_ns), *messages])
 
     soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
     resource.setrlimit(resource.RLIMIT_FSIZE, (room, hard))
@@ -115,29 +191,7 @@ def test_a_file_that_cannot_grow_keeps_what_was_safe(tmp_path: Path, room: int) 
     finally:
         resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
     assert writer.safe > 0
-    assert len(list(read_ticks(tmp_path / "bag" / "bag_0.mcap"))) == writer.safe
-
-
-def test_a_trajectory_keeps_every_bit(tmp_path: Path) -> None:
-    """Numbers that no decimal of 15 digits holds."""
-    random = np.random.default_rng(1)
-    names = (
-        "time", "cistern", "roof", "precipitation", "evapotranspiration", "command", "pump_flow",
-        "outflow", "drainage", "frost",
-    )
-    columns = {name: random.random(50) * 10.0 ** random.integers(-300, 300) for name in names}
-    (tmp_path / "run.parquet").write_bytes(Trajectory(start=START, **columns).to_parquet())
-    read = read_parquet(tmp_path / "run.parquet")
-    assert read.start == START
-    for name, values in columns.items():
-        assert getattr(read, name).tobytes() == values.tobytes(), name
-
-
-def test_a_file_that_is_no_trajectory(tmp_path: Path) -> None:
-    """It is named, with what to do."""
-    (tmp_path / "run.parquet").write_bytes(b"PAR1")
-    with pytest.raises(ConfigurationError, match=r"run\.parquet: is empty, cut short or no"):
-        read_parquet(tmp_path / "run.parquet")
+    assert restore(tmp_path / "bag", tmp_path / "new") == f"{writer.safe} ticks"
 
 
 def test_parameters_are_columns_of_their_own() -> None:
