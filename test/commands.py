@@ -8,6 +8,7 @@ itself for each command: its own directory, environment, output and exit code, a
 
 from __future__ import annotations
 
+import gc
 import importlib
 import importlib.util
 import json
@@ -22,7 +23,12 @@ import traceback
 from functools import cache
 from pathlib import Path
 
-_ROOMS = ("common", "controllers", "experiment", "report", "study", "calibration", "graph")
+# Not the nodes: each has to be the main module of its process.
+_ROOMS = (
+    "common", "controllers", "experiment", "pumping", "drives", "recording", "simulators", "watch",
+    "report", "study", "calibration", "verification", "graph", "bringup",
+)
+_OF_ROS = ("graph", "bringup")
 _LIMIT_S = 300
 
 
@@ -53,7 +59,7 @@ def _serve() -> None:
     """Fork for each request, and answer with the exit code."""
     sys.path[0] = str(Path(__file__).resolve().parent.parent)
     for room in _ROOMS:
-        if room == "graph" and importlib.util.find_spec("rclpy") is None:
+        if room in _OF_ROS and importlib.util.find_spec("rclpy") is None:
             continue
         package = importlib.import_module(f"greenroof_ros.{room}")
         for module in pkgutil.iter_modules(package.__path__, f"{package.__name__}."):
@@ -61,6 +67,7 @@ def _serve() -> None:
                 importlib.import_module(module.name)
     for solver in ("osqp", "scipy.optimize"):  # which modules import once they solve something
         importlib.import_module(solver)
+    gc.freeze()  # what no child collects, none copies
     for line in sys.stdin:
         child = os.fork()
         if child == 0:

@@ -63,7 +63,7 @@ class Answer:
         return json.loads(self.body)
 
 
-def send(port: int, data: bytes, seconds: float = 20) -> bytes:
+def send(port: int, data: bytes, seconds: float = 60) -> bytes:
     """Send bytes, and return all that comes until the other side closes."""
     with socket.create_connection((LOOPBACK, port), timeout=seconds) as connection:
         connection.sendall(data)

@@ -6,8 +6,6 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from scipy.stats import linregress
-from scipy.stats import t as student
 
 from greenroof_ros.calibration.record import Record, Values
 from greenroof_ros.weather.records import gaps
@@ -58,6 +56,9 @@ def dry_nights(record: Record, simulated: Values) -> LevelSensor | None:
             variances.append(float(np.var(record.level[low:high], ddof=1)))
     if len(times) < _FEWEST_NIGHTS:
         return None
+    from scipy.stats import linregress  # half of what the command imports, before it refuses
+    from scipy.stats import t as student
+
     line = linregress(times, errors)
     half = float(line.stderr * student.ppf(0.975, len(times) - 2))
     return LevelSensor(len(times), float(np.sqrt(np.mean(variances))), float(line.slope), half)

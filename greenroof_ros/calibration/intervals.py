@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import t as student
 
 from greenroof_ros.calibration.record import Values
 
@@ -74,5 +73,7 @@ def half_intervals(moved: Values, freedom: Values | None = None) -> Values:
     if count < 2:  # nothing is left without the only group
         return np.full(moved.shape[1], np.inf)
     variance = np.var(moved, axis=0) * (count - 1)
+    from scipy.stats import t as student  # half of what the command imports, before it refuses
+
     quantile = student.ppf((1 + _CONFIDENCE) / 2, max(1, count - 1) if freedom is None else freedom)
     return np.asarray(quantile * np.sqrt(variance))

@@ -6,7 +6,6 @@ import math
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.signal import correlate, correlation_lags
 
 from greenroof_ros.calibration.record import Record, Values
 from greenroof_ros.calibration.scores import time_name
@@ -229,6 +228,8 @@ def _lag(
     scale = np.sqrt(np.sum(one**2) * np.sum(other**2))
     if scale == 0:
         return 0.0, 0.0, 0.0
+    from scipy.signal import correlate, correlation_lags  # as long to import as all else
+
     lags = correlation_lags(len(other), len(one)) * step_s
     correlations = correlate(other, one, method="fft") / scale
     near: NDArray[np.bool_] = np.abs(lags) <= _MOST_SHIFT_S

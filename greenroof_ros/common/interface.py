@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import math
 import sys
 from array import array
@@ -79,8 +80,9 @@ class Topic:
         return self.name if self.absolute else self.name.removeprefix("/")
 
 
-def read_topics() -> dict[str, Topic]:
-    """Read the interface; the order is that of the file, and of each tick in a bag."""
+@functools.cache
+def _topics() -> dict[str, Topic]:
+    """Read the interface once: every site, node and page asks for it."""
     interface: dict[str, Any] = read_yaml(shared_directory() / "msg_defs" / "topics.yaml")
     profiles = {name: Qos(name=name, **profile) for name, profile in interface["qos"].items()}
     topics = {}
@@ -109,6 +111,11 @@ def read_topics() -> dict[str, Topic]:
             live_subscribers=tuple(entry.get("live_subscribers", ())),
         )
     return topics
+
+
+def read_topics() -> dict[str, Topic]:
+    """Return the interface; the order is that of the file, and of each tick in a bag."""
+    return dict(_topics())
 
 
 def read_live_topics() -> dict[str, Topic]:

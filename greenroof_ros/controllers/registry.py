@@ -229,6 +229,7 @@ def find_controller(reference: str) -> ControllerChoice:
     return ControllerChoice(name, reference, reference)
 
 
+@functools.cache
 def _of_other_packages() -> dict[str, str]:
     """Return the path of each controller that an installed package registers, by name."""
     from importlib import metadata  # a tenth of a node's imports, and most need none of it

@@ -12,7 +12,6 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import ndtri, stdtrit
 
 from greenroof_ros.controllers.onoff import OnOff
 from greenroof_ros.forecast.choice import PERFECT
@@ -395,6 +394,8 @@ def _interval(value: float, resampled: Array, years: int) -> Interval:
         resampled: of each resample.
         years: n.
     """
+    from scipy.special import ndtri, stdtrit  # a fifth of what a report imports; few need it
+
     low, high = np.percentile(resampled, [2.5, 97.5])
     wider = stdtrit(years - 1, 0.975) / ndtri(0.975) * np.sqrt(years / (years - 1))
     return Interval(

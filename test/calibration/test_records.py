@@ -253,6 +253,10 @@ def test_wrong_records_are_refused(name: str, tmp_path: Path) -> None:
     assert message in str(error.value)
 
 
+def test_a_right_season_is_not_refused(tmp_path: Path) -> None:
+    refuse_wrong(read_csv_record(write(twin(100, 1), tmp_path / "season.csv"), TWIN), TWIN)
+
+
 @pytest.mark.parametrize(
     ("column", "factor"), [(1, 12), (1, 10), (1, 1 / 12), (1, 0.1), (2, 10), (2, 12), (2, 0.1),
                            (2, 1 / 12), (3, 10), (3, 0.1)],
@@ -261,7 +265,6 @@ def test_of_a_season_a_unit_that_is_wrong_is_refused(
     column: int, factor: float, tmp_path: Path
 ) -> None:
     file = tmp_path / "season.csv"
-    refuse_wrong(read_csv_record(write(twin(100, 1), file), TWIN), TWIN)
     with pytest.raises(ConfigurationError, match="unit"):
         refuse_wrong(read_csv_record(write(scaled(column, factor)(twin(100, 1)), file), TWIN), TWIN)
 

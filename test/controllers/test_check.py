@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import os
 import subprocess
-import sys
 from pathlib import Path
 
 import pytest
+from commands import run_command
 from paper import PAPER_SITE
 from places import CHECKOUT
 
@@ -48,11 +48,8 @@ def test_controllers_that_keep_to_it(name: str) -> None:
 
 def check(directory: Path, reference: str) -> subprocess.CompletedProcess[str]:
     """Run the command in a directory."""
-    return subprocess.run(
-        [sys.executable, "-m", "greenroof_ros.check_controller", reference],
-        cwd=directory,
-        env={**os.environ, "PYTHONPATH": str(CHECKOUT), "COLUMNS": "250"},
-        capture_output=True, text=True, timeout=120, check=False,
+    return run_command(
+        "check_controller", reference, cwd=directory, env={**os.environ, "COLUMNS": "250"}
     )
 
 

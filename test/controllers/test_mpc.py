@@ -37,9 +37,9 @@ class Walk(NamedTuple):
 
 
 @cache
-def walk(weight: float, initial: str = "low-low", max_command: float = math.inf) -> Walk:
-    """Run the controller for 12 h against the exact plant."""
-    run = paper_run("--initial", initial)
+def walk(weight: float, *options: str, max_command: float = math.inf) -> Walk:
+    """Run the controller against the exact plant: from low-low and for 12 h, unless told else."""
+    run = paper_run(*options)
     controller = Mpc(run.site, weight, max_command)
     x, w, u, cost = [], [], [], []
     for tick in closed_loop(run, controller, Metrics()):
@@ -130,10 +130,9 @@ def test_commands_are_exact_over_a_whole_run(weight: float) -> None:
 @pytest.mark.parametrize("bound", [1.0, 0.3])
 def test_commands_below_an_upper_bound_are_exact(bound: float) -> None:
     """From a full cistern the first command would be 1.0179; 3,746 ticks pump."""
-    run = walk(1e-5, "high-low", bound)
-    G, r = (part[:4000] for part in programs(run))
-    exact = solutions(G, r, 1e-5, bound)[:, 0]
-    np.testing.assert_allclose(run.u[:4000], exact, rtol=0, atol=1e-8)
+    run = walk(1e-5, "--initial", "high-low", "--hours", "1.1", max_command=bound)
+    exact = solutions(*programs(run), 1e-5, bound)[:, 0]
+    np.testing.assert_allclose(run.u, exact, rtol=0, atol=1e-8)
     assert exact[0] == pytest.approx(bound, rel=1e-12)
     assert run.u.max() == bound
 

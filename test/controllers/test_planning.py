@@ -598,12 +598,12 @@ def test_planner_is_nearly_clairvoyant(window: str) -> None:
 
 
 def test_a_longer_forecast_does_no_harm(tmp_path: Path) -> None:
-    """July with perfect forecasts and default parameters, in ticks of two minutes.
+    """July with perfect forecasts and default parameters, in ticks of ten minutes.
 
     Each horizon at most 0.5 % worse than a shorter one; ten days within 5 % of the least possible,
     which foresees the month.
     """
-    file = site_file(tmp_path, tau=120.0)
+    file = site_file(tmp_path, tau=600.0)
     options = (
         "--controller", "planning_mpc", "--site", str(file), "--evapotranspiration", "fao56",
         "--weather", str(MONTH), "--start", "2021-07-01T00:00", "--hours", "744",
@@ -616,7 +616,7 @@ def test_a_longer_forecast_does_no_harm(tmp_path: Path) -> None:
             pass
         totals.append(metrics["total_deviation_m3"])
     assert all(longer <= 1.005 * shorter for shorter, longer in pairwise(totals)), totals
-    least = clairvoyant_bound(run, block=5).bound_m3
+    least = clairvoyant_bound(run, block=1).bound_m3
     assert least < totals[-1] <= 1.05 * least < totals[0]
 
 

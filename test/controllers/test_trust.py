@@ -223,12 +223,12 @@ BUDGET_H, SHARE = 6.0, 0.05
 
 
 def two_weeks(directory: Path, *options: str) -> Run:
-    """Build a run of two weeks with a tenth of July 2021's rain, in ticks of a minute.
+    """Build a run of two weeks with a tenth of July 2021's rain, in ticks of two minutes.
 
-    Its pumps are to have a twentieth of the flow: with all of it on/off would overshoot by 7 mm.
+    Its pumps are to have a twentieth of the flow: with all of it on/off would overshoot by 14 mm.
     """
     run = paper_run(
-        *options, "--site", str(site_file(directory, tau=60.0)),
+        *options, "--site", str(site_file(directory, tau=120.0)),
         "--weather", str(DATA / "en_climate_hourly_07-2021.csv"), "--start", "2021-07-01T00:00",
         "--hours", "336", "--evapotranspiration", "fao56",
     )

@@ -320,10 +320,9 @@ def test_refused(
 @pytest.mark.parametrize("wrong", ["abc", "300", "-1"])
 def test_wrong_domain(tmp_path: Path, wrong: str) -> None:
     """ROS_DOMAIN_ID is an input, too."""
-    done = subprocess.run(
-        [sys.executable, "-m", "greenroof_ros.bringup", "--hours", "0.01"],
+    done = run_command(
+        "bringup", "--hours", "0.01",
         cwd=tmp_path, env={**environment(0), "ROS_DOMAIN_ID": wrong},
-        capture_output=True, text=True, timeout=60, check=False,
     )
     assert done.returncode == 2
     assert f"ROS_DOMAIN_ID = '{wrong}'" in done.stderr
@@ -333,13 +332,9 @@ def test_wrong_domain(tmp_path: Path, wrong: str) -> None:
 
 def test_wrong_output_leaves_no_trajectory(unused_domain: int, tmp_path: Path) -> None:
     """What is refused writes nothing, so that the repaired command can be given again."""
-    done = subprocess.run(
-        [
-            sys.executable, "-m", "greenroof_ros.simulate", "--hours", "0.01",
-            "--trajectory", "run.csv", "--output", "/proc/greenroof",
-        ],
-        cwd=tmp_path, env=environment(unused_domain), capture_output=True, text=True, timeout=60,
-        check=False,
+    done = run_command(
+        "simulate", "--hours", "0.01", "--trajectory", "run.csv", "--output", "/proc/greenroof",
+        cwd=tmp_path, env=environment(unused_domain),
     )
     assert done.returncode == 2
     assert not list(tmp_path.iterdir())

@@ -23,8 +23,10 @@ def says(node: str, **parts: str) -> dict[str, dict[str, Any]]:
     return {node: {"diagnoses": diagnoses}}
 
 
-def test_a_loss_and_its_return(tmp_path: Path) -> None:
+def test_a_loss_and_its_return(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """With ticks and wall time, kept at each change; what lasts has no end."""
+    now = datetime(2026, 11, 23, 20, 0, tzinfo=timezone.utc)
+    monkeypatch.setattr(incidents, "_now", lambda: now.isoformat())
     said: list[str] = []
     log = IncidentLog(said.append, tmp_path / INCIDENTS)
     log.look(says("pump", drive="OK"), 1)
@@ -40,18 +42,18 @@ def test_a_loss_and_its_return(tmp_path: Path) -> None:
     assert (lasting.began_tick, lasting.ended_tick, lasting.ended, lasting.seconds) == (
         5, None, None, None
     )
-    time.sleep(0.2)
+    now += timedelta(seconds=0.2)
     log.look(says("pump", drive="OK"), 9)
     log.look(says("pump", drive="ERROR"), 11)
     assert DISK.wait(60)
     ended, again = read_incidents(tmp_path)
     assert (ended.number, ended.began, ended.ended_tick) == (1, lasting.began, 9)
-    assert ended.seconds == pytest.approx(0.2, abs=0.15)
+    assert ended.seconds == 0.2
     assert (again.number, again.began_tick, again.ended) == (2, 11, None)
     assert log.as_dicts() == [asdict(ended), asdict(again)]
     assert (log.count, log.lasting) == (2, True)
     assert said[0] == "incident 1 at tick 5: pump: drive ERROR"
-    assert said[1].startswith("incident 1 is over at tick 9, after 0.")
+    assert said[1].startswith("incident 1 is over at tick 9, after 0.2 s")
     assert said[2] == "incident 2 at tick 11: pump: drive ERROR"
 
 

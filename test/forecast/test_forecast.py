@@ -14,6 +14,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from archives import write_runs
+from commands import run_command
 from graphs import bag_file, bring_up, environment
 from hypothesis import given
 from hypothesis import strategies as st
@@ -476,10 +477,10 @@ def test_graph_and_simulate_are_given_the_same(
     (tmp_path / "mine.yaml").write_text(skill.read_text().replace("wetness:", "wetness: 1.0 #"))
     words = [*options.split(), "--start", "2021-07-07T00:55", "--hours", "0.15"]
     graph = bring_up(domain, tmp_path, *words)
-    subprocess.run(
-        [sys.executable, "-m", "greenroof_ros.simulate", "--output", "inprocess", *words],
-        cwd=tmp_path, env=environment(domain), check=True, capture_output=True,
+    done = run_command(
+        "simulate", "--output", "inprocess", *words, cwd=tmp_path, env=environment(domain)
     )
+    assert done.returncode == 0, done.stderr
     inprocess = json.loads((tmp_path / "inprocess" / "summary.json").read_text())
     separate = ("wall_s", "times_real_time", "solver", "messages", "versions")
     assert {key for key in graph if graph[key] != inprocess[key]} <= set(separate)

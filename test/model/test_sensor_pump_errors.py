@@ -6,13 +6,13 @@ import csv
 import itertools
 import math
 import subprocess
-import sys
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
+from commands import run_command
 from graphs import environment
 from hypothesis import given
 from hypothesis import strategies as st
@@ -230,10 +230,9 @@ def test_the_controller_sees_the_reading_and_the_sums_the_truth() -> None:
 
 def test_the_trajectory_has_the_reading_and_the_truth(tmp_path: Path) -> None:
     """The level is the sensor's, the volume the plant's."""
-    subprocess.run(
-        [sys.executable, "-m", "greenroof_ros.simulate", "--controller", "onoff", "--hours",
-         "0.01", "--roof-offset", "0.004", "--trajectory", "run.csv", "--output", "run"],
-        cwd=tmp_path, check=True, timeout=60, capture_output=True,
+    run_module(
+        "simulate", tmp_path, "--controller", "onoff", "--hours", "0.01", "--roof-offset", "0.004",
+        "--trajectory", "run.csv", "--output", "run",
     )
     with (tmp_path / "run.csv").open(newline="") as stream:
         rows = list(csv.DictReader(stream))
@@ -276,10 +275,7 @@ def run_module(
     module: str, directory: Path, *options: str, domain: int = 0
 ) -> subprocess.CompletedProcess[str]:
     """Run a command that must come to an end by itself."""
-    return subprocess.run(
-        [sys.executable, "-m", f"greenroof_ros.{module}", *options], cwd=directory,
-        env=environment(domain), capture_output=True, text=True, timeout=60, check=False,
-    )
+    return run_command(module, *options, cwd=directory, env=environment(domain))
 
 
 @pytest.mark.parametrize("module", ["simulate", "bringup"])

@@ -216,7 +216,7 @@ def test_samples_where_there_is_no_bag(domain: int, tmp_path: Path) -> None:
             "--output", "run", cwd=tmp_path,
         )
         assert run.wait(300) == 0, run.stderr()
-        wait_for(lambda: watched.mode == "ended", 30, "the end of the run")
+        wait_for(lambda: watched.mode == "ended", 60, "the end of the run")
         heard = watched.of(HEARD)
         notes = [note for _, source, note in watched.present if source == "samples"]
     assert notes and all(note.startswith("Shows samples: ") for note in notes)
@@ -242,7 +242,7 @@ def test_hostile_diagnostics(domain: int) -> None:
     with fed(domain) as (watched, _), in_domain(domain):
         peer = Peer(domain, "stranger")
         publisher = peer.node.create_publisher(DiagnosticArray, "/diagnostics", 10)
-        wait_for(lambda: publisher.get_subscription_count() == 1, 20, "the subscription")
+        wait_for(lambda: publisher.get_subscription_count() == 1, 60, "the subscription")
         for state in ("ready", "finished", "none"):
             for each in values:
                 pairs = [KeyValue(key=key, value=value) for key, value in each.items()]
@@ -263,7 +263,7 @@ def test_hostile_diagnostics(domain: int) -> None:
             assert "could not be shown" not in json.dumps(document["notes"])
             return any("stands" in alarm["what"] for alarm in document["alarms"])
 
-        wait_for(shown, 20, "an alarm")
+        wait_for(shown, 60, "an alarm")
         peer.close()
 
 
@@ -279,13 +279,13 @@ def test_stop_is_for_the_one_pump_node_that_is_shown(domain: int) -> None:
         began = time.monotonic()
         with pytest.raises(StopFailedError) as refused:
             feed.stop_pump()
-        assert time.monotonic() - began < 4.5
+        assert time.monotonic() - began < 15
         return str(refused.value)
 
     with fed(domain) as (watched, feed), in_domain(domain):
         peer = Peer(domain, "stranger")
         publisher = peer.node.create_publisher(DiagnosticArray, "/diagnostics", 10)
-        wait_for(lambda: publisher.get_subscription_count() == 1, 20, "the subscription")
+        wait_for(lambda: publisher.get_subscription_count() == 1, 60, "the subscription")
 
         def stop_of(*pumps: DiagnosticStatus) -> dict[str, Any]:
             publisher.publish(DiagnosticArray(status=pumps))
@@ -297,10 +297,10 @@ def test_stop_is_for_the_one_pump_node_that_is_shown(domain: int) -> None:
             assert not stop_of(pump("/no such name!", "x 1"))["possible"]
             time.sleep(0.1)
         assert "no pump node" in refusal(feed)
-        wait_for(lambda: stop_of(pump("/pump", "a 1"))["node"] == "/pump", 20, "the pump node")
+        wait_for(lambda: stop_of(pump("/pump", "a 1"))["node"] == "/pump", 60, "the pump node")
         assert refusal(feed) == "/pump has no stop service that answers."
         both = pump("/pump", "a 1"), pump("/other", "b 1")
-        wait_for(lambda: stop_of(*both)["warning"], 20, "a warning")
+        wait_for(lambda: stop_of(*both)["warning"], 60, "a warning")
         stop = stop_of(*both)
         assert not stop["possible"]
         assert "/pump (a 1) and /other (b 1)" in refusal(feed)
@@ -319,7 +319,7 @@ def test_a_bag_that_is_followed_before_its_run_is_described(domain: int, tmp_pat
     with fed(domain, tmp_path / "bag") as (watched, _), in_domain(domain):
         peer = Peer(domain, "stranger")
         publisher = peer.node.create_publisher(DiagnosticArray, "/diagnostics", 10)
-        wait_for(lambda: publisher.get_subscription_count() == 1, 20, "the subscription")
+        wait_for(lambda: publisher.get_subscription_count() == 1, 60, "the subscription")
 
         def is_so(state: str, mode: str) -> bool:
             said = DiagnosticArray(status=[node("plant", state, tick=5), node("recorder", state)])
@@ -328,11 +328,11 @@ def test_a_bag_that_is_followed_before_its_run_is_described(domain: int, tmp_pat
             publisher.publish(DiagnosticArray(status=[DiagnosticStatus(name="/fan")]))
             return watched.mode == mode
 
-        wait_for(lambda: is_so("ready", "simulated"), 20, "the run")
+        wait_for(lambda: is_so("ready", "simulated"), 60, "the run")
         (tmp_path / "summary.json").write_text('{"controller": "mpc"}')
-        wait_for(lambda: is_so("finished", "ended"), 20, "its end")
+        wait_for(lambda: is_so("finished", "ended"), 60, "its end")
         wait_for(
-            lambda: _shown(watched)["tiles"]["controller"]["value"] == "mpc", 20, "its controller"
+            lambda: _shown(watched)["tiles"]["controller"]["value"] == "mpc", 60, "its controller"
         )
         events = _shown(watched)["events"]
         assert "The run ended." in [event["what"] for event in events]
@@ -351,7 +351,7 @@ def test_a_live_site_after_a_run_has_nothing_of_it(domain: int) -> None:
     with fed(domain) as (watched, _), in_domain(domain):
         peer = Peer(domain, "stranger")
         publisher = peer.node.create_publisher(DiagnosticArray, "/diagnostics", 10)
-        wait_for(lambda: publisher.get_subscription_count() == 1, 20, "the subscription")
+        wait_for(lambda: publisher.get_subscription_count() == 1, 60, "the subscription")
 
         def is_so(mode: str, *nodes: DiagnosticStatus) -> bool:
             said = DiagnosticArray(status=list(nodes))
@@ -360,10 +360,10 @@ def test_a_live_site_after_a_run_has_nothing_of_it(domain: int) -> None:
             return watched.mode == mode
 
         run = {"run_length": 100, "tick": 5}
-        wait_for(lambda: is_so("simulated", node("plant", "ready", **run)), 20, "the run")
-        wait_for(lambda: is_so("ended", node("plant", "ended", **run)), 20, "its end")
+        wait_for(lambda: is_so("simulated", node("plant", "ready", **run)), 60, "the run")
+        wait_for(lambda: is_so("ended", node("plant", "ended", **run)), 60, "its end")
         assert watched.runs == 0
-        wait_for(lambda: is_so("live", node("controller", "ready")), 20, "the live site")
+        wait_for(lambda: is_so("live", node("controller", "ready")), 60, "the live site")
         assert watched.runs == 1
         peer.close()
 
@@ -381,22 +381,22 @@ def test_a_stop_is_answered_whatever_else_fails(domain: int) -> None:
         began = time.monotonic()
         with pytest.raises(StopFailedError, match="no pump node"):
             feed.stop_pump()
-        assert time.monotonic() - began < 2
+        assert time.monotonic() - began < 15
 
 
 def test_without_a_graph(domain: int, tmp_path: Path) -> None:
     """Nothing is heard yet; a bag that is none is said; it ends at once."""
     with fed(domain, tmp_path / "none") as (watched, _):
-        wait_for(lambda: watched.present, 20, "a word")
+        wait_for(lambda: watched.present, 60, "a word")
         wait_for(
-            lambda: any("There is no recording at" in note for *_, note in watched.present), 20,
+            lambda: any("There is no recording at" in note for *_, note in watched.present), 60,
             "the note",
         )
     with fed(domain) as (watched, _):
-        wait_for(lambda: watched.present, 20, "a word")
+        wait_for(lambda: watched.present, 60, "a word")
         assert watched.present == [("none", "heard", "")]
         began = time.monotonic()
-    assert time.monotonic() - began < 2
+    assert time.monotonic() - began < 15
     assert not [thread for thread in threading.enumerate() if thread.name == HEARD]
 
 

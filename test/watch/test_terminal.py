@@ -353,7 +353,7 @@ class Terminal:
     def press(self, keys: bytes) -> None:
         os.write(self._main, keys)
 
-    def ends(self, seconds: float = 10.0) -> int:
+    def ends(self, seconds: float = 60.0) -> int:
         """Return the exit code, and see that the terminal is as it was."""
         until = time.monotonic() + seconds
         while self.process.poll() is None:
@@ -385,16 +385,16 @@ def test_it_is_drawn_anew_when_the_terminal_changes_and_ends_on_q(terminal: Term
     assert "Alarms: " in terminal.text
     terminal.resize(120, 50)
     terminal.process.send_signal(signal.SIGWINCH)
-    terminal.read_until("Last 6 h", 10.0)
+    terminal.read_until("Last 6 h")
     terminal.press(b"x")
     time.sleep(0.5)
     assert terminal.process.poll() is None
     terminal.press(b" ")
-    terminal.read_until("page 2 of ", 10.0)
+    terminal.read_until("page 2 of ")
     began = time.monotonic()
     terminal.press(b"q")
     assert terminal.ends() == 0
-    assert time.monotonic() - began < 5.0
+    assert time.monotonic() - began < 20.0
     assert "\x1b[?1049l" in terminal.text  # what was there before is there again
     assert "\x1b[?25h" in terminal.text
 

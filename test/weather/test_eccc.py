@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import csv
-import subprocess
-import sys
 from collections.abc import Callable
 from dataclasses import replace
 from datetime import datetime
@@ -12,6 +10,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from commands import run_command
+from graphs import environment
 from places import DATA
 
 from greenroof_ros.common.errors import ConfigurationError
@@ -292,13 +292,11 @@ def test_march_2021() -> None:
 
 def test_command_line(tmp_path: Path) -> None:
     """The paper's window out of the whole month, by the options that the month needs."""
-    result = subprocess.run(
-        [
-            sys.executable, "-m", "greenroof_ros.simulate", "--controller", "onoff",
-            "--weather", str(REAL / "en_climate_hourly_07-2021.csv"), "--start", "2021-07-07T02:00",
-            "--hours", "12", "--output", "run",
-        ],
-        cwd=tmp_path, capture_output=True, text=True, timeout=120, check=False,
+    result = run_command(
+        "simulate", "--controller", "onoff",
+        "--weather", str(REAL / "en_climate_hourly_07-2021.csv"), "--start", "2021-07-07T02:00",
+        "--hours", "12", "--output", "run",
+        cwd=tmp_path, env=environment(0),
     )
     assert result.returncode == 0, result.stderr
     assert "evapotranspiration fao56" in result.stdout
@@ -307,14 +305,12 @@ def test_command_line(tmp_path: Path) -> None:
 def test_nothing_is_pumped_in_frost(tmp_path: Path) -> None:
     """A night in March with a dry roof: on/off would pump at once."""
     output = tmp_path / "run.csv"
-    result = subprocess.run(
-        [
-            sys.executable, "-m", "greenroof_ros.simulate", "--controller", "onoff",
-            "--weather", str(REAL / "en_climate_hourly_03-2021.csv"),
-            "--start", "2021-03-02T00:00", "--hours", "24", "--trajectory", str(output),
-            "--output", str(tmp_path / "run"),
-        ],
-        cwd=tmp_path, capture_output=True, text=True, timeout=120, check=False,
+    result = run_command(
+        "simulate", "--controller", "onoff",
+        "--weather", str(REAL / "en_climate_hourly_03-2021.csv"),
+        "--start", "2021-03-02T00:00", "--hours", "24", "--trajectory", str(output),
+        "--output", str(tmp_path / "run"),
+        cwd=tmp_path, env=environment(0),
     )
     assert result.returncode == 0, result.stderr
     assert "FROST" in result.stdout

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import subprocess
-import sys
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 import yaml
+from commands import run_command
+from graphs import environment
 from paper import paper_run
 from places import CONFIG, DATA
 
@@ -204,12 +205,9 @@ def test_run_directory_keeps_all_files(tmp_path: Path) -> None:
 
 def simulate(directory: Path, *options: str) -> subprocess.CompletedProcess[str]:
     """Run the command for an hour of July."""
-    return subprocess.run(
-        [
-            sys.executable, "-m", "greenroof_ros.simulate", "--controller", "onoff",
-            "--start", "2021-07-07T02:00", "--hours", "1", "--json", *options,
-        ],
-        cwd=directory, capture_output=True, text=True, timeout=120, check=False,
+    return run_command(
+        "simulate", "--controller", "onoff", "--start", "2021-07-07T02:00", "--hours", "1",
+        "--json", *options, cwd=directory, env=environment(0),
     )
 
 
