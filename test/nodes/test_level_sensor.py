@@ -17,13 +17,12 @@ pytest.importorskip("pymodbus", reason="sensors are on Modbus")
 from diagnostic_msgs.msg import DiagnosticArray  # noqa: E402
 from graphs import environment  # noqa: E402
 from places import CONFIG  # noqa: E402
-from simulators import PATIENCE_S  # noqa: E402
+from simulators import PATIENCE_S, Workbench  # noqa: E402
 from std_msgs.msg import Float64  # noqa: E402
 from test_nodes import Observer, observer, qos  # noqa: E402, F401
 
 from greenroof_ros.drives.address import parse_address  # noqa: E402
 from greenroof_ros.simulators.faults import SITE_FAULTS  # noqa: E402
-from greenroof_ros.simulators.workbench import Workbench  # noqa: E402
 
 
 def inject(address: str, fault: str) -> None:

@@ -26,7 +26,7 @@ from graphs import Process, alive, bring_up, environment, free_ports, summary_of
 from modbus_wire import Wire, acs880
 from places import CHECKOUT, CONFIG, guarding
 from rosbags.highlevel import AnyReader
-from simulators import PATIENCE_S
+from simulators import PATIENCE_S, Workbench
 
 rclpy = pytest.importorskip("rclpy", reason="nodes need ROS 2")
 
@@ -42,7 +42,6 @@ from greenroof_ros.drives.address import parse_address  # noqa: E402
 from greenroof_ros.drives.drive_file import find_drive_file  # noqa: E402
 from greenroof_ros.drives.exchange import DriveExchange  # noqa: E402
 from greenroof_ros.experiment.incidents import read_incidents  # noqa: E402
-from greenroof_ros.simulators.workbench import Workbench  # noqa: E402
 
 NOBODY = ("--sensors", "external", "--pump", "external", "--weather", "external")
 # A low roof, a full cistern, no rain, no frost: mpc pumps.

@@ -18,7 +18,8 @@ from places import CHECKOUT
 from simulators import Bus, Simulator, until
 
 from greenroof_ros.drives.drive_file import find_drive_file, read_drive_file
-from greenroof_ros.simulators.simulated_drive import DriveSettings, SimulatedDrive
+from greenroof_ros.simulators.control_profiles import profile_of
+from greenroof_ros.simulators.simulated_drive import DriveSettings
 
 FREE = ("--port", "0", "--workbench", "0")
 
@@ -107,22 +108,23 @@ class OnPaper:
     def __init__(self, make: str, **settings: float | None) -> None:
         file = read_drive_file(find_drive_file(make))
         self.now = 0.0
-        self.drive = SimulatedDrive(file, DriveSettings(**settings), self.now)  # type: ignore[arg-type]
+        settings_of_its_own = DriveSettings(**settings)  # type: ignore[arg-type]
+        self.drive = profile_of(file.make)(file, settings_of_its_own, lambda: self.now)
 
     def start(self, make: str) -> None:
         for address, word, _, _ in MAKES[make].start:
             self.write(address, word)
 
     def write(self, address: int, word: int) -> None:
-        assert self.drive.write(address, [word], self.now) is None
+        assert self.drive.write(address, [word]) is None
 
     def speed(self, now: float) -> float:
         self.now = now
-        self.drive.advance(now)
+        self.drive.advance()
         return self.drive.speed
 
     def read(self, address: int) -> int:
-        return self.drive.registers(self.now)[address]
+        return self.drive.registers()[address]
 
 
 # --- running --------------------------------------------------------------------------------------
@@ -268,7 +270,8 @@ def test_the_drives_timeout_stops_the_motor(make: str) -> None:
     for now in (4.0, 8.0, 12.0):  # kept alive
         assert drive.speed(now) == 0.5
         drive.write(*control(make))
-    drive.drive.heard(16.0)
+    drive.now = 16.0
+    drive.drive.heard()
     assert drive.speed(16.9) == 0.5
     assert drive.speed(20.9) == (0.5 if its.keeps_alive else 0.0)
     assert drive.speed(23.0) == 0.0
@@ -331,7 +334,7 @@ def test_timeout_off_is_read_back_as_off(make: str) -> None:
     }[make]
     drive = OnPaper(make, timeout_s=3.0)
     assert drive.read(address) != value
-    drive.drive.disable_timeout(0.0)
+    drive.drive.inject("timeout_off", 0)
     assert drive.read(address) == value
     drive.start(make)
     assert drive.speed(60.0) == 0.5
@@ -354,7 +357,7 @@ def test_what_the_timeout_does_is_a_parameter(
     """Of 10 s; 2 s later, a ramp of 10 s has taken 0.2 of 0.5, coasting within 2 s all of it."""
     drive = OnPaper(make, timeout_s=10.0, ramp_s=10.0, coast_s=2.0)
     for address, word in writes.items():
-        drive.drive.write(address, [word], 0.0)
+        drive.write(address, word)
     drive.start(make)
     assert drive.speed(9.9) == 0.5
     assert drive.speed(12.0) == pytest.approx(speed)
@@ -377,10 +380,10 @@ def test_abb_takes_over_a_changed_timeout_only_with_58_06() -> None:
 def test_abb_guards_nothing_for_30_s_after_power_up() -> None:
     """Power-up at 10 s, boot until 12 s, so guarded from 42 s on."""
     drive = OnPaper("abb_acs880", boot_s=2.0, timeout_s=3.0, ramp_s=1.0)
-    drive.drive.power_cycle(10.0)
-    assert not drive.drive.answers(11.99)
-    assert drive.drive.answers(12.0)
-    drive.now = 13.0
+    drive.now = 10.0
+    drive.drive.power_cycle()
+    for drive.now, answers in ((11.99, False), (12.0, True), (13.0, True)):
+        assert drive.drive.answers is answers
     drive.start("abb_acs880")
     assert drive.speed(41.9) == 0.5
     assert drive.speed(44.5) == 0.0
