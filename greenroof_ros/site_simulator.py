@@ -82,7 +82,7 @@ def main() -> int:
     """Be the site that the command line asks for."""
     arguments = make_parser().parse_args()
     check_installed()
-    from greenroof_ros.simulators.simulated_site import SiteBench, Weather
+    from greenroof_ros.simulators.simulated_site import SiteBench
     sensors = read_sensors(arguments.sensors or default_sensors())
     drive = None
     if arguments.drive_at is not None:
@@ -99,7 +99,7 @@ def main() -> int:
     table = arguments.output
     with table.open("w", encoding="utf-8") if table else contextlib.nullcontext() as output:
         bench = SiteBench(
-            run.site, Weather(rain, evapotranspiration), (run.x1, run.x2), sensors,
+            run.site, rain, evapotranspiration, (run.x1, run.x2), sensors,
             Address(host="127.0.0.1", port=arguments.workbench), drive, arguments.factor, output,
         )
         bench.serve(*arguments.fault)

@@ -10,10 +10,13 @@ import sys
 import time
 from collections.abc import Callable, Mapping
 from contextlib import suppress
+from types import ModuleType
 from typing import TypeVar
 
+import pytest
 from places import CHECKOUT
 
+from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.processes import asked_to_end_with_this
 from greenroof_ros.drives.address import Address, Serial
 from greenroof_ros.drives.modbus_line import DriveError, ModbusLine
@@ -125,6 +128,14 @@ class Simulator:
         code = self.end()
         if kind is None:
             assert (code, self.complained) == (0, "")
+
+
+def refusal(monkeypatch: pytest.MonkeyPatch, module: ModuleType, *options: str) -> str:
+    """Return what a simulator says of wrong options."""
+    monkeypatch.setattr(sys, "argv", [module.__name__, *options])
+    with pytest.raises(ConfigurationError) as caught:
+        module.main.__wrapped__()
+    return str(caught.value)
 
 
 class Bus:

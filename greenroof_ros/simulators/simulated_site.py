@@ -6,7 +6,7 @@ import asyncio
 import random
 import time
 from collections.abc import Sequence
-from typing import NamedTuple, TextIO
+from typing import TextIO
 
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.drives.address import Address, parse_address
@@ -31,15 +31,6 @@ COLUMNS = (
 )
 
 
-class Weather(NamedTuple):
-    """What falls and rises, tick by tick; after its last tick it stays as it is."""
-
-    precipitation: Sequence[float]
-    """m/s"""
-    evapotranspiration: Sequence[float]
-    """off the whole bed (m3/s)"""
-
-
 class SiteBench(Bench):
     """Runs two tanks on their sensors' ports and lines; time is counted in ticks.
 
@@ -52,7 +43,8 @@ class SiteBench(Bench):
     def __init__(
         self,
         site: Site,
-        weather: Weather,
+        precipitation: Sequence[float],
+        evapotranspiration: Sequence[float],
         volumes: tuple[float, float],
         sensors: Sensors,
         workbench: Address,
@@ -64,7 +56,8 @@ class SiteBench(Bench):
 
         Args:
             site: its parameters.
-            weather: of its ticks.
+            precipitation: of its ticks (m/s); after the last it stays as it is.
+            evapotranspiration: of its ticks, off the whole bed (m3/s); likewise.
             volumes: in cistern and roof at the beginning (m3).
             sensors: where they are and what they speak.
             workbench: TCP port of the workbench; port 0 takes a free one.
@@ -76,7 +69,8 @@ class SiteBench(Bench):
             ConfigurationError: both sensors answer to the same register.
         """
         super().__init__(faults.SITE_FAULTS, workbench)
-        self._site, self._weather = site, weather
+        self._site = site
+        self._weather = precipitation, evapotranspiration
         self.plant = Plant(site, *volumes)
         self.tick, self.pumped = 0, 0.0
         self._sensors: dict[str, Sensor] = {tank: getattr(sensors, tank) for tank in TANKS}
@@ -226,13 +220,12 @@ class SiteBench(Bench):
             return 0.0
         return flow_at(self._site, speed, level)
 
-    def _falls_and_rises(self) -> tuple[float, float]:
+    def _present_weather(self) -> tuple[float, float]:
         """Return rain (m/s) and evapotranspiration (m3/s) of the present tick."""
-        rain, evapotranspiration = self._weather
-        return (
-            rain[min(self.tick, len(rain) - 1)],
-            evapotranspiration[min(self.tick, len(evapotranspiration) - 1)],
+        rain, evapotranspiration = (
+            series[min(self.tick, len(series) - 1)] for series in self._weather
         )
+        return rain, evapotranspiration
 
     def _step(self, speed: float, flow: float) -> None:
         """Move on by one tick and write it down.
@@ -241,7 +234,7 @@ class SiteBench(Bench):
             speed: of the drive at its end (share of rated).
             flow: out of the cistern through the pump, the mean of the tick (m3/s).
         """
-        rain, evapotranspiration = self._falls_and_rises()
+        rain, evapotranspiration = self._present_weather()
         plant, tau = self.plant, self._site.tau
         flows = plant.flows(rain, evapotranspiration, flow)
         plant.step(rain, flows)
@@ -253,7 +246,7 @@ class SiteBench(Bench):
         self.tick += 1
         if self._output is not None:
             cistern, roof = plant.levels()
-            rain, evapotranspiration = self._falls_and_rises()
+            rain, evapotranspiration = self._present_weather()
             print(
                 f"{(self.tick * tau):.10g},{cistern:.9g},{roof:.9g},{speed:.4f},{flows.pump:.9g},"
                 f"{self.pumped:.9g},{rain:.9g},{evapotranspiration:.9g},{self.fault.name}",
