@@ -1,8 +1,132 @@
 """A drive that is not there, on Modbus: ``greenroof simulators drive``."""
 
-from greenroof_ros.simulators.drive_command import main, make_parser
+from __future__ import annotations
 
-__all__ = ["main", "make_parser"]
+import argparse
+from pathlib import Path
+
+from greenroof_ros.common.command_line import EXIT_DONE, command, within
+from greenroof_ros.common.errors import ConfigurationError
+from greenroof_ros.common.files import shared_directory
+from greenroof_ros.drives.address import Address
+from greenroof_ros.drives.drive_file import find_drive_file, read_drive_file
+from greenroof_ros.drives.modbus_line import check_installed
+from greenroof_ros.model.site import read_site
+from greenroof_ros.simulators import faults
+from greenroof_ros.simulators.faults import DRIVE_FAULTS
+
+_PORT = 5020
+_LAST_PORT = 65535
+
+
+def make_parser() -> argparse.ArgumentParser:
+    """Return what reads the command line."""
+    parser = argparse.ArgumentParser(
+        prog="greenroof simulators drive",
+        usage="%(prog)s --drive NAME [options]",
+        description="Be a variable-speed drive with a motor on Modbus: registers, control word, "
+        "ramp, faults and\ncommunication timeout as of the make that a drive file describes, and "
+        "whatever can go wrong\non request.",
+        epilog="The workbench is a Modbus TCP port beside the drive's, device 247, holding "
+        "registers:\n"
+        "  0 true speed in 0.01 %   1 fault, by its number   2 its parameter, 65535 for the "
+        "default;\n  to be written before 1   3 power cycle: write 1   4 local control at the "
+        "panel: 1, 0\n  5 cistern level in 0.1 mm, for drives that report their flow\n\n"
+        f"faults:\n{faults.list_faults(DRIVE_FAULTS)}\n\n"
+        "examples:\n"
+        "  greenroof simulators drive --drive abb_acs880\n"
+        "  greenroof simulators drive --drive danfoss_fc202 --fault late=900\n"
+        "  greenroof simulators drive --drive schneider_atv630 --serial pty\n\n"
+        "Its first line says when it is ready, and where. Ctrl-C ends it.\n"
+        "exit codes: 0 ended by Ctrl-C or SIGTERM, 2 wrong usage or configuration",
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    parser.add_argument(
+        "--drive", required=True, metavar="NAME",
+        help="make of drive: a name in config/drives/, or a file of your own",
+    )
+    place = parser.add_argument_group("where it is")
+    place.add_argument(
+        "--host", default="127.0.0.1",
+        help="address of this machine that it listens on; there is no protection whatever: whoever "
+        "reaches it can run it (default: %(default)s)",
+    )
+    place.add_argument(
+        "--port", type=within(0, _LAST_PORT, int), default=_PORT,
+        help="TCP port of the drive, 0 for a free one; of a gateway to its serial port where the "
+        "make has none of its own (default: %(default)s)",
+    )
+    place.add_argument(
+        "--serial", metavar="DEVICE",
+        help="a serial line instead (Modbus RTU), such as /dev/ttyUSB0; 'pty' makes a "
+        "pseudo-terminal, whose name for the client is in the first line",
+    )
+    place.add_argument(
+        "--workbench", type=within(0, _LAST_PORT, int), metavar="PORT",
+        help="TCP port of the workbench, 0 for a free one (default: the next after --port)",
+    )
+    made = parser.add_argument_group("how it is made and set")
+    made.add_argument(
+        "--ramp", type=within(0, 3600), default=5.0, metavar="S",
+        help="from rest to rated speed, and back (s, default: %(default)g)",
+    )
+    made.add_argument(
+        "--boot", type=within(0, 3600), default=3.0, metavar="S",
+        help="from power-up until it answers (s, default: %(default)g)",
+    )
+    made.add_argument(
+        "--timeout", type=within(0.1, 3600), default=5.0, metavar="S",
+        help="its communication timeout (s, default: %(default)g), upon which it stops; rounded to "
+        "what its register holds",
+    )
+    made.add_argument(
+        "--as-delivered", action="store_true",
+        help="the timeout as the maker delivers it instead; that may be none",
+    )
+    made.add_argument(
+        "--speed", type=within(1e-3, 1e6), default=1.0, metavar="FACTOR",
+        help="ramps faster by this factor, for a graph that is faster than real time; the timeout "
+        "is not scaled (default: %(default)g)",
+    )
+    made.add_argument(
+        "--site", type=Path, metavar="FILE",
+        help="site file, for drives that report their flow (default: the paper's, "
+        "config/site.yaml)",
+    )
+    faults.add_option(parser, DRIVE_FAULTS)
+    return parser
+
+
+@command
+def main() -> int:
+    """Be the drive that the command line asks for."""
+    arguments = make_parser().parse_args()
+    check_installed()
+    from greenroof_ros.simulators.drive_bench import DriveBench
+    from greenroof_ros.simulators.simulated_drive import DriveSettings
+    file = read_drive_file(find_drive_file(arguments.drive))
+    workbench = arguments.workbench
+    if workbench is None:
+        workbench = arguments.port + 1 if arguments.port else 0
+        if workbench > _LAST_PORT:
+            raise ConfigurationError(
+                "leaves no port after it for the workbench; name one with --workbench",
+                key="--port", value=arguments.port,
+            )
+    own = Address(host=arguments.host, port=arguments.port)
+    bench = DriveBench(
+        file,
+        DriveSettings(
+            ramp_s=arguments.ramp, boot_s=arguments.boot, speed=arguments.speed,
+            timeout_s=None if arguments.as_delivered else arguments.timeout,
+        ),
+        Address(line=arguments.serial) if arguments.serial else own,
+        Address(host=arguments.host, port=workbench),
+        read_site(arguments.site or shared_directory() / "config" / "site.yaml"),
+    )
+    bench.serve(*arguments.fault)
+    return EXIT_DONE
+
 
 if __name__ == "__main__":
     main()

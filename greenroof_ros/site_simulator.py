@@ -1,8 +1,110 @@
 """Cistern and roof behind Modbus level sensors: ``greenroof simulators site``."""
 
-from greenroof_ros.simulators.site_command import main, make_parser
+from __future__ import annotations
 
-__all__ = ["main", "make_parser"]
+import argparse
+import contextlib
+from collections.abc import Sequence
+from pathlib import Path
+
+from greenroof_ros.common.command_line import EXIT_DONE, command, within
+from greenroof_ros.drives.address import Address, parse_address
+from greenroof_ros.drives.modbus_line import check_installed
+from greenroof_ros.drives.sensor_file import default_sensors, read_sensors
+from greenroof_ros.experiment.options import add_site_arguments, inputs_from_arguments
+from greenroof_ros.simulators import faults
+from greenroof_ros.simulators.faults import SITE_FAULTS
+
+_WORKBENCH = 5032
+_MM_PER_HOUR = 1e-3 / 3600
+_MM_PER_DAY = 1e-3 / 86400
+
+
+def make_parser() -> argparse.ArgumentParser:
+    """Return what reads the command line."""
+    parser = argparse.ArgumentParser(
+        prog="greenroof simulators site",
+        usage="%(prog)s [options]",
+        description="Simulate cistern and roof in real time and answer as their level sensors, "
+        "over Modbus.\nThe pump is that of a drive simulator: its true speed makes the flow.",
+        epilog="The workbench is a Modbus TCP port, device 247, holding registers: 1 fault, by its "
+        "number;\n  2 its parameter, 65535 for the default, to be written before 1\n\n"
+        f"faults:\n{faults.list_faults(SITE_FAULTS)}\n\n"
+        "examples:\n"
+        "  greenroof simulators drive --drive abb_acs880\n"
+        "  greenroof simulators site --drive-at tcp://127.0.0.1:5021 --output levels.csv\n"
+        "  greenroof simulators site --rain 4 --fault roof_frozen\n\n"
+        "Its first line says when it is ready, and where. Ctrl-C ends it.\n"
+        "exit codes: 0 ended by Ctrl-C or SIGTERM, 2 wrong usage or configuration",
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    place = parser.add_argument_group("sensors and drive")
+    place.add_argument(
+        "--sensors", type=Path, metavar="FILE",
+        help="where the sensors are to be, and what they speak (default: config/sensors.yaml)",
+    )
+    place.add_argument(
+        "--drive-at", metavar="ADDRESS",
+        help="the drive simulator's workbench, such as tcp://127.0.0.1:5021; without it the pump "
+        "never runs; the simulator warns of that at its start",
+    )
+    place.add_argument(
+        "--workbench", type=within(0, 65535, int), default=_WORKBENCH, metavar="PORT",
+        help="TCP port of the workbench on 127.0.0.1, 0 for a free one (default: %(default)s)",
+    )
+    add_site_arguments(parser.add_argument_group(
+        "the site",
+        "After --hours the weather stays as it was last; the simulator goes on.",
+    ))
+    weather = parser.add_argument_group("constants instead of the weather file")
+    weather.add_argument(
+        "--rain", type=within(0, 1000), metavar="MM", help="it rains at so many mm/h for ever"
+    )
+    weather.add_argument(
+        "--constant-evapotranspiration", type=within(0, 1000), metavar="MM",
+        help="so many mm in a day evaporate, for ever",
+    )
+    parser.add_argument(
+        "--factor", type=within(1e-3, 1e4), default=1.0,
+        help="simulated per real time; a sensor's readings are then that much further apart "
+        "(default: %(default)g)",
+    )
+    parser.add_argument(
+        "--output", type=Path, metavar="CSV",
+        help="file for a line a tick: time, levels, speed, flow, pumped volume, weather, fault",
+    )
+    faults.add_option(parser, SITE_FAULTS)
+    return parser
+
+
+@command
+def main() -> int:
+    """Be the site that the command line asks for."""
+    arguments = make_parser().parse_args()
+    check_installed()
+    from greenroof_ros.simulators.simulated_site import SiteBench
+    sensors = read_sensors(arguments.sensors or default_sensors())
+    drive = None
+    if arguments.drive_at is not None:
+        drive = parse_address(arguments.drive_at, "--drive-at")
+    run = inputs_from_arguments(arguments)
+    rain: Sequence[float] = run.series.precipitation
+    evapotranspiration: Sequence[float] = run.series.evapotranspiration
+    if arguments.rain is not None:
+        rain = [arguments.rain * _MM_PER_HOUR]
+    if arguments.constant_evapotranspiration is not None:
+        evapotranspiration = [
+            arguments.constant_evapotranspiration * _MM_PER_DAY * run.site.a2
+        ]
+    table = arguments.output
+    with table.open("w", encoding="utf-8") if table else contextlib.nullcontext() as output:
+        bench = SiteBench(
+            run.site, rain, evapotranspiration, (run.x1, run.x2), sensors,
+            Address(host="127.0.0.1", port=arguments.workbench), drive, arguments.factor, output,
+        )
+        bench.serve(*arguments.fault)
+    return EXIT_DONE
+
 
 if __name__ == "__main__":
     main()

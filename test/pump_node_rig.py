@@ -15,12 +15,11 @@ from lifecycle_msgs.srv import ChangeState, GetState
 from places import CONFIG, guarding
 from ros_rig import Observer, start_node
 from rosgraph_msgs.msg import Clock
-from simulators import PATIENCE_S
+from simulators import PATIENCE_S, Workbench
 from std_msgs.msg import Float64
 
 from greenroof_ros.drives.address import parse_address
 from greenroof_ros.simulators.faults import DEFAULT
-from greenroof_ros.simulators.workbench import Workbench
 
 # Ten ticks of 1 s in a second, and a drive that ramps ten times as fast as in real time.
 PERIOD_S, FACTOR = 0.1, 10

@@ -8,22 +8,72 @@ import socket
 import subprocess
 import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from contextlib import suppress
+from types import ModuleType
 from typing import TypeVar
 
+import pytest
 from places import CHECKOUT
 
+from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.processes import asked_to_end_with_this
-from greenroof_ros.drives.address import Address
-from greenroof_ros.simulators.faults import DEFAULT, DRIVE_FAULTS, SITE_FAULTS
-from greenroof_ros.simulators.workbench import Workbench
+from greenroof_ros.drives.address import Address, Serial
+from greenroof_ros.drives.modbus_line import DriveError, ModbusLine
+from greenroof_ros.simulators import faults
+from greenroof_ros.simulators.faults import DEFAULT, DRIVE_FAULTS, SITE_FAULTS, Fault
 
 # How long a workbench is waited for (s): as long as a loaded machine needs.
 PATIENCE_S = 30.0
 T = TypeVar("T")
 
 _PLACE = re.compile(r"(?:tcp|gateway)://127\.0\.0\.1:(\d+), device")
+
+
+class Workbench:
+    """A client of a simulator's workbench, always on TCP.
+
+    Each method connects if it must, and raises `DriveError` where there is no answer.
+    """
+
+    def __init__(
+        self, address: Address, known: Mapping[str, Fault] = DRIVE_FAULTS, timeout_s: float = 1.0
+    ) -> None:
+        self._known = known
+        self._line = ModbusLine(
+            address, port=0, device_id=faults.DEVICE_ID, timeout_s=timeout_s,
+            serial=Serial(19200, "even", 1, faults.DEVICE_ID),
+        )
+        self.close = self._line.close
+
+    def _ask(self, request: Callable[[], T]) -> T:
+        try:
+            if not self._line.connected:
+                self._line.connect()
+            return request()
+        except DriveError:
+            self.close()
+            raise
+
+    def _write(self, register: int, value: int) -> None:
+        self._ask(lambda: self._line.write(register, value))
+
+    def speed(self) -> float:
+        """Return the true speed of the motor (share of rated)."""
+        return faults.SPEED_UNIT * self._ask(lambda: self._line.read(faults.SPEED, 1))[0]
+
+    def inject(self, fault: str, parameter: int = DEFAULT) -> None:
+        """Ask for a fault, of which there is one at a time; ``none`` ends it."""
+        self._write(faults.PARAMETER, parameter)
+        self._write(faults.FAULT, self._known[fault].number)
+
+    def power_cycle(self) -> None:
+        """Take the drive's power away for a moment."""
+        self._write(faults.POWER_CYCLE, 1)
+
+    def take_over(self, local: bool) -> None:
+        """Take the drive over at its panel, or hand it back to the bus."""
+        self._write(faults.LOCAL, int(local))
 
 
 class Simulator:
@@ -78,6 +128,14 @@ class Simulator:
         code = self.end()
         if kind is None:
             assert (code, self.complained) == (0, "")
+
+
+def refusal(monkeypatch: pytest.MonkeyPatch, module: ModuleType, *options: str) -> str:
+    """Return what a simulator says of wrong options."""
+    monkeypatch.setattr(sys, "argv", [module.__name__, *options])
+    with pytest.raises(ConfigurationError) as caught:
+        module.main.__wrapped__()
+    return str(caught.value)
 
 
 class Bus:

@@ -8,10 +8,9 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
-from functools import partial
 from typing import Any
 
 import rclpy
@@ -32,7 +31,8 @@ from greenroof_ros.model.initial_state import initial_state
 from greenroof_ros.model.site import Site
 
 # What the check publishes, in the order of a tick; the command comes last.
-_PLAYED = ("/clock", "/cistern/level", "/roof/level", "/weather/frost", "/pump/command")
+_COMMAND = "/pump/command"
+_PLAYED = ("/clock", "/cistern/level", "/roof/level", "/weather/frost", _COMMAND)
 # The simulated time of the first tick (ns since 1970): a summer's day.
 _EPOCH_NS = 1_751_371_200_000_000_000
 # Within this the ends of topics find each other on one machine (s).
@@ -48,6 +48,19 @@ _AT_REST = 0.5
 # What a driver must refuse. NaN comes first, and to a running pump: drivers that keep the command
 # before it would go on.
 _HOSTILE = (math.nan, math.inf, -math.inf, -1.0, -1e300)
+# For what it must stop while the command goes on: what is said, when that is, and when it is over.
+_STOPS = (
+    ("/weather/frost", 1.0, "in frost", "the frost is over"),
+    ("/weather/frost", math.nan, "while frost is unknown, NaN", "frost is known"),
+    (
+        "/cistern/level", math.nan, "while the cistern's level is unknown, NaN",
+        "the cistern's level is known",
+    ),
+    (
+        "/roof/level", math.nan, "while the roof's level is unknown, NaN",
+        "the roof's level is known",
+    ),
+)
 # The cistern begins with so much water above the suction level (m3), enough for all checks but the
 # last, and its level falls with what is pumped, at most to so little above it (m): a driver may
 # stop 2 cm above it already, for a sensor that is wrong. At the end it falls to just below it.
@@ -55,6 +68,9 @@ _WATER = 1.5
 _LEAST_ABOVE_SUCTION, _DRY = 0.022, -0.001
 # To so far above the suction level rain lifts it after that (m): more than a driver may ask for.
 _REFILLED = 0.5
+# How many checks there are, for who waits.
+_CHECKS = 22
+_NOT_RUNNING = "not tried: the pump does not run"
 
 
 @dataclass(frozen=True)
@@ -80,15 +96,8 @@ class Limits:
     arrival: float
 
 
-_NOT_RUNNING = "not tried: the pump does not run"
-
-
 class _ProblemError(Exception):
     """The driver does not keep to a rule; the message says how."""
-
-
-class _SilentError(_ProblemError):
-    """The driver answers no more, and nothing further can be tried."""
 
 
 class PumpCheck:
@@ -114,16 +123,17 @@ class PumpCheck:
         self._empty_roof = 0.5 * initial_state(site, "low-low")[1]
         self._volumes = [site.suction_level * site.a1 + _WATER, self._empty_roof]
         self._least_above_suction = _LEAST_ABOVE_SUCTION
-        # What is said instead of the truth, by topic.
-        self._said_instead: dict[str, float] = {}
         self._ticks = 0
         self._flows: list[float] = []
         self._steady = 0.0
+        self._findings: list[Finding] = []
+        self._came = ""
+        self._hindered = ""
         self._lockstep_problem = ""
         self._state = ""
         self._trying = "waiting for the driver"
         self._lines = ProgressLines()
-        self._publish: dict[str, Callable[[Any], None]] = {}
+        self._publishers: dict[str, tuple[Any, Callable[[Any], bytes]]] = {}
 
     def run(self) -> list[Finding]:
         """Try everything, and return a finding for each check.
@@ -133,57 +143,82 @@ class PumpCheck:
             OccupiedError: a graph is at work with it.
         """
         self._wait_for_driver()
-        findings = [Finding("its topics fit the interface", self._unfit())]
-        if findings[0].problem:
-            return findings
-        self._join()
-        hindered = ""
-        checks = self._checks()
-        every = len(checks) + 2  # and its topics before, its answers after
-        for number, (title, check) in enumerate(checks.items(), start=2):
-            self._trying = f"check {number} of {every}: {title}"
-            problem, came = hindered, ""
-            if not hindered:
-                try:
-                    came = check()
-                except _ProblemError as error:
-                    problem = str(error)
-                    if isinstance(error, _SilentError):
-                        hindered = "not tried: the driver does not answer"
-                    elif check == self._runs:
-                        hindered = _NOT_RUNNING
-            findings.append(Finding(title, problem, came))
-        findings.append(Finding("answers each command with exactly one flow", self._lockstep()))
-        return findings
+        unfit = self._unfit()
+        self._findings.append(Finding("its topics fit the interface", unfit))
+        if not unfit:
+            self._join()
+            self._try_all()
+        return self._findings
 
-    def _checks(self) -> dict[str, Callable[[], str]]:
-        limits = self._limits
-        checks: dict[str, Callable[[], str]] = {
-            "is off at start: no flow before a command, and 0 at command 0": self._off_at_start,
-            f"runs at command {limits.command:g}": self._runs,
-            "takes a command above 1 as 1": self._clamps,
-            "refuses what is not finite or below 0: the flow falls to 0": self._refuses,
-            "runs again after refused commands": self._run_steadily,
-            f"has stopped after {limits.silence:g} s without a command": self._watchdog,
-            "runs again when commands come again": self._run_steadily,
-            "stops while /pump/command has a second publisher": self._second_publisher,
-            "runs again when one publisher is left": self._run_steadily,
-        }
+    def _try_all(self) -> None:
+        """Try one check after the other; after each stop the pump must run again."""
+        limits, site = self._limits, self._site
+        with self._check("is off at start: no flow before a command, and 0 at command 0"):
+            if self._flows:
+                raise _ProblemError(f"a flow of {self._flows[0]:g} m3/s came before any command")
+            for _ in range(_STEADY_TICKS):
+                flow = self._answer({_COMMAND: 0.0})
+                if flow > 0:
+                    raise _ProblemError(f"a flow of {flow:g} m3/s answers command 0")
+        self._runs(f"at command {limits.command:g}")
+        if not self._steady:
+            self._hindered = self._hindered or _NOT_RUNNING
+        with self._check("takes a command above 1 as 1"):
+            most, beyond = self._steady_flow(1.0), self._steady_flow(3.0)
+            if beyond > (1 + _NOISE) * most:
+                raise _ProblemError(
+                    f"the flow is {beyond:.3g} m3/s at command 3, and {most:.3g} at command 1"
+                )
+            self._came = f"{beyond:.3g} m3/s at command 3, {most:.3g} at command 1"
+        with self._check("refuses what is not finite or below 0: the flow falls to 0"):
+            for value in _HOSTILE:
+                self._stop(f"command {value:g}", {_COMMAND: value})
+        self._runs("again after refused commands")
+        with self._check(f"has stopped after {limits.silence:g} s without a command"):
+            self._fall_silent()
+        self._runs("again when commands come again")
+        with self._check(f"stops while {_COMMAND} has a second publisher"):
+            self._must_run()
+            with self._intruder():
+                self._stop("a second publisher came", {})
+        self._runs("again when one publisher is left")
         within = f"the flow is 0 within {limits.stop:g} s, and stays so"
-        for topic, value, stops, after in (
-            ("/weather/frost", 1.0, "in frost", "the frost is over"),
-            ("/weather/frost", math.nan, "while frost is unknown, NaN", "frost is known"),
-            ("/cistern/level", math.nan, "while the cistern's level is unknown, NaN",
-             "the cistern's level is known"),
-            ("/roof/level", math.nan, "while the roof's level is unknown, NaN",
-             "the roof's level is known"),
-        ):
-            checks[f"stops {stops}: {within}"] = partial(self._stops_for, topic, value)
-            checks[f"runs again when {after}"] = self._run_steadily
-        checks[f"stops when the cistern falls to the suction level: {within}"] = self._runs_dry
-        checks["runs again when the cistern has filled again"] = self._run_steadily
-        checks["stops at command 0"] = self._stops
-        return checks
+        for topic, value, when, after in _STOPS:
+            with self._check(f"stops {when}: {within}"):
+                self._must_run()
+                self._stop(f"{value:g} on {topic}", {topic: value})
+            if topic == "/roof/level":  # has dried meanwhile: there is room again
+                self._volumes[1] = self._empty_roof
+            self._runs(f"again when {after}")
+        with self._check(f"stops when the cistern falls to the suction level: {within}"):
+            self._must_run()
+            self._least_above_suction = _DRY
+            dry = (site.suction_level + _DRY) * site.a1
+            while self._volumes[0] > dry and self._flowing(self._answer({})):
+                pass  # a driver may stop earlier
+            above = max(0.0, self._volumes[0] / site.a1 - site.suction_level)
+            self._stop("the cistern fell to the suction level", {})
+            self._came += f", {above:.3f} m above the suction level"
+        self._volumes[0] = (site.suction_level + _REFILLED) * site.a1
+        self._runs("again when the cistern has filled again")
+        with self._check("stops at command 0"):
+            self._stop("command 0", {_COMMAND: 0.0})
+        with self._check("answers each command with exactly one flow"):
+            self._spin(0.5)
+            self._hold_to_one(0)
+            if self._lockstep_problem:
+                raise _ProblemError(self._lockstep_problem)
+
+    @contextmanager
+    def _check(self, title: str) -> Iterator[None]:
+        """Note what a check finds."""
+        self._trying = f"check {len(self._findings) + 1} of {_CHECKS}: {title}"
+        problem, self._came = "", ""
+        try:
+            yield
+        except _ProblemError as error:
+            problem = str(error)
+        self._findings.append(Finding(title, problem, self._came))
 
     # --- the graph ------------------------------------------------------------------------------
 
@@ -200,7 +235,7 @@ class PumpCheck:
     def _wait_for_driver(self) -> None:
         """Wait until the driver has both its topics, and nobody else is there."""
         until = time.monotonic() + self._limits.arrival
-        flow, command = self._name("/pump/flow"), self._name("/pump/command")
+        flow, command = self._name("/pump/flow"), self._name(_COMMAND)
         while True:
             publishers = self._ends(self._node.get_publishers_info_by_topic(flow))
             subscriptions = self._ends(self._node.get_subscriptions_info_by_topic(command))
@@ -232,25 +267,21 @@ class PumpCheck:
 
     def _unfit(self) -> str:
         """Return what the ends of its topics lack."""
-        found = []
-        topic = self._interface["/pump/flow"]
-        for info in self._ends(self._node.get_publishers_info_by_topic(self._name(topic.name))):
-            lacking = lacks(info.qos_profile, topic.qos)
-            if lacking:
-                found.append(
-                    f"its publisher of {topic.name} {' and '.join(lacking)}; it must be "
-                    f"{requirements(topic.qos)}"
-                )
-        topic = self._interface["/pump/command"]
-        required = replace(topic.qos, lease_s=math.inf)
-        for info in self._ends(self._node.get_subscriptions_info_by_topic(self._name(topic.name))):
-            lacking = lacks(info.qos_profile, required)
-            if lacking:
-                found.append(
-                    f"its subscription to {topic.name} {' and '.join(lacking)}; it must be "
-                    f"{requirements(required)}"
-                )
-        return "; ".join(found)
+        flow, command = self._interface["/pump/flow"], self._interface[_COMMAND]
+        publishers = self._node.get_publishers_info_by_topic(self._name(flow.name))
+        subscriptions = self._node.get_subscriptions_info_by_topic(self._name(command.name))
+        return "; ".join(
+            f"its {what} {' and '.join(lacking)}; it must be {requirements(qos)}"
+            for what, infos, qos in (
+                (f"publisher of {flow.name}", publishers, flow.qos),
+                (
+                    f"subscription to {command.name}", subscriptions,
+                    replace(command.qos, lease_s=math.inf),
+                ),
+            )
+            for info in self._ends(infos)
+            if (lacking := lacks(info.qos_profile, qos))
+        )
 
     def _join(self) -> None:
         """Open the topics, and listen until the driver has found them."""
@@ -266,7 +297,7 @@ class PumpCheck:
             publisher = self._node.create_publisher(
                 message_class(topic.type), topic.graph_name, qos_profile(topic.qos)
             )
-            self._publish[name] = _publish(publisher, encoder(topic.type))
+            self._publishers[name] = publisher, encoder(topic.type)
         self._spin(_DISCOVERY_S)
 
     def _on_flow(self, message: Float64) -> None:
@@ -283,25 +314,34 @@ class PumpCheck:
 
     # --- ticks ----------------------------------------------------------------------------------
 
-    def _answer(self, command: float) -> float:
-        """Publish a tick with a command, and return the flow that answers it (m3/s)."""
+    def _answer(self, said: Mapping[str, float]) -> float:
+        """Publish a tick, and return the flow that answers its command (m3/s).
+
+        Args:
+            said: instead of the truth and the usual command, by topic.
+        """
+        if self._hindered:
+            raise _ProblemError(self._hindered)
         began, tau = time.monotonic(), self._site.tau
         cistern, roof = self._volumes
-        truth = {
+        told: dict[str, float] = {
             "/clock": _EPOCH_NS + round(self._ticks * tau * 1e9),
             "/cistern/level": cistern / self._site.a1,
             "/roof/level": roof / self._site.a2,
             "/weather/frost": 0.0,
-            "/pump/command": command,
+            _COMMAND: self._limits.command,
+            **said,
         }
-        for topic, value in (truth | self._said_instead).items():
-            self._publish[topic](value)
+        for topic, value in told.items():
+            publisher, encode = self._publishers[topic]
+            publisher.publish(encode(value))
         self._ticks += 1
         while not self._flows:
             left = began + self._limits.answer - time.monotonic()
             if left < 0:
-                raise _SilentError(
-                    f"no flow within {self._limits.answer:g} s of command {command:g}, the "
+                self._hindered = "not tried: the driver does not answer"
+                raise _ProblemError(
+                    f"no flow within {self._limits.answer:g} s of command {told[_COMMAND]:g}, the "
                     f"{self._ticks}th{self._said()}"
                 )
             self._executor.spin_once(timeout_sec=left)
@@ -330,34 +370,30 @@ class PumpCheck:
     def _flowing(self, flow: float) -> bool:
         return flow > _NONE * self._steady
 
-    def _until_zero(self, command: float, reason: str) -> str:
-        """Repeat a command until the flow is 0, and return how long that took, in words.
+    def _stop(self, reason: str, said: Mapping[str, float]) -> None:
+        """Repeat a tick until the flow is 0, and some times more; note how long that took.
 
         Raises:
-            _ProblemError: it is not within the limit.
+            _ProblemError: it is not within the limit, or does not stay so.
         """
         began = time.monotonic()
-        until = began + self._limits.stop
-        before = flow = self._answer(command)
+        before = flow = self._answer(said)
         while self._flowing(flow):
-            if time.monotonic() > until:
+            if time.monotonic() > began + self._limits.stop:
                 raise _ProblemError(
                     f"the flow is {flow:.3g} m3/s {self._limits.stop:g} s after {reason} "
                     f"(first answer: {before:.3g}){self._said()}"
                 )
-            flow = self._answer(command)
-        return f"no flow after {time.monotonic() - began:.1f} s"
-
-    def _stay_at_zero(self, command: float, reason: str) -> None:
-        """Repeat a command some times, at which the flow must be 0."""
+            flow = self._answer(said)
+        self._came = self._came or f"no flow after {time.monotonic() - began:.1f} s"
         for _ in range(_STEADY_TICKS):
-            flow = self._answer(command)
+            flow = self._answer(said)
             if self._flowing(flow):
                 raise _ProblemError(f"a flow of {flow:g} m3/s answers {reason}")
 
     def _must_run(self) -> None:
         """See to it that a stop is not found in a pump that stood before."""
-        if self._answer(self._limits.command) < _AT_REST * self._steady:
+        if self._answer({}) < _AT_REST * self._steady:
             raise _ProblemError(_NOT_RUNNING)
 
     def _steady_flow(self, command: float) -> float:
@@ -369,7 +405,7 @@ class PumpCheck:
         until = time.monotonic() + self._limits.start
         flows: list[float] = []
         while True:
-            flows = [*flows[-_STEADY_TICKS:], self._answer(command)]
+            flows = [*flows[-_STEADY_TICKS:], self._answer({_COMMAND: command})]
             least, most = min(flows), max(flows)
             if len(flows) > _STEADY_TICKS and least > 0 and most - least <= _STEADY * most:
                 self._steady = flows[-1]
@@ -381,49 +417,19 @@ class PumpCheck:
                     f"{self._said()}"
                 )
 
-    # --- checks ---------------------------------------------------------------------------------
+    def _runs(self, when: str) -> None:
+        with self._check(f"runs {when}"):
+            began = time.monotonic()
+            flow = self._steady_flow(self._limits.command)
+            self._came = f"{flow:.3g} m3/s, steady after {time.monotonic() - began:.1f} s"
 
-    def _off_at_start(self) -> str:
-        if self._flows:
-            raise _ProblemError(f"a flow of {self._flows[0]:g} m3/s came before any command")
-        for _ in range(_STEADY_TICKS):
-            flow = self._answer(0.0)
-            if flow > 0:
-                raise _ProblemError(f"a flow of {flow:g} m3/s answers command 0")
-        return ""
-
-    def _runs(self) -> str:
-        return self._run_steadily()
-
-    def _run_steadily(self) -> str:
-        began = time.monotonic()
-        flow = self._steady_flow(self._limits.command)
-        return f"{flow:.3g} m3/s, steady after {time.monotonic() - began:.1f} s"
-
-    def _clamps(self) -> str:
-        most = self._steady_flow(1.0)
-        beyond = self._steady_flow(3.0)
-        if beyond > (1 + _NOISE) * most:
-            raise _ProblemError(
-                f"the flow is {beyond:.3g} m3/s at command 3, and {most:.3g} at command 1"
-            )
-        return f"{beyond:.3g} m3/s at command 3, {most:.3g} at command 1"
-
-    def _refuses(self) -> str:
-        came = ""
-        for value in _HOSTILE:
-            stopped = self._until_zero(value, f"command {value:g}")
-            came = came or stopped
-            self._stay_at_zero(value, f"command {value:g}")
-        return came
-
-    def _watchdog(self) -> str:
-        """Fall silent; the first flow after it tells whether the pump had stopped meanwhile."""
+    def _fall_silent(self) -> None:
+        """Say nothing; the first flow after it tells whether the pump had stopped meanwhile."""
         before = self._steady_flow(self._limits.command)
         self._spin(self._limits.silence)
         self._hold_to_one(0)
         state = self._state
-        after = self._answer(self._limits.command)
+        after = self._answer({})
         if after > _AT_REST * before:
             raise _ProblemError(
                 f"the flow is {after:.3g} m3/s at the first command after {self._limits.silence:g} "
@@ -431,72 +437,19 @@ class PumpCheck:
             )
         if state.startswith(("starting", "running")):
             raise _ProblemError(f"/pump/state says {state!r} at the end of the silence")
-        return f"{after:.3g} m3/s at the first command after it, {before:.3g} before"
+        self._came = f"{after:.3g} m3/s at the first command after it, {before:.3g} before"
 
-    def _second_publisher(self) -> str:
-        self._must_run()
-        with _intruder(self._node, self._executor):
-            try:
-                return self._until_zero(self._limits.command, "a second publisher came")
-            finally:
-                self._hold_to_one(0)
-
-    def _stops_for(self, topic: str, value: float) -> str:
-        """Say something for which the pump must stop, while the command goes on."""
-        self._must_run()
-        self._said_instead = {topic: value}
-        reason = f"{value:g} on {topic}"
+    @contextmanager
+    def _intruder(self) -> Iterator[None]:
+        """Have another node with a publisher of the command, which says nothing."""
+        topic = self._interface[_COMMAND]
+        other = Node("check_pump_intruder", namespace=self._node.get_namespace())
+        other.create_publisher(message_class(topic.type), topic.graph_name, qos_profile(topic.qos))
         try:
-            came = self._until_zero(self._limits.command, reason)
-            self._stay_at_zero(self._limits.command, reason)
+            yield
         finally:
-            self._said_instead = {}
-            if topic == "/roof/level":  # has dried meanwhile: there is room again
-                self._volumes[1] = self._empty_roof
-        return came
-
-    def _runs_dry(self) -> str:
-        """Pump the cistern empty; a driver may stop earlier."""
-        self._must_run()
-        site, command = self._site, self._limits.command
-        self._least_above_suction = _DRY
-        dry = (site.suction_level + _DRY) * site.a1
-        while self._volumes[0] > dry and self._flowing(self._answer(command)):
-            pass
-        above = max(0.0, self._volumes[0] / site.a1 - site.suction_level)
-        reason = "the cistern fell to the suction level"
-        try:
-            came = self._until_zero(command, reason)
-            self._stay_at_zero(command, reason)
-        finally:
-            self._volumes[0] = (site.suction_level + _REFILLED) * site.a1
-        return f"{came}, {above:.3f} m above the suction level"
-
-    def _stops(self) -> str:
-        return self._until_zero(0.0, "command 0")
-
-    def _lockstep(self) -> str:
-        self._spin(0.5)
-        self._hold_to_one(0)
-        return self._lockstep_problem
-
-
-def _publish(publisher: Any, encode: Callable[[Any], bytes]) -> Callable[[Any], None]:
-    return lambda value: publisher.publish(encode(value))
-
-
-@contextmanager
-def _intruder(node: Node, executor: Any) -> Iterator[None]:
-    """Have another node with a publisher of the command, which says nothing."""
-    topic = read_topics()["/pump/command"]
-    other = Node("check_pump_intruder", namespace=node.get_namespace())
-    executor.add_node(other)
-    other.create_publisher(message_class(topic.type), topic.graph_name, qos_profile(topic.qos))
-    try:
-        yield
-    finally:
-        executor.remove_node(other)
-        other.destroy_node()
+            other.destroy_node()
+            self._hold_to_one(0)
 
 
 def check_pump(driver: str, site: Site, limits: Limits) -> list[Finding]:

@@ -8,136 +8,11 @@ is decided against the driver: the stricter reading stands here.
 from __future__ import annotations
 
 import enum
-from abc import ABC, abstractmethod
-from collections.abc import Mapping, MutableMapping
-from dataclasses import dataclass
+from collections.abc import Mapping
 from typing import ClassVar
 
 from greenroof_ros.common.errors import ConfigurationError
-
-
-class Motion(enum.Enum):
-    """What the drive does with its motor."""
-
-    FOLLOW = "ramps to its reference"
-    HOLD = "keeps its speed"
-    RAMP_DOWN = "ramps to rest"
-    COAST = "lets it coast"
-
-
-@dataclass(frozen=True)
-class Seen:
-    """What a status word tells besides the state machine."""
-
-    moving: bool
-    """the motor turns"""
-    at_speed: bool
-    """at the reference"""
-    warning: bool
-
-
-class ControlProfile(ABC):
-    """A state machine.
-
-    Attributes:
-        raw: the registers that a client may write, by name; those of the timeout are called
-            timeout_time and timeout_action.
-        fault: code, or bits, of what has tripped the drive; 0 if nothing has.
-        fault_stands: whether its cause does, so that it cannot be reset.
-        local: whether somebody has taken the drive over at its panel.
-        loss: code, or bits, of the fault after the communication timeout of this interface.
-        lost: whether the bus was silent for longer than the drive's timeout.
-        runs_locally: whether, left to its own settings, the drive runs.
-    """
-
-    EXTRA: ClassVar[Mapping[str, tuple[int, int]]] = {}
-    """registers of the drive that no driver needs: address on the wire, value as delivered"""
-    DELIVERED: ClassVar[Mapping[str, int]] = {}
-    """timeout_time and timeout_action as delivered (raw)"""
-    RUNS_AS_DELIVERED: ClassVar[bool] = False
-    """whether the drive as delivered runs while no bus controls it"""
-    STOPS: ClassVar[int] = 0
-    """timeout_action that trips; nothing where there is no choice"""
-    LOSS: ClassVar[Mapping[str, int]] = {}
-    """code, or bits, of the fault after the communication timeout of each interface"""
-    UNGUARDED_S: ClassVar[float] = 0.0
-    """after power-up the timeout does not count for so long (s)"""
-
-    def __init__(self, raw: MutableMapping[str, int], interface: str) -> None:
-        self.raw = raw
-        self.loss = self.LOSS.get(interface, 0)
-        self.fault = self.last_fault = 0
-        self.fault_stands = False
-        self.local = False
-        self.lost = self.runs_locally = False
-        self.take_over_settings()
-        self.power_up()
-
-    @abstractmethod
-    def power_up(self) -> None:
-        """Begin anew; what is in the registers stays."""
-
-    @abstractmethod
-    def control(self, word: int) -> None:
-        """Take in a control word."""
-
-    @abstractmethod
-    def status(self, seen: Seen) -> int:
-        """Return the status word."""
-
-    @property
-    @abstractmethod
-    def motion(self) -> Motion:
-        """What the drive does with its motor."""
-
-    @abstractmethod
-    def communication_lost(self) -> None:
-        """Do what the drive is set to do after its timeout."""
-
-    def wrote(self, name: str) -> bool:
-        """Take in that a register was written; tell whether that starts the timeout anew."""
-        if name == "control":
-            self.control(self.raw["control"])
-        elif name in ("timeout_time", "timeout_action"):
-            self.take_over_settings()
-        return True
-
-    def read(self) -> bool:
-        """Tell whether being read starts the timeout anew."""
-        return False
-
-    def standstill(self) -> None:  # noqa: B027 - some wait for nothing
-        """Take in that the motor has come to rest; called again and again."""
-
-    def trip(self, fault: int) -> None:
-        """Trip, or forget the fault if it is 0."""
-        self.fault = fault
-        self.last_fault = fault or self.last_fault
-
-    @property
-    def fault_register(self) -> int:
-        """What the register of faults holds."""
-        return self.fault
-
-    @property
-    def share(self) -> float | None:
-        """A speed that is not the reference's (share of rated); None: it is."""
-        return None
-
-    @property
-    def guard(self) -> tuple[int, int]:
-        """Time and action of the timeout that are in force (raw)."""
-        return self._in_force
-
-    def take_over_settings(self) -> None:
-        """Let the settings of the timeout be in force."""
-        self._in_force = self.raw["timeout_time"], self.raw.get("timeout_action", 0)
-
-    def _reset(self, rising: int, bit: int) -> bool:
-        if not rising & bit or not self.fault or self.fault_stands:
-            return False
-        self.trip(0)
-        return True
+from greenroof_ros.simulators.simulated_drive import Motion, SimulatedDrive
 
 
 class _Abb(enum.Enum):
@@ -151,138 +26,132 @@ class _Abb(enum.Enum):
     OFF3 = "OFF3 active"
 
 
-class AbbDrives(ControlProfile):
+class AbbDrives(SimulatedDrive):
     """ABB Drives profile: ACS880 firmware manual 3AUA0000085967, embedded fieldbus interface.
 
     Control Word, Status Word and State transition diagram, pages 617 to 620. After OFF1 the diagram
-    asks for rest before the drive can be switched on again.
+    asks for rest before the drive can be switched on again. Bits 0 to 2 of the control word are
+    OFF1 to OFF3, active low; 3 run; 4 to 6 ramp; 7 reset; 10 remote.
     """
 
-    # 58.06 Communication control, 58.15 Communication loss mode (2: only CW, Ref1 and Ref2 count)
-    EXTRA: ClassVar = {"refresh": (5805, 0), "loss_mode": (5814, 2)}
-    # 58.14 No action, 58.16 3.0 s
-    DELIVERED: ClassVar = {"timeout_action": 0, "timeout_time": 30}
-    STOPS: ClassVar = 1
+    DELIVERED = (30, 0)  # 58.16 3.0 s, 58.14 No action
+    TRIPS = (1, 4)  # the rest is a warning at most, and the motor runs on
     LOSS: ClassVar = {"serial": 0x6681}
-    UNGUARDED_S: ClassVar = 30.0
+    UNGUARDED_S = 30.0
+    RESET = 0x0080
+    INITIAL = _Abb.INHIBITED
+    EXTRA: ClassVar = {"refresh": 5805}  # 58.06 Communication control
 
-    def power_up(self) -> None:
-        """Begin in SWITCH-ON INHIBITED; parameters of group 58 are in force as they stand."""
-        self._state = _Abb.INHIBITED
-        self._word = 0
-        self.take_over_settings()
+    def counts(self, name: str) -> bool:
+        """Count control word and reference where 58.15 is 2, else any message."""
+        mode = self.timeout.mode
+        only = mode is None or self.get(mode.register) != 1
+        return not only or name in ("control", "reference")
 
-    def read(self) -> bool:
-        """Any message counts where 58.15 is 1."""
-        return self.raw["loss_mode"] == 1
-
-    def wrote(self, name: str) -> bool:
-        """Count control word and reference; with 58.06 = 1 take over what group 58 says."""
+    def wrote(self, name: str) -> None:
+        """With 58.06 = 1, and not before, take over what group 58 says."""
         if name == "control":
-            self.control(self.raw["control"])
-        elif name == "refresh" and self.raw["refresh"] == 1:
+            self.control(self.get(name))
+        elif name == "refresh" and self.get(name) == 1:
             self.take_over_settings()
-            self.raw["refresh"] = 0
-        return name in ("control", "reference") or self.read()
+            self.put(name, 0)
 
     def control(self, word: int) -> None:
-        """Bits 0 to 2 are OFF1 to OFF3, active low; 3 run; 4 to 6 ramp; 7 reset; 10 remote."""
-        if not word & 0x0400 and (word or self.raw["reference"]):
-            word = self._word & ~0x0007 | word & 0x0007  # the rest does not get through
-        rising = word & ~self._word
-        self._word = word
-        if self._reset(rising, 0x0080):
-            self._state = _Abb.INHIBITED
-        elif not self.fault and not self.local:
-            self._step(at_rest=False)
+        """Without bit 10 nothing but bits 0 to 2 gets through."""
+        if not word & 0x0400 and (word or self.get("reference")):
+            word = self.word & ~0x0007 | word & 0x0007
+        super().control(word)
 
     def standstill(self) -> None:
         """OFF1, OFF2 and OFF3 end at rest."""
         if not self.fault and not self.local:
-            self._step(at_rest=True)
+            after = {
+                _Abb.OFF1: _Abb.NOT_READY, _Abb.OFF2: _Abb.INHIBITED, _Abb.OFF3: _Abb.INHIBITED,
+            }
+            off = self._off()
+            self.state = self._switched_on(after.get(off, off))
 
-    def _step(self, *, at_rest: bool) -> None:
-        word = self._word
+    def next_state(self) -> _Abb:
+        """Go along the diagram as far as the control word leads."""
+        return self._switched_on(self._off())
+
+    def _off(self) -> _Abb:
+        """Return the state that OFF1 to OFF3 lead to, OFF2 before OFF3 before OFF1."""
+        word, state = self.word, _Abb(self.state)
         if not word & 0x0002:
-            self._state = _Abb.OFF2
-        elif not word & 0x0004 and self._state is not _Abb.OFF2:
-            self._state = _Abb.OFF3
-        elif not word & 0x0001 and self._state in (_Abb.READY_RUN, _Abb.OPERATION):
-            self._state = _Abb.OFF1
-        if at_rest and self._state in (_Abb.OFF2, _Abb.OFF3):
-            self._state = _Abb.INHIBITED
-        if at_rest and self._state is _Abb.OFF1:
-            self._state = _Abb.NOT_READY
-        if self._state is _Abb.INHIBITED and not word & 0x0001:
-            self._state = _Abb.NOT_READY
-        if self._state is _Abb.NOT_READY and word & 0x0007 == 0x0006:
-            self._state = _Abb.READY_ON
-        if self._state is _Abb.READY_ON and word & 0x0007 == 0x0007:
-            self._state = _Abb.READY_RUN
-        if self._state in (_Abb.READY_RUN, _Abb.OPERATION):
-            self._state = _Abb.OPERATION if word & 0x0008 else _Abb.READY_RUN
+            return _Abb.OFF2
+        if not word & 0x0004 and state is not _Abb.OFF2:
+            return _Abb.OFF3
+        if not word & 0x0001 and state in (_Abb.READY_RUN, _Abb.OPERATION):
+            return _Abb.OFF1
+        return state
+
+    def _switched_on(self, state: _Abb) -> _Abb:
+        """Return the state that switching on leads to."""
+        word = self.word
+        if state is _Abb.INHIBITED and not word & 0x0001:
+            state = _Abb.NOT_READY
+        if state is _Abb.NOT_READY and word & 0x0007 == 0x0006:
+            state = _Abb.READY_ON
+        if state is _Abb.READY_ON and word & 0x0007 == 0x0007:
+            state = _Abb.READY_RUN
+        if state in (_Abb.READY_RUN, _Abb.OPERATION):
+            state = _Abb.OPERATION if word & 0x0008 else _Abb.READY_RUN
+        return state
 
     @property
     def motion(self) -> Motion:
         """In operation as bits 4 to 6 say, otherwise off."""
         if self.fault:
             return Motion.COAST
-        if self.local or self._state in (_Abb.OFF1, _Abb.OFF3):
+        if self.local or self.state in (_Abb.OFF1, _Abb.OFF3):
             return Motion.RAMP_DOWN
-        if self._state is not _Abb.OPERATION:
+        if self.state is not _Abb.OPERATION:
             return Motion.COAST
-        if self._word & 0x0050 != 0x0050:
+        if self.word & 0x0050 != 0x0050:
             return Motion.RAMP_DOWN
-        return Motion.FOLLOW if self._word & 0x0020 else Motion.HOLD
+        return Motion.FOLLOW if self.word & 0x0020 else Motion.HOLD
 
-    def status(self, seen: Seen) -> int:
+    def status(self) -> int:
         """Bits as on page 619; external run enable is wired."""
-        state, on = self._state, (_Abb.READY_RUN, _Abb.OPERATION)
-        ramps = state in (_Abb.OFF1, _Abb.OFF3) and seen.moving
+        state, on = self.state, (_Abb.READY_RUN, _Abb.OPERATION)
+        ramps = state in (_Abb.OFF1, _Abb.OFF3) and self.moving
         return _word({
             0: not self.fault and state in (_Abb.READY_ON, *on),
             1: not self.fault and state in on,
             2: not self.fault and (state is _Abb.OPERATION or ramps),
             3: self.fault, 4: state is not _Abb.OFF2, 5: state is not _Abb.OFF3,
-            6: state is _Abb.INHIBITED, 7: seen.warning,
-            8: seen.at_speed and state is _Abb.OPERATION, 9: not self.local, 12: True,
+            6: state is _Abb.INHIBITED, 7: self.warning,
+            8: self.at_speed and state is _Abb.OPERATION, 9: not self.local, 12: True,
         })
 
-    def communication_lost(self) -> None:
-        """58.14: 1 and 4 trip; the rest is a warning at most, and the motor runs on."""
-        if self.guard[1] in (1, 4):
-            self.trip(self.loss)
 
+class FcProfile(SimulatedDrive):
+    """FC profile of Danfoss: VLT AQUA Drive FC 202, design guide, "Danfoss FC Control Profile".
 
-class FcProfile(ControlProfile):
-    """FC profile of Danfoss: VLT AQUA Drive FC 202, design guide, "Danfoss FC Control Profile"."""
+    Bits 2 brake, 3 coast, 4 quick stop and 5 hold of the control word are active low; 6 starts; 7
+    resets; only with bit 10, "data valid", it is one. 8-04 after the timeout: 5 stops and trips, 2
+    stops until there is a valid word, 1 freezes the output.
+    """
 
-    # 8-04 Off, 8-03 60 s
-    DELIVERED: ClassVar = {"timeout_action": 0, "timeout_time": 600}
-    STOPS: ClassVar = 5
+    DELIVERED = (600, 0)  # 8-03 60 s, 8-04 Off
+    TRIPS = (5,)
     LOSS: ClassVar = {"serial": 1 << 4}
+    RESET = 0x0080
 
-    def power_up(self) -> None:
-        """Begin at rest, without a valid control word."""
-        self._word = 0
-
-    def wrote(self, name: str) -> bool:
-        """Only a control word with bit 10, "data valid", is one."""
-        if name == "control" and not self.raw["control"] & 0x0400:
-            return False
-        super().wrote(name)
-        return name == "control"
+    def counts(self, name: str) -> bool:
+        """Count valid control words."""
+        return name == "control" and bool(self.get(name) & 0x0400)
 
     def control(self, word: int) -> None:
-        """Bit 2 brake, 3 coast, 4 quick stop and 5 hold are active low; 6 starts; 7 resets."""
-        rising = word & ~self._word
-        self._word = word
-        self._reset(rising, 0x0080)
+        """Take in valid control words."""
+        if word & 0x0400:
+            super().control(word)
 
     @property
     def motion(self) -> Motion:
         """Coasting goes before braking, and that before the ramp."""
-        word = self._word
+        word = self.word
         if self.fault:
             return Motion.RAMP_DOWN if self.fault == self.loss else Motion.COAST
         if not word & 0x0008:
@@ -294,55 +163,42 @@ class FcProfile(ControlProfile):
             return Motion.HOLD
         return Motion.FOLLOW if word & 0x0040 else Motion.RAMP_DOWN
 
-    def status(self, seen: Seen) -> int:
+    def status(self) -> int:
         """Bits as in the table "Definition of the status bits"."""
         starts = self.motion in (Motion.FOLLOW, Motion.HOLD)
         return _word({
-            0: True, 1: not self.fault, 2: self._word & 0x0008, 3: self.fault, 7: seen.warning,
-            8: seen.at_speed, 9: not self.local, 10: True, 11: starts or seen.moving,
+            0: True, 1: not self.fault, 2: self.word & 0x0008, 3: self.fault, 7: self.warning,
+            8: self.at_speed, 9: not self.local, 10: True, 11: starts or self.moving,
         })
 
-    def communication_lost(self) -> None:
-        """8-04: 5 stops and trips, 2 stops until there is a valid word, 1 freezes the output."""
-        if self.guard[1] == 5:
-            self.trip(self.loss)
 
-
-class CimProfile(ControlProfile):
+class CimProfile(SimulatedDrive):
     """Modbus for Grundfos pumps (CIM 200, CIM 500): functional profile, sections 9.4 and 9.5.
 
-    While the bus has not taken over, or has lost control, the pump does what it is set to locally:
-    as set up for this project it stops, as delivered it runs.
+    Bit 0 of the control word asks for the bus, 1 on, 2 resets an alarm. While the bus has not taken
+    over, or has lost control, the pump does what it is set to locally: as set up for this project
+    it stops, as delivered it runs.
     """
 
-    DELIVERED: ClassVar = {"timeout_time": 0}
-    RUNS_AS_DELIVERED: ClassVar = True
+    DELIVERED = (0, 0)
+    RESET = 0x0004
+    EXTRA: ClassVar = {"control_mode": 101, "operation_mode": 102}
     _POWER_UP_MODE = 4  # constant pressure
     _CONSTANT_FREQUENCY = 1
     _OTHER_MODE = 0.6  # a speed that no set-point asked for (share of rated)
 
     def power_up(self) -> None:
         """Begin in local control."""
-        self._word = 0
-        self.raw["control_mode"] = self._POWER_UP_MODE
-
-    def read(self) -> bool:
-        """Any message counts."""
-        return True
-
-    def control(self, word: int) -> None:
-        """Bit 0 asks for the bus, 1 on, 2 resets an alarm."""
-        rising = word & ~self._word
-        self._word = word
-        self._reset(rising, 0x0004)
+        super().power_up()
+        self.put("control_mode", self._POWER_UP_MODE)
 
     @property
     def _remote(self) -> bool:
-        return bool(self._word & 0x0001) and not self.local
+        return bool(self.word & 0x0001) and not self.local
 
     @property
     def _on(self) -> bool:
-        return bool(self._word & 0x0002) if self._remote else self.runs_locally
+        return bool(self.word & 0x0002) if self._remote else self.settings.timeout_s is None
 
     @property
     def motion(self) -> Motion:
@@ -352,23 +208,21 @@ class CimProfile(ControlProfile):
         return Motion.FOLLOW if self._on else Motion.RAMP_DOWN
 
     @property
-    def share(self) -> float | None:
+    def wanted(self) -> float:
         """The set-point is a speed in one control mode alone."""
-        follows = (
-            self._remote and self.raw["control_mode"] == self._CONSTANT_FREQUENCY
-            and self.raw.get("operation_mode", 0) == 0
-        )
-        return None if follows else self._OTHER_MODE
+        modes = self.get("control_mode"), self.get("operation_mode")
+        follows = self._remote and modes == (self._CONSTANT_FREQUENCY, 0)
+        return super().wanted if follows else self._OTHER_MODE
 
-    def status(self, seen: Seen) -> int:
+    def status(self) -> int:
         """Bits as in section 9.5."""
         return _word({
-            6: seen.moving, 8: self._remote, 9: self._on, 10: self.fault, 12: self.local,
+            6: self.moving, 8: self._remote, 9: self._on, 10: self.fault, 12: self.local,
         })
 
     def communication_lost(self) -> None:
         """The pump goes back to local control; there is no alarm."""
-        self._word = 0
+        self.word = 0
 
 
 class _Cia(enum.Enum):
@@ -381,108 +235,80 @@ class _Cia(enum.Enum):
     FAULT = 0x0008
 
 
-class Cia402(ControlProfile):
+class Cia402(SimulatedDrive):
     """CiA 402 as Schneider Electric's Altivar has it: BBV51701, state chart, pages 9 to 13.
 
     The values of the states are the bits 0 to 3, 5 and 6 of ETA. LFT is the last error; a reset
-    leaves it as it is.
+    leaves it as it is. Bits of the control word: 0 switch on, 1 voltage, 2 no quick stop, 3 enable,
+    7 reset, 8 halt. SLL, ETHL: 1 freewheel, 6 ramp, 7 fast, 8 DC injection trip; 2 stops without
+    error.
     """
 
-    # SLL and ETHL freewheel stop, TTO and TTOB 10.0 s
-    DELIVERED: ClassVar = {"timeout_action": 1, "timeout_time": 100}
-    STOPS: ClassVar = 1
+    DELIVERED = (100, 1)  # TTO and TTOB 10.0 s, SLL and ETHL freewheel stop
+    TRIPS = (1, 6, 7, 8)
     LOSS: ClassVar = {"serial": 5, "tcp": 150}
-
-    def power_up(self) -> None:
-        """Begin in 'switch on disabled'."""
-        self._state = _Cia.DISABLED
-        self._word = 0
-
-    def read(self) -> bool:
-        """Any message counts."""
-        return True
+    RESET = 0x0080
+    INITIAL = _Cia.DISABLED
 
     @property
     def fault_register(self) -> int:
         """The last error, reset or not."""
         return self.last_fault
 
-    def control(self, word: int) -> None:
-        """Bits 0 switch on, 1 voltage, 2 no quick stop, 3 enable, 7 reset, 8 halt."""
-        rising = word & ~self._word
-        self._word = word
-        if self.fault:
-            if self._reset(rising, 0x0080):
-                self._state = _Cia.DISABLED
-            return
-        if self.local:
-            return
-        state = self._state
-        if not word & 0x0002:
-            state = _Cia.DISABLED  # disable voltage
-        elif not word & 0x0004:
-            if state is _Cia.ENABLED:
-                state = _Cia.QUICK_STOP
-            elif state is not _Cia.QUICK_STOP:
-                state = _Cia.DISABLED
-        elif state is _Cia.DISABLED:
-            state = _Cia.READY if word & 0x0007 == 0x0006 else state  # shutdown
-        elif state is not _Cia.QUICK_STOP:
-            state = {
-                0x0006: _Cia.READY, 0x000E: _Cia.READY, 0x0007: _Cia.SWITCHED_ON,
-                # from 'ready', enable operation switches on first
-                0x000F: _Cia.SWITCHED_ON if state is _Cia.READY else _Cia.ENABLED,
-            }[word & 0x000F]
-        self._state = state
+    def next_state(self) -> _Cia:
+        """Go along the state chart; from 'ready', enable operation switches on first."""
+        word, state = self.word, self.state
+        if not word & 0x0002:  # disable voltage
+            return _Cia.DISABLED
+        if not word & 0x0004:
+            running = state in (_Cia.ENABLED, _Cia.QUICK_STOP)
+            return _Cia.QUICK_STOP if running else _Cia.DISABLED
+        if state is _Cia.QUICK_STOP or (state is _Cia.DISABLED and word & 0x0001):
+            return state
+        if not word & 0x0001:  # shutdown
+            return _Cia.READY
+        if not word & 0x0008 or state is _Cia.READY:
+            return _Cia.SWITCHED_ON
+        return _Cia.ENABLED
 
     def standstill(self) -> None:
         """A quick stop and the reaction to a fault end at rest."""
-        if self._state is _Cia.QUICK_STOP:
-            self._state = _Cia.DISABLED
-        if self._state is _Cia.REACTION:
-            self._state = _Cia.FAULT
+        after = {_Cia.QUICK_STOP: _Cia.DISABLED, _Cia.REACTION: _Cia.FAULT}
+        self.state = after.get(self.state, self.state)
 
     def trip(self, fault: int) -> None:
         """Trip: with freewheel stop there is nothing to wait for."""
         super().trip(fault)
         if fault:
             ramps = fault == self.loss and self.guard[1] in (6, 7)
-            self._state = _Cia.REACTION if ramps else _Cia.FAULT
-        elif self._state in (_Cia.REACTION, _Cia.FAULT):
-            self._state = _Cia.DISABLED
+            self.state = _Cia.REACTION if ramps else _Cia.FAULT
 
     @property
     def motion(self) -> Motion:
         """Enabled follows the reference; 'switched on' from there is a stop on the ramp."""
-        if self._state is _Cia.ENABLED and not self.local:
-            if self.lost and self.guard[1] == 2:
-                return Motion.RAMP_DOWN
-            return Motion.RAMP_DOWN if self._word & 0x0100 else Motion.FOLLOW
-        if self._state in (_Cia.SWITCHED_ON, _Cia.QUICK_STOP, _Cia.REACTION) or (
+        if self.state is _Cia.ENABLED and not self.local:
+            stopped = self.word & 0x0100 or (self.lost and self.guard[1] == 2)
+            return Motion.RAMP_DOWN if stopped else Motion.FOLLOW
+        if self.state in (_Cia.SWITCHED_ON, _Cia.QUICK_STOP, _Cia.REACTION) or (
             self.local and not self.fault
         ):
             return Motion.RAMP_DOWN
         return Motion.COAST
 
-    def status(self, seen: Seen) -> int:
+    def status(self) -> int:
         """ETA: the state, voltage, remote, reference reached."""
-        return self._state.value | _word({
-            4: True, 7: seen.warning, 9: not self.local, 10: seen.at_speed,
+        return int(self.state.value) | _word({
+            4: True, 7: self.warning, 9: not self.local, 10: self.at_speed,
         })
 
-    def communication_lost(self) -> None:
-        """SLL, ETHL: 1 freewheel, 6 ramp, 7 fast, 8 DC injection trip; 2 stops without error."""
-        if self.guard[1] in (1, 6, 7, 8):
-            self.trip(self.loss)
 
-
-_PROFILES = {
+_PROFILES: Mapping[str, type[SimulatedDrive]] = {
     "ABB": AbbDrives, "Danfoss": FcProfile, "Grundfos": CimProfile, "Schneider Electric": Cia402,
 }
 
 
-def profile_of(make: str) -> type[ControlProfile]:
-    """Return the state machine of a make.
+def profile_of(make: str) -> type[SimulatedDrive]:
+    """Return the drive of a make.
 
     Raises:
         ConfigurationError: none is known.

@@ -7,6 +7,8 @@ for the drive. All its registers are holding registers.
 
 from __future__ import annotations
 
+import argparse
+import functools
 from collections.abc import Mapping
 from dataclasses import dataclass
 
@@ -90,12 +92,15 @@ SITE_FAULTS: Mapping[str, Fault] = {
 }
 
 
-def name_of(number: int, known: Mapping[str, Fault]) -> str:
-    """Return the name of a fault; empty where there is none of that number."""
-    return next((name for name, fault in known.items() if fault.number == number), "")
+def add_option(parser: argparse.ArgumentParser, known: Mapping[str, Fault]) -> None:
+    """Add ``--fault`` to a command."""
+    parser.add_argument(
+        "--fault", type=functools.partial(_read_fault, known=known), default=NONE,
+        metavar="KIND[=PARAMETER]", help="a fault from the start on; see below",
+    )
 
 
-def read_fault(text: str, known: Mapping[str, Fault]) -> tuple[str, int]:
+def _read_fault(text: str, known: Mapping[str, Fault]) -> tuple[str, int]:
     """Return name and parameter of a fault that ``--fault slow=300`` asks for.
 
     Raises:

@@ -1,25 +1,41 @@
-"""A drive that is not there: registers, ramp, faults and timeout as of a make's own.
+"""A drive that is not there: registers, ramp, faults and timeout, as far as all makes are alike.
 
-Time is an argument (s, of any clock); nothing here waits or speaks Modbus.
+What a make does with its control word is a subclass in `control_profiles`. Nothing here waits or
+speaks Modbus; time is what a clock says.
 """
 
 from __future__ import annotations
 
+import enum
 import math
+import time
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from typing import Any, ClassVar
 
 from pymodbus.constants import ExcCodes
 
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.drives.drive_file import DriveFile, Register
-from greenroof_ros.drives.modbus_line import encode
-from greenroof_ros.simulators.control_profiles import ControlProfile, Motion, Seen, profile_of
+from greenroof_ros.drives.modbus_line import decode, encode
+from greenroof_ros.simulators import faults
 
-_RATED_RPM = 1500.0
-_RATED_FREQUENCY = 50.0
+_RATED_RPM = 1500
+_RATED_FREQUENCY = 500
+"""0.1 Hz"""
 _AT_SPEED = 0.01
 _NOT_MOVING = 1e-9
+_STUCK_AT = 0.5
+
+
+class Motion(enum.Enum):
+    """What the drive does with its motor."""
+
+    FOLLOW = "ramps to its reference"
+    HOLD = "keeps its speed"
+    RAMP_DOWN = "ramps to rest"
+    COAST = "lets it coast"
 
 
 @dataclass(frozen=True)
@@ -42,21 +58,42 @@ class DriveSettings:
     speed: float = 1.0
 
 
-class SimulatedDrive:
+class SimulatedDrive(ABC):
     """A drive with its motor.
 
     Attributes:
         speed: of the motor (share of rated).
         flow: tells what the pump delivers at a speed (m3/s), for drives that report it.
+        say: is told what happens, for people.
+        settings: how it is made and set.
+        timeout: its communication timeout, of the interface by which it is spoken to.
+        guard: raw time and action of that timeout that are in force.
+        local: whether somebody has taken the drive over at its panel.
+        lost: whether the bus was silent for longer than the timeout.
+        fault: code, or bits, of what has tripped it; 0 if nothing has.
+        last_fault: what has tripped it last.
+        loss: that of the timeout.
+        word: the control word.
+        state: of its state machine, where it has one.
     """
 
+    DELIVERED: ClassVar[tuple[int, int]]
+    """time and action of the timeout as delivered (raw)"""
+    TRIPS: ClassVar[tuple[int, ...]] = ()
+    """actions of the timeout that trip the drive; the first is the one that is set"""
+    LOSS: ClassVar[Mapping[str, int]] = {}
+    """code, or bits, of the fault after the timeout of each interface"""
+    UNGUARDED_S: ClassVar[float] = 0.0
+    """after power-up the timeout does not count for so long (s)"""
+    RESET: ClassVar[int]
+    """bit of the control word that resets a fault when it rises"""
+    INITIAL: ClassVar[Any] = None
+    """state after power-up and after a reset"""
+    EXTRA: ClassVar[Mapping[str, int]] = {}
+    """registers of the manual that can be written, and need not be in a drive file: addresses"""
+
     def __init__(
-        self,
-        file: DriveFile,
-        settings: DriveSettings,
-        now: float,
-        flow: Callable[[float], float] = lambda speed: 0.0,
-        say: Callable[[str], None] = lambda text: None,
+        self, file: DriveFile, settings: DriveSettings, clock: Callable[[], float] = time.monotonic,
         interface: str = "serial",
     ) -> None:
         """Be a drive at rest that has been under power for long.
@@ -64,323 +101,337 @@ class SimulatedDrive:
         Args:
             file: the make.
             settings: of this one.
-            now: present time (s).
-            flow: see the attributes.
-            say: is told what happens, for people.
+            clock: tells the time (s).
             interface: by which it is spoken to, ``serial`` or ``tcp``; the timeout of the drive
                 file's other one is as delivered, and guards nothing.
 
         Raises:
-            ConfigurationError: the make cannot be simulated.
+            ConfigurationError: the drive file tells of no timeout of that interface.
         """
-        self._file, self._settings, self._say = file, settings, say
-        self.speed = 0.0
-        self.flow = flow
-        self._at = now
-        self._answers_from = now
-        self._guarded_from = -math.inf
-        self._heard: float | None = None
-        self._stuck: float | None = None
-        self._speed_stays = self._runs_on = False
-        self._absurd: int | None = None
-        profile = profile_of(file.make)
-        own = file.timeout.known.get(interface)
-        if own is None:
+        if interface not in file.timeout.known:
             raise ConfigurationError(
                 "is missing: a drive without a communication timeout cannot be simulated",
                 file=file.path, key=f"timeout.{interface}",
             )
-        self._timeout = own
-        self._roles = {own.register: "timeout_time"}
-        if own.action is not None:
-            self._roles[own.action.register] = "timeout_action"
-        if own.mode is not None:
-            self._roles[own.mode.register] = "loss_mode"
-        idle = {
-            name: profile.DELIVERED[role]
-            for one in file.timeout.known.values()
-            for name, role in (
-                (one.register, "timeout_time"),
-                *(((one.action.register, "timeout_action"),) if one.action else ()),
-            )
-            if name not in self._roles
-        }
-        self._written = {
+        self.settings, self.timeout = settings, file.timeout.known[interface]
+        self.flow: Callable[[float], float] = lambda speed: 0.0
+        self.say: Callable[[str], None] = lambda text: None
+        self.speed = 0.0
+        self.local = self.lost = False
+        self.word = 0
+        self.loss = self.LOSS.get(interface, 0)
+        self.fault = self.last_fault = 0
+        self._fault_stands = self._speed_stays = self._runs_on = False
+        self._absurd: int | None = None
+        self._file, self._clock = file, clock
+        self._at = self._answers_from = clock()
+        self._guarded_from = -math.inf
+        self._heard: float | None = None
+        self._registers = {
+            name: Register(address, address, "uint16", name, "none")
+            for name, address in self.EXTRA.items()
+        } | file.registers
+        sequences = file.sequences
+        self._commands = {"control", "reference"} | {
             step.write
-            for steps in (
-                file.sequences.ready, file.sequences.run, file.sequences.stop, file.sequences.reset
-            )
+            for steps in (sequences.ready, sequences.run, sequences.stop, sequences.reset)
             for step in steps
-        } | {"control", "reference"}
-        raw = idle | {self._roles.get(name, name): 0 for name in self._written | set(self._roles)}
-        raw |= {name: value for name, (_, value) in profile.EXTRA.items()}
-        raw |= self._settings_of(profile)
-        self.profile = profile(raw, interface)
-        self.profile.runs_locally = profile.RUNS_AS_DELIVERED and settings.timeout_s is None
-
-    def _settings_of(self, profile: type[ControlProfile]) -> Mapping[str, int]:
-        """Return the registers of the timeout as they are set."""
-        if self._settings.timeout_s is None:
-            return profile.DELIVERED
-        register = self._file.registers[self._timeout.register]
-        seconds = min(self._settings.timeout_s, register.high)
-        return {
-            "timeout_time": max(1, round(seconds / register.scale)),
-            "timeout_action": profile.STOPS,
         }
+        self._words = {
+            address: 0
+            for register in self._registers.values()
+            for address in range(register.address, register.address + register.width)
+        }
+        self._write_constants()
+        self._writable = {
+            address: name
+            for name in self._commands | self._write_timeouts() | set(self.EXTRA)
+            for address in self._addresses(name)
+        }
+        self.power_up()
+
+    def _write_constants(self) -> None:
+        """Write what can neither move nor be written."""
+        text = f"simulated {self._file.make}".encode()
+        for register in self._registers.values():
+            if register.type == "text":
+                padded = text.ljust(2 * register.width)
+                for offset in range(register.width):
+                    two = padded[2 * offset:2 * offset + 2]
+                    self._words[register.address + offset] = int.from_bytes(two, "big")
+            if register.full_scale:
+                scale = self._registers[register.full_scale]
+                rated = _RATED_FREQUENCY if "Hz" in scale.meaning else _RATED_RPM
+                self.put(register.full_scale, rated / scale.scale)
+
+    def _write_timeouts(self) -> set[str]:
+        """Set the timeouts of all interfaces; return the names of their registers."""
+        names = set()
+        for each in (*self._file.timeout.known.values(), self.timeout):
+            when, action = self.DELIVERED
+            if each is self.timeout and self.settings.timeout_s is not None:
+                register = self._registers[each.register]
+                seconds = min(self.settings.timeout_s, register.high)
+                when, action = max(1, round(seconds / register.scale)), next(iter(self.TRIPS), 0)
+            self.put(each.register, when)
+            names.add(each.register)
+            if each.action is not None:
+                names.add(each.action.register)
+                self.put(each.action.register, action)
+            if each.mode is not None:
+                names.add(each.mode.register)
+                self.put(each.mode.register, min(each.mode.stops))
+        return names
+
+    # --- what differs between the makes -----------------------------------------------------------
+
+    @property
+    @abstractmethod
+    def motion(self) -> Motion:
+        """What the drive does with its motor."""
+
+    @abstractmethod
+    def status(self) -> int:
+        """Return the status word."""
+
+    def next_state(self) -> Any:  # noqa: B027 - some have none
+        """Return the state that the control word leads to, without a fault and under the bus."""
+
+    def standstill(self) -> None:  # noqa: B027 - some wait for nothing
+        """Take in that the motor has come to rest; called again and again."""
+
+    def counts(self, name: str) -> bool:
+        """Tell whether a write starts the timeout anew, to a register, or a reading where ''."""
+        return True
+
+    def control(self, word: int) -> None:
+        """Take in a control word."""
+        rising, self.word = word & ~self.word, word
+        if rising & self.RESET and self.fault and not self._fault_stands:
+            self.trip(0)
+        elif not self.fault and not self.local:
+            self.state = self.next_state()
+
+    def trip(self, fault: int) -> None:
+        """Trip, or forget the fault if it is 0."""
+        self.fault = fault
+        self.last_fault = fault or self.last_fault
+        if not fault:
+            self.state = self.INITIAL
+
+    @property
+    def fault_register(self) -> int:
+        """What the register of faults holds."""
+        return self.fault
+
+    def wrote(self, name: str) -> None:
+        """Take in that a register was written."""
+        if name == "control":
+            self.control(self.get(name))
+        elif name not in self._commands:
+            self.take_over_settings()
+
+    def take_over_settings(self) -> None:
+        """Let the settings of the timeout be in force."""
+        action = self.timeout.action
+        self.guard = self.get(self.timeout.register), self.get(action.register) if action else 0
+
+    def communication_lost(self) -> None:
+        """Do what the drive is set to do after its timeout."""
+        if self.guard[1] in self.TRIPS:
+            self.trip(self.loss)
+
+    def power_up(self) -> None:
+        """Begin anew; what is in the registers stays."""
+        self.word, self.state = 0, self.INITIAL
+        self.take_over_settings()
+
+    @property
+    def wanted(self) -> float:
+        """The speed that it ramps to (share of rated); pumps do not turn backwards."""
+        register = self._registers["reference"]
+        return min(max(self.get("reference") * self._unit(register), 0.0), 1.0)
 
     # --- time -------------------------------------------------------------------------------------
 
-    def advance(self, now: float) -> None:
-        """Let time pass: ramps, and the communication timeout where it falls."""
+    def advance(self) -> None:
+        """Let time pass until now: ramps, and the communication timeout where it falls."""
+        now = self._clock()
         loss = self._loss_at()
         if loss <= now:
             self._move(loss)
-            self.profile.lost, self._runs_on = True, False
-            self.profile.communication_lost()
-            self._say(
+            self.lost, self._runs_on = True, False
+            self.communication_lost()
+            self.say(
                 f"communication timeout: nothing for {loss - (self._heard or 0):.3g} s; "
-                f"{self.profile.motion.value}"
+                f"{self.motion.value}"
             )
         self._move(now)
 
-    def answers(self, now: float) -> bool:
-        """Tell whether it is under power and has booted."""
-        return now >= self._answers_from
-
-    def power_cycle(self, now: float) -> None:
-        """Lose power for a moment: the motor coasts, and nothing answers until it has booted."""
-        self.advance(now)
-        self._answers_from = now + self._settings.boot_s
-        self._guarded_from = self._answers_from + self.profile.UNGUARDED_S
-        self._heard = None
-        self.profile.lost = False
-        if not self.profile.fault_stands:
-            self.profile.trip(0)
-        for name in self._written:
-            self.profile.raw[self._roles.get(name, name)] = 0
-        self.profile.power_up()
-        self._say(f"power cycle: answers again in {self._settings.boot_s:g} s")
+    @property
+    def answers(self) -> bool:
+        """Whether it is under power and has booted."""
+        return self._clock() >= self._answers_from
 
     def _loss_at(self) -> float:
         """When the timeout falls if nothing more is heard; infinity if it does not."""
-        raw, _ = self.profile.guard
-        timeout = self._timeout
-        if self._heard is None or self.profile.lost or raw == 0 or raw in timeout.off_values:
+        raw, _ = self.guard
+        if self._heard is None or self.lost or raw == 0 or raw in self.timeout.off_values:
             return math.inf
-        seconds = raw * self._file.registers[timeout.register].scale
+        seconds = raw * self._registers[self.timeout.register].scale
         return max(self._heard + seconds, self._guarded_from)
 
     def _move(self, now: float) -> None:
         """Turn the motor until a time."""
         step = max(0.0, now - self._at)
         self._at = max(now, self._at)
-        if self._stuck is not None:
-            self.speed = self._stuck
-            return
-        motion = self._motion()
+        motion = self.motion if self._at >= self._answers_from else Motion.COAST
         if self._ignores_stop:
-            self.profile.standstill()  # as far as its state machine knows
+            self.standstill()  # as far as its state machine knows
             return
         if not self._speed_stays and motion is not Motion.HOLD:
-            wanted = self._wanted() if motion is Motion.FOLLOW else 0.0
-            slow = motion is Motion.COAST
-            full = self._settings.coast_s if slow else self._settings.ramp_s
-            reach = self._settings.speed * step / full if full else math.inf
+            wanted = self.wanted if motion is Motion.FOLLOW else 0.0
+            full = self.settings.coast_s if motion is Motion.COAST else self.settings.ramp_s
+            reach = self.settings.speed * step / full if full else math.inf
             self.speed += min(max(wanted - self.speed, -reach), reach)
         if abs(self.speed) < _NOT_MOVING:
             self.speed = 0.0
-            self.profile.standstill()
-
-    def _motion(self) -> Motion:
-        return self.profile.motion if self.answers(self._at) else Motion.COAST
+            self.standstill()
 
     @property
     def _ignores_stop(self) -> bool:
         """Whether it is told to stop, and runs on while it says that it is off."""
-        told = self._motion() is not Motion.FOLLOW or not self._wanted()
-        return self._runs_on and told and self.answers(self._at)
+        told = self.motion is not Motion.FOLLOW or not self.wanted
+        return self._runs_on and told and self._at >= self._answers_from
 
-    def _wanted(self) -> float:
-        """The speed that the drive ramps to (share of rated); pumps do not turn backwards."""
-        if self.profile.share is not None:
-            return self.profile.share
-        register = self._file.registers["reference"]
-        raw = self.profile.raw["reference"]
-        signed = raw - 65536 if register.type == "int16" and raw > 32767 else raw
-        return min(max(signed * self._unit(register), 0.0), 1.0)
+    @property
+    def moving(self) -> bool:
+        """Whether the motor turns, as far as the drive says."""
+        return self.speed > 0 and not self._ignores_stop
+
+    @property
+    def at_speed(self) -> bool:
+        """Whether it has reached its reference."""
+        return self.motion is Motion.FOLLOW and abs(self.speed - self.wanted) < _AT_SPEED
+
+    @property
+    def warning(self) -> bool:
+        """Whether the timeout has passed without a trip."""
+        return self.lost and not self.fault
 
     # --- registers --------------------------------------------------------------------------------
 
-    def addresses(self) -> dict[int, bool]:
-        """Return every register there is, and whether it can be written."""
-        found = {}
-        for name, register in self._file.registers.items():
-            for address in range(register.address, register.address + register.width):
-                found[address] = name in self._written or name in self._roles
-        return found | {address: True for address, _ in self.profile.EXTRA.values()}
+    def get(self, name: str) -> int:
+        """Return what a register holds (raw)."""
+        register = self._registers[name]
+        words = [self._words[address] for address in self._addresses(name)]
+        return int(decode(words, register.type, register.word_order))
 
-    def registers(self, now: float) -> dict[int, int]:
-        """Return what every register holds."""
-        self.advance(now)
-        found = {address: self.profile.raw[name]
-                 for name, (address, _) in self.profile.EXTRA.items()}
-        for name, register in self._file.registers.items():
-            words = self._words(name, register)
-            found |= dict(enumerate(words, start=register.address))
-        return found
+    def put(self, name: str, value: float) -> None:
+        """Let a register hold something (raw)."""
+        register = self._registers[name]
+        words = encode(value, register.type, register.word_order)
+        self._words |= zip(self._addresses(name), words, strict=True)
 
-    def heard(self, now: float) -> None:
-        """Take in a request, whatever becomes of it: with some makes that is a sign of life."""
-        self.advance(now)
-        if self.profile.read():
-            self._hear(now)
+    def _addresses(self, name: str) -> range:
+        register = self._registers[name]
+        return range(register.address, register.address + register.width)
 
-    def write(self, address: int, values: list[int], now: float) -> ExcCodes | None:
-        """Take in what a client writes, a register after the other."""
-        self.advance(now)
-        names = self._names()
-        for offset, value in enumerate(values):
-            if address + offset not in names:
-                return ExcCodes.ILLEGAL_ADDRESS
-            name, place, width = names[address + offset]
-            if width == 2:  # one half of 32 bits
-                shift = 0 if place else 16
-                kept = self.profile.raw[name] & ~(0xFFFF << shift)
-                self.profile.raw[name] = kept | value << shift
-            else:
-                self.profile.raw[name] = value
-            before = self.profile.motion
-            if self.profile.wrote(name):
-                self._hear(now)
-            if self.profile.motion is not before:
-                self._say(f"{name} = 0x{value:04X}: {self.profile.motion.value}")
-        self._move(now)
-        return None
-
-    def _hear(self, now: float) -> None:
-        if self.profile.lost:
-            self._say("hears from its client again")
-        self.profile.lost = False
-        self._heard = now
-
-    def _names(self) -> dict[int, tuple[str, int, int]]:
-        """Name and half of each register that can be written, and the width of its value."""
-        found = {address: (name, 0, 1) for name, (address, _) in self.profile.EXTRA.items()}
-        for name, register in self._file.registers.items():
-            if name in self._written or name in self._roles:
-                for offset in range(register.width):
-                    low_first = register.word_order == "low first"
-                    found[register.address + offset] = (
-                        self._roles.get(name, name), offset ^ low_first, register.width
-                    )
-        return found
-
-    def _words(self, name: str, register: Register) -> list[int]:
-        """Return the words of a register of the drive file."""
-        kind, order = register.type, register.word_order
-        if kind == "text":
-            text = f"simulated {self._file.make}".ljust(2 * register.width)[:2 * register.width]
-            return [int.from_bytes(text[at:at + 2].encode("ascii"), "big")
-                    for at in range(0, len(text), 2)]
-        role = self._roles.get(name, name)
-        if role in self.profile.raw:
-            value = self.profile.raw[role]
-            return [value] if register.width == 1 else encode(value, "uint32", order)
-        if name == "status":
-            return encode(self._status(), kind, order)
-        if name == "speed":
-            if self._absurd is not None:
-                return [self._absurd & 0xFFFF] * register.width
-            return encode(self.speed / self._unit(register), kind, order)
-        if name == "flow":
-            return encode(self.flow(self.speed) / register.scale, kind, order)
-        return encode(self._constant(name, register), kind, order)
-
-    def _constant(self, name: str, register: Register) -> float:
-        """What a register holds that neither moves nor can be written."""
-        if name == self._file.faults.register:
-            return self.profile.fault_register
-        if any(each.full_scale == name for each in self._file.registers.values()):
-            hertz = "Hz" in register.meaning
-            return (10 * _RATED_FREQUENCY if hertz else _RATED_RPM) / register.scale
-        return 0.0
+    def registers(self) -> Mapping[int, int]:
+        """Return what every register holds, by address."""
+        self.advance()
+        self.put("status", self.status())
+        self.put(self._file.faults.register, self.fault_register)
+        self.put("speed", self.speed / self._unit(self._registers["speed"]))
+        if self._absurd is not None:
+            self._words |= dict.fromkeys(self._addresses("speed"), self._absurd)
+        if "flow" in self._registers:
+            self.put("flow", self.flow(self.speed) / self._registers["flow"].scale)
+        return self._words
 
     def _unit(self, register: Register) -> float:
         """The value of one count (share of rated)."""
         if not register.full_scale:
             return register.scale
-        scale = self._file.registers[register.full_scale]
-        return register.scale / (scale.scale * self._constant(register.full_scale, scale))
+        scale = self._registers[register.full_scale].scale
+        return register.scale / (scale * self.get(register.full_scale))
 
-    def _status(self) -> int:
-        follows = self.profile.motion is Motion.FOLLOW
-        return self.profile.status(Seen(
-            moving=self.speed > 0 and not self._ignores_stop,
-            at_speed=follows and abs(self.speed - self._wanted()) < _AT_SPEED,
-            warning=self.profile.lost and not self.profile.fault,
-        ))
+    def heard(self) -> None:
+        """Take in a request, whatever becomes of it: with some makes that is a sign of life."""
+        self.advance()
+        if self.counts(""):
+            self._hear()
+
+    def write(self, address: int, values: list[int]) -> ExcCodes | None:
+        """Take in what a client writes, a register after the other."""
+        self.advance()
+        addresses = range(address, address + len(values))
+        if any(at not in self._writable for at in addresses):
+            return ExcCodes.ILLEGAL_ADDRESS
+        for at, value in zip(addresses, values, strict=True):
+            self._words[at] = value
+            before, name = self.motion, self._writable[at]
+            self.wrote(name)
+            if self.counts(name):
+                self._hear()
+            if self.motion is not before:
+                self.say(f"{name} = 0x{value:04X}: {self.motion.value}")
+        self._move(self._at)
+        return None
+
+    def _hear(self) -> None:
+        if self.lost:
+            self.say("hears from its client again")
+        self.lost = False
+        self._heard = self._at
 
     # --- the workbench ----------------------------------------------------------------------------
 
-    def no_fault(self, now: float) -> None:
-        """End what was done to the drive; a trip stays until it is reset."""
-        self.advance(now)
-        self._stuck = self._absurd = None
-        self._speed_stays = self._runs_on = self.profile.fault_stands = False
-
-    def trip(self, code: int, now: float) -> None:
-        """Trip the drive; until `no_fault` it cannot be reset.
+    def inject(self, name: str, parameter: int) -> None:
+        """Let a fault of the drive stand instead of the present one; a trip stays until its reset.
 
         Args:
-            code: as its register of faults shows it; 0 for the first one of the drive file.
-            now: present time (s).
+            name: of one of `faults.DRIVE_FAULTS`; those of the wire change nothing here.
+            parameter: of it.
         """
-        self.advance(now)
-        faults = self._file.faults
-        if not code:
-            code = next(iter(faults.texts), 1)
-            code = 1 << code if faults.kind == "bits" else code
-        self.profile.fault_stands = True
-        self.profile.trip(code)
-        self._say(f"trips: {faults.text(code)}")
+        self.advance()
+        self._fault_stands = name == "drive_fault"
+        self._speed_stays = name in ("speed_stays", "stuck_running")
+        self._runs_on = name == "runs_on"
+        self._absurd = parameter if name == "absurd_value" else None
+        match name:
+            case "drive_fault":
+                codes = self._file.faults
+                first = next(iter(codes.texts), 1)
+                code = parameter or (1 << first if codes.kind == "bits" else first)
+                self.trip(code)
+                self.say(f"trips: {codes.text(code)}")
+            case "stuck_running":  # as with a welded contactor
+                self.speed = parameter * faults.SPEED_UNIT or self.speed or _STUCK_AT
+            case "power_cycle":
+                self.power_cycle()
+            case "timeout_off":  # as somebody may do it at the panel
+                if self.timeout.action is not None:
+                    self.put(self.timeout.action.register, min(self.timeout.action.runs_on))
+                else:
+                    self.put(self.timeout.register, min(self.timeout.off_values, default=0))
+                self.take_over_settings()
 
-    def hold_speed(self, now: float) -> None:
-        """Let the speed stay as it is, whatever the state."""
-        self.advance(now)
-        self._speed_stays = True
+    def power_cycle(self) -> None:
+        """Lose power for a moment: the motor coasts, and nothing answers until it has booted."""
+        self.advance()
+        self._answers_from = self._at + self.settings.boot_s
+        self._guarded_from = self._answers_from + self.UNGUARDED_S
+        self._heard = None
+        self.lost = False
+        if not self._fault_stands:
+            self.trip(0)
+        for name in self._commands:
+            self.put(name, 0)
+        self.power_up()
+        self.say(f"power cycle: answers again in {self.settings.boot_s:g} s")
 
-    def run_stuck(self, speed: float, now: float) -> None:
-        """Run on, as with a welded contactor, whatever the state.
-
-        Args:
-            speed: share of rated; 0 for the present one, or half of rated from rest.
-            now: present time (s).
-        """
-        self.advance(now)
-        self._stuck = speed or self.speed or 0.5
-        self._move(now)
-
-    def run_on(self, now: float) -> None:
-        """Run on when told to stop, and say otherwise, until the communication timeout passes."""
-        self.advance(now)
-        self._runs_on = True
-
-    def show_speed(self, raw: int) -> None:
-        """Let the register of the speed hold something else."""
-        self._absurd = raw
-
-    def disable_timeout(self, now: float) -> None:
-        """Turn the communication timeout off, as somebody may at the panel."""
-        self.advance(now)
-        timeout = self._timeout
-        if timeout.action is not None:
-            self.profile.raw["timeout_action"] = min(timeout.action.runs_on)
-        else:
-            self.profile.raw["timeout_time"] = min(timeout.off_values, default=0)
-        self.profile.take_over_settings()
-
-    def take_over(self, local: bool, now: float) -> None:
+    def take_over(self, local: bool) -> None:
         """Take the drive over at its panel, or hand it back to the bus."""
-        self.advance(now)
-        self.profile.local = local
+        self.advance()
+        self.local = local

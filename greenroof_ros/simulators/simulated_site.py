@@ -3,29 +3,26 @@
 from __future__ import annotations
 
 import asyncio
-import functools
 import random
 import time
-from collections.abc import Callable, Sequence
-from typing import NamedTuple, TextIO
-
-from pymodbus.constants import ExcCodes
+from collections.abc import Sequence
+from typing import TextIO
 
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.drives.address import Address, parse_address
-from greenroof_ros.drives.modbus_line import DriveError, encode
+from greenroof_ros.drives.modbus_line import DriveError, ModbusLine, encode
 from greenroof_ros.drives.sensor_file import TANKS, Sensor, Sensors
 from greenroof_ros.model.plant import Plant
 from greenroof_ros.model.pump_speed import flow_at
 from greenroof_ros.model.site import Site
 from greenroof_ros.simulators import faults
-from greenroof_ros.simulators.faults import SITE_FAULTS
-from greenroof_ros.simulators.faulty_server import FaultyServer, Wire, make_device, make_workbench
-from greenroof_ros.simulators.workbench import Workbench
+from greenroof_ros.simulators.bench import NO_LINE, Bench
+from greenroof_ros.simulators.server import Device, Server
 
 # How often the drive's speed is looked at within a tick, as far as there is time for it.
 _LOOKS = 20
 _LEAST_PAUSE_S = 0.02
+_DRIVE_ANSWERS_S = 1.0
 _PER_MINUTE = 60.0
 COLUMNS = (
     "time_s", "cistern_level_m", "roof_level_m", "speed", "pump_flow_m3_per_s", "pumped_m3",
@@ -33,233 +30,142 @@ COLUMNS = (
 )
 
 
-class Weather(NamedTuple):
-    """What falls and rises, tick by tick; after its last tick it stays as it is."""
-
-    precipitation: Sequence[float]
-    """m/s"""
-    evapotranspiration: Sequence[float]
-    """off the whole bed (m3/s)"""
-
-
-class SimulatedSite:
-    """Two tanks with their sensors; time is counted in ticks.
+class SiteBench(Bench):
+    """Runs two tanks on their sensors' ports and lines; time is counted in ticks.
 
     Attributes:
         plant: the tanks.
         tick: how many have passed.
         pumped: what has left the cistern through the pump (m3).
-        fault: name of the fault that stands.
     """
-
-    def __init__(self, site: Site, weather: Weather, volumes: tuple[float, float]) -> None:
-        """Begin at tick 0.
-
-        Args:
-            site: its parameters.
-            weather: of its ticks.
-            volumes: in cistern and roof at the beginning (m3).
-        """
-        self._site, self._weather = site, weather
-        self.plant = Plant(site, *volumes)
-        self.tick = 0
-        self.pumped = 0.0
-        self.fault = faults.NONE
-        self._parameter = 0
-        self._since = 0
-        self._frozen: dict[str, list[int]] = {}
-        self._random = random.Random(0)  # noqa: S311 - noise, not a secret
-
-    def inject(self, name: str, parameter: int) -> None:
-        """Let a fault stand instead of the present one.
-
-        Args:
-            name: of one of `faults.SITE_FAULTS`.
-            parameter: of it; `faults.DEFAULT` for its default.
-        """
-        known = SITE_FAULTS[name]
-        self.fault, self._since = name, self.tick
-        self._parameter = known.default if parameter == faults.DEFAULT else parameter
-        self._frozen.clear()
-
-    def flow(self, speed: float) -> float:
-        """Return what the pump takes from the cistern at a speed (m3/s); nothing when it is dry."""
-        level = self.plant.levels()[0]
-        if level < self._site.suction_level or self.fault == "closed_valve":
-            return 0.0
-        return flow_at(self._site, speed, level)
-
-    def weather(self) -> tuple[float, float]:
-        """Return rain (m/s) and evapotranspiration (m3/s) of the present tick."""
-        rain, evapotranspiration = self._weather
-        return (
-            rain[min(self.tick, len(rain) - 1)],
-            evapotranspiration[min(self.tick, len(evapotranspiration) - 1)],
-        )
-
-    def step(self, flow: float) -> float:
-        """Move on by one tick.
-
-        Args:
-            flow: out of the cistern through the pump, the mean of the tick (m3/s).
-
-        Returns:
-            What there was of it (m3/s).
-        """
-        rain, evapotranspiration = self.weather()
-        flows = self.plant.flows(rain, evapotranspiration, flow)
-        self.plant.step(rain, flows)
-        tau = self._site.tau
-        if self.fault == "burst_pipe":
-            self.plant.x2 = max(0.0, self.plant.x2 - tau * flows.pump)
-        elif self.fault == "leak":
-            self.plant.x1 = max(0.0, self.plant.x1 - tau * self._parameter * 1e-6)
-        self.pumped += tau * flows.pump
-        self.tick += 1
-        return flows.pump
-
-    def reading(self, tank: str, sensor: Sensor) -> list[int]:
-        """Return the registers of a sensor.
-
-        Args:
-            tank: ``cistern`` or ``roof``.
-            sensor: of it.
-        """
-        level = self.plant.levels()[TANKS.index(tank)]
-        asked = self.fault.removeprefix(f"{tank}_")
-        if asked == "frozen" and tank in self._frozen:
-            return self._frozen[tank]
-        if asked == "noisy":
-            level += self._random.gauss(0.0, self._parameter * faults.LEVEL_UNIT)
-        elif asked == "drifting":
-            minutes = (self.tick - self._since) * self._site.tau / _PER_MINUTE
-            level += minutes * self._parameter * faults.LEVEL_UNIT
-        words = encode((level - sensor.offset) / sensor.scale, sensor.type, sensor.word_order)
-        if asked == "absurd":
-            words = [self._parameter] * len(words)
-        self._frozen[tank] = words
-        return words
-
-
-class SiteBench:
-    """Runs a simulated site on its sensors' ports and lines."""
 
     def __init__(
         self,
-        site: SimulatedSite,
-        tau: float,
+        site: Site,
+        precipitation: Sequence[float],
+        evapotranspiration: Sequence[float],
+        volumes: tuple[float, float],
         sensors: Sensors,
-        workbench_address: Address,
-        drive: Workbench | None,
+        workbench: Address,
+        drive: Address | None,
         factor: float,
         output: TextIO | None,
-        say: Callable[[str], None],
     ) -> None:
         """Prepare it; nothing is opened yet.
 
         Args:
-            site: the site.
-            tau: duration of a tick (s of simulated time).
+            site: its parameters.
+            precipitation: of its ticks (m/s); after the last it stays as it is.
+            evapotranspiration: of its ticks, off the whole bed (m3/s); likewise.
+            volumes: in cistern and roof at the beginning (m3).
             sensors: where they are and what they speak.
-            workbench_address: TCP port of the workbench; port 0 takes a free one.
+            workbench: TCP port of the workbench; port 0 takes a free one.
             drive: workbench of the drive that turns the pump; None for a pump that never runs.
             factor: simulated per real time.
             output: where a line of CSV goes for each tick.
-            say: is told what happens, for people.
 
         Raises:
             ConfigurationError: both sensors answer to the same register.
         """
-        self.site = site
+        super().__init__(faults.SITE_FAULTS, workbench)
+        self._site = site
+        self._weather = precipitation, evapotranspiration
+        self.plant = Plant(site, *volumes)
+        self.tick, self.pumped = 0, 0.0
         self._sensors: dict[str, Sensor] = {tank: getattr(sensors, tank) for tank in TANKS}
-        self._drive, self._output, self._say = drive, output, say
-        self._tau, self._tick_s = tau, tau / factor
-        self._drive_gone = False
-        self._asked = faults.DEFAULT
-        addresses = dict.fromkeys(sensor.address for sensor in self._sensors.values())
-        self._servers = [self._make_server(address) for address in addresses]
-        self._workbench = make_workbench(workbench_address, self._read_workbench, self._put)
+        self._drive = None if drive is None else ModbusLine(
+            drive, port=0, device_id=faults.DEVICE_ID, serial=NO_LINE, timeout_s=_DRIVE_ANSWERS_S
+        )
+        self._drive_gone, self._output = False, output
+        self._tick_s = site.tau / factor
+        self._fault_since = 0
+        self._frozen: dict[str, list[int]] = {}
+        self._random = random.Random(0)  # noqa: S311 - noise, not a secret
+        places: dict[str, dict[int, list[str]]] = {}
+        for tank, sensor in self._sensors.items():
+            places.setdefault(sensor.address, {}).setdefault(sensor.device_id, []).append(tank)
+        for address, tanks in places.items():
+            devices = {device_id: self._device(each) for device_id, each in tanks.items()}
+            line = self._sensors[next(iter(tanks.values()))[0]].serial
+            self.servers.append(Server(parse_address(address), line, devices))
 
-    @property
-    def workbench_address(self) -> Address:
-        """Where the workbench is; its port is known when it has started."""
-        return self._workbench.address
-
-    def _make_server(self, address: str) -> FaultyServer:
-        """Return the server of a port or line, of the sensors that are on it."""
-        here = {tank: each for tank, each in self._sensors.items() if each.address == address}
-        # Of each device and register the tank, and which of the words of its level.
-        places = {
-            (sensor.device_id, sensor.register + offset): (tank, offset)
-            for tank, sensor in here.items() for offset in range(sensor.registers)
+    def _device(self, tanks: Sequence[str]) -> Device:
+        """Return the device that the sensors of some tanks are."""
+        ranges = {
+            tank: range(sensor.register, sensor.register + sensor.registers)
+            for tank, sensor in self._sensors.items() if tank in tanks
         }
-        if len(places) < sum(sensor.registers for sensor in here.values()):
+
+        def read() -> dict[int, int]:
+            return {
+                register: word for tank, registers in ranges.items()
+                for register, word in zip(registers, self._reading(tank), strict=True)
+            }
+
+        def hears(register: int) -> bool:
+            return not any(
+                self.fault.name == f"{tank}_silent" and register in registers
+                for tank, registers in ranges.items()
+            )
+
+        if len(read()) < sum(map(len, ranges.values())):
             raise ConfigurationError(
                 "both sensors answer to the same register: this cannot be simulated, input and "
                 "holding registers are one here",
-                key="register", value=max(sensor.register for sensor in here.values()),
+                key="register", value=max(registers[0] for registers in ranges.values()),
             )
+        return Device(read, hears=hears)
 
-        def silent(device: int, register: int) -> bool:
-            place = places.get((device, register))
-            return place is not None and self.site.fault == f"{place[0]}_silent"
+    @property
+    def place(self) -> str:
+        """Where the sensors are."""
+        return ", ".join(
+            f"{tank} sensor {sensor.address}, device {sensor.device_id}"
+            for tank, sensor in self._sensors.items()
+        )
 
-        def read(device: int) -> dict[int, int]:
-            words = {tank: self.site.reading(tank, sensor) for tank, sensor in here.items()}
-            return {
-                register: words[tank][offset]
-                for (number, register), (tank, offset) in places.items() if number == device
-            }
+    def inject(self, name: str, parameter: int) -> bool:
+        """Let a fault stand instead of the present one."""
+        self._fault_since = self.tick
+        self._frozen.clear()
+        return super().inject(name, parameter)
 
-        devices = [
-            make_device(
-                device, {register: False for number, register in places if number == device},
-                functools.partial(read, device), lambda address, values: ExcCodes.ILLEGAL_ADDRESS,
-            )
-            for device in {number for number, _ in places}
-        ]
-        line = next(iter(here.values())).serial
-        return FaultyServer(parse_address(address), line, devices, Wire(ignores=silent))
+    def _reading(self, tank: str) -> list[int]:
+        """Return the registers of a tank's sensor."""
+        sensor, level = self._sensors[tank], self.plant.levels()[TANKS.index(tank)]
+        fault, parameter = self.fault.name.removeprefix(f"{tank}_"), self.fault.parameter
+        if fault == "frozen" and tank in self._frozen:
+            return self._frozen[tank]
+        if fault == "noisy":
+            level += self._random.gauss(0.0, parameter * faults.LEVEL_UNIT)
+        elif fault == "drifting":
+            minutes = (self.tick - self._fault_since) * self._site.tau / _PER_MINUTE
+            level += minutes * parameter * faults.LEVEL_UNIT
+        words = encode((level - sensor.offset) / sensor.scale, sensor.type, sensor.word_order)
+        if fault == "absurd":
+            words = [parameter] * len(words)
+        self._frozen[tank] = words
+        return words
 
-    def inject(self, name: str, parameter: int) -> None:
-        """Let a fault stand instead of the present one; see `SimulatedSite.inject`."""
-        self.site.inject(name, parameter)
-        self._say(f"fault {name}: {SITE_FAULTS[name].meaning}")
-
-    def _read_workbench(self) -> list[int]:
-        return [0, SITE_FAULTS[self.site.fault].number, self._asked]
-
-    def _put(self, register: int, value: int) -> bool:
-        """Do what a register of the workbench stands for; tell whether it can."""
-        if register == faults.PARAMETER:
-            self._asked = value
-            return True
-        name = faults.name_of(value, SITE_FAULTS)
-        if name:
-            self.inject(name, self._asked)
-        return name != ""
-
-    async def start(self) -> None:
-        """Open all ports.
-
-        Raises:
-            ConfigurationError: one of them cannot be opened.
-        """
-        for server in (*self._servers, self._workbench):
-            await server.open()
+    # --- time -------------------------------------------------------------------------------------
 
     async def run(self, ended: asyncio.Event) -> None:
         """Let time pass until the end; after a pause of this process, catch up."""
-        began = time.monotonic()
+        if self._drive is None:
+            print(
+                "no drive is connected: the pump never runs, no water reaches the roof; with a "
+                "drive simulator that runs, add --drive-at and its workbench, such as "
+                "tcp://127.0.0.1:5021",
+                flush=True,
+            )
         if self._output is not None:
             print(*COLUMNS, sep=",", file=self._output, flush=True)
+        began = time.monotonic()
         speed = await self._speed()
         while not ended.is_set():
-            due = began + (self.site.tick + 1) * self._tick_s
+            due = began + (self.tick + 1) * self._tick_s
             flow, speed = await self._mean_flow(speed, due)
-            self._write_line(speed, self.site.step(flow))
-        for server in (*self._servers, self._workbench):
-            server.close()
+            self._step(speed, flow)
         if self._drive is not None:
             self._drive.close()
 
@@ -272,12 +178,12 @@ class SiteBench:
         """
         pause = max(self._tick_s / _LOOKS, _LEAST_PAUSE_S)
         pumped = passed = 0.0
-        flow = self.site.flow(speed)
+        flow = self._flow(speed)
         at = time.monotonic()
         while True:
             await asyncio.sleep(max(0.0, min(pause, due - at)))
             speed = await self._speed()
-            before, at, former, flow = at, time.monotonic(), flow, self.site.flow(speed)
+            before, at, former, flow = at, time.monotonic(), flow, self._flow(speed)
             pumped += (at - before) * (former + flow) / 2
             passed += at - before
             if at >= due:
@@ -285,32 +191,63 @@ class SiteBench:
 
     async def _speed(self) -> float:
         """Return the true speed of the drive (share of rated); 0 if it is gone."""
-        return await asyncio.to_thread(self._ask) if self._drive is not None else 0.0
+        return 0.0 if self._drive is None else await asyncio.to_thread(self._ask, self._drive)
 
-    def _ask(self) -> float:
-        """Ask the drive for its speed, and tell it how deep the water is."""
-        assert self._drive is not None
+    def _ask(self, drive: ModbusLine) -> float:
+        """Ask the drive's workbench for the speed, and tell it how deep the water is."""
+        depth = round(self.plant.levels()[0] / faults.LEVEL_UNIT)
         try:
-            speed = self._drive.speed()
-            self._drive.set_cistern_level(self.site.plant.levels()[0])
+            if not drive.connected:
+                drive.connect()
+            speed = drive.read(faults.SPEED, 1)[0] * faults.SPEED_UNIT
+            drive.write(faults.CISTERN_LEVEL, min(max(depth, 0), 0xFFFF))
         except DriveError as error:
+            drive.close()
             if not self._drive_gone:
-                self._say(f"{error}: the pump counts as standing")
+                self.say(f"{error}: the pump counts as standing")
             self._drive_gone = True
             return 0.0
         if self._drive_gone:
-            self._say("the drive's workbench answers again")
+            self.say("the drive's workbench answers again")
         self._drive_gone = False
         return speed
 
-    def _write_line(self, speed: float, flow: float) -> None:
-        if self._output is None:
-            return
-        site = self.site
-        cistern, roof = site.plant.levels()
-        rain, evapotranspiration = site.weather()
-        print(
-            f"{(site.tick * self._tau):.10g},{cistern:.9g},{roof:.9g},{speed:.4f},{flow:.9g},"
-            f"{site.pumped:.9g},{rain:.9g},{evapotranspiration:.9g},{site.fault}",
-            file=self._output, flush=True,
+    def _flow(self, speed: float) -> float:
+        """Return what the pump takes from the cistern at a speed (m3/s); nothing when it is dry."""
+        level = self.plant.levels()[0]
+        if level < self._site.suction_level or self.fault.name == "closed_valve":
+            return 0.0
+        return flow_at(self._site, speed, level)
+
+    def _present_weather(self) -> tuple[float, float]:
+        """Return rain (m/s) and evapotranspiration (m3/s) of the present tick."""
+        rain, evapotranspiration = (
+            series[min(self.tick, len(series) - 1)] for series in self._weather
         )
+        return rain, evapotranspiration
+
+    def _step(self, speed: float, flow: float) -> None:
+        """Move on by one tick and write it down.
+
+        Args:
+            speed: of the drive at its end (share of rated).
+            flow: out of the cistern through the pump, the mean of the tick (m3/s).
+        """
+        rain, evapotranspiration = self._present_weather()
+        plant, tau = self.plant, self._site.tau
+        flows = plant.flows(rain, evapotranspiration, flow)
+        plant.step(rain, flows)
+        if self.fault.name == "burst_pipe":
+            plant.x2 = max(0.0, plant.x2 - tau * flows.pump)
+        elif self.fault.name == "leak":
+            plant.x1 = max(0.0, plant.x1 - tau * self.fault.parameter * 1e-6)
+        self.pumped += tau * flows.pump
+        self.tick += 1
+        if self._output is not None:
+            cistern, roof = plant.levels()
+            rain, evapotranspiration = self._present_weather()
+            print(
+                f"{(self.tick * tau):.10g},{cistern:.9g},{roof:.9g},{speed:.4f},{flows.pump:.9g},"
+                f"{self.pumped:.9g},{rain:.9g},{evapotranspiration:.9g},{self.fault.name}",
+                file=self._output, flush=True,
+            )

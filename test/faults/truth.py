@@ -9,10 +9,11 @@ from collections import deque
 from collections.abc import Iterator
 from contextlib import suppress
 
+from simulators import Workbench
+
 from greenroof_ros.drives.address import Address
 from greenroof_ros.drives.modbus_line import DriveError
 from greenroof_ros.simulators.faults import DEFAULT, DRIVE_FAULTS, SITE_FAULTS
-from greenroof_ros.simulators.workbench import Workbench
 
 _PERIOD_S = 0.05
 # Six minutes, longer than the longest case.

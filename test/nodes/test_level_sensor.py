@@ -13,11 +13,10 @@ import yaml
 from graphs import environment, free_ports
 from places import CONFIG
 from ros_rig import ERROR, OK, Observer, start_node
-from simulators import PATIENCE_S
+from simulators import PATIENCE_S, Workbench
 
 from greenroof_ros.drives.address import parse_address
 from greenroof_ros.simulators.faults import SITE_FAULTS
-from greenroof_ros.simulators.workbench import Workbench
 
 
 def inject(address: str, fault: str) -> None:

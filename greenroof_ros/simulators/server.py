@@ -1,0 +1,260 @@
+"""Modbus servers for the simulators, which can be as bad as those of the real world."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import os
+import pty
+import random
+import tty
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from pymodbus import FramerType
+from pymodbus.constants import ExcCodes
+from pymodbus.pdu import ExceptionResponse, ModbusPDU
+from pymodbus.pdu.device import ModbusDeviceIdentification
+from pymodbus.server import ModbusSerialServer, ModbusTcpServer
+from pymodbus.server.requesthandler import ServerRequestHandler
+from pymodbus.simulator import DataType, SimData, SimDevice
+from pymodbus.transport import CommType
+
+from greenroof_ros.common.errors import ConfigurationError
+from greenroof_ros.drives.address import Address, Serial
+from greenroof_ros.simulators import faults
+
+_WRITES = (5, 6, 15, 16, 22, 23)
+
+
+@dataclass
+class StandingFault:
+    """The fault that stands; changed at run time.
+
+    Attributes:
+        name: of one of `faults.DRIVE_FAULTS` or `faults.SITE_FAULTS`; those of the wire are done
+            here.
+        parameter: of it.
+    """
+
+    name: str = faults.NONE
+    parameter: int = 0
+
+
+@dataclass(frozen=True)
+class Device:
+    """A device on the wire.
+
+    Attributes:
+        read: returns what all its registers hold, by address.
+        write: takes the first address and the values of a write; returns why it refuses.
+        hears: is called for each request, with its first register; tells whether it is answered.
+    """
+
+    read: Callable[[], Mapping[int, int]]
+    write: Callable[[int, list[int]], ExcCodes | None] = (
+        lambda address, values: ExcCodes.ILLEGAL_ADDRESS
+    )
+    hears: Callable[[int], bool] = lambda register: True
+
+    def on_wire(self, device_id: int) -> SimDevice:
+        """Return what pymodbus knows it as: all registers there can be, asked for when needed."""
+
+        async def action(
+            function: int, start: int, address: int, count: int, current: list[int],
+            values: list[int] | list[bool] | None,
+        ) -> ExcCodes | None:
+            if values is not None:
+                return self.write(address, [int(value) for value in values])
+            # The answer to a write repeats what was written, whatever the register then holds.
+            if function not in _WRITES:
+                held, wanted = self.read(), range(address, address + count)
+                if any(register not in held for register in wanted):
+                    return ExcCodes.ILLEGAL_ADDRESS
+                current[address:address + count] = [held[register] for register in wanted]
+            return None
+
+        everything = SimData(0, count=65536, datatype=DataType.REGISTERS)
+        return SimDevice(device_id, [everything], action=action)
+
+
+class _Connection(ServerRequestHandler):
+    """One connection of a client."""
+
+    _random = random.Random(0)  # noqa: S311 - garbage, not a secret
+
+    def __init__(self, server: Any, devices: Mapping[int, Device], fault: StandingFault) -> None:
+        super().__init__(server, None, None, None)  # type: ignore[no-untyped-call]
+        self._devices, self._fault = devices, fault
+        self._serial = self.comm_params.comm_type == CommType.SERIAL
+
+    async def handle_request(self) -> None:
+        """Hand a request to the device that it names."""
+        request, fault = self.last_pdu, self._fault
+        if request is None or fault.name == "half_open":
+            return
+        device = self._devices.get(request.dev_id)
+        refused = fault.name == "exception" or (
+            fault.name == "refused_writes" and request.function_code in _WRITES
+        )
+        if fault.name == "dropped":
+            if not self._serial:
+                self.transport.abort()  # type: ignore[attr-defined]
+        elif device is None:
+            if not self._serial:  # as a gateway; on a line another device may be meant
+                self._refuse(request, ExcCodes.GATEWAY_NO_RESPONSE)
+        elif device.hears(request.address):
+            if refused:
+                self._refuse(request, fault.parameter)
+            else:
+                await super().handle_request()  # type: ignore[no-untyped-call]
+
+    def _refuse(self, request: ModbusPDU, code: int) -> None:
+        self.pdu_send(ExceptionResponse(
+            request.function_code, code, device_id=request.dev_id,
+            transaction=request.transaction_id,
+        ))
+
+    def pdu_send(self, pdu: ModbusPDU, addr: Any = None) -> None:
+        """Send an answer, or what the fault makes of it."""
+        fault, device_id = self._fault, pdu.dev_id
+        content = bytes([pdu.function_code]) + pdu.encode()
+        match fault.name:
+            case "wrong_unit":
+                device_id = device_id % 247 + 1
+            case "wrong_function":
+                content = bytes([content[0] + 1]) + content[1:]
+            case "wrong_length":
+                content = content[:-1]
+        frame = self.framer.encode(content, device_id, pdu.transaction_id)
+        match fault.name:
+            case "silence":
+                return
+            case "garbage":
+                self._put(self._random.randbytes(fault.parameter))
+            case "slow" | "late":
+                self.loop.call_later(fault.parameter / 1000, self._put, frame)
+            case "split":
+                for number in range(len(frame)):
+                    delay = number * fault.parameter / 1000
+                    self.loop.call_later(delay, self._put, frame[number:number + 1])
+            case _:
+                self._put(frame)
+
+    def _put(self, data: bytes) -> None:
+        if self.transport is not None:
+            self.transport.write(data)  # type: ignore[attr-defined]
+
+
+class Server:
+    """Devices on a TCP port or a serial line, which can be closed and opened again.
+
+    Attributes:
+        address: where it is; its port is known when it was opened.
+    """
+
+    def __init__(
+        self,
+        address: Address,
+        line: Serial,
+        devices: Mapping[int, Device],
+        fault: StandingFault | None = None,
+        identity: tuple[str, str] | None = None,
+    ) -> None:
+        """Prepare it; nothing is opened yet.
+
+        Args:
+            address: TCP port or serial line; port 0 takes a free one.
+            line: settings of the serial line.
+            devices: that are there, by unit identifier or slave address.
+            fault: of the wire; never any if None.
+            identity: maker and product that function 43/14 names; one for all servers of a process.
+        """
+        self.address, self._line, self._devices = address, line, devices
+        self._fault = fault or StandingFault()
+        self._identity = identity
+        self._server: ModbusTcpServer | ModbusSerialServer | None = None
+
+    async def be_open(self, wanted: bool) -> None:
+        """Open or close the port, if it is not so already; a serial line stays open.
+
+        Raises:
+            ConfigurationError: the port is taken, or there is no such device.
+        """
+        if wanted and self._server is None:
+            await self._open()
+        elif not wanted and not self.address.line:
+            self.close()
+
+    async def _open(self) -> None:
+        devices = [device.on_wire(number) for number, device in self._devices.items()]
+        named = None
+        if self._identity is not None:
+            named = ModbusDeviceIdentification(  # type: ignore[no-untyped-call]
+                dict(enumerate(self._identity))
+            )
+        server: ModbusTcpServer | ModbusSerialServer
+        if self.address.line:
+            server = ModbusSerialServer(
+                devices, framer=FramerType.RTU, port=self.address.line, identity=named,
+                baudrate=self._line.baud_rate, parity=self._line.parity_letter(self.address.line),
+                stopbits=self._line.stop_bits, bytesize=8,
+            )
+        else:
+            server = ModbusTcpServer(
+                devices, address=(self.address.host, self.address.port or 0), identity=named
+            )
+        server.callback_new_connection = (  # type: ignore[method-assign]
+            lambda: _Connection(server, self._devices, self._fault)
+        )
+        if not await server.listen():
+            raise ConfigurationError(
+                "cannot be opened: the port is taken, not of this machine, or not allowed; or "
+                "there is no such serial device",
+                key="address", value=str(self.address),
+            )
+        if not self.address.line:
+            port = server.transport.sockets[0].getsockname()[1]  # type: ignore[attr-defined]
+            self.address = Address(self.address.host, port)
+        self._server = server
+
+    def close(self) -> None:
+        """Close the port and every connection."""
+        if self._server is not None:
+            for connection in list(self._server.active_connections.values()):
+                if isinstance(connection.transport, asyncio.WriteTransport):
+                    connection.transport.abort()
+            self._server.close()
+            self._server = None
+
+
+class PseudoLine:
+    """A serial line that is not there: two pseudo-terminals, joined.
+
+    Attributes:
+        ends: of the line, each the path of a device that can be opened as a serial line.
+    """
+
+    def __init__(self) -> None:
+        """Open it."""
+        pairs = [pty.openpty() for _ in range(2)]
+        for _, device in pairs:
+            tty.setraw(device)
+        # The devices stay open here, so that an end may be closed and opened again.
+        self._masters, self._devices = zip(*pairs, strict=True)
+        self.ends = tuple(os.ttyname(device) for device in self._devices)
+        for master in self._masters:
+            os.set_blocking(master, False)
+
+    def join(self) -> None:
+        """Hand on, in the running loop, what is sent at either end."""
+        loop = asyncio.get_running_loop()
+        for one, other in (self._masters, self._masters[::-1]):
+            loop.add_reader(one, self._hand_on, one, other)
+
+    @staticmethod
+    def _hand_on(one: int, other: int) -> None:
+        data = os.read(one, 4096)
+        with contextlib.suppress(BlockingIOError):  # nobody reads there: as on a line, it is lost
+            os.write(other, data)
