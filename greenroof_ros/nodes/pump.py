@@ -64,8 +64,8 @@ from greenroof_ros.pumping.input_rules import (
     roof_reach,
 )
 from greenroof_ros.pumping.ledger import Ledger, state_directory
+from greenroof_ros.pumping.limits import PumpSettings, pump_parameters
 from greenroof_ros.pumping.pump_control import Decision, Observation, PumpControl
-from greenroof_ros.pumping.settings import PumpSettings, pump_parameters
 
 _NEEDED = ("/pump/command", "/cistern/level", "/roof/level", "/weather/frost")
 _METER = "/pump/meter"
@@ -281,7 +281,7 @@ class PumpNode(Lifecycle, LinkedNode):
         self._without_timeout = self._drive.without_timeout
         self._resetting_until = 0.0
         self._decision = Decision(
-            None, "off", "not started", (), 0.0, "", "", stands=False, turns_at=None,
+            None, "off", "not started", {}, 0.0, "", "", stands=False, turns_at=None,
             flow_known=False, blind_for=0.0,
         )
         self._state = self._logged = ""
@@ -292,7 +292,7 @@ class PumpNode(Lifecycle, LinkedNode):
         self._idle_at = boot_time()
         self._suspended, self._suspend_seen = suspended_time(), -math.inf
         self._simulated = 0.0
-        self._stepped: float | None = None
+        self._stepped = now if self.live else 0.0
         self._decided = now
         self._tried = self._looked_at = -_AGAIN_S
         self._rules = [
@@ -315,7 +315,7 @@ class PumpNode(Lifecycle, LinkedNode):
         Lifecycle.__init__(self)
         self.create_service(SetBool, "~/stop", self._on_stop_request)
         self.create_service(Trigger, "~/reset", self._on_reset_request)
-        self._step(now, 0.0)
+        self._step(now)
 
     def _begin_with(self, ledger: Ledger) -> None:
         """Control the pump with what a ledger knows of before."""
@@ -406,7 +406,7 @@ class PumpNode(Lifecycle, LinkedNode):
 
     def deactivate(self) -> None:
         """Ramp down."""
-        self._step(time.monotonic(), 0.0)
+        self._step(time.monotonic())
 
     def clean_up(self) -> None:
         """Stop the drive, read that it stands, and let go of it.
@@ -459,7 +459,7 @@ class PumpNode(Lifecycle, LinkedNode):
     ) -> SetBool.Response:
         self._take_state()
         self._control.stop(request.data)
-        self._step(time.monotonic(), 0.0)
+        self._step(time.monotonic())
         problem = self._ledger.kept()
         response.success = not problem
         response.message = f"{self._state}; but {problem}" if problem else self._state
@@ -495,15 +495,10 @@ class PumpNode(Lifecycle, LinkedNode):
         if not self.live:
             self._commanded = boot_time()
             self._simulated += self._site.tau
-        self._step(now, self._passed(now))
+        self._step(now)
         if self.live:
             self._expect()
         self._publish_flow(self._decision.flow)
-
-    def _passed(self, now: float) -> float:
-        """Return the time since the last step (s): simulated, or that of the steady clock."""
-        before, self._stepped = self._stepped, now if self.live else self._simulated
-        return 0.0 if before is None else self._stepped - before
 
     def on_idle(self) -> float:
         """Stop where something speaks against running, whether or not commands come."""
@@ -518,7 +513,7 @@ class PumpNode(Lifecycle, LinkedNode):
         )
         if reasons != self._reasons:
             self._reasons = reasons
-            self._step(now, 0.0)
+            self._step(now)
         self._idle_at = boot_time()
         self._drive.demand(self._decision.speed)
         if self._autostart:
@@ -599,8 +594,13 @@ class PumpNode(Lifecycle, LinkedNode):
         """Return the value of an input; None where it is not good, or none has come."""
         return float(entry.value) if self.acted and entry is not None and entry.good else None
 
-    def _step(self, now: float, dt: float) -> None:
-        """Decide on what is known, and say it."""
+    def _step(self, now: float) -> None:
+        """Decide on what is known, and say it.
+
+        Args:
+            now: by the steady clock (s). In lockstep the drive has that one's time, and the site
+                the simulated one.
+        """
         status, frost = self._drive.status(now), self._value(self._frost)
         seen = Observation(
             command=self._value(self._command),
@@ -617,8 +617,9 @@ class PumpNode(Lifecycle, LinkedNode):
             reasons=self._reasons_against(now),
         )
         time_now = now if self.live else self._simulated
+        dt, self._stepped = time_now - self._stepped, time_now
         drive_dt, self._decided = now - self._decided, now
-        self._decision = decision = self._control.step(time_now, dt, seen, drive_dt)
+        self._decision = decision = self._control.step(dt, seen, drive_dt)
         self._drive.demand(decision.speed)
         state = f"{decision.state}: {decision.why}"
         if state != self._state:
@@ -641,7 +642,7 @@ class PumpNode(Lifecycle, LinkedNode):
     def _diagnose(self, now: float) -> None:
         """Say how each part is; what has numbers in it changes too often for the log."""
         decision = self._decision
-        code = decision.interlocks[0].interlock.code if decision.interlocks else ""
+        code = next(iter(decision.interlocks), "")
         level = ERROR if decision.state == "fault" else WARN if code else OK
         say = self.reports.diagnose
         say("pump", level, self._state, code, self._cause(code))
