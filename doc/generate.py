@@ -43,9 +43,8 @@ from greenroof_ros.forecast.climate import Climate
 from greenroof_ros.forecast.skill import Errors
 from greenroof_ros.model.metrics import METRICS
 from greenroof_ros.model.site import read_site, site_parameters
-from greenroof_ros.pumping.conditions import CONDITIONS
-from greenroof_ros.pumping.interlocks import INTERLOCKS
-from greenroof_ros.pumping.settings import pump_parameters
+from greenroof_ros.pumping.interlocks import CONDITIONS, INTERLOCKS
+from greenroof_ros.pumping.limits import pump_parameters
 from greenroof_ros.simulators.faults import DRIVE_FAULTS, SITE_FAULTS, Fault
 
 _BLOCK = re.compile(
@@ -327,10 +326,10 @@ def interlocks() -> str:
         ("code", "active when", "found in", "limit (parameter)", "kind"),
         (
             (
-                f"`{one.code}`", one.reason, f"`{one.source}`",
-                ", ".join(f"`{name}`" for name in one.limit.split(", ") if name), one.kind.value,
+                f"`{code}`", one.reason, f"`{one.source}`",
+                ", ".join(f"`{name}`" for name in one.limit.split(", ") if name), one.kind,
             )
-            for one in INTERLOCKS
+            for code, one in INTERLOCKS.items()
         ),
     )
 
@@ -339,7 +338,7 @@ def conditions() -> str:
     """Return each code that a status may have."""
     return markdown(
         ("code", "meaning", "what to do"),
-        ((f"`{code}`", one.meaning, one.advice) for code, one in CONDITIONS.items()),
+        ((f"`{code}`", *texts) for code, texts in CONDITIONS.items()),
     )
 
 

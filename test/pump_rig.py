@@ -13,8 +13,8 @@ from paper import PAPER_SITE
 from greenroof_ros.model.plant import Plant
 from greenroof_ros.model.site import Site
 from greenroof_ros.pumping.ledger import Ledger
+from greenroof_ros.pumping.limits import PumpSettings, settings_for
 from greenroof_ros.pumping.pump_control import Decision, Observation, PumpControl
-from greenroof_ros.pumping.settings import PumpSettings, settings_for
 
 
 class Rig:
@@ -81,7 +81,7 @@ class Rig:
             roof_level=roof + errors[1], frost=False, speed=self.speed, drive_ready=True,
         )
         decision = self.control.step(
-            self.now, self._dt, replace(seen, **self.change)  # type: ignore[arg-type]
+            self._dt, replace(seen, **self.change)  # type: ignore[arg-type]
         )
         self.decisions.append(decision)
         self.delivered += decision.flow * self.tau

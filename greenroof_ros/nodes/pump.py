@@ -55,8 +55,8 @@ from greenroof_ros.pumping.input_rules import (
     roof_reach,
 )
 from greenroof_ros.pumping.ledger import Ledger, state_directory
+from greenroof_ros.pumping.limits import PumpSettings, pump_parameters
 from greenroof_ros.pumping.pump_control import Decision, Observation, PumpControl
-from greenroof_ros.pumping.settings import PumpSettings, pump_parameters
 
 _NEEDED = ("/pump/command", "/cistern/level", "/roof/level", "/weather/frost")
 _METER = "/pump/meter"
@@ -261,7 +261,7 @@ class PumpNode(Lifecycle, LinkedNode):
         self._begin_with(Ledger(self._state_file, time.time))
         self._permit = PermitReader()
         self._decision = Decision(
-            None, "off", "not started", (), 0.0, "", "", stands=False, turns_at=None,
+            None, "off", "not started", {}, 0.0, "", "", stands=False, turns_at=None,
             flow_known=False, blind_for=0.0,
         )
         self._state = self._logged = ""
@@ -287,7 +287,7 @@ class PumpNode(Lifecycle, LinkedNode):
         Lifecycle.__init__(self)
         self.create_service(SetBool, "~/stop", self._on_stop_request)
         self.create_service(Trigger, "~/reset", self._on_reset_request)
-        self._step(self._decided, 0.0)
+        self._step(self._decided)
 
     def _checked_command_limit(self, values: dict[str, Any]) -> float:
         """Return the greatest age of a command (s).
@@ -307,8 +307,8 @@ class PumpNode(Lifecycle, LinkedNode):
     def _begin_times(self) -> None:
         """Set all that is measured from now on; none of it is on the wire."""
         self._simulated = 0.0
-        self._stepped: float | None = None
         self._decided = time.monotonic()
+        self._stepped = self._decided if self.live else 0.0
         self._resetting_until = 0.0
         self._tried = self._looked_at = -math.inf
         # Both of the clock that goes on in a suspend, as the permit's.
@@ -384,7 +384,7 @@ class PumpNode(Lifecycle, LinkedNode):
     @transition
     def on_deactivate(self) -> None:
         """Ramp down."""
-        self._step(time.monotonic(), 0.0)
+        self._step(time.monotonic())
 
     @transition
     def on_cleanup(self) -> None:
@@ -438,7 +438,7 @@ class PumpNode(Lifecycle, LinkedNode):
     ) -> SetBool.Response:
         self._take_state()
         self._control.stop(request.data)
-        self._step(time.monotonic(), 0.0)
+        self._step(time.monotonic())
         return self._kept(response, self._state)
 
     def _on_reset_request(
@@ -471,8 +471,7 @@ class PumpNode(Lifecycle, LinkedNode):
         if not self.live:
             self._commanded = boot_time()
             self._simulated += self._site.tau
-        before, self._stepped = self._stepped, now if self.live else self._simulated
-        self._step(now, 0.0 if before is None else self._stepped - before)
+        self._step(now)
         if self.live and self._cistern.good and self._roof.good:
             rises = expected_rise(
                 self._site, self._decision.flow, 0.0, self._cistern.value, self._roof.value
@@ -494,7 +493,7 @@ class PumpNode(Lifecycle, LinkedNode):
         )
         if reasons != self._reasons:
             self._reasons = reasons
-            self._step(now, 0.0)
+            self._step(now)
         self._idle_at = boot_time()
         self._drive.demand(self._decision.speed)
         if self._autostart:
@@ -559,12 +558,12 @@ class PumpNode(Lifecycle, LinkedNode):
             return f"this node itself stood still for {now - self._idle_at:.0f} s"
         return ""
 
-    def _step(self, now: float, dt: float) -> None:
+    def _step(self, now: float) -> None:
         """Decide on what is known, and say it.
 
         Args:
-            now: of the steady clock (s).
-            dt: time of the site since the last tick (s), steady or simulated; 0 between two.
+            now: by the steady clock (s). In lockstep the drive has that one's time, and the site
+                the simulated one.
         """
 
         def value(entry: Input | None) -> float | None:
@@ -586,10 +585,10 @@ class PumpNode(Lifecycle, LinkedNode):
             runs_on=status is not None and status.runs_on,
             reasons=self._reasons_against(now),
         )
+        time_now = now if self.live else self._simulated
+        dt, self._stepped = time_now - self._stepped, time_now
         drive_dt, self._decided = now - self._decided, now
-        self._decision = decision = self._control.step(
-            now if self.live else self._simulated, dt, seen, drive_dt
-        )
+        self._decision = decision = self._control.step(dt, seen, drive_dt)
         self._drive.demand(decision.speed)
         state = f"{decision.state}: {decision.why}"
         if state != self._state:
@@ -617,7 +616,7 @@ class PumpNode(Lifecycle, LinkedNode):
     def _diagnose(self, now: float) -> None:
         """Say how each part is; what has numbers in it changes too often for the log."""
         decision, say = self._decision, self.reports.diagnose
-        code = decision.interlocks[0].interlock.code if decision.interlocks else ""
+        code = next(iter(decision.interlocks), "")
         level = ERROR if decision.state == "fault" else WARN if code else OK
         say("pump", level, self._state, code, self._cause(code))
         limited = bool(decision.warning)

@@ -59,7 +59,7 @@ from typing import NamedTuple
 from greenroof_ros.model.plant import low_outlet_flow
 from greenroof_ros.model.site import Site
 from greenroof_ros.model.soil import kept_share
-from greenroof_ros.pumping.settings import PumpSettings
+from greenroof_ros.pumping.limits import PumpSettings
 
 _M_PER_S = 1e-3 / 3600
 """of a mm/h"""
@@ -116,19 +116,6 @@ class _Balance:
         return self.rise
 
 
-class _Still:
-    """Since when a level has not changed at all."""
-
-    def __init__(self) -> None:
-        self._level = math.nan
-        self.since = _Sums()
-        """the sums when it last changed"""
-
-    def see(self, level: float, sums: _Sums) -> None:
-        if level != self._level:
-            self._level, self.since = level, sums
-
-
 class DeliveryCheck:
     """Keeps the balances, step by step."""
 
@@ -138,20 +125,16 @@ class DeliveryCheck:
         self._loss = settings.greatest_loss * _M_PER_S
         self._kept_share = kept_share(site, site.x2_star)
         self._share_on_roof = settings.least_delivery * self._kept_share
-        self._displaced = 0.0  # by jumps of the cistern's reading, when it was last known (m)
-        self.restart()
-
-    def restart(self) -> None:
-        """Begin again, as after a reset."""
-        self._elapsed = self._least_pumped = self._most_pumped = 0.0
-        self._kept_on_roof = self._from_mains = self._drained = 0.0
         self._keeps = self._kept_share  # the soil, as wet as it was last known
+        self._sums = _Sums()
         self._missing, self._lost, self._kept = _Balance(), _Balance(), _Balance()
-        self._cistern_still, self._roof_still = _Still(), _Still()
+        # Of cistern and roof the newest level (m), and the sums when it last changed.
+        self._still = [(math.nan, _Sums()), (math.nan, _Sums())]
         self._mean: _Sums | None = None
         self._watched = 0.0
-        self._origin: tuple[float, float] | None = None
-        self._raised = 0.0  # by jumps of the cistern's reading (m)
+        self._displaced: tuple[float, float] | None = None  # at the first reading (m)
+        # By jumps of the cistern's reading: so far, and up (m).
+        self._jumped = self._raised = 0.0
         self._rain_on_roof = 0.0  # the most that it showed since the third balance was least (m3)
 
     @property
@@ -179,36 +162,37 @@ class DeliveryCheck:
             displacements: by how much jumps have moved the readings of cistern and roof so far (m).
         """
         site, settings = self._site, self._settings
-        self._elapsed += dt
-        self._least_pumped += least_pumped
-        self._most_pumped += most_pumped
         if roof_level is not None:
             self._keeps = kept_share(site, site.roof_volume(roof_level))
-        self._kept_on_roof += self._keeps * least_pumped
+        mains = drained = 0.0
         if site.mains_level is not None and site.mains_flow is not None and (
             cistern_level is None or cistern_level < site.mains_level + settings.level_offset
         ):
-            self._from_mains += site.mains_flow * dt
+            mains = site.mains_flow * dt
         if site.low_outlet_level is not None:
             highest = site.z_o if cistern_level is None else cistern_level + settings.level_offset
-            self._drained += low_outlet_flow(site, site.cistern_volume(highest)) * dt
+            drained = low_outlet_flow(site, site.cistern_volume(highest)) * dt
+        self._sums = self._sums.plus(_Sums(
+            dt, least_pumped, most_pumped, kept=self._keeps * least_pumped, mains=mains,
+            drained=drained,
+        ))
         if cistern_level is None or roof_level is None:
             return ""
         self._watched += dt
-        before, self._displaced = self._displaced, displacements[0]
-        self._raised = max(0.0, self._raised + displacements[0] - before)
-        self._origin = self._origin or displacements
-        cistern = cistern_level - displacements[0] + self._origin[0]
-        roof = roof_level - displacements[1] + self._origin[1]
-        present = _Sums(
-            self._elapsed, self._least_pumped, self._most_pumped,
-            min(cistern, site.z_o - settings.level_offset) * site.a1,
-            min(roof, site.z_veg + settings.level_offset) * site.a2,
-            (cistern_level - self._raised) * site.a1,
-            self._kept_on_roof, self._from_mains, self._drained,
+        if self._displaced is None:
+            self._displaced, self._jumped = displacements, displacements[0]
+        self._raised = max(0.0, self._raised + displacements[0] - self._jumped)
+        self._jumped = displacements[0]
+        cistern = cistern_level - displacements[0] + self._displaced[0]
+        roof = roof_level - displacements[1] + self._displaced[1]
+        present = self._sums._replace(
+            cistern=min(cistern, site.z_o - settings.level_offset) * site.a1,
+            roof=min(roof, site.z_veg + settings.level_offset) * site.a2,
+            overfull_cistern=(cistern_level - self._raised) * site.a1,
         )
-        self._cistern_still.see(cistern_level, present)
-        self._roof_still.see(roof_level, present)
+        for tank, level in enumerate((cistern_level, roof_level)):
+            if level != self._still[tank][0]:
+                self._still[tank] = level, present
         still = self._stands_still(present)
         if still:
             return still
@@ -267,7 +251,7 @@ class DeliveryCheck:
     def _stands_still(self, now: _Sums) -> str:
         """Return the fault of a roof, or of both tanks, that did not change while water came."""
         site = self._site
-        roof, cistern = self._roof_still.since, self._cistern_still.since
+        (_, cistern), (_, roof) = self._still
         both = roof if roof.elapsed > cistern.elapsed else cistern
         for since, area, share, stuck in (
             (roof, site.a2, self._kept_share, "the roof's sensor is stuck"),

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from typing import NamedTuple
 
 from greenroof_ros.model.plant import (
     low_outlet_flow,
@@ -30,41 +30,32 @@ _SPIKE = 4.0
 _MOST_RAIN = QUANTITIES[PRECIPITATION][2] / 1000 / 3600
 _MOST_EVAPOTRANSPIRATION = QUANTITIES[EVAPOTRANSPIRATION][2] / 1000 / 86400
 
-WAITING, SILENT, REFUSED, PUBLISHERS, PAUSED, FROZEN, JUMP, RECOVERING = (
-    "waiting", "silent", "refused", "publishers", "paused", "frozen", "jump", "recovering",
-)
+_WAITING, _RECOVERING = "input_waiting", "input_recovering"
 
 
-@dataclass(frozen=True)
-class Verdict:
+class Verdict(NamedTuple):
     """What is wrong with an input.
 
     Attributes:
-        rule: that it breaks; empty where it is good.
+        code: of the rule that it breaks, of :data:`.interlocks.CONDITIONS`; empty where it is good.
         why: what it does, for a sentence that begins with its name.
     """
 
-    rule: str = ""
+    code: str = ""
     why: str = ""
-
-    @property
-    def code(self) -> str:
-        """Of the condition: of :mod:`greenroof_ros.pumping.conditions`; empty where it is good."""
-        return f"input_{self.rule}" if self.rule else ""
 
     @property
     def good(self) -> bool:
         """Whether it may be acted on."""
-        return not self.rule
+        return not self.code
 
     @property
     def alarming(self) -> bool:
         """Whether it breaks a rule now, and is not only awaited."""
-        return self.rule not in ("", WAITING, RECOVERING)
+        return self.code not in ("", _WAITING, _RECOVERING)
 
 
-@dataclass(frozen=True)
-class Reach:
+class Reach(NamedTuple):
     """What the water in a tank can do.
 
     Attributes:
@@ -179,8 +170,8 @@ class LevelRule:
         """Take a value (m), and say whether water can have moved to it."""
         if value > self._reach.highest:
             return Verdict(
-                REFUSED, f"is {value:.4g} m, and here no level is above {self._reach.highest:g} m: "
-                "is its unit wrong?",
+                "input_refused", f"is {value:.4g} m, and here no level is above "
+                f"{self._reach.highest:g} m: is its unit wrong?",
             )
         if value != self._value:
             self._expected = 0.0
@@ -207,8 +198,8 @@ class LevelRule:
         self._old_low, self._old_high = low, high
         end = high if value > high else low
         return Verdict(
-            JUMP, f"jumped: {before:.4g} m, and {passed:.3g} s later {value:.4g} m, where water "
-            f"can be at {max(end, 0.0):.4g} m, give or take {half:g} m (jump_tolerance)",
+            "input_jump", f"jumped: {before:.4g} m, and {passed:.3g} s later {value:.4g} m, where "
+            f"water can be at {max(end, 0.0):.4g} m, give or take {half:g} m (jump_tolerance)",
         )
 
     def stands(self) -> Verdict:
@@ -216,8 +207,8 @@ class LevelRule:
         if not self._frozen:
             return Verdict()
         return Verdict(
-            FROZEN, f"is frozen: not one change while pump and rain must have moved it by more "
-            f"than {self._frozen_movement:g} m (frozen_movement)",
+            "input_frozen", "is frozen: not one change while pump and rain must have moved it by "
+            f"more than {self._frozen_movement:g} m (frozen_movement)",
         )
 
 
@@ -241,12 +232,10 @@ class InputRules:
         self._limit_name = limit_name
         self._recovery = recovery
         self.level = level
+        self._begun = now
         self._came: float | None = None
-        self._missing = Verdict(WAITING, "has not come yet")
-        self._since = now
-        self._newest = Verdict()  # of the newest value
-        self._broken = self._missing  # what it must recover from
-        self._bad = True
+        # Of the newest value, or why there is none; and what it must recover from.
+        self._newest = self._broken = Verdict(_WAITING, "has not come yet")
         self._good_since: float | None = None
 
     def came(self, now: float, value: object, refused: str = "") -> Verdict:
@@ -260,7 +249,7 @@ class InputRules:
         self.judge(now)  # it may have been silent
         self._came = now
         if refused:
-            self._newest = Verdict(REFUSED, refused)
+            self._newest = Verdict("input_refused", refused)
         elif self.level is not None and isinstance(value, float):
             self._newest = self.level.came(now, value)
         else:
@@ -269,18 +258,16 @@ class InputRules:
 
     def refuse(self, now: float, why: str) -> Verdict:
         """Refuse the newest value: who acts on it cannot."""
-        self._newest = Verdict(REFUSED, why)
+        self._newest = Verdict("input_refused", why)
         return self.judge(now)
 
     def paused(self, now: float, seconds: float) -> None:
         """Forget what came: the process itself stood still for so long (s)."""
-        if self._came is None:
-            return
-        self._came = None
-        self._missing = Verdict(
-            PAUSED, f"is unknown: this node itself stood still for {seconds:.0f} s"
-        )
-        self._since = now
+        if self._came is not None:
+            self._came = None
+            self._newest = Verdict(
+                "input_paused", f"is unknown: this node itself stood still for {seconds:.0f} s"
+            )
 
     def judge(self, now: float, publishers: str = "") -> Verdict:
         """Say whether the input may be acted on.
@@ -291,32 +278,28 @@ class InputRules:
         """
         verdict = self._present(now, publishers)
         if not verdict.good:
-            self._bad = True
-            self._broken = verdict
-            self._good_since = None
-            return verdict
-        if not self._bad:
+            self._broken, self._good_since = verdict, None
             return verdict
         if self._good_since is None:
             self._good_since = now
         if now - self._good_since < self._recovery:
             return Verdict(
-                RECOVERING, f"{self._broken.why}; now it is good, and counts after "
+                _RECOVERING, f"{self._broken.why}; now it is good, and counts after "
                 f"{self._recovery:g} s of that (recovery_time)",
             )
-        self._bad = False
         return verdict
 
     def _present(self, now: float, publishers: str) -> Verdict:
         """Return the first rule that is broken now."""
         if publishers:
-            return Verdict(PUBLISHERS, publishers)
+            return Verdict("input_publishers", publishers)
         if self._came is None:
-            if self._missing.rule == WAITING and now - self._since > _START_S:
-                return Verdict(SILENT, self._missing.why)
-            return self._missing
+            if self._newest.code == _WAITING and now - self._begun > _START_S:
+                return Verdict("input_silent", self._newest.why)
+            return self._newest
         if now - self._came > self._limit:
-            return Verdict(SILENT, f"is older than {self._limit:g} s ({self._limit_name})")
+            why = f"is older than {self._limit:g} s ({self._limit_name})"
+            return Verdict("input_silent", why)
         if self._newest.good and self.level is not None:
             return self.level.stands()
         return self._newest

@@ -30,12 +30,14 @@ from pathlib import Path
 from typing import IO, Any
 
 from greenroof_ros.common.disk import DISK, PATIENCE_S
-from greenroof_ros.pumping.settings import DAY_S
 
+DAY_S = 86_400.0
 # Length of a line (bytes): a page, a block of most disks.
 _LINE = 4096
 # So much of a text (bytes), and so many starts, have room in it, whatever is in the text.
 _TEXT, _STARTS = 350, 100
+# No pump may start more often than so in the hour that counts.
+_MOST_STARTS = 3600
 # At most so much of the use is not on the disk while the pump is on (s).
 SAVE_EVERY_S = 10.0
 # So long a service waits for the disk, well below the time after which a node that says nothing is
@@ -55,7 +57,7 @@ class Record:
         elapsed: since the ledger's first step (s).
         day_run: how long the pump was on in the present day (s).
         day_volume: what it pumped in it (m3).
-        starts: when it was last started (s, as ``elapsed``); the last hundred.
+        starts: when it was last started (s, as ``elapsed``); the file has the last hundred.
         on: whether it was on when this was written.
         written_at: by the system clock (s since 1970).
     """
@@ -155,7 +157,7 @@ class Ledger:
         """Note that the pump was started or stopped."""
         record = self.record
         if on:
-            record = replace(record, starts=(*record.starts, record.elapsed)[-_STARTS:])
+            record = replace(record, starts=(*record.starts, record.elapsed)[-_MOST_STARTS:])
         self.record = replace(record, on=on)
         self._save()
 
@@ -284,7 +286,7 @@ def _line(sequence: int, record: Record) -> bytes:
         record, held=short(record.held), unknown=short(record.unknown), fault=short(record.fault)
     )
     content = {"sequence": sequence, **asdict(record)}
-    content["starts"] = [round(one, 1) for one in record.starts]
+    content["starts"] = [round(one, 1) for one in record.starts[-_STARTS:]]
     text = json.dumps(content, ensure_ascii=False).encode()
     line = b"%08x " % zlib.crc32(text) + text
     assert len(line) < _LINE
@@ -336,38 +338,32 @@ def _read(file: Path) -> tuple[Record, int, bool]:
         The newest record; its number, 0 where the file must be made; and whether all was whole. A
         broken record is one that holds the pump.
     """
+    found, problems = [], []
     try:
         if not stat.S_ISREG(file.stat().st_mode):
             raise ValueError("it is no file")
         with file.open("rb") as stream:
             content = stream.read(2 * _LINE + 1)
+        if len(content) != 2 * _LINE:
+            raise ValueError(f"it must be {2 * _LINE} bytes long")
+        for number in range(2):
+            try:
+                found.append(_parse(content[number * _LINE : (number + 1) * _LINE], number))
+            except ValueError as error:
+                problems.append(f"line {number + 1}: {error}")
     except FileNotFoundError:
         return Record(), 0, False
     except (OSError, ValueError) as error:
-        return Record(unknown=_unknown(file, str(error))), 0, False
-    if len(content) != 2 * _LINE:
-        why = f"it must be {2 * _LINE} bytes long"
-        return Record(unknown=_unknown(file, why)), 0, False
-    found, problems = [], []
-    for number in range(2):
-        try:
-            found.append(_parse(content[number * _LINE : (number + 1) * _LINE], number))
-        except ValueError as error:
-            problems.append(f"line {number + 1}: {error}")
-    if not found:
-        return Record(unknown=_unknown(file, "; ".join(problems))), 0, False
-    sequence, record = max(found, key=lambda one: one[0])
+        problems = [str(error)]
+    # The broken line's turn is next, so that the file is whole again then.
+    sequence, record = max(found, key=lambda one: one[0], default=(0, Record()))
     if problems:
-        # The broken line's turn is next, so that the file is whole again then.
-        record = replace(record, unknown=record.unknown or _unknown(file, problems[0]))
+        unknown = (
+            f"{file} cannot be read ({'; '.join(problems)}), so whether there was a stop or a "
+            "fault is not known; look at the pump, then release it"
+        )
+        record = replace(record, unknown=record.unknown or unknown)
     return record, sequence, not problems
-
-
-def _unknown(file: Path, why: str) -> str:
-    return (
-        f"{file} cannot be read ({why}), so whether there was a stop or a fault is not known; "
-        "look at the pump, then release it"
-    )
 
 
 def _parse(line: bytes, number: int) -> tuple[int, Record]:
@@ -380,9 +376,8 @@ def _parse(line: bytes, number: int) -> tuple[int, Record]:
     if checksum != b"%08x" % zlib.crc32(text):
         raise ValueError("its checksum is wrong")
     content: dict[str, Any] = json.loads(text)
-    sequence = content.pop("sequence")
-    content = asdict(Record()) | content  # an older version knew fewer
-    names = asdict(Record()).keys()
-    if content.keys() != names or (sequence + 1) % 2 != number:
+    sequence, names = content.pop("sequence"), asdict(Record()).keys()
+    # An older version knew fewer of them.
+    if content.keys() - names or (sequence + 1) % 2 != number:
         raise ValueError(f"it must hold sequence, {', '.join(names)}")
     return sequence, Record(**content | {"starts": tuple(content["starts"])})

@@ -1,91 +1,202 @@
-"""When a pump may start, must stay on, and must not run: times, starts, a day's use, water, frost.
+"""The limits of a pump: what a user sets, whether it may run by them, and pulses below the least.
 
-All of it heals by itself.
+Whatever a limit forbids heals by itself.
 """
 
 from __future__ import annotations
 
 import math
-from collections import deque
-from collections.abc import Iterable
+from collections.abc import Callable
+from dataclasses import dataclass, field, fields, replace
+from typing import Any
 
+from greenroof_ros.common.errors import ConfigurationError
+from greenroof_ros.common.parameter import Parameter
+from greenroof_ros.model.plant import maximum_pump_flow
+from greenroof_ros.model.pump_speed import flow_at, speed_for
 from greenroof_ros.model.site import Site
-from greenroof_ros.pumping.ledger import Ledger
-from greenroof_ros.pumping.settings import DAY_S, PumpSettings
+from greenroof_ros.model.soil import kept_share, water_to_fill
+from greenroof_ros.pumping.ledger import DAY_S, Ledger
 
 _HOUR_S = 3600.0
+# Time in which a pump that runs at length makes up for what is owed (s).
+_CATCH_UP = 60.0
+_LEAST_FLOW = 0.2
+# More than the reference evapotranspiration of any climate in FAO-56, Table 2 (m/day).
+_GREATEST_EVAPOTRANSPIRATION = 0.010
+# Room for a flow that is only estimated, in what a day may need.
+_MARGIN = 1.5
 
 
-class SwitchLimits:
-    """Least times on and off, and starts in any hour.
+def _volume_per_day(site: Site) -> float:
+    """Fill an empty roof to its target and replace a day's evapotranspiration, with the margin.
 
-    How long the pump had been off before the first step is unknown, so it waits for the least time
-    off first.
+    Of a measured roof that is more: its soil keeps only a share of what is pumped.
+    """
+    evapotranspiration = _GREATEST_EVAPOTRANSPIRATION * site.crop_coefficient * site.a2
+    replaced = evapotranspiration / kept_share(site, site.x2_star)
+    return round(_MARGIN * (water_to_fill(site, site.x2_star) + replaced), 3)
+
+
+def _time_for(site: Site, volume: float) -> float:
+    """Return the time in which the least flow by default delivers a volume (m3), in s."""
+    least_flow = _LEAST_FLOW * maximum_pump_flow(site, site.cistern_volume(site.suction_level))
+    return min(DAY_S, round(volume / least_flow) + 1.0)
+
+
+def _setting(
+    default: float | Callable[[Site], float], unit: str, low: float, high: float, meaning: str
+) -> Any:
+    """Return the field of a setting; its default may follow from the site."""
+    return field(metadata={"parameter": Parameter("", default, unit, low, high, meaning)})
+
+
+@dataclass(frozen=True)
+class PumpSettings:
+    """The limits of a pump, and the thresholds of its checks.
+
+    Unit, range, default and meaning of each stand beside it; :func:`pump_parameters` lists them,
+    and :func:`settings_for` fills in what is not given.
     """
 
-    def __init__(self, settings: PumpSettings, started_ago: Iterable[float] = ()) -> None:
-        """Prepare for the first step.
+    least_speed: float = _setting(
+        0.3, "1", 0.05, 1.0,
+        "least speed of the drive, share of the rated one; its drive file's where that is larger",
+    )
+    least_flow: float = _setting(
+        _LEAST_FLOW, "1", 0.01, 1.0,
+        "least continuous flow of the pump, share of the maximum; below it there are pulses",
+    )
+    ramp: float = _setting(
+        1.0, "1/s", 0.001, 10.0,
+        "how fast the asked speed changes while the pump runs; the drive has a ramp of its own",
+    )
+    least_on: float = _setting(10.0, "s", 0.0, 3600.0, "how long the pump stays on, once it is")
+    least_off: float = _setting(10.0, "s", 0.0, 3600.0, "how long the pump stays off, once it is")
+    starts_per_hour: float = _setting(
+        lambda site: site.starts_per_hour, "1/h", 1.0, 3600.0,
+        "starts in any hour; by default the site's",
+    )
+    greatest_run: float = _setting(
+        lambda site: _time_for(site, water_to_fill(site, site.x2_star)), "s", 1.0, DAY_S,
+        "time on without a break; by default in which a fifth of the flow fills an empty roof",
+    )
+    greatest_run_per_day: float = _setting(
+        lambda site: _time_for(site, _volume_per_day(site)), "s", 1.0, DAY_S,
+        "time on in 24 h; by default in which a fifth of the flow delivers the day's volume",
+    )
+    greatest_volume_per_day: float = _setting(
+        _volume_per_day, "m3", 1e-6, 1e9,
+        "pumped in 24 h; by default 1.5 times an empty roof's filling and 10 mm for the plants",
+    )
+    suction_hysteresis: float = _setting(
+        0.02, "m", 0.0, 10.0,
+        "how far above the level of a dry-run cut the cistern must be before the pump runs again",
+    )
+    drive_ramp: float = _setting(
+        30.0, "s", 0.0, 30.0,
+        "the drive's own ramp, from rest to rated speed and back, the longer of both; no drive may "
+        "have a longer one than by default",
+    )
+    follow_tolerance: float = _setting(
+        0.1, "1", 0.01, 1.0,
+        "how far the speed may be from the asked one, or from what the ramp has reached on the way "
+        "there, share of the rated one; less than the least speed",
+    )
+    follow_time: float = _setting(
+        12.0, "s", 0.1, 600.0, "how long it may be farther, before that is a fault"
+    )
+    averaging_time: float = _setting(
+        60.0, "s", 1.0, 3600.0, "time over which the delivery check averages levels and volumes"
+    )
+    level_tolerance: float = _setting(
+        0.006, "m", 1e-4, 1.0,
+        "change of a mean level that the delivery check leaves unexplained; 13 times the noise of "
+        "the mean of readings each second with 5 mm, and above what a sensor resolves",
+    )
+    level_offset: float = _setting(
+        0.02, "m", 0.0, 1.0,
+        "how far a level sensor may be from the truth, above or below, for good; so far above the "
+        "suction level is the dry-run cut",
+    )
+    least_delivery: float = _setting(
+        0.5, "1", 0.05, 0.95,
+        "share of the pumped volume that must reach the roof; its inverse may leave the cistern",
+    )
+    greatest_loss: float = _setting(
+        1.0, "mm/h", 0.01, 1000.0,
+        "greatest evapotranspiration of an hour, and greatest drift of a level sensor",
+    )
 
-        Args:
-            settings: the limits.
-            started_ago: how long before the first step the pump was started (s), oldest first.
+    def __post_init__(self) -> None:
+        """Refuse what contradicts itself.
+
+        Raises:
+            ConfigurationError: a pump at its least speed would count as one that stands.
         """
-        self._settings = settings
-        self._switched_at: float | None = None
-        self._starts = deque(-ago for ago in started_ago)
-
-    def begin(self, now: float) -> None:
-        """Take the first step's time (s) for that of the last stop."""
-        if self._switched_at is None:
-            self._switched_at = now
-            self._starts = deque(now + start for start in self._starts)
-
-    def started(self, now: float) -> None:
-        """Count a start."""
-        self._switched_at = now
-        self._starts.append(now)
-
-    def stopped(self, now: float) -> None:
-        """Count a stop."""
-        self._switched_at = now
-
-    def since_start(self, now: float) -> float:
-        """Return the time since the last start (s)."""
-        return now - self._starts[-1] if self._starts else math.inf
-
-    def must_stay_on(self, now: float) -> bool:
-        """Whether a pump that is on has not been for the least time."""
-        return self._elapsed(now) < self._settings.least_on
-
-    def wait(self, now: float) -> tuple[float, str]:
-        """Return how long a pump that is off must wait before it starts (s), and why."""
-        while self._starts and now - self._starts[0] >= _HOUR_S:
-            self._starts.popleft()
-        waits = [
-            (self._settings.least_off - self._elapsed(now),
-             f"it stays off for at least {self._settings.least_off:g} s"),
-        ]
-        allowed = int(self._settings.starts_per_hour)
-        if len(self._starts) >= allowed:
-            again = self._starts[0] + _HOUR_S - now
-            waits.append((again, f"it starts at most {allowed} times in an hour"))
-        longest, why = max(waits)
-        return (longest, why) if longest > 0 else (0.0, "")
-
-    def _elapsed(self, now: float) -> float:
-        return math.inf if self._switched_at is None else now - self._switched_at
+        if self.follow_tolerance >= self.least_speed:
+            raise ConfigurationError(
+                f"must be less than least_speed, {self.least_speed:g}: a pump that stands would "
+                "count as one that runs, and one that is told to stop and runs on as one that "
+                "stands",
+                key="follow_tolerance", value=self.follow_tolerance,
+            )
 
 
-class SiteLimits:
-    """What must be so at the site: water above the suction level, no frost, not too much of all."""
+def pump_parameters(site: Site) -> tuple[Parameter, ...]:
+    """Return each setting as a parameter, with its default for a site."""
+    parameters = []
+    for each in fields(PumpSettings):
+        one: Parameter = each.metadata["parameter"]
+        default = one.default(site) if callable(one.default) else one.default
+        parameters.append(replace(one, name=each.name, default=default))
+    return tuple(parameters)
+
+
+def settings_for(site: Site, **given: float) -> PumpSettings:
+    """Return settings for a site: those given, and the default of every other."""
+    return PumpSettings(**{one.name: one.default for one in pump_parameters(site)} | given)
+
+
+class Limits:
+    """Least times on and off, starts in any hour, a day's use; water to pump, and no frost.
+
+    How long the pump had been off before is unknown, so it waits for the least time off first.
+    """
 
     def __init__(self, site: Site, settings: PumpSettings, ledger: Ledger) -> None:
         self._site = site
         self._settings = settings
         self._ledger = ledger
+        self._off_since = ledger.record.elapsed
         self._dry = False
         self._on_for = 0.0
         self._rests_for = 0.0
+
+    @property
+    def since_start(self) -> float:
+        """Time since the last start (s)."""
+        record = self._ledger.record
+        return record.elapsed - record.starts[-1] if record.starts else math.inf
+
+    def switch(self, on: bool) -> None:
+        """Count a start or a stop."""
+        self._ledger.switch(on)
+        if not on:
+            self._off_since = self._ledger.record.elapsed
+
+    def wait(self) -> tuple[float, str]:
+        """Return how long a pump that is off must wait before it starts (s), and why."""
+        now, starts = self._ledger.record.elapsed, self._ledger.record.starts
+        least_off, allowed = self._settings.least_off, int(self._settings.starts_per_hour)
+        waits = [
+            (0.0, ""),
+            (least_off - (now - self._off_since), f"it stays off for at least {least_off:g} s"),
+        ]
+        if len(starts) >= allowed:
+            again = starts[-allowed] + _HOUR_S - now
+            waits.append((again, f"it starts at most {allowed} times in an hour"))
+        return max(waits)
 
     def account(self, dt: float, on: bool) -> None:
         """Count time (s) in which the pump was on, or was not."""
@@ -98,10 +209,7 @@ class SiteLimits:
             self._rests_for = max(0.0, self._rests_for - dt)
 
     def reasons(
-        self,
-        command: float | None,
-        cistern_level: float | None,
-        roof_level: float | None,
+        self, command: float | None, cistern_level: float | None, roof_level: float | None,
         frost: bool | None,
     ) -> dict[str, str]:
         """Return what speaks against running now, by interlock; to be asked at every step.
@@ -113,7 +221,19 @@ class SiteLimits:
             roof_level: m; None is unknown.
             frost: whether there is; None is unknown.
         """
-        reasons = self._water(cistern_level) | self._day()
+        settings, record = self._settings, self._ledger.record
+        reasons = {}
+        if cistern_level is None:
+            reasons["cistern_level_unknown"] = "the level of the cistern is unknown"
+        else:
+            least = self._site.suction_level + settings.level_offset
+            if self._dry:
+                least += settings.suction_hysteresis
+            self._dry = cistern_level <= least
+            if self._dry:
+                reasons["cistern_low"] = (
+                    f"the cistern is at {cistern_level:.3f} m, not above {least:g} m"
+                )
         if roof_level is None:
             reasons["roof_level_unknown"] = "the level of the roof is unknown"
         if frost is None:
@@ -124,25 +244,9 @@ class SiteLimits:
             self._rests_for = 0.0
         if self._rests_for > 0:
             reasons["longest_run"] = (
-                f"it ran for {_minutes(self._settings.greatest_run)} without a break; it rests "
+                f"it ran for {_minutes(settings.greatest_run)} without a break; it rests "
                 f"until the command is 0, or for {_minutes(self._rests_for)}"
             )
-        return reasons
-
-    def _water(self, level: float | None) -> dict[str, str]:
-        if level is None:
-            return {"cistern_level_unknown": "the level of the cistern is unknown"}
-        least = self._site.suction_level + self._settings.level_offset
-        if self._dry:
-            least += self._settings.suction_hysteresis
-        self._dry = level <= least
-        if self._dry:
-            return {"cistern_low": f"the cistern is at {level:.3f} m, not above {least:g} m"}
-        return {}
-
-    def _day(self) -> dict[str, str]:
-        record, settings = self._ledger.record, self._settings
-        reasons: dict[str, str] = {}
         again = f"goes on in {_minutes(DAY_S - record.day_elapsed)}"
         if record.day_volume >= settings.greatest_volume_per_day:
             reasons["daily_volume"] = (
@@ -155,6 +259,88 @@ class SiteLimits:
                 f"{_minutes(settings.greatest_run_per_day)}; {again}"
             )
         return reasons
+
+
+class Pulses:
+    """Turns a command into a share of the flow that the pump can deliver: at length, or in pulses.
+
+    Below its least flow a pump gets too warm, and below its least speed it delivers nothing. A
+    command below both is delivered in pulses at the least share. A least pulse is what the least
+    share delivers in the least time on. A pulse begins when a least pulse will be owed by its end,
+    and ends when nothing is owed any more: less is delivered than was commanded by at most one
+    least pulse, and more only by what flows in a step and while the pump comes to rest. What is
+    owed is what was commanded less what was delivered, by the actual flow.
+
+    What may be owed is limited, so that nothing is caught up that nobody waits for:
+
+    - after a stop for any other reason than a command of 0 nothing is owed;
+    - while the command is 0, or at least the least share, at most one least pulse;
+    - below it at most what the least share delivers from one permitted start to the next, or a
+      least pulse if that is more: with 20 starts an hour that of 180 s.
+
+    Attributes:
+        owed: commanded less delivered (m3), within its limits; negative after the least time on
+            delivered more than was commanded.
+    """
+
+    def __init__(self, site: Site, settings: PumpSettings) -> None:
+        self._site = site
+        self._settings = settings
+        self._spacing = _HOUR_S / settings.starts_per_hour
+        self._wanted = 0.0
+        self._most_owed = 0.0
+        self.owed = 0.0
+
+    def least_share(self, cistern_level: float) -> float:
+        """Return the least share of the maximum flow that is asked for at a level (m)."""
+        slowest = flow_at(self._site, self._settings.least_speed, cistern_level)
+        return max(self._settings.least_flow, slowest / self._flow(1.0, cistern_level))
+
+    def least_pulse(self, cistern_level: float) -> float:
+        """Return what the least share delivers in the least time on (m3)."""
+        return self._settings.least_on * self._flow(self.least_share(cistern_level), cistern_level)
+
+    def speed(self, share: float, cistern_level: float) -> float:
+        """Return the speed for a share of the flow, between the drive's least speed and 1."""
+        speed = speed_for(self._site, share, cistern_level)
+        return min(1.0, max(self._settings.least_speed, speed))
+
+    def account(self, delivered: float, dt: float) -> None:
+        """Count what was delivered (m3) in dt (s) against what :meth:`ask` was told before."""
+        owed = self.owed + self._wanted * dt - delivered
+        self.owed = min(self._most_owed, max(-self._most_owed, owed))
+
+    def drop(self) -> None:
+        """Forget what is owed, and that anything is wanted."""
+        self._wanted = self._most_owed = self.owed = 0.0
+
+    def ask(self, command: float, cistern_level: float, on: bool, since_start: float) -> float:
+        """Return the share of the maximum flow to ask for; 0 is off.
+
+        Args:
+            command: share of the maximum flow, 0 to 1.
+            cistern_level: m, where the pump lifts water.
+            on: whether the pump is on.
+            since_start: time since the pump was last started (s).
+        """
+        least, pulse = self.least_share(cistern_level), self.least_pulse(cistern_level)
+        self._wanted = self._flow(command, cistern_level)
+        if 0 < command < least:
+            self._most_owed = max(pulse, self._spacing * self._flow(least, cistern_level))
+        else:
+            self._most_owed = pulse
+        self.owed = min(self._most_owed, max(-self._most_owed, self.owed))
+        if command >= least:
+            catch_up = self.owed / _CATCH_UP / self._flow(1.0, cistern_level)
+            return min(1.0, max(least, command + catch_up))
+        if on:
+            return least if command > 0 and self.owed > 0 else 0.0
+        by_its_end = self.owed + self._settings.least_on * self._wanted
+        due = command > 0 and self.owed > 0 and by_its_end >= pulse
+        return least if due and since_start >= self._spacing else 0.0
+
+    def _flow(self, share: float, cistern_level: float) -> float:
+        return share * flow_at(self._site, 1.0, cistern_level)
 
 
 def _minutes(seconds: float) -> str:

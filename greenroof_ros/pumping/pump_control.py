@@ -9,11 +9,9 @@ from dataclasses import dataclass, field, replace
 from greenroof_ros.model.pump_speed import flow_at
 from greenroof_ros.model.site import Site
 from greenroof_ros.pumping.delivery import DeliveryCheck
-from greenroof_ros.pumping.interlocks import LATCHED, ActiveInterlock, Kind, evaluate
+from greenroof_ros.pumping.interlocks import ENABLE, INHIBIT, INTERLOCKS, LATCHED, evaluate
 from greenroof_ros.pumping.ledger import SAVE_EVERY_S, Ledger
-from greenroof_ros.pumping.limits import SiteLimits, SwitchLimits
-from greenroof_ros.pumping.pulses import Pulses
-from greenroof_ros.pumping.settings import PumpSettings
+from greenroof_ros.pumping.limits import Limits, Pulses, PumpSettings
 
 # Words that others look for in what is said: a hold by hand, and a pump that is off and may turn.
 OPERATOR_STOPPED = "an operator stopped it"
@@ -28,7 +26,7 @@ _GREATEST_FLOW = 1.5
 _GREATEST_SPEED = 2.0
 _GREATEST_LEVEL = 100.0
 # The state of a pump that an interlock keeps off, by the first that is active.
-_STATES = {Kind.LATCHED: "fault", Kind.INHIBIT: "held", Kind.ENABLE: "off"}
+_STATES = {LATCHED: "fault", INHIBIT: "held", ENABLE: "off"}
 
 
 @dataclass(frozen=True)
@@ -73,7 +71,7 @@ class Decision:
         state: off, starting, running, stopping, fault, held, or unknown: it is asked to be off, and
             nobody knows whether it stands.
         why: in words.
-        interlocks: those that are active, in the order of their table.
+        interlocks: why each is active that is, by its code, in the order of their table.
         flow: the best present estimate (m3/s).
         source: how the flow is known.
         warning: what an operator should know although it stops nothing; empty where nothing.
@@ -88,7 +86,7 @@ class Decision:
     speed: float | None
     state: str
     why: str
-    interlocks: tuple[ActiveInterlock, ...]
+    interlocks: Mapping[str, str]
     flow: float
     source: str
     warning: str
@@ -118,9 +116,7 @@ class PumpControl:
         self._ledger = ledger
         self._drive_stops_after = drive_stops_after
         ledger.count_unseen(drive_stops_after + SAVE_EVERY_S, flow_at(site, 1.0, site.z_o))
-        record = ledger.record
-        self._switch = SwitchLimits(settings, [record.elapsed - start for start in record.starts])
-        self._limits = SiteLimits(site, settings, ledger)
+        self._limits = Limits(site, settings, ledger)
         self._pulses = Pulses(site, settings)
         self._delivery = DeliveryCheck(site, settings)
         self._asked: float | None = None
@@ -146,17 +142,14 @@ class PumpControl:
         cleared = self._ledger.record.fault
         if cleared:
             self._ledger.fault("", "")
-            self._delivery.restart()
+            self._delivery = DeliveryCheck(self._site, self._settings)
             self._astray_for = 0.0
         return cleared
 
-    def step(
-        self, now: float, dt: float, seen: Observation, drive_dt: float | None = None
-    ) -> Decision:
+    def step(self, dt: float, seen: Observation, drive_dt: float | None = None) -> Decision:
         """Decide.
 
         Args:
-            now: time of a clock that is never set (s).
             dt: time since the last step (s), 0 at the first.
             seen: what is known.
             drive_dt: the same of the drive's time (s), that of the steady clock, where the site is
@@ -165,10 +158,10 @@ class PumpControl:
         drive_dt = dt if drive_dt is None else drive_dt
         heard, backwards, said = seen.speed is not None, _backwards(seen), seen.speed
         seen = _believable(seen)
-        turns_at = said if backwards else seen.speed
-        self._switch.begin(now)
         warnings: list[str] = []
-        computed = self._computed_flow(seen)
+        computed = None
+        if seen.speed is not None and seen.cistern_level is not None:
+            computed = flow_at(self._site, seen.speed, seen.cistern_level)
         known_flow, source = self._flow(seen, computed, warnings)
         flow = 0.0 if known_flow is None else known_flow
         self._unknown_for = self._unknown_for + drive_dt if seen.speed is None else 0.0
@@ -177,7 +170,7 @@ class PumpControl:
         unseen = self._unseen_flow(seen)
         # A meter may say that nothing flows, against a closed valve or because it is broken, while
         # the pump runs.
-        least = max(flow, computed)
+        least = max(flow, computed or 0.0)
         self._account(dt, seen.speed, unseen, least)
         self._pulses.account(flow * dt, dt)
         undelivered = self._delivery.step(
@@ -187,12 +180,11 @@ class PumpControl:
         sees = seen.cistern_level is not None and seen.roof_level is not None
         self._blind_for = 0.0 if sees and self._delivery.watches else self._blind_for + dt
         faults = self._faults(drive_dt, seen, backwards, undelivered)
-        self._latch(faults)
         command, refused = _command(seen.command)
         if command is not None and seen.command is not None and seen.command > 1:
             warnings.append(f"the command {seen.command:g} is above 1 and taken as 1")
         active = evaluate({
-            **faults, **self._kept(),
+            **faults,
             **self._limits.reasons(command, seen.cistern_level, seen.roof_level, seen.frost),
             **seen.reasons, **refused,
             # One that turns backwards is a fault, and its speed is known.
@@ -200,18 +192,19 @@ class PumpControl:
         })
         asked = None
         if active:
-            state = _STATES[active[0].interlock.kind]
-            why = "; ".join(one.why for one in active)
+            state = _STATES[INTERLOCKS[next(iter(active))].kind]
+            why = "; ".join(active.values())
+            self._pulses.drop()
         else:
             assert command is not None
             assert seen.cistern_level is not None
             assert seen.roof_level is not None
             full = seen.roof_level >= self._site.z_veg
-            asked, why = self._follow(now, dt, command, full, seen.cistern_level, warnings)
+            asked, why = self._follow(dt, command, full, seen.cistern_level, warnings)
             state = "off" if asked is None else "running"
-        if active:
-            self._pulses.drop()
-        self._switch_to(now, asked)
+        if (asked is None) != (self._asked is None):
+            self._limits.switch(asked is not None)
+        self._asked = asked
 
         turning = seen.speed is not None and seen.speed > _STANDS
         if state == "running" and self._is_astray(seen.speed):
@@ -229,20 +222,20 @@ class PumpControl:
         else:
             stands = asked is None and not turning
         return Decision(
-            asked, state, why, active, flow, source, "; ".join(warnings), stands, turns_at,
-            stands or known_flow is not None, self._blind_for,
+            asked, state, why, active, flow, source, "; ".join(warnings), stands,
+            said if backwards else seen.speed, stands or known_flow is not None, self._blind_for,
         )
 
-    def _computed_flow(self, seen: Observation) -> float:
-        """Return what should flow at the present speed (m3/s); 0 where that is unknown."""
-        if seen.speed is None or seen.cistern_level is None:
-            return 0.0
-        return flow_at(self._site, seen.speed, seen.cistern_level)
-
     def _flow(
-        self, seen: Observation, computed: float, warnings: list[str]
+        self, seen: Observation, computed: float | None, warnings: list[str]
     ) -> tuple[float | None, str]:
-        """Return the present flow (m3/s), None where it is unknown, and how it is known."""
+        """Return the present flow (m3/s), None where it is unknown, and how it is known.
+
+        Args:
+            seen: with what is measured.
+            computed: what should flow at the present speed (m3/s); None where that is unknown.
+            warnings: to which those are added about what is not believed.
+        """
         site = self._site
         if self._asked is None and seen.speed is not None and seen.speed <= _STANDS:
             return 0.0, "the pump stands"
@@ -256,9 +249,7 @@ class PumpControl:
                     f"{source}: a flow of {flow:g} m3/s is not believed, the pump delivers "
                     f"{most / _GREATEST_FLOW:.3g} m3/s at most"
                 )
-        if seen.speed is None or seen.cistern_level is None:
-            return None, "unknown, taken as 0"
-        return computed, "computed from the speed"
+        return computed, "unknown, taken as 0" if computed is None else "computed from the speed"
 
     def _unseen_flow(self, seen: Observation) -> float:
         """Return what flows at worst (m3/s) where the drive is not heard; 0 once it must stand."""
@@ -306,7 +297,10 @@ class PumpControl:
     def _faults(
         self, drive_dt: float, seen: Observation, backwards: str, undelivered: str
     ) -> dict[str, str]:
-        """Return the faults that there are now, by interlock."""
+        """Return the faults by interlock: those now, and the first one, kept until it is reset.
+
+        With them goes what else is kept over restarts: who stopped the pump.
+        """
         if seen.speed is not None:  # what is not heard for a moment may go on
             astray = self._is_beyond_ramp(seen.speed, drive_dt)
             self._astray_for = self._astray_for + drive_dt if astray else 0.0
@@ -324,31 +318,26 @@ class PumpControl:
         if seen.drive_fault:
             code = "runs_on" if seen.runs_on else "drive_fault"
             found[code] = f"the drive reports: {seen.drive_fault}"
+        latched = evaluate(found)
+        if latched and not self._ledger.record.fault:
+            code = next(iter(latched))
+            self._ledger.fault(latched[code], code)
+        record = self._ledger.record
+        found |= {"operator_stop": record.held, "record_unknown": record.unknown}
+        if record.fault:
+            row = INTERLOCKS.get(record.fault_code)
+            known = row is not None and row.kind == LATCHED
+            found[record.fault_code if known else "fault_unknown"] = record.fault
         return found
 
-    def _latch(self, faults: Mapping[str, str]) -> None:
-        """Keep the first fault until it is reset."""
-        found = evaluate(faults)
-        if found and not self._ledger.record.fault:
-            self._ledger.fault(found[0].why, found[0].interlock.code)
-
-    def _kept(self) -> dict[str, str]:
-        """Return what keeps the pump off over restarts: a latched fault, and who stopped it."""
-        record = self._ledger.record
-        kept = {"operator_stop": record.held, "record_unknown": record.unknown}
-        if record.fault:
-            code = record.fault_code
-            kept[code if code in LATCHED else "fault_unknown"] = record.fault
-        return kept
-
     def _follow(
-        self, now: float, dt: float, command: float, full: bool, cistern_level: float,
-        warnings: list[str],
+        self, dt: float, command: float, full: bool, cistern_level: float, warnings: list[str]
     ) -> tuple[float | None, str]:
         """Return the speed for a command against which nothing speaks (None is off), and why."""
         pulses, on = self._pulses, self._asked is not None
         wanted = 0.0 if full else command
-        share = pulses.ask(wanted, cistern_level, on, self._switch.since_start(now))
+        since_start = self._limits.since_start
+        share = pulses.ask(wanted, cistern_level, on, since_start)
         least, pulse = pulses.least_share(cistern_level), pulses.least_pulse(cistern_level)
         why = "as commanded"
         if wanted < least:
@@ -358,9 +347,9 @@ class PumpControl:
                     f"{pulses.owed:.3f} m3 are owed, more than a least pulse of {pulse:.3f} m3: "
                     "least times and starts per hour allow no more"
                 )
-        if on and share == 0 and self._switch.must_stay_on(now):
+        if on and share == 0 and since_start < self._settings.least_on:
             share, why = least, f"it stays on for at least {self._settings.least_on:g} s"
-        wait, why_wait = self._switch.wait(now)
+        wait, why_wait = self._limits.wait()
         if not on and share > 0 and wait > 0:
             return None, f"it may start in {math.ceil(wait)} s: {why_wait}"
         if share == 0:
@@ -372,15 +361,6 @@ class PumpControl:
             return pulses.speed(least, cistern_level), why
         change = self._settings.ramp * dt
         return min(max(speed, self._asked - change), self._asked + change), why
-
-    def _switch_to(self, now: float, asked: float | None) -> None:
-        if asked is not None and self._asked is None:
-            self._switch.started(now)
-            self._ledger.switch(True)
-        elif asked is None and self._asked is not None:
-            self._switch.stopped(now)
-            self._ledger.switch(False)
-        self._asked = asked
 
 
 def _backwards(seen: Observation) -> str:

@@ -11,8 +11,7 @@ from processes import drive_address, free_ports, simulate, simulator
 
 from greenroof_ros.model.plant import Plant
 from greenroof_ros.model.site import read_site
-from greenroof_ros.pumping.pulses import Pulses
-from greenroof_ros.pumping.settings import PumpSettings, pump_parameters
+from greenroof_ros.pumping.limits import Pulses, PumpSettings, pump_parameters
 
 _SHARE = 0.01
 

@@ -29,7 +29,7 @@ from greenroof_ros.common.interface import read_topics
 from greenroof_ros.drives.address import parse_address
 from greenroof_ros.model.pump_speed import flow_at
 from greenroof_ros.model.site import Site, read_site
-from greenroof_ros.pumping.settings import settings_for
+from greenroof_ros.pumping.limits import settings_for
 from greenroof_ros.simulators.control_profiles import AbbDrives
 
 START_S = 60.0

@@ -11,13 +11,12 @@ from hypothesis import strategies as st
 from paper import PAPER_SITE, paper_run
 from pump_rig import Rig
 
-from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.experiment.closed_loop import closed_loop
 from greenroof_ros.model.metrics import Metrics
 from greenroof_ros.model.plant import maximum_pump_flow
 from greenroof_ros.pumping.ledger import Ledger
+from greenroof_ros.pumping.limits import settings_for
 from greenroof_ros.pumping.pump_control import Observation, PumpControl
-from greenroof_ros.pumping.settings import settings_for
 
 
 def test_states_of_a_run_by_hand() -> None:
@@ -86,22 +85,13 @@ def test_commands_above_one() -> None:
     assert rig.delivered <= 60 * maximum_pump_flow(PAPER_SITE, 70.0)
 
 
-@pytest.mark.parametrize(
-    ("change", "why"),
-    [
-        ({"reasons": {"drive_lost": "no answer from 10.0.0.7:502"}}, "no answer from 10.0.0.7:502"),
-        ({"drive_ready": False}, "the drive is not ready"),
-        ({"speed": None},
-         "the speed of the drive is unknown; whether the pump stands is not known"),
-    ],
-)
-def test_trouble_heals(change: dict[str, object], why: str) -> None:
-    """Off while it lasts, and nothing that was missed is caught up."""
+def test_what_was_missed_is_not_caught_up() -> None:
+    """After minutes in which the drive is not heard, the next pulse is as far away as ever."""
     rig = Rig()
     rig.run(15, 0.5)
-    rig.change = change
+    rig.change = {"reasons": {"drive_lost": "no answer from 10.0.0.7:502"}}
     decision = rig.step(0.5)
-    assert (decision.speed, decision.why) == (None, why)
+    assert (decision.speed, decision.why) == (None, "no answer from 10.0.0.7:502")
     rig.run(600, 0.01)
     rig.change = {}
     assert rig.run(30, 0.01).why == "the next pulse is not due yet"
@@ -129,39 +119,23 @@ def test_what_is_not_known_is_said_so() -> None:
     assert (decision.stands, decision.turns_at, decision.flow_known) == (True, None, True)
 
 
-def test_a_fault_of_the_drive_latches() -> None:
-    """Until it is reset, and again while it is still there."""
+def test_the_first_fault_stays_until_it_is_reset() -> None:
+    """What follows from it does not hide it; what still is latches again."""
     rig = Rig()
     rig.run(15, 0.5)
+    assert rig.control.reset() == ""
     rig.change = {"drive_fault": "earth fault (0x2330)"}
     decision = rig.step(0.5)
     assert (decision.speed, decision.state) == (None, "fault")
     assert decision.why.startswith("the drive reports: earth fault (0x2330); the pump still turns")
-    rig.change = {}
-    assert rig.run(600, 0.5).state == "fault"
+    rig.change = {"drive_fault": "overload"}
+    assert rig.run(10, 0.5).why == "the drive reports: earth fault (0x2330)"
     assert rig.control.reset() == "the drive reports: earth fault (0x2330)"
-    assert rig.run(5, 0.5).speed is not None
-    rig.change = {"drive_fault": "overload"}
-    rig.step(0.5)
-    rig.control.reset()
     assert rig.step(0.5).why.startswith("the drive reports: overload")
-
-
-def test_the_first_fault_stays() -> None:
-    """What follows from it does not hide it."""
-    rig = Rig()
-    rig.change = {"drive_fault": "overload"}
-    rig.step(0.5)
-    rig.change = {"drive_fault": "undervoltage"}
-    assert rig.step(0.5).why == "the drive reports: overload"
-
-
-def test_reset_without_a_fault() -> None:
-    """Does nothing."""
-    rig = Rig()
-    rig.run(15, 0.5)
-    assert rig.control.reset() == ""
-    assert rig.step(0.5).speed is not None
+    rig.change = {}
+    assert rig.run(10, 0.5).state == "fault"
+    rig.control.reset()
+    assert rig.run(5, 0.5).speed is not None
 
 
 @pytest.mark.parametrize(
@@ -190,8 +164,7 @@ def test_a_speed_that_does_not_follow(stuck: float, command: float, why: str) ->
     assert rig.run(100, command).state == "fault"
 
 
-@pytest.mark.parametrize("tau", [1.0, 5.0, 10.0])
-@pytest.mark.parametrize("ramp", [16.0, 18.0, 29.0, 30.0])
+@pytest.mark.parametrize(("ramp", "tau"), [(10.0, 1.0), (18.0, 5.0), (30.0, 1.0), (30.0, 10.0)])
 def test_a_ramp_that_is_allowed_is_no_fault(ramp: float, tau: float) -> None:
     """Up to full speed, down, and up again before it stands, whatever the ticks are."""
     rig = Rig(drive_ramp=1 / ramp, tau=tau)
@@ -231,12 +204,7 @@ def test_a_drive_that_is_heard_again_may_begin_its_ramp_then() -> None:
     assert rig.decisions[-1].stands
 
 
-def test_a_tolerance_in_which_the_least_speed_is_rest_is_refused() -> None:
-    with pytest.raises(ConfigurationError, match=r"must be less than least_speed, 0\.3"):
-        settings_for(PAPER_SITE, follow_tolerance=0.3)
-
-
-@pytest.mark.parametrize("every", [3, 8, 15, 16])
+@pytest.mark.parametrize("every", [3, 16])
 def test_a_drive_that_does_not_stop_behind_a_bad_line(every: int) -> None:
     """Its speed is unknown for a second of each so many; 15 s must be known, 3 s of its ramp."""
     rig = Rig()
@@ -261,46 +229,35 @@ def test_a_drive_has_its_own_time() -> None:
         command=1.0, cistern_level=2.8, roof_level=0.01, frost=False, speed=0.05, flow=0.0,
         drive_flow=None, drive_ready=True, drive_fault="",
     )
-    states = [control.step(float(k), 1.0, seen, 1 / 60).state for k in range(1000)]
+    states = [control.step(1.0, seen, 1 / 60).state for _ in range(1000)]
     first = states.index("fault")
     asked = states.index("starting")
     assert 900 <= first - asked <= 902
 
 
-def test_a_slow_ramp_is_no_fault() -> None:
-    """A drive that needs 10 s for half its speed."""
-    rig = Rig(drive_ramp=0.05)
-    rig.run(120, 0.5)
-    rig.run(60, 0.0)
-    assert "fault" not in {one.state for one in rig.decisions}
-
-
-def test_hold_and_release() -> None:
-    """At once, over anything; released it goes on."""
+def test_an_operators_stop() -> None:
+    """At once, over anything; it hides no trouble, and released the pump goes on."""
     rig = Rig()
     rig.run(15, 0.5)
     rig.control.stop(True)
     decision = rig.step(0.5)
     assert (decision.speed, decision.state) == (None, "held")
     assert decision.why.startswith("an operator stopped it; the pump still turns, at 0.6")
-    assert rig.run(600, 0.5).why == "an operator stopped it"
-    rig.control.stop(False)
-    assert rig.step(0.5).speed is not None
-
-
-def test_a_stop_hides_no_trouble() -> None:
-    """An operator who stops a pump is told that its drive is not heard."""
-    rig = Rig()
-    rig.run(15, 0.5)
     rig.change = {"speed": None, "reasons": {"drive_lost": "no connection to the drive"}}
-    rig.control.stop(True)
     decision = rig.step(0.5)
-    assert (decision.speed, decision.state, decision.stands) == (None, "held", False)
+    assert (decision.state, decision.stands) == ("held", False)
     assert decision.why == (
         "an operator stopped it; no connection to the drive; whether the pump stands is not known"
     )
-    rig.ledger.fault("burst pipe", "delivery")
-    assert rig.step(0.5).why.startswith("burst pipe; an operator stopped it; no connection to")
+    rig.change = {"drive_fault": "overload"}
+    decision = rig.run(20, 0.5)
+    assert decision.state == "fault"
+    assert decision.why == "the drive reports: overload; an operator stopped it"
+    rig.change = {}
+    rig.control.reset()
+    assert rig.run(600, 0.5).why == "an operator stopped it"
+    rig.control.stop(False)
+    assert rig.step(0.5).speed is not None
 
 
 def test_whether_the_pump_stands() -> None:
@@ -323,16 +280,6 @@ def test_whether_the_pump_stands() -> None:
     rig.change = {}
     decision = rig.run(20, 0.0)
     assert (decision.state, decision.stands) == ("off", True)
-
-
-def test_a_fault_is_shown_over_a_stop() -> None:
-    """Both are named, and both must go."""
-    rig = Rig()
-    rig.control.stop(True)
-    rig.change = {"drive_fault": "overload"}
-    decision = rig.step(0.5)
-    assert decision.state == "fault"
-    assert decision.why == "the drive reports: overload; an operator stopped it"
 
 
 @pytest.mark.parametrize(
@@ -389,41 +336,36 @@ def test_nothing_runs_before_anything_is_known() -> None:
     assert decision.flow > 0
 
 
-@pytest.mark.parametrize("speed", [-0.001, -0.019])
-def test_noise_below_zero_is_a_pump_at_rest(speed: float) -> None:
-    """A count below zero, as of a drive's 16 bits: it starts."""
+def test_noise_below_zero_is_a_pump_at_rest() -> None:
+    """As of a drive's 16 bits; beyond noise it turns backwards."""
     rig = Rig()
-    rig.change = {"speed": speed}
+    rig.change = {"speed": -0.019}
     rig.run(9, 1.0)
     assert rig.decisions[-1].source == "the pump stands"
     rig.change = {}
     assert rig.run(5, 1.0).state in ("starting", "running")
-
-
-def test_a_pump_that_turns_backwards() -> None:
-    """Beyond noise it latches."""
-    rig = Rig()
-    rig.run(15, 1.0)
     rig.change = {"speed": -0.021}
-    decision = rig.step(1.0)
-    assert (decision.speed, decision.state) == (None, "fault")
-    assert decision.why == "the pump turns backwards, at 0.02 of its speed"
-    rig.change = {}
-    assert rig.run(60, 1.0).state == "fault"
-    rig.control.reset()
-    assert rig.run(5, 1.0).speed is not None
+    assert rig.step(1.0).why == "the pump turns backwards, at 0.02 of its speed"
 
 
 def test_what_is_not_heard_counts_at_worst() -> None:
     """Run time and volume, until the drive must have stopped: 15 s, not the minute after.
 
+    Nothing counts where the pump stood and was not asked to run.
+
     From 2.8 m the pump delivers b sqrt(2.8 + 55.2 - 13) = 1.29646769e-3 6.708204 m3/s at most.
     """
     flow = 1.29646769e-3 * math.sqrt(2.8 + 55.2 - 13.0)
     rig = Rig(x1=70.0)
+    lost = {"speed": None, "reasons": {"drive_lost": "connection lost"}, "cistern_level": 2.8}
+    rig.step(0.0)
+    rig.change = lost
+    rig.run(60, 1.0)
+    assert (rig.ledger.record.day_run, rig.ledger.record.day_volume) == (0, 0)
+    rig.change = {}
     rig.run(60, 1.0)
     before = rig.ledger.record
-    rig.change = {"speed": None, "reasons": {"drive_lost": "connection lost"}, "cistern_level": 2.8}
+    rig.change = lost
     rig.run(75, 1.0)
     after = rig.ledger.record
     assert after.day_run - before.day_run == pytest.approx(15, abs=1)
@@ -434,17 +376,9 @@ def test_what_is_not_heard_counts_at_worst() -> None:
     assert "fault" not in {one.state for one in rig.decisions}
 
 
-def test_a_pump_at_rest_that_is_not_heard_counts_nothing() -> None:
-    """It stood, and was not asked to run."""
-    rig = Rig()
-    rig.run(60, 0.0)
-    rig.change = {"speed": None, "reasons": {"drive_lost": "connection lost"}}
-    rig.run(60, 1.0)
-    assert (rig.ledger.record.day_run, rig.ledger.record.day_volume) == (0, 0)
-
-
-@pytest.mark.parametrize("controller", ["mpc", "planning_mpc", "onoff"])
-@pytest.mark.parametrize("drive_ramp", [0.2, 1.0])
+@pytest.mark.parametrize(
+    ("controller", "drive_ramp"), [("mpc", 0.2), ("planning_mpc", 1.0), ("onoff", 1.0)]
+)
 def test_the_simulated_site_is_followed(controller: str, drive_ramp: float) -> None:
     """Ten minutes in the loop: within 1 % of the pure simulation's volume or a least pulse."""
     run = paper_run("--controller", controller, "--hours", str(1 / 6), "--initial", "low-low")
@@ -489,8 +423,8 @@ ANYTHING = st.none() | st.floats() | st.floats(0, 1)
 def test_whatever_comes(seen: list[Observation], dt: float) -> None:
     """Nothing raises; speeds are those of a drive and flows those of the pump."""
     control = PumpControl(PAPER_SITE, settings_for(PAPER_SITE), Ledger(None, time.time), 15.0)
-    for k, one in enumerate(seen):
-        decision = control.step(20.0 + dt * k, dt, one)
+    for one in seen:
+        decision = control.step(dt, one)
         assert decision.speed is None or 0.3 <= decision.speed <= 1
         # 100 m of water above the pump, at twice its speed.
         assert 0 <= decision.flow <= 0.03

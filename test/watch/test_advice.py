@@ -23,7 +23,7 @@ from greenroof_ros.graph.permit import Permit, PermitReader
 from greenroof_ros.graph.states import PERMIT_PIPE
 from greenroof_ros.pumping.input_rules import InputRules, LevelRule, cistern_reach
 from greenroof_ros.pumping.ledger import Ledger
-from greenroof_ros.pumping.settings import settings_for
+from greenroof_ros.pumping.limits import settings_for
 from greenroof_ros.watch.advice import FOREIGN, OTHER, advise
 
 
