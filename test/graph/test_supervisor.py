@@ -417,6 +417,22 @@ def test_a_node_that_cannot_be_started_again_for_now(
     ]
 
 
+def test_a_recorder_that_cannot_be_started_at_all(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """All others are ready, and the pump may run."""
+    with site(tmp_path, monkeypatch) as (here, failures, _):
+        here.add("weather", "pump")
+        with few_files_left(1):
+            here.add("recorder")
+        here.until(lambda: here.supervisor.last.keys() == {"weather", "pump"})
+        here.until(lambda: here.supervisor.all_ready and not here.supervisor.inhibit)
+        assert failures == [(
+            "recorder", "cannot be started: Too many open files; tried again every 10 s; nothing "
+            "is recorded until then",
+        )]
+
+
 # What a node of another version may say, or one that is broken.
 _STRANGE = [
     [], 7, "ready", {}, {"state": "flying"}, {"state": ["ready"]},
