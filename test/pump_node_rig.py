@@ -18,7 +18,7 @@ from places import CONFIG, guarding
 from rosgraph_msgs.msg import Clock
 from simulators import PATIENCE_S
 from std_msgs.msg import Float64, String
-from test_nodes import Observer, qos
+from test_nodes import Observer, offered, qos
 
 from greenroof_ros.drives.address import parse_address
 from greenroof_ros.simulators.faults import DEFAULT
@@ -106,7 +106,7 @@ class PumpRig:
         """Begin without a past: a node that is started again takes part from the next tick on."""
         self.leave()
         self._publishers = {
-            name: self.node.create_publisher(kind, name, qos(name))
+            name: self.node.create_publisher(kind, name, offered(name))
             for name, kind in (
                 ("/clock", Clock), ("/cistern/level", Float64), ("/roof/level", Float64),
                 ("/weather/frost", Float64), ("/pump/command", Float64), ("/pump/meter", Float64),

@@ -112,14 +112,20 @@ def read_topics() -> dict[str, Topic]:
 
 
 def read_live_topics() -> dict[str, Topic]:
-    """Read the interface as it is in a live graph, which has no plant."""
+    """Read the interface as it is in a live graph, which has no plant.
+
+    Nodes are started again there, so that each topic of a tick shows who lives, by its lease.
+    """
+    topics = read_topics()
+    watched = topics["/pump/command"].qos
     return {
         name: replace(
             topic,
             publishers=topic.live_publishers or _but_plant(topic.publishers),
             subscribers=_but_plant(topic.subscribers) + topic.live_subscribers,
+            qos=watched if topic.per_tick else topic.qos,
         )
-        for name, topic in read_topics().items()
+        for name, topic in topics.items()
         if topic.live
     }
 

@@ -25,6 +25,7 @@ from greenroof_ros.common.times import from_epoch_ns, to_people
 from greenroof_ros.controllers.decide import NoCommandError, decide
 from greenroof_ros.controllers.onoff import FRACTION, OnOff
 from greenroof_ros.controllers.registry import ControllerChoice, controller_names, find_controller
+from greenroof_ros.graph.inputs import Input
 from greenroof_ros.graph.link import LinkedNode
 from greenroof_ros.graph.live import (
     FROZEN_MOVEMENT,
@@ -34,12 +35,11 @@ from greenroof_ros.graph.live import (
     live_parameters,
 )
 from greenroof_ros.graph.lockstep import CLOCK
+from greenroof_ros.graph.messages import decode_clock
 from greenroof_ros.graph.node_help import NodeParser, node_help
 from greenroof_ros.graph.node_process import run_node
 from greenroof_ros.graph.parameters import LIVE, declare, site_file
 from greenroof_ros.graph.reports import ERROR, OK, WARN
-from greenroof_ros.graph.serialization import decode_clock
-from greenroof_ros.graph.validation import Input
 from greenroof_ros.model.plant import pump_flow
 from greenroof_ros.model.site import Site
 from greenroof_ros.pumping.input_rules import (

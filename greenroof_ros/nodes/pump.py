@@ -26,6 +26,7 @@ from greenroof_ros.drives.address import parse_drive_address
 from greenroof_ros.drives.drive import DriveStatus
 from greenroof_ros.drives.drive_file import LONGEST_RAMP_S, find_drive_file, read_drive_file
 from greenroof_ros.drives.exchange import RESET_S, UNREAD_S, DriveExchange, Snapshot
+from greenroof_ros.graph.inputs import Input
 from greenroof_ros.graph.lifecycle import (
     ACTIVATE,
     ACTIVE,
@@ -44,6 +45,7 @@ from greenroof_ros.graph.live import (
     live_parameters,
 )
 from greenroof_ros.graph.lockstep import CLOCK
+from greenroof_ros.graph.messages import decode_clock
 from greenroof_ros.graph.node_help import NodeParser, node_help
 from greenroof_ros.graph.node_process import run_node
 from greenroof_ros.graph.parameters import (
@@ -54,8 +56,6 @@ from greenroof_ros.graph.parameters import (
 )
 from greenroof_ros.graph.permit import PermitReader
 from greenroof_ros.graph.reports import ERROR, OK, STALE, WARN
-from greenroof_ros.graph.serialization import decode_clock
-from greenroof_ros.graph.validation import Input
 from greenroof_ros.model.site import Site
 from greenroof_ros.pumping.input_rules import (
     LevelRule,
@@ -559,16 +559,12 @@ class PumpNode(Lifecycle, LinkedNode):
                 reasons["drive_timeout"] = self._drive.timeout_problem(self._drive.snapshot)
             reasons["drive_guards_later"] = self._drive.snapshot.unguarded
         reasons["no_permit"] = self._permit.missing(boot_time())
-        reasons["two_controllers"] = self._two_publishers(now)
+        reasons["two_controllers"] = self._command.publishers.said(now)
         if self.live:
             # Another pump node may have the same drive: neither runs it then.
             reasons["two_pumps"] = self._rival(now)
         reasons["no_command"] = self._silence()
         return reasons
-
-    def _two_publishers(self, now: float) -> str:
-        problem = self.inputs.publishers["/pump/command"].problem(now)
-        return f"{self._command.name} {problem}" if problem else ""
 
     def _look_for_suspend(self, now: float) -> None:
         """Say, for a minute, that the machine was suspended while the pump was on."""
@@ -649,7 +645,7 @@ class PumpNode(Lifecycle, LinkedNode):
         say("limits", WARN if decision.warning else OK, limits,
             "limited" if decision.warning else "", "")
         say("flow", OK, f"known so: {decision.source}", "", "")
-        trouble = self._two_publishers(now) or (
+        trouble = self._command.publishers.said(now) or (
             "" if self._command.good else f"{self._command.name} {self._command.why}"
         )
         silence = self._silence()

@@ -20,9 +20,9 @@ from rclpy.signals import SignalHandlerOptions
 from std_msgs.msg import String
 from std_srvs.srv import SetBool, Trigger
 
-from greenroof_ros.common.interface import read_topics
-from greenroof_ros.graph.qos import message_class, qos_profile
-from greenroof_ros.graph.transport import choose_transport
+from greenroof_ros.common.interface import read_live_topics, read_topics
+from greenroof_ros.graph.domain import choose_transport
+from greenroof_ros.graph.messages import message_class, qos_profile
 from greenroof_ros.watch.advice import OTHER
 from greenroof_ros.watch.alarms import Alarms, Status
 
@@ -66,6 +66,8 @@ class Watcher:
                 name, context=self._context, start_parameter_services=False, enable_rosout=False
             )
         self._topics = read_topics()
+        # What it publishes is heard in a live graph, too, where each topic of a tick has a lease.
+        self._offered = {**self._topics, **read_live_topics()}
         self._publishers: dict[str, Any] = {}
         self._lock = threading.Lock()
         for topic, kind, heard in (
@@ -156,7 +158,7 @@ class Watcher:
         kind = message_class(self._topics[topic].type)
         with self._lock:
             if topic not in self._publishers:
-                profile = qos_profile(self._topics[topic].qos)
+                profile = qos_profile(self._offered[topic].qos)
                 self._publishers[topic] = self.node.create_publisher(kind, topic, profile)
             message = kind()
             if isinstance(value, (float, str)):
@@ -196,7 +198,7 @@ class Watcher:
         """Be a publisher of a topic, and say nothing on it."""
         with self._lock:
             if topic not in self._publishers:
-                one = self._topics[topic]
+                one = self._offered[topic]
                 self._publishers[topic] = self.node.create_publisher(
                     message_class(one.type), topic, qos_profile(one.qos)
                 )

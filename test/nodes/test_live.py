@@ -32,7 +32,7 @@ from rcl_interfaces.srv import SetParameters  # noqa: E402
 from rclpy.node import Node  # noqa: E402
 from rclpy.parameter import Parameter  # noqa: E402
 from std_msgs.msg import Float64, Float64MultiArray  # noqa: E402
-from test_nodes import Observer, observer, qos  # noqa: E402, F401
+from test_nodes import Observer, observer, offered, qos  # noqa: E402, F401
 
 from greenroof_ros.common.files import read_yaml  # noqa: E402
 
@@ -75,7 +75,7 @@ class Site:
 
     def publisher(self, topic: str, node: Node | None = None) -> Any:
         kind = Float64MultiArray if topic.startswith("/forecast") else Float64
-        return (node or self.node).create_publisher(kind, topic, qos(topic))
+        return (node or self.node).create_publisher(kind, topic, offered(topic))
 
     def play(self) -> None:
         """Publish the present values, ten times a second; a value may be a function of time."""
@@ -571,7 +571,7 @@ IMPOSTOR = (
     "from rclpy.node import Node\n"
     "from std_msgs.msg import Float64\n"
     "from greenroof_ros.common.interface import read_live_topics\n"
-    "from greenroof_ros.graph.qos import qos_profile\n"
+    "from greenroof_ros.graph.messages import qos_profile\n"
     "rclpy.init()\n"
     "node = Node(sys.argv[1], start_parameter_services=False)\n"
     "topic = read_live_topics()[sys.argv[2]]\n"

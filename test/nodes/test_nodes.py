@@ -27,13 +27,18 @@ from rclpy.executors import SingleThreadedExecutor  # noqa: E402
 from rclpy.node import Node  # noqa: E402
 from std_msgs.msg import Float64  # noqa: E402
 
-from greenroof_ros.common.interface import read_topics  # noqa: E402
-from greenroof_ros.graph.qos import qos_profile  # noqa: E402
+from greenroof_ros.common.interface import read_live_topics, read_topics  # noqa: E402
+from greenroof_ros.graph.messages import qos_profile  # noqa: E402
 
 
 def qos(topic: str) -> Any:
     """Return a topic's profile in the interface."""
     return qos_profile(read_topics()[topic].qos)
+
+
+def offered(topic: str) -> Any:
+    """Return what a publisher offers to be heard in either kind of graph."""
+    return qos_profile({**read_topics(), **read_live_topics()}[topic].qos)
 
 
 class Observer:

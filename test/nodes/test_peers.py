@@ -18,8 +18,7 @@ from places import Once
 rclpy = pytest.importorskip("rclpy", reason="nodes need ROS 2")
 
 from greenroof_ros.common.interface import read_topics  # noqa: E402
-from greenroof_ros.graph.inputs import by_publisher, root_causes  # noqa: E402
-from greenroof_ros.graph.qos import qos_profile  # noqa: E402
+from greenroof_ros.graph.messages import qos_profile  # noqa: E402
 
 # A publisher that knows nothing of the graph: it answers each level with a command.
 ROGUE = """
@@ -250,21 +249,3 @@ def test_fatal_line_names_the_cause(
     assert nodes.code("plant", 60) == 1
     (said,) = [text for text in nodes.log("plant").splitlines(True) if "FATAL" in text]
     assert said.endswith(line), said
-
-
-def test_root_causes_of_the_interface() -> None:
-    """Who waits for whom, as the plant sees it."""
-    topics = read_topics()
-    external = {
-        name: topics[name]
-        for name in (
-            "/weather/precipitation", "/weather/evapotranspiration", "/pump/command", "/pump/flow"
-        )
-    }
-
-    def causes(*missing: str) -> set[str]:
-        return root_causes(by_publisher(missing, external, "plant"), topics.values())
-
-    assert causes("/weather/precipitation", "/pump/command", "/pump/flow") == {"weather"}
-    assert causes("/pump/command", "/pump/flow") == {"controller"}
-    assert causes("/pump/flow") == {"pump"}
