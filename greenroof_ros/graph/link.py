@@ -215,8 +215,6 @@ class LinkedNode(Node):
         if isinstance(self._trigger, Live):
             self._open(publishers, self._trigger.hold_to_rules(entry, level, callback))
             return entry
-        if not heals:
-            self._trigger.watch(publishers)
         if callback is None:
             self._open(publishers, self._trigger.await_input(entry))
         else:

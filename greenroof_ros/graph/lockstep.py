@@ -25,7 +25,7 @@ from rclpy.impl.rcutils_logger import RcutilsLogger
 
 from greenroof_ros.common.errors import OccupiedError
 from greenroof_ros.common.interface import Topic
-from greenroof_ros.graph.inputs import Input, Inputs, Publishers, root_causes
+from greenroof_ros.graph.inputs import Input, Inputs, root_causes
 from greenroof_ros.graph.reports import Reports
 from greenroof_ros.graph.states import FINISHED, LockstepError
 
@@ -103,7 +103,6 @@ class Lockstep:
         self._node = node
         self._of_tick: set[str] = set()  # names of the inputs that the node acts on
         self._awaited: set[str] = set()  # those of them whose message of the tick is to come
-        self._watched: list[Publishers] = []
         self._counted = 0.0
         self._missing: list[str] = []
         self._say_at = math.inf
@@ -139,10 +138,6 @@ class Lockstep:
             self._node.finish()
 
     # --- the run ----------------------------------------------------------------------------
-
-    def watch(self, publishers: Publishers) -> None:
-        """Have a second publisher end the run."""
-        self._watched.append(publishers)
 
     def hear_run(self, values: array[float]) -> None:
         """Take part in a run; with another plant another run begins, and this one has ended."""
@@ -183,8 +178,9 @@ class Lockstep:
                 node.role == PLANT or self._plant_has_gone()
             )
             return
-        for publishers in self._watched:
-            if publishers.count > 1 and publishers.heard > 1:
+        for entry in node.inputs.by_name.values():
+            publishers = entry.publishers
+            if not entry.heals and publishers.count > 1 and publishers.heard > 1:
                 self._refuse(publishers.said(now))
         if self._is_over():  # what the plant says of the run came behind the last tick
             node.finish()
