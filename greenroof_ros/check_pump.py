@@ -8,7 +8,7 @@ from pathlib import Path
 from greenroof_ros.common.command_line import command, within
 from greenroof_ros.common.files import shared_directory
 from greenroof_ros.common.findings import print_findings
-from greenroof_ros.graph.errors import no_ros
+from greenroof_ros.graph.domain import no_ros
 from greenroof_ros.model.site import read_site
 
 _INVENTED = (

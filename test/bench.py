@@ -33,8 +33,8 @@ def echo(role: str) -> None:
     from std_msgs.msg import Float64
 
     from greenroof_ros.common.interface import read_topics
-    from greenroof_ros.graph.executors import make_executor
-    from greenroof_ros.graph.qos import qos_profile
+    from greenroof_ros.graph.domain import make_executor
+    from greenroof_ros.graph.messages import qos_profile
 
     rclpy.init(args=[])
     node = Node(role)

@@ -28,7 +28,7 @@ class Peer:
         from rclpy.node import Node
         from rclpy.signals import SignalHandlerOptions
 
-        from greenroof_ros.graph.transport import choose_transport
+        from greenroof_ros.graph.domain import choose_transport
 
         self.context = rclpy.Context()
         choose_transport()

@@ -21,7 +21,7 @@ from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 
 from greenroof_ros.common.interface import read_live_topics, read_topics
-from greenroof_ros.graph.qos import message_class, qos_profile
+from greenroof_ros.graph.messages import message_class, qos_profile
 
 OK, WARN, ERROR, STALE = b"\x00", b"\x01", b"\x02", b"\x03"
 TAU = 0.2
@@ -285,7 +285,7 @@ import sys, rclpy
 from rclpy.node import Node
 from std_msgs.msg import Float64
 from greenroof_ros.common.interface import read_live_topics
-from greenroof_ros.graph.qos import qos_profile
+from greenroof_ros.graph.messages import qos_profile
 rclpy.init()
 node = Node(sys.argv[1], start_parameter_services=False)
 topic = read_live_topics()[sys.argv[2]]

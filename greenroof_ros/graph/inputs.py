@@ -1,64 +1,332 @@
-"""The topics that a node subscribes to: their newest values, and who should publish them."""
+"""The topics that a node subscribes to: their newest values, and who publishes them."""
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable, Mapping
+import math
+import time
+from collections.abc import Callable, Collection, Iterable, Mapping
+from dataclasses import replace
+from typing import Any
 
-from greenroof_ros.common.interface import Topic
-from greenroof_ros.graph.publishers import Publishers
+import numpy as np
+from rclpy.event_handler import SubscriptionEventCallbacks
+from rclpy.impl.rcutils_logger import RcutilsLogger
+from rclpy.node import Node
+from rclpy.qos import QoSProfile
+
+from greenroof_ros.common.interface import Topic, read_topics
+from greenroof_ros.graph.messages import decoder, lacks, qos_profile, requirements
 from greenroof_ros.graph.states import ROLES
-from greenroof_ros.graph.validation import Input
+from greenroof_ros.pumping.input_rules import Verdict
+
+# The name of a node and its other ends are known a moment after its publisher (s).
+DISCOVERY_S = 1.0
+# What ROS calls a publisher whose node has not yet said its name.
+_UNKNOWN_NAME = "_NODE_NAME_UNKNOWN_"
+# How many messages of a topic wait for a live recorder that is busy, or that the machine is for it.
+_RECORDED_DEPTH = 1000
+_GOOD = Verdict()
+
+
+class Publishers:
+    """The publishers of a topic: one is believed; a second one, and one that is not heard, is said.
+
+    In lockstep all that ROS knows count, and they are asked for: an event of the middleware can
+    lock up rclpy's fast executor while the liveliness of a peer changes (rmw_fastrtps, pull
+    request 890). ROS knows of a publisher before its first message arrives.
+
+    In a live graph a node that was killed is started again, and ROS knows the dead one until its
+    process's lease ends (``config/fastdds.xml``). Where the interface gives the topic a liveliness
+    lease, those that live count there, by events.
+
+    Attributes:
+        topic: the interface's.
+        full_name: of the topic on the wire, with its namespace.
+        required: what a publisher must offer to be heard.
+    """
+
+    def __init__(self, node: Node, topic: Topic, *, live: bool, recorded: bool = False) -> None:
+        """Prepare for a subscription.
+
+        Args:
+            node: subscribes to it.
+            topic: the interface's.
+            live: whether its graph is live.
+            recorded: live: the node only keeps what is published, and all of it.
+        """
+        self.topic = topic
+        self.full_name: str = node.resolve_topic_name(topic.graph_name)
+        self.required = replace(
+            topic.qos,
+            durability="volatile" if live else topic.qos.durability,
+            lease_s=math.inf if recorded else topic.qos.lease_s,
+        )
+        self._node = node
+        self._by_lease = live and math.isfinite(self.required.lease_s)
+        self._depth = topic.qos.depth if not live else _RECORDED_DEPTH if recorded else 1
+        self._alive = 0  # by lease
+        self._unfit_since = -math.inf  # when the middleware last said that one is not heard
+        self._unheard_since: dict[str, float] = {}
+        self._names: list[str] = []
+
+    def profile(self) -> QoSProfile:
+        """Return the profile of the subscription; in a live graph the past is not asked for."""
+        profile = qos_profile(self.required)
+        profile.depth = self._depth
+        return profile
+
+    def events(self) -> SubscriptionEventCallbacks:
+        """Return the callbacks of the subscription, which count those that live."""
+        if not self._by_lease:
+            return SubscriptionEventCallbacks(use_default_callbacks=False)
+        return SubscriptionEventCallbacks(
+            liveliness=self._on_liveliness, incompatible_qos=self._on_unfit
+        )
+
+    def _on_liveliness(self, event: Any) -> None:
+        self._alive = event.alive_count
+
+    def _on_unfit(self, event: Any) -> None:
+        self._unfit_since = time.monotonic()
+
+    @property
+    def count(self) -> int:
+        """How many there are."""
+        return self._alive if self._by_lease else self._node.count_publishers(self.full_name)
+
+    @property
+    def heard(self) -> int:
+        """How many there are whose messages arrive: their quality of service fits."""
+        return self._alive if self._by_lease else len(self._known()) - len(self._unheard())
+
+    def names(self) -> list[str]:
+        """Return what to call the publishers' nodes; where all have gone, what they were called."""
+        self._names = sorted({call_node(one.node_name) for one in self._known()}) or self._names
+        return self._names
+
+    def problem(self, now: float) -> str:
+        """Say that there are two, if there are, or by lease that one is not heard.
+
+        What a second one says may be meant to stop the pump, heard or not. A count of two where one
+        is known is the middleware's mistake, after a lease that ran out on a busy machine.
+
+        Args:
+            now: of the steady clock (s).
+        """
+        count = self.count
+        if self._unfit_since > -math.inf or (count > 1 and not self._by_lease):
+            unheard = sorted({call_node(one.node_name) for one in self._unheard()})
+            if unheard:
+                return (
+                    f"has a publisher that cannot be heard ({', '.join(unheard)}): end it, or make "
+                    f"it {requirements(self.required)}"
+                )
+            if now - self._unfit_since > DISCOVERY_S:
+                self._unfit_since = -math.inf  # it went
+        if count < 2 or len(self._known()) < 2:
+            return ""
+        return (
+            f"has {count} publishers ({', '.join(self.names())}), and must have one: end the "
+            "other, or take another ROS_DOMAIN_ID or --namespace"
+        )
+
+    def said(self, now: float) -> str:
+        """Return the same with the name of the topic, as a sentence; empty where all is well."""
+        problem = self.problem(now)
+        return f"{self.full_name} {problem}" if problem else ""
+
+    def warnings(self, now: float) -> list[str]:
+        """Return a sentence on each that cannot be heard, once what it is has been discovered.
+
+        DDS connects no publisher to a subscription that asks for more than it offers, and says so
+        of one of the policies that differ. What each end has is known, and so all are said at once.
+
+        Args:
+            now: of the steady clock (s).
+        """
+        unheard = {one.node_name: one.qos_profile for one in self._unheard()}
+        self._unheard_since = {name: self._unheard_since.get(name, now) for name in unheard}
+        return [
+            self._warning(name, profile) for name, profile in unheard.items()
+            if now - self._unheard_since[name] >= DISCOVERY_S
+        ]
+
+    def _warning(self, name: str, offered: QoSProfile) -> str:
+        who = call_node(name) if name == _UNKNOWN_NAME else f"node {name}"
+        sentence = (
+            f"{self.full_name}: what {who} publishes does not arrive: it "
+            f"{' and '.join(lacks(offered, self.required))}, and must be "
+            f"{requirements(self.topic.qos)} (doc/real-pump.md)"
+        )
+        read = self._node.get_subscriptions_info_by_topic
+        lossy = [
+            self._node.resolve_topic_name(topic.graph_name)
+            for topic in read_topics().values() if topic.per_tick
+            for one in read(topic.graph_name) if one.node_name == name
+            and lacks(one.qos_profile, replace(topic.qos, lease_s=math.inf))
+        ]
+        if lossy:
+            sentence += f"; so must its subscription to {', '.join(lossy)}, or it misses messages"
+        roles = " or ".join(self.topic.publishers)
+        return f"{sentence}; a graph has exactly one publisher of it, {roles}"
+
+    def _known(self) -> list[Any]:
+        return list(self._node.get_publishers_info_by_topic(self.topic.graph_name))
+
+    def _unheard(self) -> list[Any]:
+        return [one for one in self._known() if lacks(one.qos_profile, self.required)]
+
+
+def call_node(name: str) -> str:
+    """Return what to call a node in a message, by its name in the graph.
+
+    Who joined just before another was killed may know that one's topics, and never its name.
+    """
+    if name == _UNKNOWN_NAME:
+        return "a node whose name is not known, such as one that was killed"
+    return name
+
+
+class Input:
+    """One topic that a node subscribes to, with its newest value.
+
+    A value that is not finite, or outside the interface's range, is refused: 0 stands in its place
+    until the next one comes. The first of them is logged, further ones are only counted.
+
+    Attributes:
+        topic: what the interface says of it.
+        name: of the topic on the wire, with its namespace.
+        publishers: who publishes it.
+        value: the newest; nanoseconds of a clock, otherwise a number or a row of numbers.
+        verdict: on the newest; in a live graph by all rules.
+        refused: how many were.
+        heard: live: whether anything ever came.
+        optional: live: whether the node acts without it.
+        heals: lockstep: whether the node itself looks for a second publisher, which ends nothing.
+    """
+
+    def __init__(
+        self, publishers: Publishers, logger: RcutilsLogger, *,
+        optional: bool = False, heals: bool = False,
+    ) -> None:
+        """Start with the value 0.
+
+        Args:
+            publishers: who publishes it.
+            logger: of the node.
+            optional: live: whether the node acts without it.
+            heals: whether a second publisher ends nothing in lockstep, either.
+        """
+        self.publishers = publishers
+        self.topic = publishers.topic
+        self.name = publishers.full_name
+        self.value: Any = 0.0
+        self.verdict = _GOOD
+        self.refused = 0
+        self.heard = False
+        self.optional, self.heals = optional, heals
+        self._logger = logger
+        self._decode = decoder(self.topic.type)
+
+    @property
+    def good(self) -> bool:
+        """Whether the newest value may be acted on."""
+        return not self.verdict.code
+
+    @property
+    def why(self) -> str:
+        """Why it may not, for a sentence that begins with its name."""
+        return self.verdict.why
+
+    @property
+    def code(self) -> str:
+        """Of that condition; empty where it is good."""
+        return self.verdict.code
+
+    def receive(self, message: bytes) -> None:
+        """Read a message's value and keep it, or 0 where it must be refused."""
+        value = self._decode(message)
+        low, high = self.topic.low, self.topic.high
+        if isinstance(value, (float, int)):
+            if low <= value <= high:  # a NaN is neither
+                self.value, self.verdict = value, _GOOD
+            else:
+                self._refuse(value, 0.0)
+            return
+        numbers = np.asarray(value)
+        wrong = numbers[~((low <= numbers) & (numbers <= high))]
+        if len(wrong):
+            self._refuse(float(wrong[0]), np.zeros_like(numbers))
+        else:
+            self.value, self.verdict = value, _GOOD
+
+    def hand_on_to(self, callback: Callable[[Any], None]) -> Callable[[bytes], None]:
+        """Return what receives its messages and hands each value on."""
+
+        def on_message(message: bytes) -> None:
+            self.receive(message)
+            callback(self.value)
+
+        return on_message
+
+    def _refuse(self, value: float, instead: Any) -> None:
+        unit = "" if self.topic.unit == "1" else f" {self.topic.unit}"
+        limits = f"must be from {self.topic.low:g} to {self.topic.high:g}{unit}"
+        if not self.refused:
+            self._logger.error(
+                f"refused {value!r} on {self.name}: it {limits}; it acts as 0, and further ones "
+                "are only counted"
+            )
+        self.refused += 1
+        self.verdict = Verdict("input_refused", f"was refused: {value!r}, and {limits}")
+        self.value = instead
 
 
 class Inputs:
     """The inputs of a node, by the names of their topics in the interface.
 
     Attributes:
-        entries: the newest value of each.
-        publishers: of each.
+        by_name: all of them.
         names: what to call a node that has not been seen, by its role.
     """
 
-    def __init__(self, role: str, interface: dict[str, Topic]) -> None:
+    def __init__(self, role: str) -> None:
         """Begin without any.
 
         Args:
             role: of the node.
-            interface: every topic of the graph.
         """
-        self.entries: dict[str, Input] = {}
-        self.publishers: dict[str, Publishers] = {}
+        self.by_name: dict[str, Input] = {}
         self.names = dict(ROLES)
         self._role = role
-        self._interface = interface
 
     def absent(self) -> dict[str, list[str]]:
         """Return the topics that nobody is heard on, by the role of who should publish them."""
         return self.by_role([
-            name for name, publishers in self.publishers.items() if not publishers.heard
+            name for name, one in self.by_name.items()
+            if not one.optional and not one.publishers.heard
         ])
 
     def by_role(self, names: Collection[str]) -> dict[str, list[str]]:
         """Return some of the topics, by the role of who should publish them."""
-        topics = {name: self._interface[name] for name in self.publishers}
+        topics = {name: one.topic for name, one in self.by_name.items()}
         return by_publisher(names, topics, self._role)
 
     def say(self, silent: Mapping[str, Collection[str]]) -> str:
         """Name topics, and the nodes that should publish them."""
         return "; ".join(
-            f"{', '.join(self.entries[name].name for name in names)} from "
-            f"{self.call(role, names)}"
+            f"{', '.join(self.by_name[name].name for name in names)} from {self.call(role, names)}"
             for role, names in silent.items()
         )
 
-    def call(self, role: str, names: Iterable[str] = ()) -> str:
+    def call(self, role: str, names: Iterable[str]) -> str:
         """Return what to call the node of a role: its name, where it publishes one of some topics.
 
         Args:
             role: of the interface.
             names: of topics.
         """
-        found = [node for name in names for node in self.publishers[name].names()]
+        found = [node for name in names for node in self.by_name[name].publishers.names()]
         return found[0] if found else self.names.get(role, role)
 
 

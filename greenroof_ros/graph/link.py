@@ -21,20 +21,16 @@ from rclpy.parameter import Parameter
 from rclpy.publisher import Publisher
 from rclpy.time import Time
 
+from greenroof_ros.common.clock import boot_time
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.interface import read_live_topics, read_topics
-from greenroof_ros.graph.errors import LockstepError
-from greenroof_ros.graph.inputs import Inputs
+from greenroof_ros.graph.inputs import DISCOVERY_S, Input, Inputs, Publishers
 from greenroof_ros.graph.live import Live
 from greenroof_ros.graph.lockstep import CLOCK, PLANT, RUN, Lockstep
+from greenroof_ros.graph.messages import decoder, encoder, message_class, qos_profile
 from greenroof_ros.graph.parameters import LIVE, declare, site_file
-from greenroof_ros.graph.publishers import Publishers
-from greenroof_ros.graph.qos import message_class, qos_profile
 from greenroof_ros.graph.reports import OK, WARN, Reports
-from greenroof_ros.graph.serialization import decoder, encoder
-from greenroof_ros.graph.states import ENDED, FINISHED, READY, STARTING
-from greenroof_ros.graph.unfit_publishers import UnfitPublishers
-from greenroof_ros.graph.validation import Input
+from greenroof_ros.graph.states import ENDED, FINISHED, READY, STARTING, LockstepError
 from greenroof_ros.model.site import Site, read_site
 from greenroof_ros.pumping.input_rules import LevelRule
 
@@ -94,32 +90,32 @@ class LinkedNode(Node):
         self.acted = False
         self.over = False
         self.interface = read_live_topics() if self.live else read_topics()
-        self.inputs = Inputs(role, self.interface)
-        self._unfit = UnfitPublishers(self)
+        self.inputs = Inputs(role)
+        self._heard: list[Publishers] = []  # of all that it subscribes to
+        self._warnings: list[str] = []
         self._outputs: list[Publisher] = []
-        self._looked = self._reported = 0.0
+        self._reported = self._warned = 0.0
         self._final_values: dict[str, Any] = {}
         self._site_file: dict[str, str] = {}
-        self._trigger = Live(self, self) if self.live else Lockstep(self, self)
-        self._is_good = self._trigger.good
-        simulated = Parameter("use_sim_time", Parameter.Type.BOOL, self._trigger.simulated_time)
-        self.set_parameters([simulated])
-        self._ros_clock = cast(ROSClock, self.get_clock())
-        on_report = self._trigger.hear if isinstance(self._trigger, Live) else None
-        self.reports = Reports(self, role, on_report)
-        if isinstance(self._trigger, Lockstep) and role != PLANT:
-            self._follow_run(self._trigger)
-
-    def _follow_run(self, lockstep: Lockstep) -> None:
-        """Take part in the run that the plant says."""
-        topic = self.interface[RUN]
-        decode = decoder(topic.type)
-        self.create_subscription(
-            message_class(topic.type), topic.graph_name,
-            self._guarded(lambda message: lockstep.hear_run(decode(message))),
-            qos_profile(topic.qos), raw=True,
-            event_callbacks=Publishers(self, topic).events(),
+        self._trigger: Live | Lockstep = (
+            Live(self, self.act, self.diagnose) if self.live else Lockstep(self)
         )
+        self.set_parameters([Parameter("use_sim_time", Parameter.Type.BOOL, not self.live)])
+        self._ros_clock = cast(ROSClock, self.get_clock())
+        self.reports = Reports(self, role)
+        if not self.live and role != PLANT:
+            run = Publishers(self, self.interface[RUN], live=False)
+            decode = decoder(run.topic.type)
+            self._open(run, lambda message: self._lockstep.hear_run(decode(message)))
+
+    @property
+    def _lockstep(self) -> Lockstep:
+        return cast(Lockstep, self._trigger)
+
+    def act(self) -> None:
+        """Act: the trigger says that it is time to."""
+        self.acted = True
+        self.on_inputs()
 
     # --- to override ------------------------------------------------------------------------
 
@@ -211,17 +207,18 @@ class LinkedNode(Node):
             optional: the node acts without it, too; only in a live graph.
             level: what else holds for a level in a live graph.
             heals: a second publisher ends nothing in lockstep, either; the node looks itself
-                whether there is one, at ``inputs.publishers``.
+                whether there is one, at the ``publishers`` of what is returned.
         """
-        topic = self.interface[name]
-        entry = Input(topic, self.resolve_topic_name(topic.graph_name), self.get_logger())
-        self.inputs.entries[name] = entry
-        publishers, on_message = self._trigger.open(
-            entry, callback, raw=raw, optional=optional, level=level, heals=heals
-        )
-        if not optional:
-            self.inputs.publishers[name] = publishers
-        self._open(publishers, on_message)
+        publishers = Publishers(self, self.interface[name], live=self.live)
+        entry = Input(publishers, self.get_logger(), optional=optional, heals=heals)
+        self.inputs.by_name[name] = entry
+        if isinstance(self._trigger, Live):
+            self._open(publishers, self._trigger.hold_to_rules(entry, level, callback))
+            return entry
+        if callback is None:
+            self._open(publishers, self._trigger.await_input(entry))
+        else:
+            self._open(publishers, callback if raw else entry.hand_on_to(callback))
         return entry
 
     def record(self, name: str, callback: Callable[[bytes], None]) -> None:
@@ -231,12 +228,11 @@ class LinkedNode(Node):
             name: of the topic in the interface.
             callback: called with each message, serialised.
         """
-        peers = cast(Live, self._trigger).peers
-        self._open(Publishers(self, self.interface[name], peers, recorded=True), callback)
+        self._open(Publishers(self, self.interface[name], live=True, recorded=True), callback)
 
     def _open(self, publishers: Publishers, callback: Callable[[bytes], None]) -> None:
         topic = publishers.topic
-        self._unfit.watched.append(publishers)
+        self._heard.append(publishers)
         self.create_subscription(
             message_class(topic.type), topic.graph_name, self._guarded(callback),
             publishers.profile(), raw=True, event_callbacks=publishers.events(),
@@ -246,20 +242,15 @@ class LinkedNode(Node):
         """Watch whether another node of a live graph publishes what this one does.
 
         Args:
-            name: of the topic in the interface, which has a liveliness lease.
+            name: of the topic in the interface.
 
         Returns:
             What says that there is one, at a time of the steady clock (s); empty where there is
             none.
         """
-        publishers = Publishers(self, self.interface[name], cast(Live, self._trigger).peers)
+        publishers = Publishers(self, self.interface[name], live=True)
         self._open(publishers, lambda message: None)
-
-        def problem(now: float) -> str:
-            found = publishers.problem(now)
-            return f"{publishers.full_name} {found}" if found else ""
-
-        return problem
+        return publishers.said
 
     def act_every(self, period: float) -> None:
         """Say how long a tick is (s): in a live graph it is the node's own period."""
@@ -269,8 +260,8 @@ class LinkedNode(Node):
     @property
     def run_length(self) -> int | None:
         """N of the run that the node takes part in; None before the plant has said it."""
-        run = self._trigger.run if isinstance(self._trigger, Lockstep) else None
-        return None if run is None else run.last_tick
+        run = None if self.live else self._lockstep.run
+        return None if run is None else round(run.last_tick)
 
     def _guarded(self, callback: Callable[[bytes], None]) -> Callable[[bytes], None]:
         """Keep an error for the node's loop: the executor would print it, and more, by itself."""
@@ -293,7 +284,9 @@ class LinkedNode(Node):
     @property
     def good(self) -> bool:
         """Whether no input's present value was refused, or, live, breaks another rule."""
-        return self._is_good()
+        if isinstance(self._trigger, Live):
+            self._trigger.judge()
+        return all(one.good for one in self.inputs.by_name.values() if not one.optional)
 
     def absent(self) -> str:
         """Name the topics without a publisher, and who should publish them."""
@@ -301,7 +294,7 @@ class LinkedNode(Node):
 
     def missing(self) -> str:
         """Name the topics that a node in lockstep waits for, and who should publish them."""
-        return cast(Lockstep, self._trigger).missing()
+        return self._lockstep.missing()
 
     def refuse(self, name: str, why: str) -> None:
         """Refuse the newest value of an input in a live graph: it cannot be acted on.
@@ -339,7 +332,7 @@ class LinkedNode(Node):
 
     def listen_s(self) -> float:
         """How long the node may wait for the next message (s)."""
-        return min(self.on_idle(), self._trigger.due_in())
+        return min(self.on_idle(), max(0.0, self._trigger.due - boot_time()))
 
     def check(self) -> None:
         """Look at the wall clock: say how the node is, and act where it is time to.
@@ -349,21 +342,27 @@ class LinkedNode(Node):
             ConfigurationError: nor can it as it was set up.
             OSError: nor can the node, for instance on a full disk.
         """
-        now = time.monotonic()
-        if now - self._looked > LISTEN_S:
-            self._looked = now
-            self._trigger.look(now)
-            if self.live or not self.acted:
-                self._unfit.look(now)
-            if not self.ready and not self.inputs.absent():
-                self.reports.state = READY
-                self._report(now)
         if self.error is not None:
             raise self.error
+        now = time.monotonic()
+        self._trigger.look(now)
+        if (self.live or not self.acted) and now - self._warned >= DISCOVERY_S:
+            self._warned = now
+            self._warn(now)
+        if not self.ready and not self.inputs.absent():
+            self.reports.state = READY
+            self._report(now)
         if now - self._reported > _REPORT_S:
             # Again and again, for a reader that joins late may miss what was said once.
             self._report(now)
-        self._trigger.act_if_due()
+
+    def _warn(self, now: float) -> None:
+        """Warn of each publisher that is not heard, once."""
+        for publishers in self._heard:
+            for sentence in publishers.warnings(now):
+                if sentence not in self._warnings:
+                    self._warnings.append(sentence)
+                    self.get_logger().warning(sentence)
 
     def finish(self) -> None:
         """Say from now on that the run is over for this node, with what its summary needs."""
@@ -380,12 +379,12 @@ class LinkedNode(Node):
         self._reported = now
         waiting = {} if self.ready else {"waiting": list(self.inputs.absent())}
         refused = {
-            name: entry.refused for name, entry in self.inputs.entries.items() if entry.refused
+            name: entry.refused for name, entry in self.inputs.by_name.items() if entry.refused
         }
         run = {} if self.live else {"run_length": self.run_length}
         self.reports.say({
             **self._site_file, **run, **self.progress(), **waiting, "refused": refused,
-            "warnings": self._unfit.warnings, **self._final_values,
+            "warnings": self._warnings, **self._final_values,
         })
 
     def flush(self, failure: str | None) -> None:

@@ -11,18 +11,15 @@ import math
 import struct
 import time
 from collections.abc import Callable, Iterable
-from typing import Any, Protocol
+from typing import Any
 
 from rclpy.node import Node
 
 from greenroof_ros.common.clock import boot_time, suspended_time
 from greenroof_ros.common.parameter import Parameter
-from greenroof_ros.graph.errors import LockstepError
-from greenroof_ros.graph.inputs import Inputs
-from greenroof_ros.graph.peers import Peers
-from greenroof_ros.graph.publishers import Publishers
-from greenroof_ros.graph.reports import ERROR, OK, WARN, Report
-from greenroof_ros.graph.validation import Input
+from greenroof_ros.graph.inputs import Input
+from greenroof_ros.graph.reports import ERROR, OK, WARN
+from greenroof_ros.graph.states import LockstepError
 from greenroof_ros.pumping.input_rules import InputRules, LevelRule, Verdict
 
 # A pause of this process itself (s): what it has then is of before. For so long after it, too, what
@@ -74,171 +71,121 @@ def live_parameters(topics: Iterable[str]) -> list[Parameter]:
     return [*dict.fromkeys(LIMITS[topic] for topic in topics), RECOVERY]
 
 
-class LiveNode(Protocol):
-    """What a live graph needs of its node; see :class:`greenroof_ros.graph.link.LinkedNode`."""
-
-    acted: bool
-    inputs: Inputs
-
-    def on_inputs(self) -> None:
-        """Act."""
-
-    def diagnose(self, part: str, level: bytes, message: str, code: str = "") -> None:
-        """Say how a part of the node is."""
-
-
-class _LiveInput:
-    """An input with its rules and publishers."""
-
-    def __init__(self, entry: Input, rules: InputRules, publishers: Publishers) -> None:
-        self.entry = entry
-        self.rules = rules
-        self.publishers = publishers
-        self.verdict = Verdict()
-        self.judge(boot_time())
-        publishers.on_change = lambda: self.judge(boot_time())
-
-    def judge(self, now: float) -> None:
-        """Judge the input as it is now (s since the machine started), and show at it how it is."""
-        self.verdict = self.rules.judge(now, self.publishers.problem(time.monotonic()))
-        self.entry.good = self.verdict.good
-        self.entry.why = self.verdict.why
-        self.entry.code = self.verdict.code
-
-
 class Live:
     """Makes a node act every period of the steady clock; a peer's end is not its own.
 
     That clock goes on while the machine is suspended: what came before is then too old.
 
     Attributes:
-        simulated_time: whether the node's clock is that of a run; here it is the system's.
-        peers: the other nodes, as they report.
+        due: when the node acts next (s since the machine started).
     """
 
-    simulated_time = False
-
-    def __init__(self, node: LiveNode, ros_node: Node) -> None:
+    def __init__(
+        self, node: Node, act: Callable[[], None], diagnose: Callable[[str, bytes, str, str], None]
+    ) -> None:
         """Begin without a period.
 
         Args:
             node: that is to act.
-            ros_node: the same, as rclpy has it.
+            act: has it act.
+            diagnose: says how a part of it is: its name, a level, a sentence and a code.
         """
-        self.peers = Peers()
-        self._node = node
-        self._ros_node = ros_node
+        self._node, self._act, self._diagnose = node, act, diagnose
+        self._inputs: dict[str, tuple[Input, InputRules]] = {}
         self._period = math.inf
-        self._due = math.inf
-        self._inputs: dict[str, _LiveInput] = {}
-        self._needed: list[_LiveInput] = []
+        self.due = math.inf
         self._looked = boot_time()
         self._deaf_until = self._looked
 
     def act_every(self, period: float) -> None:
         """Let the node act from now on every period (s)."""
         self._period = period
-        self._due = boot_time() + period
+        self.due = boot_time() + period
 
-    def open(
-        self, entry: Input, callback: Callable[[Any], None] | None, *, raw: bool,
-        optional: bool, level: LevelRule | None, **rules_of_lockstep: object,
-    ) -> tuple[Publishers, Callable[[bytes], None]]:
-        """Prepare an input; see :meth:`greenroof_ros.graph.link.LinkedNode.subscribe`."""
-        node = self._ros_node
-        publishers = Publishers(node, entry.topic, self.peers)
+    def hold_to_rules(
+        self, entry: Input, level: LevelRule | None, callback: Callable[[Any], None] | None
+    ) -> Callable[[bytes], None]:
+        """Have an input keep the rules of a live graph; returns what receives its messages.
+
+        Args:
+            entry: the input.
+            level: what else holds for a level.
+            callback: called with each value.
+        """
+        node = self._node
         limit = LIMITS[entry.topic.name].name
         rules = InputRules(
             boot_time(), node.get_parameter(limit).value,
             node.get_parameter(RECOVERY.name).value, limit_name=limit, level=level,
         )
-        self._inputs[entry.topic.name] = one = _LiveInput(entry, rules, publishers)
-        if not optional:
-            self._needed.append(one)
+        self._inputs[entry.topic.name] = entry, rules
+        self.judge()
 
         def on_message(message: bytes) -> None:
             now = boot_time()
             self._note_pause(now)
             if now < self._deaf_until:
                 return
-            entry.good = entry.heard = True
+            entry.heard = True
             try:
                 entry.receive(message)
             except (LockstepError, ValueError, struct.error) as error:
                 entry.refused += 1
-                entry.good = False
-                entry.why = f"was refused: {error}"
-            rules.came(now, entry.value, "" if entry.good else entry.why)
-            one.judge(now)
+                entry.verdict = Verdict("input_refused", f"was refused: {error}")
+            rules.came(now, entry.value, entry.why)
+            self.judge()
             if callback is not None:
                 callback(entry.value)
 
-        return publishers, on_message
+        return on_message
 
     def refuse(self, name: str, why: str) -> None:
         """Refuse the newest value of an input: who acts on it cannot."""
-        one = self._inputs[name]
-        one.entry.refused += 1
-        now = boot_time()
-        one.rules.refuse(now, f"was refused: {why}")
-        one.judge(now)
-        self._say()
+        entry, rules = self._inputs[name]
+        entry.refused += 1
+        rules.refuse(boot_time(), f"was refused: {why}")
+        self.judge()
 
-    def good(self) -> bool:
-        """Whether all that the node needs is good now."""
-        now = boot_time()
-        for one in self._inputs.values():
-            one.judge(now)
-        return all(one.entry.good for one in self._needed)
+    def judge(self) -> None:
+        """Judge all inputs as they are now."""
+        for entry, rules in self._inputs.values():
+            entry.verdict = rules.judge(boot_time(), entry.publishers.problem(time.monotonic()))
 
-    def due_in(self) -> float:
-        """How long until the node acts (s)."""
-        return max(0.0, self._due - boot_time())
-
-    def act_if_due(self) -> None:
+    def look(self, _: float) -> None:
         """Act once in a period; of periods that were missed, by a pause, none is made good."""
         now = boot_time()
-        if now < self._due:
-            return
         self._note_pause(now)
-        self._due += (math.floor((now - self._due) / self._period) + 1) * self._period
-        self._node.acted = True
+        if now < self.due:
+            return
+        self.due += (math.floor((now - self.due) / self._period) + 1) * self._period
         before = suspended_time()
-        self.good()
+        self.judge()
         self._say()
-        self._node.on_inputs()
+        self._act()
         # What a node takes to decide is no pause: what it decides on must not be too old then. A
         # suspend in the middle of it is one.
         slept = suspended_time() - before
         self._looked = boot_time() - slept
-
-    def look(self, now: float) -> None:
-        """Look whether the process was stopped, or the machine suspended."""
-        self._note_pause(boot_time())
-
-    def hear(self, report: Report) -> None:
-        """Take a peer's report."""
-        self.peers.hear(report)
 
     def _note_pause(self, now: float) -> None:
         """Forget all inputs if the process itself stood still."""
         passed, self._looked = now - self._looked, now
         if passed > _PAUSE_S:
             self._deaf_until = now + _PAUSE_S
-            for one in self._inputs.values():
-                one.rules.paused(now, passed)
-                one.judge(now)
+            for _, rules in self._inputs.values():
+                rules.paused(now, passed)
+            self.judge()
 
     def _say(self) -> None:
         """Say which of the inputs that the node needs are not good, and why."""
-        bad = [one for one in self._needed if not one.verdict.good]
+        needed = [one for one, _ in self._inputs.values() if not one.optional]
+        bad = [one for one in needed if not one.good]
         if not bad:
-            if self._needed:
-                self._node.diagnose("inputs", OK, "all inputs are good")
+            if needed:
+                self._diagnose("inputs", OK, "all inputs are good", "")
             return
         alarming = [one for one in bad if one.verdict.alarming]
-        self._node.diagnose(
+        self._diagnose(
             "inputs", ERROR if alarming else WARN,
-            "; ".join(f"{one.entry.name} {one.verdict.why}" for one in bad),
-            (alarming or bad)[0].verdict.code,
+            "; ".join(f"{one.name} {one.why}" for one in bad), (alarming or bad)[0].code,
         )

@@ -16,8 +16,7 @@ from collections.abc import Callable, Collection
 from typing import Any
 
 from greenroof_ros.common.interface import read_topics
-from greenroof_ros.graph.errors import no_ros
-from greenroof_ros.graph.transport import choose_transport
+from greenroof_ros.graph.domain import join, waiting_in
 
 # How many messages of a topic wait until the next look: those of 1 s at 60 times real time.
 _DEPTH = 64
@@ -48,21 +47,10 @@ class Looker:
         Raises:
             ConfigurationError: ROS 2 is not installed.
         """
-        try:
-            import rclpy
-            from rclpy.executors import SingleThreadedExecutor
-            from rclpy.node import Node
-            from rclpy.signals import SignalHandlerOptions
-            from std_srvs.srv import SetBool
-        except ImportError as error:
-            raise no_ros(error) from error
-        choose_transport()
-        self._context = rclpy.Context()
-        rclpy.init(
-            # Its log file would need a home directory, which a service may not have.
-            args=["--ros-args", "--disable-external-lib-logs"], context=self._context,
-            signal_handler_options=SignalHandlerOptions.NO,
-        )
+        self._context = join()
+        from rclpy.executors import SingleThreadedExecutor
+        from rclpy.node import Node
+        from std_srvs.srv import SetBool
 
         def node(name: str) -> Node:
             return Node(
@@ -86,7 +74,7 @@ class Looker:
         """Hear these topics of the interface, /diagnostics and no others."""
         from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 
-        from greenroof_ros.graph.qos import message_class
+        from greenroof_ros.graph.messages import message_class
 
         wanted = {DIAGNOSTICS, *topics}
         for name in self._subscriptions.keys() - wanted:
@@ -104,8 +92,6 @@ class Looker:
 
     def look(self, wait_s: float) -> None:
         """Wait, unless woken, and hand over all that has come; /diagnostics first."""
-        from greenroof_ros.graph.executors import waiting_in
-
         self._wake.wait(wait_s)
         self._wake.clear()
         for name in sorted(self._subscriptions, key=lambda name: name != DIAGNOSTICS):

@@ -16,11 +16,10 @@ from rclpy.signals import SignalHandlerOptions
 
 from greenroof_ros.common.command_line import EXIT_DONE, EXIT_FAILED, EXIT_USAGE, exit_code
 from greenroof_ros.common.errors import ConfigurationError
-from greenroof_ros.graph.errors import LockstepError
-from greenroof_ros.graph.executors import begin_to_listen, make_executor
+from greenroof_ros.graph.domain import begin_to_listen, choose_transport, make_executor
 from greenroof_ros.graph.link import LinkedNode
 from greenroof_ros.graph.parameters import refuse_unknown
-from greenroof_ros.graph.transport import choose_transport
+from greenroof_ros.graph.states import LockstepError
 
 # How long the middleware may take to go (s); it is a fraction of a second, but on a busy machine.
 _TAKING_DOWN_S = 6
@@ -72,8 +71,7 @@ def run_node(make: Callable[[], LinkedNode]) -> int:
         print(f"error: {error}", file=sys.stderr)
         code, failure = exit_code(error), str(error)
     except (LockstepError, OSError) as error:
-        _fail(node, error)
-        code, failure = EXIT_FAILED, str(error)
+        code, failure = _failed(node, error)
     except ExternalShutdownException:
         pass
     finally:
@@ -81,8 +79,7 @@ def run_node(make: Callable[[], LinkedNode]) -> int:
             try:
                 node.on_stop()
             except OSError as error:
-                _fail(node, error)
-                code, failure = EXIT_FAILED, str(error)
+                code, failure = _failed(node, error)
             node.flush(failure)
         # All is said and written. Fast DDS can lock up, and spin, in taking itself down while a
         # peer does the same, be it here or where Python frees the last of it at the process's end;
@@ -107,9 +104,10 @@ def _run_in_batches() -> None:
             os.sched_setscheduler(int(thread.name), os.SCHED_BATCH, os.sched_param(0))
 
 
-def _fail(node: LinkedNode | None, error: Exception) -> None:
-    """Log what ends the node; before there is one, print it."""
+def _failed(node: LinkedNode | None, error: Exception) -> tuple[int, str]:
+    """Log what ends the node, or print it before there is one; return exit code and reason."""
     if node is None:
         print(f"error: {error}", file=sys.stderr)
     else:
         node.get_logger().fatal(str(error))
+    return EXIT_FAILED, str(error)

@@ -22,11 +22,9 @@ from greenroof_ros.common.errors import ConfigurationError, OccupiedError
 from greenroof_ros.common.findings import Finding
 from greenroof_ros.common.interface import read_topics
 from greenroof_ros.common.progress_lines import ProgressLines
-from greenroof_ros.graph.executors import make_executor
-from greenroof_ros.graph.publishers import call_node
-from greenroof_ros.graph.qos import lacks, message_class, qos_profile, requirements
-from greenroof_ros.graph.serialization import encoder
-from greenroof_ros.graph.transport import choose_transport
+from greenroof_ros.graph.domain import choose_transport, make_executor
+from greenroof_ros.graph.inputs import call_node
+from greenroof_ros.graph.messages import encoder, lacks, message_class, qos_profile, requirements
 from greenroof_ros.model.initial_state import initial_state
 from greenroof_ros.model.site import Site
 

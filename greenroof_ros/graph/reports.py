@@ -1,4 +1,4 @@
-"""A node's state, on /diagnostics and to the process that started it, and those of its peers."""
+"""A node's state, on /diagnostics and to the process that started it."""
 
 from __future__ import annotations
 
@@ -7,7 +7,6 @@ import json
 import os
 import socket
 import time
-from collections.abc import Callable
 from dataclasses import dataclass
 from datetime import datetime, timezone
 from typing import Any
@@ -17,12 +16,13 @@ from rclpy.clock import Clock
 from rclpy.node import Node
 
 from greenroof_ros.common.interface import read_topics
-from greenroof_ros.graph.qos import qos_profile
-from greenroof_ros.graph.states import REPORT_PIPE, STARTING, STATES, as_expected
+from greenroof_ros.graph.messages import qos_profile
+from greenroof_ros.graph.states import REPORT_PIPE, STARTING
 
 # How a part of a node is, as tools know it.
 OK, WARN = DiagnosticStatus.OK, DiagnosticStatus.WARN
 ERROR, STALE = DiagnosticStatus.ERROR, DiagnosticStatus.STALE
+_NO_PIPE = -1
 LEVELS = {OK: "OK", WARN: "WARN", ERROR: "ERROR", STALE: "STALE"}
 
 
@@ -45,27 +45,8 @@ class Diagnosis:
     since: float
 
 
-@dataclass(frozen=True)
-class Report:
-    """What a peer says of itself.
-
-    Attributes:
-        name: of the node.
-        role: what the interface calls it.
-        process: that runs it; another one after a restart.
-        state: one of :mod:`greenroof_ros.graph.states`.
-        values: what else it says.
-    """
-
-    name: str
-    role: str
-    process: str
-    state: str
-    values: dict[str, Any]
-
-
 class Reports:
-    """Says a node's state, and hears those of the other nodes of its namespace.
+    """Says a node's state.
 
     /diagnostics is one topic for all nodes of a domain, as everywhere in ROS; a status has the
     node's fully qualified name, and its values are written as JSON. The status of a part has the
@@ -74,22 +55,18 @@ class Reports:
 
     Attributes:
         state: of the node.
-        process: that runs it; another one after a restart.
         diagnoses: of its parts, by name.
         hardware: what its parts are about, where that is a device; otherwise the machine.
         publisher: of the reports.
         supervised: whether the process that started the node wants its reports, and ends it.
     """
 
-    def __init__(
-        self, node: Node, role: str, on_report: Callable[[Report], None] | None
-    ) -> None:
+    def __init__(self, node: Node, role: str) -> None:
         """Open the topic and, where a parent process wants reports, the pipe to it.
 
         Args:
             node: whose state it is.
             role: what the interface calls it.
-            on_report: called with each report of another node; None: they are not heard.
         """
         self.state = STARTING
         self.diagnoses: dict[str, Diagnosis] = {}
@@ -97,20 +74,14 @@ class Reports:
         self._node = node
         self._role = role
         self._machine = socket.gethostname()
-        self.process = f"{self._machine} {os.getpid()}"
-        self._pipe: int | None = None
-        self.supervised = REPORT_PIPE in os.environ
+        self._process = f"{self._machine} {os.getpid()}"  # another one after a restart
+        self._pipe = int(os.environ.get(REPORT_PIPE, _NO_PIPE))
+        self.supervised = self._pipe != _NO_PIPE
         if self.supervised:
-            self._pipe = int(os.environ[REPORT_PIPE])
             os.set_blocking(self._pipe, False)
         topic = read_topics()["/diagnostics"]
         profile = qos_profile(topic.qos)
         self.publisher = node.create_publisher(DiagnosticArray, topic.graph_name, profile)
-        if on_report is not None:
-            node.create_subscription(
-                DiagnosticArray, topic.graph_name,
-                lambda array: self._hear(array, on_report), profile,
-            )
 
     def diagnose(self, part: str, level: bytes, message: str, code: str, cause: str) -> bool:
         """Keep how a part is, and return whether that is another diagnosis than before."""
@@ -128,7 +99,7 @@ class Reports:
         for a stamp that was forgotten.
         """
         level = ERROR if "failure" in values else WARN if values["warnings"] else OK
-        values = {"role": self._role, "process": self.process, **values}
+        values = {"role": self._role, "process": self._process, **values}
         name = self._node.get_fully_qualified_name()
         status = DiagnosticStatus(
             level=level, name=name, message=self.state, hardware_id=self._machine,
@@ -145,7 +116,7 @@ class Reports:
         now = self._node.get_clock().now()
         array.header.stamp = (now if now.nanoseconds else Clock().now()).to_msg()
         self.publisher.publish(array)
-        if self._pipe is not None:
+        if self.supervised:
             # A reader that is stopped must not stop the node: what does not fit is dropped, and
             # said again a moment later.
             if self.diagnoses:
@@ -156,25 +127,6 @@ class Reports:
             with contextlib.suppress(BlockingIOError, BrokenPipeError):
                 line = json.dumps({"state": self.state, **values})
                 os.write(self._pipe, f"{line}\n".encode())
-
-    def _hear(self, array: DiagnosticArray, on_report: Callable[[Report], None]) -> None:
-        for status in array.status:
-            namespace, _, name = status.name.rpartition("/")
-            if (
-                status.message not in STATES
-                or (namespace or "/") != self._node.get_namespace()
-            ):
-                continue
-            try:
-                said = {entry.key: json.loads(entry.value) for entry in status.values}
-                values = as_expected(said)
-                role, process = values["role"], values["process"]
-            except (ValueError, RecursionError, KeyError):
-                continue  # another's status of that name
-            if not isinstance(role, str) or not isinstance(process, str):
-                continue
-            if process != self.process:
-                on_report(Report(name, role, process, status.message, values))
 
 
 def _values(diagnosis: Diagnosis) -> list[KeyValue]:

@@ -1,9 +1,9 @@
-"""What a node says of itself, and where a started node says it to the process that started it."""
+"""What can be known of a graph without ROS: a node's states and reports, and what ends a run."""
 
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from typing import Any
 
 # The states of a node: not all its peers are there; they are; the run is over; so is the process.
@@ -23,6 +23,10 @@ REPORT_PIPE = "GREENROOF_ROS_REPORT_PIPE"
 # times a second, whether it may run: one JSON object a line, with the key "inhibit", empty or why
 # it may not, and "at", the time since the machine started (CLOCK_BOOTTIME, s) at which that was so.
 PERMIT_PIPE = "GREENROOF_ROS_PERMIT_PIPE"
+
+
+class LockstepError(Exception):
+    """The graph cannot go on; the message names the topic and the node."""
 
 
 def _is_text(value: object) -> bool:
@@ -52,24 +56,20 @@ _IS_AS_EXPECTED: dict[str, Callable[[Any], bool]] = {
 }
 
 
-def as_expected(values: Mapping[str, Any]) -> dict[str, Any]:
-    """Return what a report says, without what is of another type than its readers expect.
-
-    A node that was started again can be of another version than they are, where the package was
-    changed meanwhile. What it says otherwise is as if it had not said it.
-    """
-    return {
-        key: value for key, value in values.items()
-        if key not in _IS_AS_EXPECTED or _IS_AS_EXPECTED[key](value)
-    }
-
-
 def read_report(line: bytes) -> dict[str, Any] | None:
-    """Return the report in a line of the pipe, or None where there is none."""
+    """Return the report in a line of the pipe, or None where there is none.
+
+    A node that was started again can be of another version than its supervisor, where the package
+    was changed meanwhile. What is of another type than readers expect is as if it were not said.
+    """
     try:
         report = json.loads(line)
     except (ValueError, RecursionError):
         return None
     if not isinstance(report, dict) or report.get("state") not in STATES:
         return None
-    return {"warnings": [], "refused": {}, **as_expected(report)}
+    said = {
+        key: value for key, value in report.items()
+        if key not in _IS_AS_EXPECTED or _IS_AS_EXPECTED[key](value)
+    }
+    return {"warnings": [], "refused": {}, **said}

@@ -29,6 +29,7 @@ from greenroof_ros.common.command_line import (
 from greenroof_ros.common.disk import DISK
 from greenroof_ros.common.processes import asked_to_end_with_this
 from greenroof_ros.drives.drive_file import LONGEST_RAMP_S
+from greenroof_ros.graph.domain import LEASE
 from greenroof_ros.graph.permit import Permit
 from greenroof_ros.graph.states import PUMP, READY, RECORDER, REPORT_PIPE, read_report
 
@@ -55,6 +56,8 @@ _OBEYS_S = 2.0
 # The time before a restart (s): 1, 2, 4, ... to this, by the restarts of the last ten minutes.
 _LONGEST_WAIT_S = 10.0
 _WINDOW_S = 600.0
+# A node that was killed is one of two publishers for so long (s) when it is started again.
+_LIVE_LEASE_S = "3"
 
 # A full disk is no error of a log: what it does not take is lost. At the end, a disk that hangs
 # would be waited for; each line is flushed when it is written.
@@ -168,6 +171,7 @@ class Supervisor:
         self._on_failure = on_failure
         self._directory = logs
         self._logs: dict[str, RotatingFileHandler] = {}
+        self._environment: dict[str, str] = {}
         self._ros_arguments = ["--ros-args"]
         for file in parameters:
             self._ros_arguments += ["--params-file", str(file)]
@@ -226,7 +230,10 @@ class Supervisor:
                 stdin=subprocess.DEVNULL,
                 stdout=printing,
                 stderr=subprocess.STDOUT,
-                env=asked_to_end_with_this() | {name: str(end) for name, end in given.items()},
+                env={
+                    **asked_to_end_with_this(), **self._environment,
+                    **{name: str(end) for name, end in given.items()},
+                },
                 pass_fds=given.values(),
                 start_new_session=True,
             )
@@ -378,6 +385,7 @@ class LiveSupervisor(Supervisor):
         super().__init__(logs, parameters, namespace, stop_drive, on_failure)
         # Files of rcl's own, besides what a node prints, would grow for months.
         self._ros_arguments.append("--disable-external-lib-logs")
+        self._environment[LEASE] = _LIVE_LEASE_S
         self.inhibit = "starting"
         self._inhibited_since = time.monotonic()
         self._met = False

@@ -25,6 +25,7 @@ from greenroof_ros.drives.address import parse_drive_address
 from greenroof_ros.drives.drive import DriveStatus
 from greenroof_ros.drives.drive_file import LONGEST_RAMP_S, find_drive_file, read_drive_file
 from greenroof_ros.drives.exchange import RESET_S, UNREAD_S, DriveExchange, Snapshot
+from greenroof_ros.graph.inputs import Input
 from greenroof_ros.graph.lifecycle import (
     ACTIVE,
     INACTIVE,
@@ -46,7 +47,6 @@ from greenroof_ros.graph.node_help import node_command
 from greenroof_ros.graph.parameters import LIVE, declare, site_file
 from greenroof_ros.graph.permit import PermitReader
 from greenroof_ros.graph.reports import ERROR, OK, STALE, WARN
-from greenroof_ros.graph.validation import Input
 from greenroof_ros.model.site import Site
 from greenroof_ros.pumping.input_rules import (
     LevelRule,
@@ -536,16 +536,12 @@ class PumpNode(Lifecycle, LinkedNode):
                 reasons["drive_timeout"] = self._drive.timeout_problem(self._drive.snapshot)
             reasons["drive_guards_later"] = self._drive.snapshot.unguarded
         reasons["no_permit"] = self._permit.missing(boot_time())
-        reasons["two_controllers"] = self._two_controllers(now)
+        reasons["two_controllers"] = self._command.publishers.said(now)
         if self.live:
             # Another pump node may have the same drive: neither runs it then.
             reasons["two_pumps"] = self._rival(now)
         reasons["no_command"] = self._silence()
         return reasons
-
-    def _two_controllers(self, now: float) -> str:
-        problem = self.inputs.publishers["/pump/command"].problem(now)
-        return f"{self._command.name} {problem}" if problem else ""
 
     def _silence(self) -> str:
         """Return that commands are missing, by the steady clock alone."""
@@ -670,7 +666,7 @@ class PumpNode(Lifecycle, LinkedNode):
 
     def _diagnose_command(self, now: float) -> None:
         command, silence = self._command, self._silence()
-        trouble = self._two_controllers(now)
+        trouble = self._command.publishers.said(now)
         if not trouble and not command.good:
             trouble = f"{command.name} {command.why}"
         if trouble:

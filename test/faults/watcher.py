@@ -21,8 +21,8 @@ from std_msgs.msg import String
 from std_srvs.srv import SetBool, Trigger
 
 from greenroof_ros.common.interface import read_topics
-from greenroof_ros.graph.qos import message_class, qos_profile
-from greenroof_ros.graph.transport import choose_transport
+from greenroof_ros.graph.domain import choose_transport
+from greenroof_ros.graph.messages import message_class, qos_profile
 from greenroof_ros.watch.advice import OTHER
 from greenroof_ros.watch.alarms import Alarms, Status
 

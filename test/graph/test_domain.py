@@ -1,10 +1,14 @@
-"""The lock that keeps two bringups out of one namespace, where everybody may write."""
+"""The lock that keeps two bringups out of one namespace, transport, and the start of listening."""
 
 from __future__ import annotations
 
+import subprocess
+import sys
 from pathlib import Path
+from xml.etree import ElementTree
 
 import pytest
+from places import CHECKOUT, CONFIG
 
 from greenroof_ros.common.errors import ConfigurationError, OccupiedError
 from greenroof_ros.graph import domain
@@ -28,3 +32,25 @@ def test_a_lock_that_is_a_link_is_not_followed(
     with pytest.raises(ConfigurationError, match="cannot be opened"), only_bringup("/site1"):
         pass
     assert file.read_text() == "of this user"
+
+
+def test_both_files_for_fast_dds_set_the_same_of_publishers() -> None:
+    """Whether the graph stays on the machine or not; Fast DDS reads one file only."""
+    publishers = []
+    for name in ("fastdds.xml", "fastdds_loopback.xml"):
+        element = ElementTree.parse(CONFIG / name).getroot().find("{*}publisher")
+        assert element is not None
+        element.tail = None
+        publishers.append(ElementTree.tostring(element))
+    assert publishers[0] == publishers[1]
+
+
+def test_messages_that_come_while_an_executor_begins_to_listen() -> None:
+    """A sample of test/swaps.py, by a private part of rclpy that a new one may lack."""
+    pytest.importorskip("rclpy", reason="it is about ROS 2")
+    done = subprocess.run(
+        [sys.executable, str(CHECKOUT / "test" / "swaps.py"), "--rounds", "1000"],
+        capture_output=True, text=True, timeout=300, check=False,
+    )
+    assert done.stdout == "0 of 1000 times a message was left behind\n", done.stderr
+    assert done.returncode == 0

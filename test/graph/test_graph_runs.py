@@ -28,7 +28,7 @@ from greenroof_ros.model.metrics import Metrics
 
 pytest.importorskip("rclpy", reason="the graph needs ROS 2")
 
-from greenroof_ros.graph.serialization import encoder
+from greenroof_ros.graph.messages import encoder
 
 # Of the authors' published code: see test/data.
 PUBLISHED_M3 = 7151.7686

@@ -24,8 +24,7 @@ from std_srvs.srv import SetBool, Trigger
 
 from greenroof_ros.common.interface import read_topics
 from greenroof_ros.graph.looker import Looker, StopFailedError
-from greenroof_ros.graph.qos import qos_profile
-from greenroof_ros.graph.serialization import decoder, encoder
+from greenroof_ros.graph.messages import decoder, encoder, qos_profile
 
 LEVEL = "/roof/level"
 

@@ -341,7 +341,7 @@ def test_no_command_of_what_was_before_a_stop(domain: int, tmp_path: Path, site:
 def test_a_node_that_is_killed_may_come_again_but_not_twice(
     domain: int, tmp_path: Path, site: Site
 ) -> None:
-    """The dead one stays matched for 20 s, without a lease: that is no second publisher."""
+    """The dead one counts until its lease ends; one beside a node that lives always does."""
     file = tmp_path / "forecast.csv"
     write_forecast(file, timedelta(0), 0.0, 15.0)
     commands = site.be_dry()

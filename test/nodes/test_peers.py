@@ -15,9 +15,6 @@ from mcap.reader import make_reader
 from places import Once
 from ros_rig import Observer, start_node
 
-from greenroof_ros.common.interface import read_topics
-from greenroof_ros.graph.inputs import by_publisher, root_causes
-
 
 class Nodes:
     """Nodes started by hand, each with what it prints in a file."""
@@ -154,21 +151,3 @@ def test_fatal_line_names_the_cause(
     assert nodes.code("plant", 60) == 1
     (said,) = [text for text in nodes.log("plant").splitlines(True) if "FATAL" in text]
     assert said.endswith(line), said
-
-
-def test_root_causes_of_the_interface() -> None:
-    """Who waits for whom, as the plant sees it."""
-    topics = read_topics()
-    external = {
-        name: topics[name]
-        for name in (
-            "/weather/precipitation", "/weather/evapotranspiration", "/pump/command", "/pump/flow"
-        )
-    }
-
-    def causes(*missing: str) -> set[str]:
-        return root_causes(by_publisher(missing, external, "plant"), topics.values())
-
-    assert causes("/weather/precipitation", "/pump/command", "/pump/flow") == {"weather"}
-    assert causes("/pump/command", "/pump/flow") == {"controller"}
-    assert causes("/pump/flow") == {"pump"}

@@ -17,7 +17,7 @@ from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.node import Node
 
 from greenroof_ros.common.interface import read_topics
-from greenroof_ros.graph.qos import qos_profile
+from greenroof_ros.graph.messages import qos_profile
 from greenroof_ros.graph.states import ENDED, STARTING, STATES
 
 # A node reports four times a second; doc/explanation/live.md: after 2 s without it holds the pump.

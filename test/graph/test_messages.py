@@ -12,15 +12,13 @@ import pytest
 
 rclpy = pytest.importorskip("rclpy", reason="the message types come with ROS 2")
 
-from rclpy.logging import get_logger  # noqa: E402
 from rclpy.serialization import deserialize_message, serialize_message  # noqa: E402
 from rosgraph_msgs.msg import Clock  # noqa: E402
 from std_msgs.msg import Float64, Float64MultiArray  # noqa: E402
 
 from greenroof_ros.common.interface import read_topics  # noqa: E402
-from greenroof_ros.graph.errors import LockstepError  # noqa: E402
-from greenroof_ros.graph.serialization import decoder, encoder  # noqa: E402
-from greenroof_ros.graph.validation import Input  # noqa: E402
+from greenroof_ros.graph.messages import decoder, encoder  # noqa: E402
+from greenroof_ros.graph.states import LockstepError  # noqa: E402
 
 NUMBER, NUMBERS, CLOCK = (
     "std_msgs/msg/Float64", "std_msgs/msg/Float64MultiArray", "rosgraph_msgs/msg/Clock"
@@ -105,18 +103,6 @@ def test_plans_travel_with_their_own_labels() -> None:
     assert decoder(topic.type)(encode(plan)).tobytes() == plan.tobytes()
     assert encode(np.empty((0, 3))) == encode(array("d"))
     assert encode(np.full((1, 3), math.nan)) == encode(topic.undecided)
-
-
-def test_what_a_subscriber_takes_of_a_plan() -> None:
-    """Rows and emptiness are good; what was not decided is refused, as any NaN, and acts as 0."""
-    topic = read_topics()["/controller/plan"]
-    encode = encoder(topic.type, topic.dimensions)
-    entry = Input(topic, topic.name, get_logger("test"))
-    for value in (np.array([[10.0, 0.008, 0.036], [20.0, 0.0, 0.0]]), np.empty((0, 3))):
-        entry.receive(encode(value))
-        assert entry.good and np.asarray(entry.value).size == value.size
-    entry.receive(encode(topic.undecided))
-    assert not entry.good and list(entry.value) == [0.0] * 3
 
 
 def test_an_ensemble_of_one_is_a_single_forecast() -> None:
