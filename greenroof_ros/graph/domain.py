@@ -11,7 +11,6 @@ costs a tick is in doc/performance.md.
 
 from __future__ import annotations
 
-import fcntl
 import os
 import time
 from collections.abc import Callable, Collection, Iterator
@@ -21,6 +20,7 @@ from typing import Any
 
 from greenroof_ros.common.errors import ConfigurationError, OccupiedError
 from greenroof_ros.common.files import shared_directory
+from greenroof_ros.common.lock import LockedError, take_lock
 
 _RANGE = "ROS_AUTOMATIC_DISCOVERY_RANGE"
 _PROFILES = "FASTRTPS_DEFAULT_PROFILES_FILE"
@@ -128,18 +128,18 @@ def only_bringup(namespace: str) -> Iterator[None]:
     name = f"greenroof_ros-{os.getuid()}-domain-{_domain()}{namespace.replace('/', '-')}.lock"
     lock = _LOCKS / name
     try:
-        number = os.open(lock, os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW, 0o600)
+        held = take_lock(lock)
+    except LockedError:
+        raise _taken("a bringup runs", namespace) from None
     except OSError as error:
         raise ConfigurationError(
             f"cannot be opened ({error.strerror}), without which two bringups could run one site; "
             "remove it", file=lock,
         ) from error
-    with os.fdopen(number, "r+b") as stream:
-        try:
-            fcntl.flock(stream, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except OSError:
-            raise _taken("a bringup runs", namespace) from None
+    try:
         yield
+    finally:
+        os.close(held)
 
 
 def refuse_other_nodes(namespace: str, names: Collection[str], check: Callable[[], None]) -> None:
