@@ -136,10 +136,8 @@ def only_bringup(namespace: str) -> Iterator[None]:
             f"cannot be opened ({error.strerror}), without which two bringups could run one site; "
             "remove it", file=lock,
         ) from error
-    try:
+    with held:
         yield
-    finally:
-        os.close(held)
 
 
 def refuse_other_nodes(namespace: str, names: Collection[str], check: Callable[[], None]) -> None:

@@ -24,6 +24,7 @@ import stat
 import zlib
 from collections.abc import Callable
 from dataclasses import asdict, dataclass, replace
+from io import FileIO
 from pathlib import Path
 from typing import Any
 
@@ -110,7 +111,7 @@ class Ledger:
         self._sequence = 0
         self._unseen = 0.0
         self._problem = ""
-        self._only: int | None = None  # the lock
+        self._only: FileIO | None = None  # the lock
         self.record = self.found = self._to_write = Record()
         if file is None:
             return
@@ -202,7 +203,7 @@ class Ledger:
         """Write the record, let go of the file, and return why the record is not kept."""
         problem = self.kept(PATIENCE_S)
         if self._only is not None and DISK.wait(0.0):
-            os.close(self._only)
+            self._only.close()
             self._only = None
         return problem
 
