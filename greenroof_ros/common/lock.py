@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import fcntl
 import os
+from io import FileIO
 from pathlib import Path
 
 _FLAGS = os.O_RDWR | os.O_NOFOLLOW | os.O_CLOEXEC
@@ -22,7 +23,7 @@ class LockedError(Exception):
         self.holder = holder
 
 
-def take_lock(path: Path, mode: int = 0o600) -> int:
+def take_lock(path: Path, mode: int = 0o600) -> FileIO:
     """Return the open file of a lock; the lock is held until it is closed.
 
     Args:
@@ -39,20 +40,20 @@ def take_lock(path: Path, mode: int = 0o600) -> int:
         try:
             fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError:
-            text = os.read(lock, 32).decode("ascii", "replace").strip()
-            os.close(lock)
+            text = lock.read(32).decode("ascii", "replace").strip()
+            lock.close()
             raise LockedError(path, int(text) if text.isdecimal() else None) from None
         # Who had it may have removed the file between our opening and locking it.
-        if path.exists() and path.stat().st_ino == os.fstat(lock).st_ino:
+        if path.exists() and path.stat().st_ino == os.fstat(lock.fileno()).st_ino:
             break
-        os.close(lock)
+        lock.close()
     with contextlib.suppress(OSError):  # a full disk: the lock holds, without a name
-        os.ftruncate(lock, 0)
-        os.write(lock, f"{os.getpid()}\n".encode())
+        lock.truncate(0)
+        lock.write(f"{os.getpid()}\n".encode())
     return lock
 
 
-def _open(path: Path, mode: int) -> int:
+def _open(path: Path, mode: int) -> FileIO:
     """Return the file, made if need be.
 
     Where it is there it is opened without O_CREAT: in a directory such as /tmp the kernel refuses
@@ -60,9 +61,9 @@ def _open(path: Path, mode: int) -> int:
     """
     while True:
         try:
-            return os.open(path, _FLAGS)
+            return FileIO(os.open(path, _FLAGS), "r+")
         except FileNotFoundError:
             with contextlib.suppress(FileExistsError):
                 made = os.open(path, _FLAGS | os.O_CREAT | os.O_EXCL, mode)
                 os.fchmod(made, mode)
-                return made
+                return FileIO(made, "r+")

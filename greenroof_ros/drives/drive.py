@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import contextlib
 import math
-import os
 import re
 import stat
 import time
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
+from io import FileIO
 from pathlib import Path
 
 from greenroof_ros.common.lock import LockedError, take_lock
@@ -436,7 +436,7 @@ class DriveLock:
     def __init__(self, file: DriveFile, address: Address) -> None:
         """Take nothing yet."""
         self._file, self._address = file, address
-        self._held: tuple[int, Path] | None = None
+        self._held: tuple[FileIO, Path] | None = None
 
     @property
     def taken(self) -> bool:
@@ -472,7 +472,7 @@ class DriveLock:
             lock, path = self._held
             with contextlib.suppress(OSError):  # another user's file stays
                 path.unlink()
-            os.close(lock)
+            lock.close()
             self._held = None
 
     def _path(self) -> Path:

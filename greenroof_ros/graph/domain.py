@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import fcntl
 import os
 import time
 from collections.abc import Callable, Collection, Iterator
@@ -10,6 +9,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from greenroof_ros.common.errors import ConfigurationError, OccupiedError
+from greenroof_ros.common.lock import LockedError, take_lock
 from greenroof_ros.graph.errors import no_ros
 from greenroof_ros.graph.transport import choose_transport
 
@@ -57,17 +57,15 @@ def only_bringup(namespace: str) -> Iterator[None]:
     name = f"greenroof_ros-{os.getuid()}-domain-{_domain()}{namespace.replace('/', '-')}.lock"
     lock = _LOCKS / name
     try:
-        number = os.open(lock, os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW, 0o600)
+        held = take_lock(lock)
+    except LockedError:
+        raise _taken("a bringup runs", namespace) from None
     except OSError as error:
         raise ConfigurationError(
             f"cannot be opened ({error.strerror}), without which two bringups could run one site; "
             "remove it", file=lock,
         ) from error
-    with os.fdopen(number, "r+b") as stream:
-        try:
-            fcntl.flock(stream, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except OSError:
-            raise _taken("a bringup runs", namespace) from None
+    with held:
         yield
 
 

@@ -16,9 +16,7 @@ clock, if that did not go back.
 
 from __future__ import annotations
 
-import contextlib
 import errno
-import fcntl
 import json
 import math
 import os
@@ -26,10 +24,12 @@ import stat
 import zlib
 from collections.abc import Callable
 from dataclasses import asdict, dataclass, replace
+from io import FileIO
 from pathlib import Path
-from typing import IO, Any
+from typing import Any
 
 from greenroof_ros.common.disk import DISK, PATIENCE_S
+from greenroof_ros.common.lock import LockedError, take_lock
 
 DAY_S = 86_400.0
 # Length of a line (bytes): a page, a block of most disks.
@@ -111,13 +111,15 @@ class Ledger:
         self._sequence = 0
         self._unseen = 0.0
         self._problem = ""
-        self._only: IO[str] | None = None
+        self._only: FileIO | None = None  # the lock
         self.record = self.found = self._to_write = Record()
         if file is None:
             return
         try:
-            self._only = _take(file)
-        except (OSError, ValueError) as error:
+            file.parent.mkdir(parents=True, exist_ok=True)
+            # Not of the file itself, in whose place another is put where it is broken or removed.
+            self._only = take_lock(file.with_name(file.name + ".lock"))
+        except (LockedError, OSError, ValueError) as error:
             self._problem = _why(file, error)
         self.record, self._sequence, whole = _read(file)
         self.found = self.record
@@ -238,41 +240,17 @@ class Ledger:
 
 def _why(file: Path, error: Exception) -> str:
     """Return why a file is not written, in words."""
-    if isinstance(error, BlockingIOError):
+    if isinstance(error, LockedError):
         return (
-            f"{file} cannot be written: process {error.strerror} has it already; end that one, and "
-            "this one goes on by itself, or give this one another file (--state, state_file)"
+            f"{file} cannot be written: process {error.holder or 'unknown'} has it already; end "
+            "that one, and this one goes on by itself, or give this one another file (--state, "
+            "state_file)"
         )
     why = getattr(error, "strerror", None) or repr(error)
     return (
         f"{file} cannot be written: {why}; a restart would not know of a stop, a fault, and how "
         "much was pumped"
     )
-
-
-def _take(file: Path) -> IO[str]:
-    """Return the lock of a file; it is held until it is closed, however the process ends.
-
-    Raises:
-        BlockingIOError: another has it; the text is its process.
-        OSError: it cannot be made.
-    """
-    file.parent.mkdir(parents=True, exist_ok=True)
-    # Not the file itself, in whose place another is put where it is broken or was removed.
-    lock = file.with_name(file.name + ".lock").open("a+")
-    try:
-        fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except BlockingIOError as error:
-        with lock:
-            lock.seek(0)
-            raise BlockingIOError(error.errno, lock.read(32).strip() or "unknown") from None
-    except OSError:
-        lock.close()
-        raise
-    with contextlib.suppress(OSError):  # a full disk: the lock holds, without a name
-        lock.truncate(0)
-        os.write(lock.fileno(), f"{os.getpid()}\n".encode())
-    return lock
 
 
 def _line(sequence: int, record: Record) -> bytes:
