@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from greenroof_ros.common.errors import ConfigurationError
+from greenroof_ros.common.errors import ConfigurationError, in_extra
 from greenroof_ros.common.files import YamlMapping, read_yaml
 from greenroof_ros.controllers.registry import ControllerChoice
 from greenroof_ros.drives.address import Address, parse_drive_address
@@ -146,13 +146,9 @@ class DriveChoice:
         Raises:
             ConfigurationError: the file or the address is wrong, or pymodbus is not installed.
         """
-        try:
+        with in_extra("pump"):
             from greenroof_ros.drives.drive import HeldError
             from greenroof_ros.drives.exchange import stop_drive
-        except ModuleNotFoundError as error:
-            raise ConfigurationError(
-                f"a drive needs pymodbus: pip install 'greenroof_ros[pump]' ({error})"
-            ) from error
         file, address = self.read()
 
         def stop(pump_node: int) -> tuple[bool, str]:

@@ -53,8 +53,9 @@ def in_extra(extra: str) -> Iterator[None]:
     try:
         yield
     except ModuleNotFoundError as error:
+        package = str(error.name).partition(".")[0]
         raise ConfigurationError(
-            f"needs {error.name}: pip install 'greenroof_ros[{extra}]'"
+            f"needs {package}: pip install 'greenroof_ros[{extra}]'"
         ) from error
 
 

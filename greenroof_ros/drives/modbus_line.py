@@ -19,7 +19,7 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, Generic, TypeVar
 
-from greenroof_ros.common.errors import ConfigurationError
+from greenroof_ros.common.errors import in_extra
 from greenroof_ros.drives.address import Address, Serial
 
 if TYPE_CHECKING:
@@ -78,10 +78,8 @@ def check_installed() -> None:
     Raises:
         ConfigurationError: there is none.
     """
-    try:
+    with in_extra("pump"):
         import pymodbus.client  # noqa: F401 - only whether it is there
-    except ModuleNotFoundError as error:
-        raise ConfigurationError("needs pymodbus: pip install 'greenroof_ros[pump]'") from error
 
 
 class ModbusLine:

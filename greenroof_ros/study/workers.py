@@ -16,7 +16,7 @@ from multiprocessing import forkserver
 from multiprocessing.synchronize import Semaphore
 from typing import Any, NamedTuple
 
-from greenroof_ros.common.errors import ConfigurationError
+from greenroof_ros.common.errors import ConfigurationError, in_extra
 from greenroof_ros.common.processes import end_with
 from greenroof_ros.common.versions import versions
 
@@ -57,10 +57,8 @@ def processes(jobs: int) -> Iterator[Workers]:
     Raises:
         ConfigurationError: pebble is not installed.
     """
-    try:
+    with in_extra("study"):
         from pebble import ProcessPool
-    except ImportError as error:
-        raise ConfigurationError("needs pebble: pip install 'greenroof_ros[study]'") from error
     context = multiprocessing.get_context("forkserver")
     context.set_forkserver_preload(_PRELOADED)
     # A terminal's Ctrl-C goes to the fork server, too, which would say where in its imports it was.

@@ -783,7 +783,8 @@ def test_a_lock_holds_between_users(file: DriveFile) -> None:
     if child == 0:
         try:
             os.setuid(65534)
-            DriveLock(file, parse_address(f"gateway://127.0.0.1:{port}")).take()
+            other = DriveLock(file, parse_address(f"gateway://127.0.0.1:{port}"))
+            other.take()
             os.write(said, b"x")
             os.read(ours, 1)
         finally:

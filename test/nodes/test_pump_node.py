@@ -79,7 +79,7 @@ def test_lifecycle(domain: int, tmp_path: Path, rig: PumpRig) -> None:
     rig.run(drive)
     assert rig.observer.diagnoses["/pump: drive"].hardware_id.startswith("ABB ACS880")
     assert rig.change("deactivate")
-    rig.tick_until(0.5, lambda: rig.flows[-1] == 0.0 and drive.speed() == 0.0, LATE, "a stop")
+    rig.tick_until(0.5, lambda: rig.flows[-1] == 0.0 and drive.speed() == 0.0, 5, "a stop")
     assert rig.change("activate")
     rig.run(drive)
     assert rig.change("deactivate")
@@ -184,7 +184,7 @@ def test_the_motor_stands_when_the_node_goes(rig: PumpRig, drive: SimulatedDrive
     node.terminate()
     assert node.wait(120) == 0
     assert drive.speed() == 0.0  # when it ends, not some time after
-    assert time.monotonic() - began < 20
+    assert time.monotonic() - began < 4
     for number in (signal.SIGKILL, signal.SIGSTOP):
         node = rig.start(drive.address)
         rig.run(drive)
@@ -256,8 +256,8 @@ def test_the_nodes_watchdog_alone(rig: PumpRig, drive: SimulatedDrive) -> None:
     assert rig.says("drive timeout", WARN, "is off")
     # It counts steady time; the clock topic stands with the commands.
     began = time.monotonic()
-    rig.observer.until(lambda: drive.speed() == 0.0, LATE, "the watchdog")
-    assert 2.5 < time.monotonic() - began < 10  # the bound is held by the campaign of faults
+    rig.observer.until(lambda: drive.speed() == 0.0, 6, "the watchdog")
+    assert 2.5 < time.monotonic() - began < 4.5
     rig.observer.until(lambda: rig.says("command", STALE, "command_limit"), LATE, "the reason")
     assert rig.tick(0.5) == 0.0  # a first command after a silence finds a pump at rest
     rig.run(drive)
@@ -350,11 +350,11 @@ def test_a_disk_that_hangs_undoes_no_stop(
     os.mkfifo(pipe)
     began = time.monotonic()
     answer = rig.call(SetBool, "stop", data=True)
-    assert time.monotonic() - began < 4
+    assert time.monotonic() - began < 1.9
     assert not answer.success
     assert answer.message.startswith("held: an operator stopped it")
     assert answer.message.endswith(f"but {file} is not yet on the disk; it is written on")
-    rig.tick_until(0.5, lambda: drive.speed() == 0.0, LATE, "the stop")
+    rig.tick_until(0.5, lambda: drive.speed() == 0.0, 6, "the stop")
     rig.tick_until(0.5, lambda: rig.says("state file", ERROR, "within 2 s"), 20, "the alarm")
     assert rig.state.startswith("held: an operator stopped it")
     reader = os.open(pipe, os.O_RDONLY | os.O_NONBLOCK)
@@ -373,7 +373,7 @@ def test_two_processes_of_one_name_command(
     name = rig.node.get_name()
     with impostor(domain, tmp_path, name, "/pump/command", 0.5):
         rig.tick_until(0.5, lambda: "has 2 publishers" in rig.state, 60, "the second")
-        rig.tick_until(0.5, lambda: drive.speed() == 0.0, LATE, "its stop")
+        rig.tick_until(0.5, lambda: drive.speed() == 0.0, 4, "its stop")
         assert f"/pump/command has 2 publishers ({name})" in rig.state
         rig.tick_until(0.5, lambda: rig.says("command", ERROR, name), LATE, "its name")
         rig.tick_until(0.5, lambda: rig.code("pump") == "two_controllers", LATE, "its code")
@@ -386,7 +386,7 @@ def test_commands_that_must_not_pump(rig: PumpRig, drive: SimulatedDrive) -> Non
     rig.start(drive.address)
     rig.run(drive)
     for bad in (math.nan, math.inf, -1.0):
-        rig.tick_until(bad, lambda: drive.speed() == 0.0 and rig.flows[-1] == 0.0, LATE, f"{bad}")
+        rig.tick_until(bad, lambda: drive.speed() == 0.0 and rig.flows[-1] == 0.0, 4, f"{bad}")
         rig.tick_until(bad, lambda: rig.says("command", ERROR, "refused"), LATE, "the reason")
         rig.tick_until(bad, lambda: rig.code("pump") == "command_unknown", LATE, "its code")
         assert rig.observer.values("/pump: pump")["cause"] == rig.code("command") == "input_refused"
@@ -396,7 +396,7 @@ def test_commands_that_must_not_pump(rig: PumpRig, drive: SimulatedDrive) -> Non
     # One that a graph cannot hear, as by ros2 topic pub: whoever publishes 0 means a stop.
     unheard = Node("unheard", context=rig.observer.context)
     unheard.create_publisher(Float64, "/pump/command", 10)
-    rig.tick_until(0.5, lambda: drive.speed() == 0.0 and rig.flows[-1] == 0.0, LATE, "its stop")
+    rig.tick_until(0.5, lambda: drive.speed() == 0.0 and rig.flows[-1] == 0.0, 6, "its stop")
     rig.tick_until(
         0.5, lambda: rig.says("command", ERROR, "cannot be heard (unheard)"), LATE, "why"
     )
@@ -481,7 +481,7 @@ def test_a_fault_stays_until_it_is_reset_and_a_stop_until_it_is_lifted(
 
     answer = rig.call(SetBool, "stop", data=True)
     assert answer.success
-    rig.tick_until(0.5, lambda: drive.speed() == 0.0, LATE, "the stop")
+    rig.tick_until(0.5, lambda: drive.speed() == 0.0, 4, "the stop")
     assert rig.state.startswith("held: an operator stopped it")
     node.terminate()
     assert node.wait(120) == 0
@@ -530,21 +530,21 @@ def test_it_runs_only_with_a_fresh_permit_of_bringup(
         rig.run(drive)
         rig.every_tick = lambda: give("the weather node is missing")
         taken = rig.tick_until(0.5, lambda: drive.speed() == 0.0, 60, "a stop")
-        assert taken < 10
+        assert taken < 2
         rig.tick_until(
             0.5, lambda: rig.says("supervisor", WARN, "weather node is missing"), LATE, "the reason"
         )
         rig.every_tick = lambda: give("")
         rig.run(drive)
         rig.every_tick = lambda: None
-        taken = rig.tick_until(0.5, lambda: drive.speed() == 0.0, LATE, "a stop")
-        assert 1.5 < taken < 10
+        taken = rig.tick_until(0.5, lambda: drive.speed() == 0.0, 6, "a stop")
+        assert 1.5 < taken < 4
         assert "no permit for 2 s" in rig.state
         rig.every_tick = lambda: give("")
         rig.run(drive)
         rig.every_tick = lambda: None
     taken = rig.tick_until(0.5, lambda: drive.speed() == 0.0, 60, "a stop")
-    assert taken < 10
+    assert taken < 2
     assert "bringup has ended" in rig.state
 
 

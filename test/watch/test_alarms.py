@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import json
+import subprocess
 import sys
 import time
 import tracemalloc
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -63,6 +65,33 @@ def test_an_alarm_comes_changes_its_numbers_and_goes() -> None:
     assert (row["since"], row["over"], alarms.worst()) == (1005.0, 1015.0, "ok")
     assert (row["since_text"], row["over_text"]) == ("00:16:45", "00:16:55")
     assert alarms.rows(lambda at: f"at {at:g}")[0]["since_text"] == "at 1005"
+
+
+FIRST_ALARM = """
+import time
+from greenroof_ros.common.interface import _topics
+from greenroof_ros.watch.alarms import Alarms
+from test_alarms import ERROR, node
+
+def took(call):
+    began = time.process_time()
+    call()
+    return time.process_time() - began
+
+alarms = Alarms()
+alarms.hear(0.0, 0.0, node("/pump", "pump", ("levels", ERROR, "/roof/level is older than 5 s")))
+first, reading = took(alarms.rows), min(took(_topics.__wrapped__) for _ in range(3))
+assert first < 8 * reading, (first, reading)
+"""
+
+
+def test_the_first_alarm_does_not_wait_for_the_interface_to_be_read_again_and_again() -> None:
+    """In a process of its own, where nothing was read before; by processor time."""
+    done = subprocess.run(
+        [sys.executable, "-c", FIRST_ALARM], cwd=Path(__file__).parent, capture_output=True,
+        text=True,
+    )
+    assert done.returncode == 0, done.stderr
 
 
 def test_an_alarm_that_was_there_before_anybody_listened() -> None:
