@@ -227,11 +227,12 @@ class PlantNode(LinkedNode):
                 return min(pause, LISTEN_S)
             self._publish_tick()
             return LISTEN_S
-        if now - self._waiting_since > self._limit:
+        # Who has not answered yet may still be joining: on a busy machine that takes seconds.
+        answered = self._tick and (self._written or not self._held)
+        limit = self._limit if answered else max(self._limit, self._start_limit)
+        if now - self._waiting_since > limit:
             missing = "/recorder/written from recorder" if self._held else self.missing()
-            raise LockstepError(
-                f"tick {self._tick}: nothing came within {self._limit:g} s on {missing}"
-            )
+            raise LockstepError(f"tick {self._tick}: nothing came within {limit:g} s on {missing}")
         return LISTEN_S
 
     def progress(self) -> dict[str, Any]:
