@@ -20,7 +20,7 @@ from greenroof_ros.graph.domain import join, waiting_in
 
 # How many messages of a topic wait until the next look: those of 1 s at 60 times real time.
 _DEPTH = 64
-# How long the middleware may take to go (s): it can lock up, see node_process.py.
+# How long the middleware may take to go (s): it can lock up, see executable.py.
 _TAKING_DOWN_S = 6
 
 DIAGNOSTICS = "/diagnostics"

@@ -26,6 +26,7 @@ from greenroof_ros.common.times import from_epoch_ns, to_people
 from greenroof_ros.controllers.decide import NoCommandError, decide
 from greenroof_ros.controllers.onoff import FRACTION, OnOff
 from greenroof_ros.controllers.registry import ControllerChoice, controller_names, find_controller
+from greenroof_ros.graph.executable import NodeParser, node_help, run_node
 from greenroof_ros.graph.link import LinkedNode
 from greenroof_ros.graph.live import (
     FROZEN_MOVEMENT,
@@ -35,8 +36,6 @@ from greenroof_ros.graph.live import (
     live_parameters,
 )
 from greenroof_ros.graph.lockstep import CLOCK
-from greenroof_ros.graph.node_help import NodeParser, node_help
-from greenroof_ros.graph.node_process import run_node
 from greenroof_ros.graph.parameters import LIVE, declare, site_file
 from greenroof_ros.graph.reports import ERROR, OK, WARN
 from greenroof_ros.model.plant import pump_flow

@@ -17,8 +17,8 @@ from typing import Any
 from greenroof_ros.common.disk import DISK
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.parameter import Parameter
+from greenroof_ros.graph.executable import node_command
 from greenroof_ros.graph.link import LISTEN_S, LinkedNode
-from greenroof_ros.graph.node_help import node_command
 from greenroof_ros.graph.parameters import declare
 from greenroof_ros.graph.reports import ERROR, OK
 from greenroof_ros.model.site import Site

@@ -25,6 +25,7 @@ from greenroof_ros.drives.address import parse_drive_address
 from greenroof_ros.drives.drive import DriveStatus
 from greenroof_ros.drives.drive_file import LONGEST_RAMP_S, find_drive_file, read_drive_file
 from greenroof_ros.drives.exchange import RESET_S, UNREAD_S, DriveExchange, Snapshot
+from greenroof_ros.graph.executable import node_command
 from greenroof_ros.graph.inputs import Input
 from greenroof_ros.graph.lifecycle import (
     ACTIVE,
@@ -43,7 +44,6 @@ from greenroof_ros.graph.live import (
     live_parameters,
 )
 from greenroof_ros.graph.lockstep import CLOCK
-from greenroof_ros.graph.node_help import node_command
 from greenroof_ros.graph.parameters import LIVE, declare, site_file
 from greenroof_ros.graph.permit import PermitReader
 from greenroof_ros.graph.reports import ERROR, OK, STALE, WARN
