@@ -17,7 +17,7 @@ from greenroof_ros.drives.address import parse_address
 from greenroof_ros.drives.sensor_file import TANKS, read_sensors
 from greenroof_ros.experiment.options import controller_from_arguments
 from greenroof_ros.forecast.choice import MODELS
-from greenroof_ros.graph.states import PUMP, RECORDER
+from greenroof_ros.graph.supervision import PUMP, RECORDER
 from greenroof_ros.model.site import read_site
 
 EXTERNAL = "external"

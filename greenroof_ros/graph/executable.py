@@ -29,8 +29,8 @@ from greenroof_ros.common.interface import read_topics
 from greenroof_ros.common.parameter import Parameter
 from greenroof_ros.graph.domain import begin_to_listen, choose_transport, make_executor
 from greenroof_ros.graph.link import LinkedNode
+from greenroof_ros.graph.messages import LockstepError
 from greenroof_ros.graph.parameters import default_site, refuse_unknown, type_name
-from greenroof_ros.graph.states import LockstepError
 from greenroof_ros.model.site import Site
 
 # How long the middleware may take to go (s); it is a fraction of a second, but on a busy machine.

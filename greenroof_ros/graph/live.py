@@ -18,8 +18,8 @@ from rclpy.node import Node
 from greenroof_ros.common.clock import boot_time, suspended_time
 from greenroof_ros.common.parameter import Parameter
 from greenroof_ros.graph.inputs import Input
+from greenroof_ros.graph.messages import LockstepError
 from greenroof_ros.graph.reports import ERROR, OK, WARN
-from greenroof_ros.graph.states import LockstepError
 from greenroof_ros.pumping.input_rules import InputRules, LevelRule, Verdict
 
 # A pause of this process itself (s): what it has then is of before. For so long after it, too, what

@@ -45,8 +45,8 @@ from greenroof_ros.graph.live import (
 )
 from greenroof_ros.graph.lockstep import CLOCK
 from greenroof_ros.graph.parameters import LIVE, declare, site_file
-from greenroof_ros.graph.permit import PermitReader
 from greenroof_ros.graph.reports import ERROR, OK, STALE, WARN
+from greenroof_ros.graph.supervision import PermitReader
 from greenroof_ros.model.site import Site
 from greenroof_ros.pumping.input_rules import (
     LevelRule,

@@ -16,9 +16,8 @@ from greenroof_ros.controllers.registry import DEFAULT, find_controller
 from greenroof_ros.graph.executable import node_command
 from greenroof_ros.graph.link import LISTEN_S, LinkedNode
 from greenroof_ros.graph.lockstep import CLOCK
-from greenroof_ros.graph.messages import decode_clock
+from greenroof_ros.graph.messages import LockstepError, decode_clock
 from greenroof_ros.graph.parameters import declare
-from greenroof_ros.graph.states import LockstepError
 from greenroof_ros.model.site import Site
 from greenroof_ros.recording.bag_writer import BagWriter
 
