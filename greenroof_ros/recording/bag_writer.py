@@ -227,6 +227,12 @@ def next_file(files: Sequence[Path], bag: Path) -> Path:
     return bag / f"{bag.name}_{number}.mcap"
 
 
+def recovered_bag(bag: Path) -> Path:
+    """Return where the recovery of a damaged bag goes unless it is told otherwise: beside it."""
+    place = bag.resolve()
+    return place.parent / f"{place.name}-recovered"
+
+
 def _number(file: Path) -> str:
     return file.stem.rpartition("_")[2]
 
