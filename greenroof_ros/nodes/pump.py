@@ -21,10 +21,10 @@ from std_srvs.srv import SetBool, Trigger
 from greenroof_ros.common.clock import boot_time, suspended_time
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.parameter import Parameter
-from greenroof_ros.drives.address import parse_drive_address
 from greenroof_ros.drives.drive import DriveStatus
 from greenroof_ros.drives.drive_file import LONGEST_RAMP_S, find_drive_file, read_drive_file
 from greenroof_ros.drives.exchange import RESET_S, UNREAD_S, DriveExchange, Snapshot
+from greenroof_ros.drives.modbus_line import parse_drive_address
 from greenroof_ros.graph.executable import node_command
 from greenroof_ros.graph.inputs import Input
 from greenroof_ros.graph.lifecycle import (

@@ -8,9 +8,8 @@ from dataclasses import replace
 
 from pymodbus.constants import ExcCodes
 
-from greenroof_ros.drives.address import Address
 from greenroof_ros.drives.drive_file import DriveFile
-from greenroof_ros.drives.modbus_line import SIMULATOR
+from greenroof_ros.drives.modbus_line import SIMULATOR, Address
 from greenroof_ros.model.initial_state import default_state
 from greenroof_ros.model.pump_speed import flow_at
 from greenroof_ros.model.site import Site

@@ -9,8 +9,7 @@ from collections.abc import Sequence
 from typing import TextIO
 
 from greenroof_ros.common.errors import ConfigurationError
-from greenroof_ros.drives.address import Address, parse_address
-from greenroof_ros.drives.modbus_line import DriveError, ModbusLine, encode
+from greenroof_ros.drives.modbus_line import Address, DriveError, ModbusLine, encode, parse_address
 from greenroof_ros.drives.sensor_file import TANKS, Sensor, Sensors
 from greenroof_ros.model.plant import Plant
 from greenroof_ros.model.pump_speed import flow_at
