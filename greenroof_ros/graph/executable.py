@@ -27,14 +27,16 @@ from greenroof_ros.common.command_line import (
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.interface import read_topics
 from greenroof_ros.common.parameter import Parameter
-from greenroof_ros.graph.domain import begin_to_listen, choose_transport, make_executor
+from greenroof_ros.graph.domain import (
+    TAKING_DOWN_S,
+    begin_to_listen,
+    choose_transport,
+    make_executor,
+)
 from greenroof_ros.graph.link import LinkedNode
 from greenroof_ros.graph.messages import LockstepError
 from greenroof_ros.graph.parameters import default_site, refuse_unknown, type_name
 from greenroof_ros.model.site import Site
-
-# How long the middleware may take to go (s); it is a fraction of a second, but on a busy machine.
-_TAKING_DOWN_S = 6
 
 
 class NodeParser(argparse.ArgumentParser):
@@ -213,11 +215,9 @@ def run_node(make: Callable[[], LinkedNode]) -> int:
             except OSError as error:
                 code, failure = _failed(node, error)
             node.flush(failure)
-        # All is said and written. Fast DDS can lock up, and spin, in taking itself down while a
-        # peer does the same, be it here or where Python frees the last of it at the process's end;
-        # no Python would run then, so that the kernel has to end it.
+        # All is said and written.
         signal.signal(signal.SIGALRM, signal.SIG_DFL)
-        signal.alarm(_TAKING_DOWN_S)
+        signal.alarm(TAKING_DOWN_S)
         if node is not None:
             node.destroy_node()
         rclpy.try_shutdown()
