@@ -8,9 +8,8 @@ from pathlib import Path
 from greenroof_ros.common.command_line import EXIT_DONE, command, within
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.files import shared_directory
-from greenroof_ros.drives.address import Address
 from greenroof_ros.drives.drive_file import find_drive_file, read_drive_file
-from greenroof_ros.drives.modbus_line import check_installed
+from greenroof_ros.drives.modbus_line import Address, check_installed
 from greenroof_ros.model.site import read_site
 from greenroof_ros.simulators import faults
 from greenroof_ros.simulators.faults import DRIVE_FAULTS

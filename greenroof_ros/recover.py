@@ -3,13 +3,28 @@
 from __future__ import annotations
 
 import argparse
+import os
 import shutil
+from collections.abc import Collection, Iterator
+from contextlib import suppress
+from itertools import groupby
 from pathlib import Path
+
+from mcap.reader import NonSeekingReader
+from mcap.records import Channel, Message, Schema
 
 from greenroof_ros.common.command_line import command
 from greenroof_ros.common.errors import ConfigurationError
-from greenroof_ros.recording.bag_writer import bag_files
-from greenroof_ros.recording.damaged_bag import recovered_bag, restore
+from greenroof_ros.recording.bag_writer import (
+    DAMAGED,
+    FileIndex,
+    bag_files,
+    next_file,
+    read_index,
+    recovered_bag,
+    start_writer,
+    write_metadata,
+)
 
 
 def recover(directory: Path, output: Path | None = None) -> tuple[Path, str]:
@@ -40,6 +55,103 @@ def recover(directory: Path, output: Path | None = None) -> tuple[Path, str]:
         raise ConfigurationError(
             f"cannot be written: {error.strerror}; --output puts it elsewhere", file=target
         ) from error
+
+
+def restore(bag: Path, target: Path) -> str:
+    """Make a bag of all that is whole in another one: ticks of a simulation, or live messages.
+
+    A file that was closed is the same in both, where the disk can do that; else it is copied: there
+    may be months of them.
+
+    Args:
+        bag: that was recorded.
+        target: the new one; must not exist.
+
+    Returns:
+        How much there is in it, for people.
+
+    Raises:
+        ConfigurationError: nothing is whole.
+        OSError: the new one cannot be written.
+    """
+    files = bag_files(bag)
+    target.mkdir(parents=True)
+    restored: dict[Path, FileIndex] = {}
+    for file in files:
+        copy = next_file(list(restored), target)
+        index = read_index(file)
+        # The newest is read: it may be the only one, and have its end in spite of some damage.
+        if index is not None and (
+            file != files[-1]
+            or sum(1 for _ in _messages(file)) == index.statistics.message_count
+        ):
+            _link(file, copy)
+        else:
+            _rewrite(file, copy)
+        index = read_index(copy)
+        if index is not None and index.statistics.message_count:
+            restored[copy] = index
+        else:
+            copy.unlink()
+    if not restored:
+        target.rmdir()
+        raise ConfigurationError("holds not one whole tick or message", file=bag)
+    write_metadata(target, restored.values())
+    count = sum(index.statistics.message_count for index in restored.values())
+    per_tick = _per_tick(next(iter(restored.values())).channels)
+    return f"{count} messages" if per_tick == 1 else f"{count // per_tick} ticks"
+
+
+def _link(file: Path, copy: Path) -> None:
+    try:
+        os.link(file, copy)
+    except OSError:  # another disk, or one that knows no links
+        shutil.copyfile(file, copy)
+
+
+def _rewrite(file: Path, copy: Path) -> None:
+    """Write the whole messages of a file into another; of a simulation the whole ticks."""
+    schemas: dict[int, int] = {}
+    channels: dict[int, int] = {}
+    per_tick = 1
+    with copy.open("xb") as stream:
+        writer = start_writer(stream)
+        for _, group in groupby(_messages(file), key=lambda one: one[2].log_time):
+            together = list(group)
+            if not channels:
+                per_tick = _per_tick([channel for _, channel, _ in together])
+            if len(together) < per_tick:
+                break
+            for schema, channel, message in together:
+                if channel.id not in channels:
+                    if schema is not None and schema.id not in schemas:
+                        schemas[schema.id] = writer.register_schema(
+                            schema.name, schema.encoding, schema.data
+                        )
+                    channels[channel.id] = writer.register_channel(
+                        channel.topic, channel.message_encoding,
+                        schemas.get(channel.schema_id, 0), channel.metadata,
+                    )
+                writer.add_message(
+                    channels[channel.id], message.log_time, message.data, message.publish_time,
+                    message.sequence,
+                )
+        writer.finish()
+
+
+def _per_tick(channels: Collection[Channel]) -> int:
+    """Return how many messages make a tick, the first of which has these channels.
+
+    A live site has no clock and no ticks: each message is for itself.
+    """
+    return len(channels) if any(one.topic.endswith("/clock") for one in channels) else 1
+
+
+def _messages(file: Path) -> Iterator[tuple[Schema | None, Channel, Message]]:
+    """Read the messages of a file up to where its writer was killed: chunks are whole or not."""
+    with file.open("rb") as stream, suppress(*DAMAGED):
+        reader = NonSeekingReader(stream, validate_crcs=True)
+        yield from reader.iter_messages(log_time_order=False)
 
 
 def make_parser() -> argparse.ArgumentParser:

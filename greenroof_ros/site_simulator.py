@@ -8,8 +8,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from greenroof_ros.common.command_line import EXIT_DONE, command, within
-from greenroof_ros.drives.address import Address, parse_address
-from greenroof_ros.drives.modbus_line import check_installed
+from greenroof_ros.drives.modbus_line import Address, check_installed, parse_address
 from greenroof_ros.drives.sensor_file import default_sensors, read_sensors
 from greenroof_ros.experiment.options import add_site_arguments, inputs_from_arguments
 from greenroof_ros.simulators import faults

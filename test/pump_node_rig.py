@@ -18,7 +18,7 @@ from rosgraph_msgs.msg import Clock
 from simulators import PATIENCE_S, Workbench
 from std_msgs.msg import Float64
 
-from greenroof_ros.drives.address import parse_address
+from greenroof_ros.drives.modbus_line import parse_address
 from greenroof_ros.simulators.faults import DEFAULT
 
 # Ten ticks of 1 s in a second, and a drive that ramps ten times as fast as in real time.

@@ -18,8 +18,7 @@ from places import CHECKOUT
 
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.processes import asked_to_end_with_this
-from greenroof_ros.drives.address import Address, Serial
-from greenroof_ros.drives.modbus_line import DriveError, ModbusLine
+from greenroof_ros.drives.modbus_line import Address, DriveError, ModbusLine, Serial
 from greenroof_ros.simulators import faults
 from greenroof_ros.simulators.faults import DEFAULT, DRIVE_FAULTS, SITE_FAULTS, Fault
 

@@ -6,9 +6,9 @@ A run is simulated, also with a drive in the loop (:mod:`.simulated`), or live (
 from __future__ import annotations
 
 import argparse
-import contextlib
 import sys
-from pathlib import Path
+from contextlib import nullcontext
+from functools import partial
 
 from greenroof_ros.bringup.drive import add_drive_arguments
 from greenroof_ros.bringup.live import run_live
@@ -95,24 +95,16 @@ def main() -> int:
     try:
         if arguments.plant == EXTERNAL:
             site = live_site(parser, arguments)
-            with _watcher(arguments, site.site_file):
-                return run_live(site, arguments, signals)
-        refuse_options("simulated", parser, arguments)
-        run = simulated_run(arguments)
-        with _watcher(arguments, run.site_file):
-            return run_simulated(run, arguments, signals)
+            site_file, start = site.site_file, partial(run_live, site)
+        else:
+            refuse_options("simulated", parser, arguments)
+            run = simulated_run(arguments)
+            site_file, start = run.site_file, partial(run_simulated, run)
+        with watcher(arguments.namespace, site_file) if arguments.watch else nullcontext():
+            return start(arguments, signals)
     except InterruptedRun as error:  # before a node was started
         print(error, file=sys.stderr)
         return EXIT_INTERRUPTED
-
-
-def _watcher(
-    arguments: argparse.Namespace, site_file: Path
-) -> contextlib.AbstractContextManager[None]:
-    """Return what keeps a page beside the run, where one is asked for."""
-    if not arguments.watch:
-        return contextlib.nullcontext()
-    return watcher(arguments.namespace, site_file)
 
 
 if __name__ == "__main__":

@@ -13,10 +13,10 @@ from typing import Any
 from greenroof_ros.common.errors import ConfigurationError, in_extra
 from greenroof_ros.common.files import YamlMapping, read_yaml
 from greenroof_ros.controllers.registry import ControllerChoice
-from greenroof_ros.drives.address import Address, parse_drive_address
 from greenroof_ros.drives.drive_file import DriveFile, find_drive_file, read_drive_file
+from greenroof_ros.drives.modbus_line import Address, parse_drive_address
 from greenroof_ros.graph.domain import no_ros
-from greenroof_ros.graph.states import PUMP
+from greenroof_ros.graph.supervision import PUMP
 from greenroof_ros.graph.supervisor import StopDrive
 from greenroof_ros.pumping.ledger import state_directory
 

@@ -13,11 +13,11 @@ from greenroof_ros.common.command_line import within
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.files import shared_directory
 from greenroof_ros.controllers.registry import ControllerChoice
-from greenroof_ros.drives.address import parse_address
+from greenroof_ros.drives.modbus_line import parse_address
 from greenroof_ros.drives.sensor_file import TANKS, read_sensors
 from greenroof_ros.experiment.options import controller_from_arguments
 from greenroof_ros.forecast.choice import MODELS
-from greenroof_ros.graph.states import PUMP, RECORDER
+from greenroof_ros.graph.supervision import PUMP, RECORDER
 from greenroof_ros.model.site import read_site
 
 EXTERNAL = "external"

@@ -22,7 +22,7 @@ from greenroof_ros.experiment.progress import RunProgress
 from greenroof_ros.experiment.run import Run
 from greenroof_ros.experiment.run_directory import make_run_directory, write_configuration
 from greenroof_ros.graph.domain import only_bringup, refuse_other_nodes
-from greenroof_ros.graph.states import FINISHED, PUMP, READY, RECORDER, ROLES
+from greenroof_ros.graph.supervision import FINISHED, PUMP, READY, RECORDER, ROLES
 from greenroof_ros.graph.supervisor import START_LIMIT_S, NodeFailed, Supervisor
 from greenroof_ros.recording.bag_reader import count_ticks
 

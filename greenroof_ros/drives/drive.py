@@ -13,9 +13,8 @@ from io import FileIO
 from pathlib import Path
 
 from greenroof_ros.common.lock import LockedError, take_lock
-from greenroof_ros.drives.address import Address
 from greenroof_ros.drives.drive_file import Condition, DriveFile, Register, Step
-from greenroof_ros.drives.modbus_line import SIMULATOR, DriveError, decode, limits
+from greenroof_ros.drives.modbus_line import SIMULATOR, Address, DriveError, decode, limits
 
 # Between two looks at whether a drive has reached a state (s).
 _LOOK_S = 0.05

@@ -11,8 +11,14 @@ from typing import Any
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.files import YamlMapping, read_yaml, shared_directory
 from greenroof_ros.common.records import Word, entry, error_at, read_record
-from greenroof_ros.drives.address import Address, Serial
-from greenroof_ros.drives.modbus_line import WIDTHS, WORD_ORDERS, ModbusLine, coding_mistakes
+from greenroof_ros.drives.modbus_line import (
+    WIDTHS,
+    WORD_ORDERS,
+    Address,
+    ModbusLine,
+    Serial,
+    coding_mistakes,
+)
 
 UNITS = ("", "share", "s", "m3/s")
 SPEED = "speed"

@@ -8,10 +8,9 @@ import time
 from dataclasses import dataclass, replace
 from typing import Any
 
-from greenroof_ros.drives.address import Address
 from greenroof_ros.drives.drive import Drive, DriveLock, DriveStatus, HeldError
 from greenroof_ros.drives.drive_file import LONGEST_RAMP_S, DriveFile
-from greenroof_ros.drives.modbus_line import DeviceThread, DriveError, Known
+from greenroof_ros.drives.modbus_line import Address, DeviceThread, DriveError, Known
 
 # Waits between two attempts to connect (s): the first, and the longest.
 FIRST_WAIT_S, LONGEST_WAIT_S = 0.25, 5.0

@@ -10,13 +10,14 @@ from pathlib import Path
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.files import read_yaml, shared_directory
 from greenroof_ros.common.records import Word, entry, error_at, read_record
-from greenroof_ros.drives.address import Serial, parse_address
 from greenroof_ros.drives.modbus_line import (
     WIDTHS,
     WORD_ORDERS,
     ModbusLine,
+    Serial,
     coding_mistakes,
     limits,
+    parse_address,
 )
 
 TANKS = ("cistern", "roof")

@@ -31,6 +31,11 @@ LEASE, _LEASE_S = "GREENROOF_ROS_LEASE_S", "20"
 # How long to listen for nodes that are in the graph already (s). On loopback they answer in well
 # under half of it; whom this misses is met by the check for two publishers.
 _LISTEN_S = 1.0
+# How long the middleware may take to go (s); it is a fraction of a second, but on a busy machine.
+# Fast DDS can lock up, and spin, in taking itself down while a peer does the same, be it in a
+# call or where Python frees the last of it at the process's end; no Python would run then, so that
+# the kernel has to end it.
+TAKING_DOWN_S = 6
 # Above it the ports of a domain run into those that the system lends.
 _LAST_DOMAIN = 101
 # Where bringups lock each other out: in memory, so that a full disk keeps none from starting.

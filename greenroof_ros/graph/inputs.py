@@ -16,7 +16,7 @@ from rclpy.qos import QoSProfile
 
 from greenroof_ros.common.interface import Topic, read_topics
 from greenroof_ros.graph.messages import decoder, lacks, qos_profile, requirements
-from greenroof_ros.graph.states import ROLES
+from greenroof_ros.graph.supervision import ROLES
 from greenroof_ros.pumping.input_rules import Verdict
 
 # The name of a node and its other ends are known a moment after its publisher (s).

@@ -27,10 +27,10 @@ from greenroof_ros.common.interface import read_live_topics, read_topics
 from greenroof_ros.graph.inputs import DISCOVERY_S, Input, Inputs, Publishers
 from greenroof_ros.graph.live import Live
 from greenroof_ros.graph.lockstep import CLOCK, PLANT, RUN, Lockstep
-from greenroof_ros.graph.messages import decoder, encoder, message_class, qos_profile
+from greenroof_ros.graph.messages import LockstepError, decoder, encoder, message_class, qos_profile
 from greenroof_ros.graph.parameters import LIVE, declare, site_file
 from greenroof_ros.graph.reports import OK, WARN, Reports
-from greenroof_ros.graph.states import ENDED, FINISHED, READY, STARTING, LockstepError
+from greenroof_ros.graph.supervision import ENDED, FINISHED, READY, STARTING
 from greenroof_ros.model.site import Site, read_site
 from greenroof_ros.pumping.input_rules import LevelRule
 

@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 import struct
 import time
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 from typing import Any
 
 from rclpy.node import Node
@@ -18,9 +18,17 @@ from rclpy.node import Node
 from greenroof_ros.common.clock import boot_time, suspended_time
 from greenroof_ros.common.parameter import Parameter
 from greenroof_ros.graph.inputs import Input
+from greenroof_ros.graph.messages import LockstepError
 from greenroof_ros.graph.reports import ERROR, OK, WARN
-from greenroof_ros.graph.states import LockstepError
-from greenroof_ros.pumping.input_rules import InputRules, LevelRule, Verdict
+from greenroof_ros.model.site import Site
+from greenroof_ros.pumping.input_rules import (
+    InputRules,
+    LevelRule,
+    Verdict,
+    cistern_reach,
+    expected_rise,
+    roof_reach,
+)
 
 # A pause of this process itself (s): what it has then is of before. For so long after it, too, what
 # comes may have waited.
@@ -30,16 +38,15 @@ RECOVERY = Parameter(
     "recovery_time", 10.0, "s", 0.0, 86400.0, "live: for how long an input that was not good "
     "must be good again",
 )
-FROZEN_MOVEMENT = Parameter(
+_FROZEN_MOVEMENT = Parameter(
     "frozen_movement", 0.01, "", 1e-6, 10.0, "live: a level that shows no change while pump and "
     "rain must have moved it by so much is frozen (m); above the sensor's resolution",
 )
-JUMP_TOLERANCE = Parameter(
+_JUMP_TOLERANCE = Parameter(
     "jump_tolerance", 0.02, "", 1e-6, 10.0, "live: how far two values of a level may be apart "
     "beyond what water can do between them (m); at least 10 times the sensor's noise (standard "
     "deviation)",
 )
-LEVEL_PARAMETERS = [FROZEN_MOVEMENT, JUMP_TOLERANCE]
 
 
 def _limit(name: str, default: float, most: float, what: str) -> Parameter:
@@ -68,7 +75,48 @@ LIMITS = {
 
 def live_parameters(topics: Iterable[str]) -> list[Parameter]:
     """Return the parameters of a node that acts on some topics in a live graph, but ``live``."""
-    return [*dict.fromkeys(LIMITS[topic] for topic in topics), RECOVERY]
+    limits = dict.fromkeys(LIMITS[topic] for topic in topics)
+    of_levels = [_FROZEN_MOVEMENT, _JUMP_TOLERANCE] if _LEVEL in limits else []
+    return [*limits, RECOVERY, *of_levels]
+
+
+class Levels:
+    """The levels of both tanks, as inputs that in a live graph keep to what water can do.
+
+    Attributes:
+        cistern: the input.
+        roof: likewise.
+    """
+
+    def __init__(
+        self, site: Site, values: Mapping[str, Any], subscribe: Callable[..., Input]
+    ) -> None:
+        """Open both.
+
+        Args:
+            site: with the tanks.
+            values: of the node's :func:`live_parameters`.
+            subscribe: opens an input: :meth:`greenroof_ros.graph.link.LinkedNode.subscribe`.
+        """
+        self._site = site
+        self._rules = [
+            LevelRule(reach, values[_FROZEN_MOVEMENT.name], values[_JUMP_TOLERANCE.name])
+            for reach in (cistern_reach(site), roof_reach(site))
+        ]
+        self.cistern = subscribe("/cistern/level", level=self._rules[0])
+        self.roof = subscribe("/roof/level", level=self._rules[1])
+
+    @property
+    def displacements(self) -> tuple[float, float]:
+        """By how much jumps, as no water can, have moved both readings so far (m)."""
+        cistern, roof = self._rules
+        return cistern.displacement, roof.displacement
+
+    def expect(self, flow: float, rain: float = 0.0) -> None:
+        """Expect of the levels what pump (m3/s) and rain (m/s) do in a tick."""
+        rises = expected_rise(self._site, flow, rain, self.cistern.value, self.roof.value)
+        for rule, rise in zip(self._rules, rises, strict=True):
+            rule.expect(rise * self._site.tau)
 
 
 class Live:

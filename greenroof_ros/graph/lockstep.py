@@ -26,8 +26,9 @@ from rclpy.impl.rcutils_logger import RcutilsLogger
 from greenroof_ros.common.errors import OccupiedError
 from greenroof_ros.common.interface import Topic
 from greenroof_ros.graph.inputs import Input, Inputs, root_causes
+from greenroof_ros.graph.messages import LockstepError
 from greenroof_ros.graph.reports import Reports
-from greenroof_ros.graph.states import FINISHED, LockstepError
+from greenroof_ros.graph.supervision import FINISHED
 
 CLOCK, RUN = "/clock", "/run"
 PLANT = "plant"

@@ -16,12 +16,10 @@ from collections.abc import Callable, Collection
 from typing import Any
 
 from greenroof_ros.common.interface import read_topics
-from greenroof_ros.graph.domain import join, waiting_in
+from greenroof_ros.graph.domain import TAKING_DOWN_S, join, waiting_in
 
 # How many messages of a topic wait until the next look: those of 1 s at 60 times real time.
 _DEPTH = 64
-# How long the middleware may take to go (s): it can lock up, see node_process.py.
-_TAKING_DOWN_S = 6
 
 DIAGNOSTICS = "/diagnostics"
 
@@ -148,8 +146,7 @@ class Looker:
 
     def close(self) -> None:
         """Leave the domain."""
-        # No Python would run in a lock-up of the middleware, so that the kernel has to end it.
-        before = signal.alarm(_TAKING_DOWN_S)
+        before = signal.alarm(TAKING_DOWN_S)
         self._executor.shutdown(timeout_sec=1)
         self._node.destroy_node()
         self._caller.destroy_node()

@@ -27,7 +27,6 @@ from rosgraph_msgs.msg import Clock
 from std_msgs.msg import Float64, Float64MultiArray, String
 
 from greenroof_ros.common.interface import Qos
-from greenroof_ros.graph.states import LockstepError
 
 _HEADER = b"\x00\x01\x00\x00"  # little-endian, no options
 _NUMBER = struct.Struct("<4sd")
@@ -37,6 +36,10 @@ _ROW = struct.Struct("<4sIII4x")
 _LENGTH = struct.Struct("<I")
 _SIZES = struct.Struct("<II")
 _NS = 1_000_000_000
+
+
+class LockstepError(Exception):
+    """The graph cannot go on; the message names the topic and the node."""
 
 
 def message_class(type_name: str) -> Any:

@@ -17,7 +17,7 @@ from rclpy.node import Node
 
 from greenroof_ros.common.interface import read_topics
 from greenroof_ros.graph.messages import qos_profile
-from greenroof_ros.graph.states import REPORT_PIPE, STARTING
+from greenroof_ros.graph.supervision import REPORT_PIPE, STARTING
 
 # How a part of a node is, as tools know it.
 OK, WARN = DiagnosticStatus.OK, DiagnosticStatus.WARN

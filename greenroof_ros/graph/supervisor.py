@@ -30,8 +30,7 @@ from greenroof_ros.common.disk import DISK
 from greenroof_ros.common.processes import asked_to_end_with_this
 from greenroof_ros.drives.drive_file import LONGEST_RAMP_S
 from greenroof_ros.graph.domain import LEASE
-from greenroof_ros.graph.permit import Permit
-from greenroof_ros.graph.states import PUMP, READY, RECORDER, REPORT_PIPE, read_report
+from greenroof_ros.graph.supervision import PUMP, READY, RECORDER, REPORT_PIPE, Permit, read_report
 
 # How long to wait for a process that was asked to end, before the kernel ends it (s); and the pump
 # node, which waits until the pump stands: as long as the speed falls.

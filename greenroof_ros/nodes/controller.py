@@ -26,26 +26,13 @@ from greenroof_ros.common.times import from_epoch_ns, to_people
 from greenroof_ros.controllers.decide import NoCommandError, decide
 from greenroof_ros.controllers.onoff import FRACTION, OnOff
 from greenroof_ros.controllers.registry import ControllerChoice, controller_names, find_controller
+from greenroof_ros.graph.executable import NodeParser, node_help, run_node
 from greenroof_ros.graph.link import LinkedNode
-from greenroof_ros.graph.live import (
-    FROZEN_MOVEMENT,
-    JUMP_TOLERANCE,
-    LEVEL_PARAMETERS,
-    RECOVERY,
-    live_parameters,
-)
+from greenroof_ros.graph.live import RECOVERY, Levels, live_parameters
 from greenroof_ros.graph.lockstep import CLOCK
-from greenroof_ros.graph.node_help import NodeParser, node_help
-from greenroof_ros.graph.node_process import run_node
 from greenroof_ros.graph.parameters import LIVE, declare, site_file
 from greenroof_ros.graph.reports import ERROR, OK, WARN
 from greenroof_ros.model.plant import pump_flow
-from greenroof_ros.pumping.input_rules import (
-    LevelRule,
-    cistern_reach,
-    expected_rise,
-    roof_reach,
-)
 
 # The inputs that it needs; live the forecasts may be missing, and two more are looked at.
 _INPUTS = (
@@ -58,7 +45,7 @@ _FLOW, _GAUGE = "/pump/flow", "/gauge/precipitation"
 _GIVEN_UP = 3
 # So many changes of parameters a live node keeps, the newest; all are counted.
 _LIVE_CHANGES = 20
-LIVE_PARAMETERS = [*live_parameters([*_INPUTS, _FLOW, _GAUGE]), *LEVEL_PARAMETERS]
+LIVE_PARAMETERS = live_parameters([*_INPUTS, _FLOW, _GAUGE])
 
 
 def parameters(choice: ControllerChoice | None) -> list[Parameter]:
@@ -91,12 +78,8 @@ class ControllerNode(LinkedNode):
         )
         self._parameter_change_count = 0
         self._shown: dict[str, float | None] = {}
-        self._rules = [
-            LevelRule(reach, live[FROZEN_MOVEMENT.name], live[JUMP_TOLERANCE.name])
-            for reach in (cistern_reach(site), roof_reach(site))
-        ]
-        self._cistern = self.subscribe("/cistern/level", level=self._rules[0])
-        self._roof = self.subscribe("/roof/level", level=self._rules[1])
+        self._levels = Levels(site, live, self.subscribe)
+        self._cistern, self._roof = self._levels.cistern, self._levels.roof
         self._rain, self._evapotranspiration = (
             self.subscribe(name, optional=self.live)
             for name in ("/forecast/precipitation", "/forecast/evapotranspiration")
@@ -195,15 +178,12 @@ class ControllerNode(LinkedNode):
 
         A forecast of rain says nothing here: what it says need not fall.
         """
-        site, cistern, roof = self._site, self._cistern.value, self._roof.value
-        flow = self._flow.value
+        site, flow = self._site, self._flow.value
         if not self._flow.good:
+            cistern, roof = self._cistern.value, self._roof.value
             volumes = site.cistern_volume(cistern), site.roof_volume(roof)
             flow = pump_flow(site, *volumes, min(command, 1.0))
-        rain = self._gauge.value if self._gauge.good else 0.0
-        rises = expected_rise(site, flow, rain, cistern, roof)
-        for rule, rise in zip(self._rules, rises, strict=True):
-            rule.expect(rise * site.tau)
+        self._levels.expect(flow, self._gauge.value if self._gauge.good else 0.0)
 
     def _forecast_problem(self) -> str:
         """Return what is wrong with the forecasts; empty where the controller can decide."""

@@ -15,16 +15,14 @@ from typing import Any
 from greenroof_ros.common.command_line import EXIT_DONE, command
 from greenroof_ros.common.parameter import Parameter
 from greenroof_ros.drives.level_sensor import LevelSensor
-from greenroof_ros.drives.sensor_file import default_sensors, read_sensors
+from greenroof_ros.drives.sensor_file import TANKS, default_sensors, read_sensors
+from greenroof_ros.graph.executable import NodeParser, node_help, run_node
 from greenroof_ros.graph.link import LISTEN_S, LinkedNode
 from greenroof_ros.graph.live import LIMITS
-from greenroof_ros.graph.node_help import NodeParser, node_help
-from greenroof_ros.graph.node_process import run_node
 from greenroof_ros.graph.parameters import declare
 from greenroof_ros.graph.reports import ERROR, OK, STALE
 from greenroof_ros.model.site import Site
 
-TANKS = ("cistern", "roof")
 _LIMIT = LIMITS["/cistern/level"]
 # After so many periods without any reading, good or bad, the reader hangs.
 _PERIODS = 5

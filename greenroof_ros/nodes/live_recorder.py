@@ -17,12 +17,12 @@ from typing import Any
 from greenroof_ros.common.disk import DISK
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.parameter import Parameter
+from greenroof_ros.graph.executable import node_command
 from greenroof_ros.graph.link import LISTEN_S, LinkedNode
-from greenroof_ros.graph.node_help import node_command
 from greenroof_ros.graph.parameters import declare
 from greenroof_ros.graph.reports import ERROR, OK
 from greenroof_ros.model.site import Site
-from greenroof_ros.recording.live_bag import LiveBag
+from greenroof_ros.recording.bag_writer import LiveBag
 
 _MB = 1e6
 # How often it is looked whether it is time to flush (s), and how long the end waits for the disk.

@@ -14,11 +14,11 @@ from typing import Any
 from greenroof_ros.common.errors import OccupiedError
 from greenroof_ros.common.parameter import Parameter
 from greenroof_ros.common.times import DEFAULT_START, epoch_ns, read_start
+from greenroof_ros.graph.executable import node_command
 from greenroof_ros.graph.link import LISTEN_S, LinkedNode
 from greenroof_ros.graph.lockstep import CLOCK, RUN, RunIdentity
-from greenroof_ros.graph.node_help import node_command
+from greenroof_ros.graph.messages import LockstepError
 from greenroof_ros.graph.parameters import declare, site_file
-from greenroof_ros.graph.states import LockstepError
 from greenroof_ros.model.initial_state import check_volumes, default_state
 from greenroof_ros.model.metrics import Metrics
 from greenroof_ros.model.plant import Flows, Plant

@@ -21,10 +21,11 @@ from std_srvs.srv import SetBool, Trigger
 from greenroof_ros.common.clock import boot_time, suspended_time
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.parameter import Parameter
-from greenroof_ros.drives.address import parse_drive_address
 from greenroof_ros.drives.drive import DriveStatus
 from greenroof_ros.drives.drive_file import LONGEST_RAMP_S, find_drive_file, read_drive_file
 from greenroof_ros.drives.exchange import RESET_S, UNREAD_S, DriveExchange, Snapshot
+from greenroof_ros.drives.modbus_line import parse_drive_address
+from greenroof_ros.graph.executable import node_command
 from greenroof_ros.graph.inputs import Input
 from greenroof_ros.graph.lifecycle import (
     ACTIVE,
@@ -35,25 +36,12 @@ from greenroof_ros.graph.lifecycle import (
     transition,
 )
 from greenroof_ros.graph.link import LISTEN_S, LinkedNode
-from greenroof_ros.graph.live import (
-    FROZEN_MOVEMENT,
-    JUMP_TOLERANCE,
-    LEVEL_PARAMETERS,
-    LIMITS,
-    live_parameters,
-)
+from greenroof_ros.graph.live import LIMITS, Levels, live_parameters
 from greenroof_ros.graph.lockstep import CLOCK
-from greenroof_ros.graph.node_help import node_command
 from greenroof_ros.graph.parameters import LIVE, declare, site_file
-from greenroof_ros.graph.permit import PermitReader
 from greenroof_ros.graph.reports import ERROR, OK, STALE, WARN
+from greenroof_ros.graph.supervision import PermitReader
 from greenroof_ros.model.site import Site
-from greenroof_ros.pumping.input_rules import (
-    LevelRule,
-    cistern_reach,
-    expected_rise,
-    roof_reach,
-)
 from greenroof_ros.pumping.ledger import Ledger, state_directory
 from greenroof_ros.pumping.limits import PumpSettings, pump_parameters
 from greenroof_ros.pumping.pump_control import Decision, Observation, PumpControl
@@ -110,7 +98,6 @@ def parameters(site: Site) -> list[Parameter]:
     """Return the node's parameters."""
     return [
         LIVE, site_file(), *_OWN, *pump_parameters(site), *live_parameters([*_NEEDED, _METER]),
-        *LEVEL_PARAMETERS,
     ]
 
 
@@ -267,14 +254,10 @@ class PumpNode(Lifecycle, LinkedNode):
         self._state = self._logged = ""
         self._reasons: tuple[object, ...] = ()  # as of the last decision
         self._begin_times()
-        self._rules = [
-            LevelRule(reach, values[FROZEN_MOVEMENT.name], values[JUMP_TOLERANCE.name])
-            for reach in (cistern_reach(site), roof_reach(site))
-        ]
         on_command = self._on_command if self.live else None
         self._command = self.subscribe("/pump/command", on_command, heals=True)
-        self._cistern = self.subscribe("/cistern/level", level=self._rules[0])
-        self._roof = self.subscribe("/roof/level", level=self._rules[1])
+        self._levels = Levels(site, values, self.subscribe)
+        self._cistern, self._roof = self._levels.cistern, self._levels.roof
         self._frost = self.subscribe("/weather/frost")
         self._meter: Input | None = None
         if self.live:
@@ -473,11 +456,7 @@ class PumpNode(Lifecycle, LinkedNode):
             self._simulated += self._site.tau
         self._step(now)
         if self.live and self._cistern.good and self._roof.good:
-            rises = expected_rise(
-                self._site, self._decision.flow, 0.0, self._cistern.value, self._roof.value
-            )
-            for rule, rise in zip(self._rules, rises, strict=True):
-                rule.expect(rise * self._site.tau)
+            self._levels.expect(self._decision.flow)
         self._publish_flow(self._decision.flow)
 
     def on_idle(self) -> float:
@@ -571,7 +550,7 @@ class PumpNode(Lifecycle, LinkedNode):
             command=value(self._command),
             cistern_level=value(self._cistern),
             roof_level=value(self._roof),
-            displacements=(self._rules[0].displacement, self._rules[1].displacement),
+            displacements=self._levels.displacements,
             frost=None if frost is None else frost > 0,
             speed=None if status is None else status.speed,
             flow=value(self._meter),

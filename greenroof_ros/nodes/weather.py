@@ -39,14 +39,14 @@ from greenroof_ros.forecast.live_forecast import (
 )
 from greenroof_ros.forecast.resampling import make_forecast
 from greenroof_ros.forecast.skill import SKILLS
+from greenroof_ros.graph.executable import node_command
 from greenroof_ros.graph.inputs import Input
 from greenroof_ros.graph.link import LinkedNode
 from greenroof_ros.graph.live import live_parameters
 from greenroof_ros.graph.lockstep import CLOCK
-from greenroof_ros.graph.node_help import node_command
+from greenroof_ros.graph.messages import LockstepError
 from greenroof_ros.graph.parameters import LIVE, declare, site_file
 from greenroof_ros.graph.reports import ERROR, OK, WARN
-from greenroof_ros.graph.states import LockstepError
 from greenroof_ros.model.site import Site
 from greenroof_ros.weather.filling import GAPS, REFUSE
 from greenroof_ros.weather.joining import find_files

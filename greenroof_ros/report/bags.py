@@ -17,7 +17,7 @@ from greenroof_ros.experiment.summary import site_file_of
 from greenroof_ros.forecast.choice import ForecastChoice
 from greenroof_ros.model.site import Site, read_site
 from greenroof_ros.recording.bag_reader import load_bag
-from greenroof_ros.recording.damaged_bag import recovered_bag
+from greenroof_ros.recording.bag_writer import recovered_bag
 from greenroof_ros.recording.trajectory import Trajectory
 from greenroof_ros.report.about import read_about
 from greenroof_ros.report.entries import FailedRun, Note, RunEntry, Sources, known_bound

@@ -8,16 +8,14 @@ from dataclasses import replace
 
 from pymodbus.constants import ExcCodes
 
-from greenroof_ros.drives.address import Address
 from greenroof_ros.drives.drive_file import DriveFile
-from greenroof_ros.drives.modbus_line import SIMULATOR
+from greenroof_ros.drives.modbus_line import SIMULATOR, Address
 from greenroof_ros.model.initial_state import default_state
 from greenroof_ros.model.pump_speed import flow_at
 from greenroof_ros.model.site import Site
 from greenroof_ros.simulators import faults
-from greenroof_ros.simulators.bench import Bench
 from greenroof_ros.simulators.control_profiles import profile_of
-from greenroof_ros.simulators.server import Device, PseudoLine, Server
+from greenroof_ros.simulators.server import Bench, Device, PseudoLine, Server
 from greenroof_ros.simulators.simulated_drive import DriveSettings
 
 _STEP_S = 0.01

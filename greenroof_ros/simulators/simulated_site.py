@@ -9,15 +9,13 @@ from collections.abc import Sequence
 from typing import TextIO
 
 from greenroof_ros.common.errors import ConfigurationError
-from greenroof_ros.drives.address import Address, parse_address
-from greenroof_ros.drives.modbus_line import DriveError, ModbusLine, encode
+from greenroof_ros.drives.modbus_line import Address, DriveError, ModbusLine, encode, parse_address
 from greenroof_ros.drives.sensor_file import TANKS, Sensor, Sensors
 from greenroof_ros.model.plant import Plant
 from greenroof_ros.model.pump_speed import flow_at
 from greenroof_ros.model.site import Site
 from greenroof_ros.simulators import faults
-from greenroof_ros.simulators.bench import NO_LINE, Bench
-from greenroof_ros.simulators.server import Device, Server
+from greenroof_ros.simulators.server import NO_LINE, Bench, Device, Server
 
 # How often the drive's speed is looked at within a tick, as far as there is time for it.
 _LOOKS = 20

@@ -15,7 +15,7 @@ from dataclasses import dataclass, field
 from datetime import datetime, timezone
 from typing import Any
 
-from greenroof_ros.graph.states import ENDED, FINISHED, PUMP, STARTING, STATES
+from greenroof_ros.graph.supervision import ENDED, FINISHED, PUMP, STARTING, STATES
 from greenroof_ros.watch.advice import FOREIGN, OTHER, advise
 from greenroof_ros.watch.causes import Trouble, find_causes
 from greenroof_ros.watch.words import plain

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from functools import cache
 
 from greenroof_ros.common.interface import read_live_topics, read_topics
-from greenroof_ros.graph.states import PUMP
+from greenroof_ros.graph.supervision import PUMP
 from greenroof_ros.pumping.pump_control import OPERATOR_STOPPED, STANDS_UNKNOWN, STILL_TURNS
 
 # Levels of a status.

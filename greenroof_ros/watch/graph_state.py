@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any, TypeGuard
 
 from greenroof_ros.common.interface import Topic
-from greenroof_ros.graph.states import ENDED, FINISHED, PUMP, RECORDER, STATES
+from greenroof_ros.graph.supervision import ENDED, FINISHED, PUMP, RECORDER, STATES
 from greenroof_ros.watch.alarms import SILENT_S, Status, is_node_name, read_value
 
 _PLANT = "plant"
@@ -36,7 +36,7 @@ class Node:
     Attributes:
         name: fully qualified.
         process: that runs it: its machine and number.
-        state: one of :mod:`greenroof_ros.graph.states`.
+        state: one of :mod:`greenroof_ros.graph.supervision`.
         values: what else it says.
         heard: when (s of the steady clock).
     """

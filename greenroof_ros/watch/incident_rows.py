@@ -13,7 +13,7 @@ from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.files import read_text
 from greenroof_ros.experiment.incidents import INCIDENTS, PROCESS, Incident, read_incidents
 from greenroof_ros.experiment.summary import SUMMARY
-from greenroof_ros.graph.states import PUMP
+from greenroof_ros.graph.supervision import PUMP
 from greenroof_ros.watch.advice import FOREIGN, OTHER, advise
 from greenroof_ros.watch.words import plain
 

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from greenroof_ros.common.interface import Topic, read_topics
-from greenroof_ros.graph.states import ENDED, FINISHED, PUMP
+from greenroof_ros.graph.supervision import ENDED, FINISHED, PUMP
 from greenroof_ros.model.look_ahead import MOST_MEMBERS
 from greenroof_ros.model.site import Site
 from greenroof_ros.watch import tiles, words

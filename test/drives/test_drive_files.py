@@ -12,9 +12,8 @@ import pytest
 
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.files import shared_directory
-from greenroof_ros.drives.address import Address, parse_address, parse_drive_address
 from greenroof_ros.drives.drive_file import find_drive_file, read_drive_file
-from greenroof_ros.drives.modbus_line import decode
+from greenroof_ros.drives.modbus_line import Address, decode, parse_address, parse_drive_address
 
 SHIPPED = sorted((shared_directory() / "config" / "drives").glob("*.yaml"))
 
@@ -294,7 +293,7 @@ def test_values_of_all_types(kind: str, order: str, words: list[int], value: obj
 def test_without_the_library_the_extra_is_named() -> None:
     code = (
         "import sys; sys.modules['pymodbus'] = None\n"
-        "from greenroof_ros.drives.address import parse_address\n"
+        "from greenroof_ros.drives.modbus_line import parse_address\n"
         "from greenroof_ros.drives.drive_file import find_drive_file, read_drive_file\n"
         "from greenroof_ros.drives.exchange import DriveExchange\n"
         "from greenroof_ros.common.errors import ConfigurationError\n"

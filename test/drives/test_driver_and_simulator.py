@@ -13,10 +13,10 @@ from modbus_wire import Wire, frame
 from places import guarding
 from simulators import Bus, Simulator, until
 
-from greenroof_ros.drives.address import parse_address
 from greenroof_ros.drives.drive import why_no_simulator
 from greenroof_ros.drives.drive_file import find_drive_file, read_drive_file
 from greenroof_ros.drives.exchange import DriveExchange
+from greenroof_ros.drives.modbus_line import parse_address
 
 MAKES = ("abb_acs880", "danfoss_fc202", "grundfos_cim500", "schneider_atv630")
 FREE = ("--port", "0", "--workbench", "0")

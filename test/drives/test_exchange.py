@@ -17,7 +17,6 @@ from graphs import free_ports
 from modbus_wire import Registers, SerialWire, Wire, acs880, over_serial
 from places import CHECKOUT
 
-from greenroof_ros.drives.address import parse_address, parse_drive_address
 from greenroof_ros.drives.drive import DriveLock, DriveStatus, HeldError
 from greenroof_ros.drives.drive_file import DriveFile, Timeouts, find_drive_file, read_drive_file
 from greenroof_ros.drives.exchange import (
@@ -27,7 +26,12 @@ from greenroof_ros.drives.exchange import (
     State,
     stop_drive,
 )
-from greenroof_ros.drives.modbus_line import DriveError, ModbusLine
+from greenroof_ros.drives.modbus_line import (
+    DriveError,
+    ModbusLine,
+    parse_address,
+    parse_drive_address,
+)
 
 PERIOD, DEAD_MAN, TIMEOUT = 0.05, 0.3, 0.2
 OFF, RUN = (0, 0x047E), (0, 0x047F)

@@ -18,10 +18,9 @@ from typing import Any
 import pytest
 from modbus_wire import Answer, SerialWire, Wire, crc, frame, script
 
-from greenroof_ros.drives.address import parse_drive_address
 from greenroof_ros.drives.drive import Drive, DriveStatus
 from greenroof_ros.drives.drive_file import find_drive_file, read_drive_file
-from greenroof_ros.drives.modbus_line import DriveError
+from greenroof_ros.drives.modbus_line import DriveError, parse_drive_address
 
 Task = Callable[[Drive], Any]
 

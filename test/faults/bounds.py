@@ -12,7 +12,7 @@ from greenroof_ros.graph.supervisor import ENDING_S, SILENT_S
 from greenroof_ros.model.pump_speed import flow_at
 from greenroof_ros.model.site import Site
 from greenroof_ros.nodes.pump import parameters as parameters_of_pump
-from greenroof_ros.recording.live_bag import FLUSH_S
+from greenroof_ros.recording.bag_writer import FLUSH_S
 
 # Of the simulated drive, as the campaign starts it: from rated speed to rest, and its own timeout.
 RAMP_S = 1.0

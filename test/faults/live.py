@@ -15,7 +15,7 @@ from inject import begin
 from lost import BOUND_S, last_message, newest_file
 from rig import BrokenError, Rig, SiteRig, wait
 
-from greenroof_ros.recording.live_bag import FLUSH_S, RETRY_S
+from greenroof_ros.recording.bag_writer import FLUSH_S, RETRY_S
 
 # How much longer than the bound is waited, for a figure of how bad it was (s).
 _LONGER_S = 10.0

@@ -8,8 +8,7 @@ from mcap.exceptions import McapError
 from mcap.records import Chunk, Message
 from mcap.stream_reader import StreamReader, breakup_chunk
 
-from greenroof_ros.recording.bag_writer import bag_files
-from greenroof_ros.recording.live_bag import FLUSH_S
+from greenroof_ros.recording.bag_writer import FLUSH_S, bag_files
 
 # What a recorder may lose (s): what came since its last flush, and a flush that was under way.
 BOUND_S = FLUSH_S + 1.0

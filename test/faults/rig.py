@@ -26,7 +26,7 @@ from truth import STANDS, Truth
 from watcher import Watcher
 
 from greenroof_ros.common.interface import read_topics
-from greenroof_ros.drives.address import parse_address
+from greenroof_ros.drives.modbus_line import parse_address
 from greenroof_ros.model.pump_speed import flow_at
 from greenroof_ros.model.site import Site, read_site
 from greenroof_ros.pumping.limits import settings_for

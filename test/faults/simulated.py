@@ -24,7 +24,7 @@ from rig import SkippedError, small_disk
 from watcher import Watcher
 
 from greenroof_ros.recording.bag_reader import count_ticks
-from greenroof_ros.recording.damaged_bag import recovered_bag
+from greenroof_ros.recording.bag_writer import recovered_bag
 
 # A run that is over before a fault shows would show nothing; the short one is compared whole.
 _LONG_H, _SHORT_H = "12", "1"

@@ -11,8 +11,7 @@ from contextlib import suppress
 
 from simulators import Workbench
 
-from greenroof_ros.drives.address import Address
-from greenroof_ros.drives.modbus_line import DriveError
+from greenroof_ros.drives.modbus_line import Address, DriveError
 from greenroof_ros.simulators.faults import DEFAULT, DRIVE_FAULTS, SITE_FAULTS
 
 _PERIOD_S = 0.05

@@ -17,8 +17,7 @@ from rosgraph_msgs.msg import Clock  # noqa: E402
 from std_msgs.msg import Float64, Float64MultiArray  # noqa: E402
 
 from greenroof_ros.common.interface import read_topics  # noqa: E402
-from greenroof_ros.graph.messages import decoder, encoder  # noqa: E402
-from greenroof_ros.graph.states import LockstepError  # noqa: E402
+from greenroof_ros.graph.messages import LockstepError, decoder, encoder  # noqa: E402
 
 NUMBER, NUMBERS, CLOCK = (
     "std_msgs/msg/Float64", "std_msgs/msg/Float64MultiArray", "rosgraph_msgs/msg/Clock"

@@ -15,7 +15,7 @@ from places import CONFIG
 from ros_rig import ERROR, OK, Observer, start_node
 from simulators import PATIENCE_S, Workbench
 
-from greenroof_ros.drives.address import parse_address
+from greenroof_ros.drives.modbus_line import parse_address
 from greenroof_ros.simulators.faults import SITE_FAULTS
 
 

@@ -183,7 +183,7 @@ DEAF = """
 import sys
 if "greenroof_ros.nodes.pump" in sys.orig_argv:
     from pathlib import Path
-    from greenroof_ros.graph.permit import PermitReader
+    from greenroof_ros.graph.supervision import PermitReader
     obeyed = PermitReader.missing
     PermitReader.missing = lambda self, now: "" if Path("deaf").exists() else obeyed(self, now)
 """

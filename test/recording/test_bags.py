@@ -19,8 +19,8 @@ from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.interface import read_topics
 from greenroof_ros.recording.bag_reader import count_ticks, load_bag
 from greenroof_ros.recording.bag_writer import BagWriter
-from greenroof_ros.recording.damaged_bag import restore
 from greenroof_ros.recording.results_table import parameter_columns, row_parameters
+from greenroof_ros.recover import restore
 
 START = datetime.fromisoformat("2021-07-07T02:00-05:00")
 START_NS = 1625641200 * 10**9  # 07:00 UTC, by date -d

@@ -24,8 +24,8 @@ from rosbags.highlevel import AnyReader
 from rosbags.typesys import Stores, get_typestore
 
 from greenroof_ros.common.interface import read_topics
-from greenroof_ros.recording.damaged_bag import restore
-from greenroof_ros.recording.live_bag import LiveBag
+from greenroof_ros.recording.bag_writer import LiveBag
+from greenroof_ros.recover import restore
 
 # 2026-11-21 23:00:00 UTC, by date -d.
 LATE_NS = 1795302000 * 10**9

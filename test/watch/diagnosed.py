@@ -18,7 +18,7 @@ from rclpy.node import Node
 
 from greenroof_ros.common.interface import read_topics
 from greenroof_ros.graph.messages import qos_profile
-from greenroof_ros.graph.states import ENDED, STARTING, STATES
+from greenroof_ros.graph.supervision import ENDED, STARTING, STATES
 
 # A node reports four times a second; doc/explanation/live.md: after 2 s without it holds the pump.
 SILENT_S = 2.0

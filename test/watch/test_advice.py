@@ -19,8 +19,7 @@ from greenroof_ros.drives.level_sensor import LevelSensor
 from greenroof_ros.drives.modbus_line import DriveError
 from greenroof_ros.drives.sensor_file import Sensor
 from greenroof_ros.forecast.live_forecast import ForecastFile, LiveForecast, NoForecastError
-from greenroof_ros.graph.permit import Permit, PermitReader
-from greenroof_ros.graph.states import PERMIT_PIPE
+from greenroof_ros.graph.supervision import PERMIT_PIPE, Permit, PermitReader
 from greenroof_ros.pumping.input_rules import InputRules, LevelRule, cistern_reach
 from greenroof_ros.pumping.ledger import Ledger
 from greenroof_ros.pumping.limits import settings_for

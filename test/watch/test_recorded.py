@@ -15,8 +15,7 @@ import pytest
 from mcap.reader import make_reader
 
 from greenroof_ros.common.interface import read_topics, recorded_topics
-from greenroof_ros.recording.bag_writer import BagWriter
-from greenroof_ros.recording.live_bag import FLUSH_S, LiveBag
+from greenroof_ros.recording.bag_writer import FLUSH_S, BagWriter, LiveBag
 from greenroof_ros.watch import wire
 from greenroof_ros.watch.recorded import Recorded
 

@@ -1,20 +1,90 @@
-"""The permit by which the pump node may run: bringup's, four times a second, through a pipe."""
+"""What a supervisor and its nodes say to each other: states and reports, and the pump's permit.
+
+Through pipes, since discovery in the graph can take seconds. No ROS is needed here.
+"""
 
 from __future__ import annotations
 
 import contextlib
 import json
 import os
+from collections.abc import Callable
+from typing import Any
 
 from greenroof_ros.common.clock import boot_time
-from greenroof_ros.graph.states import PERMIT_PIPE
 
-# How often it is given, and how old it may be (s).
+# The states of a node: not all its peers are there; they are; the run is over; so is the process.
+STARTING, READY, FINISHED, ENDED = STATES = ("starting", "ready", "finished", "ended")
+
+# What to call the node that has a role of the interface, where its name is not known.
+ROLES = {"controller": "the controller", "pump": "the pump driver"}
+
+# Nodes that their supervisors treat in their own ways.
+PUMP, RECORDER = "pump", "recorder"
+
+# The environment variable that holds the file descriptor to which a started node writes its
+# reports, one JSON object a line with the key "state".
+REPORT_PIPE = "GREENROOF_ROS_REPORT_PIPE"
+
+# The environment variable that holds the file descriptor from which a started pump node reads, four
+# times a second, whether it may run: one JSON object a line, with the key "inhibit", empty or why
+# it may not, and "at", the time since the machine started (CLOCK_BOOTTIME, s) at which that was so.
+PERMIT_PIPE = "GREENROOF_ROS_PERMIT_PIPE"
+# How often the permit is given, and how old it may be (s).
 _PERIOD_S, _GREATEST_AGE_S = 0.25, 2.0
 
 
+def _is_text(value: object) -> bool:
+    return isinstance(value, str)
+
+
+def _is_number(value: object) -> bool:
+    """Whether it is a number, or None, which stands for unknown."""
+    return value is None or (isinstance(value, (int, float)) and not isinstance(value, bool))
+
+
+def _is_list(value: object) -> bool:
+    return isinstance(value, list) and all(map(_is_text, value))
+
+
+# What its readers take for granted of what a report says.
+_IS_AS_EXPECTED: dict[str, Callable[[Any], bool]] = {
+    **dict.fromkeys(("pump", "pump_state", "failure", "fault", "held"), _is_text),
+    **dict.fromkeys(("cistern_level", "roof_level", "command", "flow", "speed"), _is_number),
+    **dict.fromkeys(("warnings", "waiting"), _is_list),
+    **dict.fromkeys(("stands", "active"), lambda value: isinstance(value, bool)),
+    "tick": lambda value: type(value) is int,
+    "refused": lambda value: isinstance(value, dict)
+    and all(type(count) is int for count in value.values()),
+    "diagnoses": lambda value: isinstance(value, dict)
+    and all(_is_list(said) and len(said) == 3 for said in value.values()),
+}
+
+
+def read_report(line: bytes) -> dict[str, Any] | None:
+    """Return the report in a line of the pipe, or None where there is none.
+
+    A node that was started again can be of another version than its supervisor, where the package
+    was changed meanwhile. What is of another type than readers expect is as if it were not said.
+    """
+    try:
+        report = json.loads(line)
+    except (ValueError, RecursionError):
+        return None
+    if not isinstance(report, dict) or report.get("state") not in STATES:
+        return None
+    said = {
+        key: value for key, value in report.items()
+        if key not in _IS_AS_EXPECTED or _IS_AS_EXPECTED[key](value)
+    }
+    return {"warnings": [], "refused": {}, **said}
+
+
+# --- the permit by which the pump node may run ----------------------------------------------------
+
+
 class Permit:
-    """The writing end of the pipe to the pump node that runs at present."""
+    """Bringup's end: given four times a second to the pump node that runs at present."""
 
     def __init__(self) -> None:
         """Begin without a pump node."""
@@ -57,7 +127,7 @@ class Permit:
 
 
 class PermitReader:
-    """The reading end: whether bringup lets the pump node run.
+    """The pump node's end: whether bringup lets it run.
 
     Attributes:
         given: whether bringup started the node; otherwise it needs no permit.
