@@ -7,6 +7,7 @@ import json
 import os
 import socket
 import time
+from collections.abc import Mapping
 from dataclasses import dataclass
 from datetime import datetime, timezone
 from typing import Any
@@ -56,6 +57,7 @@ class Reports:
     Attributes:
         state: of the node.
         diagnoses: of its parts, by name.
+        numbers: of its parts, by name: what was measured or counted; None is not known.
         hardware: what its parts are about, where that is a device; otherwise the machine.
         publisher: of the reports.
         supervised: whether the process that started the node wants its reports, and ends it.
@@ -70,6 +72,7 @@ class Reports:
         """
         self.state = STARTING
         self.diagnoses: dict[str, Diagnosis] = {}
+        self.numbers: dict[str, Mapping[str, float | None]] = {}
         self.hardware = ""
         self._node = node
         self._role = role
@@ -108,7 +111,8 @@ class Reports:
         parts = [
             DiagnosticStatus(
                 level=one.level, name=f"{name}: {part}", message=one.message,
-                hardware_id=self.hardware or self._machine, values=_values(one),
+                hardware_id=self.hardware or self._machine,
+                values=_values(one, self.numbers.get(part, {})),
             )
             for part, one in self.diagnoses.items()
         ]
@@ -129,10 +133,10 @@ class Reports:
                 os.write(self._pipe, f"{line}\n".encode())
 
 
-def _values(diagnosis: Diagnosis) -> list[KeyValue]:
-    """Return what a status says to programs: none where all is well."""
-    if not diagnosis.code:
-        return []
-    since = datetime.fromtimestamp(diagnosis.since, timezone.utc).isoformat(timespec="seconds")
-    values = {"code": diagnosis.code, "since": since, "cause": diagnosis.cause}
+def _values(diagnosis: Diagnosis, numbers: Mapping[str, float | None]) -> list[KeyValue]:
+    """Return what a status says to programs: a code where not all is well, and its numbers."""
+    values = {key: f"{number:.6g}" for key, number in numbers.items() if number is not None}
+    if diagnosis.code:
+        since = datetime.fromtimestamp(diagnosis.since, timezone.utc).isoformat(timespec="seconds")
+        values |= {"code": diagnosis.code, "since": since, "cause": diagnosis.cause}
     return [KeyValue(key=key, value=value) for key, value in values.items() if value]

@@ -68,6 +68,7 @@ class LevelSensorNode(LinkedNode):
         elif reading.read_at > self._published:
             self._published = reading.read_at
             self._level = reading.level
+            self.reports.numbers["sensor"] = {"level": reading.level}
             if reading.level is None:
                 self.diagnose("sensor", ERROR, reading.problem, "sensor_lost")
             else:

@@ -489,6 +489,7 @@ class PumpNode(Lifecycle, LinkedNode):
         seconds = self._suspended - before
         if seconds > _PAUSE_S and not self._decision.stands:
             self._suspend_seen = now
+            self.reports.numbers["suspend"] = {"suspended_s": seconds}
             self.diagnose(
                 "suspend", ERROR, f"the machine was suspended for {seconds:.0f} s while the pump "
                 "was on, and only the drive's own communication timeout could stop it: keep this "
@@ -591,6 +592,7 @@ class PumpNode(Lifecycle, LinkedNode):
     def _diagnose(self, now: float) -> None:
         """Say how each part is; what has numbers in it changes too often for the log."""
         decision, say = self._decision, self.reports.diagnose
+        self.reports.numbers |= self._numbers()
         code = next(iter(decision.interlocks), "")
         level = ERROR if decision.state == "fault" else WARN if code else OK
         say("pump", level, self._state, code, self._cause(code))
@@ -605,7 +607,7 @@ class PumpNode(Lifecycle, LinkedNode):
             bad[0].code if bad else "", "both levels are good",
         )
         blind = (
-            f"blind for {decision.blind_for:.0f} s: a level is unknown, or both were not known for "
+            "blind: a level is unknown, or both were not known for "
             f"{self._settings.averaging_time:g} s yet"
         )
         self._say(
@@ -625,6 +627,20 @@ class PumpNode(Lifecycle, LinkedNode):
             why = self._permit.missing(boot_time())
             self._say("supervisor", WARN, why, "no_permit", "bringup lets the pump run")
         self._diagnose_drive(now)
+
+    def _numbers(self) -> dict[str, dict[str, float | None]]:
+        """Return the numbers behind what is said of each part, in the units of the topics."""
+        decision = self._decision
+        flow = decision.flow if decision.flow_known else None
+        inputs = {"cistern_level": self._cistern, "roof_level": self._roof}
+        return {
+            "pump": {"asked_speed": decision.speed, "speed": decision.turns_at},
+            "flow": {"flow": flow},
+            "command": {"command": self._command.value if self._command.good else None},
+            "levels": {name: one.value if one.good else None for name, one in inputs.items()},
+            "delivery": {"blind_for_s": decision.blind_for},
+            "drive timeout": {"timeout_s": self._drive.snapshot.timeout_s},
+        }
 
     def _say(self, part: str, level: bytes, problem: str, code: str, well: str) -> None:
         """Say that a part has a problem, or where there is none that it is well."""

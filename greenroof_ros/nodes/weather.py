@@ -281,6 +281,8 @@ class WeatherNode(LinkedNode):
             why = "; ".join(filter(None, [str(error), problem]))
             self.diagnose("forecast", ERROR, why, "forecast_missing")
             return None
+        age = (now - outlook.issued).total_seconds()
+        self.reports.numbers["forecast"] = {"issued_ago_s": age}
         issued = f"the newest forecast was issued at {to_people(outlook.issued)}"
         if problem:
             issued += f"; what was read before holds on: {problem}"

@@ -405,17 +405,39 @@ def test_commands_that_must_not_pump(rig: PumpRig, drive: SimulatedDrive) -> Non
     assert rig.says("command", OK)
 
 
+def _numbers(rig: PumpRig) -> dict[str, float]:
+    """Return the numbers of the parts "pump", "flow" and "command"."""
+    values = [rig.observer.values(f"/pump: {part}") for part in ("pump", "flow", "command")]
+    return {
+        key: float(value) for one in values for key, value in one.items()
+        if key not in ("code", "since", "cause")
+    }
+
+
+def _at_speed(numbers: dict[str, float], flow: float) -> bool:
+    """Whether they are those of a pump that does what it was asked to, and is said to (m3/s)."""
+    if numbers.keys() != {"asked_speed", "speed", "flow", "command"}:
+        return False
+    return (
+        numbers["command"] == 0.5
+        and numbers["speed"] == pytest.approx(numbers["asked_speed"], abs=0.02)
+        and numbers["flow"] == pytest.approx(flow, rel=0.05)
+    )
+
+
 def test_a_drive_that_is_lost_stops_and_comes_back(rig: PumpRig, drive: SimulatedDrive) -> None:
     """Connection refused, half-open, power cycle: off, said, and running again by itself."""
     rig.start(drive.address)
     for fault in ("refused", "half_open", "power_cycle"):
         rig.run(drive)
+        rig.tick_until(0.5, lambda: _at_speed(_numbers(rig), rig.flows[-1]), LATE, "numbers")
         drive.inject(fault)
         rig.tick_until(
             0.5, lambda: rig.state.startswith("unknown: no connection to the drive"), 6, fault
         )
         assert rig.tick(0.5) == 0.0
         rig.tick_until(0.5, lambda: rig.code("drive") == "drive_lost", LATE, "its code")
+        assert not {"speed", "asked_speed", "flow"} & _numbers(rig).keys()
         since = rig.observer.values("/pump: drive")["since"]
         assert abs(datetime.fromisoformat(since).timestamp() - time.time()) < 60
         if fault != "power_cycle":
