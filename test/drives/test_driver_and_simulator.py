@@ -74,11 +74,14 @@ def soon(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_every_make_runs_stops_and_is_left_when_it_does_not(make: str) -> None:
     """A fault and its reset; another one's *run*; and a stop that is acknowledged and no more.
 
-    Writing *stop* on and on would keep its own timeout alive, so it is left in silence.
+    It says that it is a simulator, at a port, or at a gateway's where the make has none. Writing
+    *stop* on and on would keep its own timeout alive, so it is left in silence.
     """
     timeout = 5 if make == "grundfos_cim500" else 2
     _, run, stop = WORDS[make]
     with simulated(make) as drive, driver(make, drive) as exchange:
+        address = parse_address(drive.ready.split()[2].rstrip(","))
+        assert why_no_simulator(read_drive_file(find_drive_file(make)), address) == ""
         reach(exchange, drive, 0.6)
         assert exchange.snapshot.timeout_s == timeout
         reach(exchange, drive, 0.0)
@@ -111,13 +114,9 @@ def test_every_make_runs_stops_and_is_left_when_it_does_not(make: str) -> None:
     assert f"communication timeout: nothing for {timeout} s" in drive.said
 
 
-@pytest.mark.parametrize(
-    ("make", "place"), [*((make, FREE) for make in WORDS), ("danfoss_fc202", SERIAL)]
-)
-def test_every_make_says_that_it_is_a_simulator(make: str, place: tuple[str, ...]) -> None:
-    """At a port, at a gateway's, where the make has none, and on a line."""
-    file = read_drive_file(find_drive_file(make))
-    with simulated(make, *place) as drive:
+def test_a_drive_on_a_line_says_that_it_is_a_simulator() -> None:
+    file = read_drive_file(find_drive_file("danfoss_fc202"))
+    with simulated("danfoss_fc202", *SERIAL) as drive:
         address = parse_address(drive.ready.split()[2].rstrip(","))
         assert why_no_simulator(file, address) == ""
         drive.inject("exception")
@@ -134,34 +133,6 @@ def test_a_line_that_is_no_pseudo_terminal_and_another_server_are_no_simulator()
         assert why.endswith("identifies itself as 'Pymodbus', 'PM'")
     finally:
         wire.close()
-
-
-@pytest.mark.parametrize(
-    ("place", "action"), [(FREE, 7021), (SERIAL, 7010)], ids=["ETHL", "SLL"]  # EAV64332
-)
-def test_each_port_of_an_altivar_has_a_timeout_of_its_own(
-    place: tuple[str, ...], action: int
-) -> None:
-    """The one of the port in use is read, guards, trips with a code of its own, and is reset.
-
-    2 s at the port in use, 10 s as delivered at the other.
-    """
-    make = "schneider_atv630"
-    with simulated(make, *place) as drive:
-        with driver(make, drive) as exchange:
-            reach(exchange, drive, 0.6)
-            assert (exchange.snapshot.timeout_s, exchange.snapshot.timeout_note) == (2, "")
-            drive.inject("half_open")
-            until(lambda: drive.speed() == 0, 15)
-            drive.inject("none")
-            until(lambda: exchange.snapshot.connected, 15)
-            reach(exchange, drive, 0.4)
-        drive.inject("timeout_off")
-        with driver(make, drive) as exchange:
-            until(lambda: exchange.snapshot.connected, 15)
-            assert exchange.snapshot.timeout_s is None
-            assert f"(register {action}) is 0: Ignore" in exchange.snapshot.timeout_note
-    assert "communication timeout: nothing for 2 s" in drive.said
 
 
 def keep_asking(exchange: DriveExchange, speed: float, reached: Callable[[], bool],

@@ -16,6 +16,7 @@ import pytest
 from graphs import free_ports
 from modbus_wire import Registers, SerialWire, Wire, acs880, over_serial
 from places import CHECKOUT
+from simulators import until as wait
 
 from greenroof_ros.drives.address import parse_address, parse_drive_address
 from greenroof_ros.drives.drive import DriveLock, DriveStatus, HeldError
@@ -65,15 +66,6 @@ def made(file: DriveFile, at: str, **options: float) -> DriveExchange:
 def exchange(file: DriveFile, wire: Wire) -> Iterator[DriveExchange]:
     with closing(made(file, wire.gateway)) as exchange:
         yield exchange
-
-
-def wait(what: Callable[[], Any], within: float = 60.0) -> float:
-    """Wait until something holds; return how long that took (s)."""
-    began = time.monotonic()
-    while not what():
-        assert time.monotonic() - began < within, "it did not come to that in time"
-        time.sleep(0.005)
-    return time.monotonic() - began
 
 
 class Hand:
@@ -140,16 +132,19 @@ def test_it_runs_while_asked_and_stops_when_told_or_asked_nonsense_or_not_at_all
     exchange: DriveExchange, drive: Registers, hand: Hand
 ) -> None:
     """And when it is closed, which reads that back; nothing is written after that."""
+    assert exchange.snapshot.state is State.CONNECTING
     exchange.start()
+    wait(lambda: exchange.snapshot.state is State.STOPPED)
     hand.speed = 0.4
     wait(lambda: exchange.snapshot.status and exchange.snapshot.status.speed == 0.4)
     assert drive.written[-2:] in ([(1, 8000), RUN], [RUN, (1, 8000)])
     hand.speed = 0.6
     wait(lambda: exchange.snapshot.status and exchange.snapshot.status.speed == 0.6)
+    assert exchange.snapshot.state is State.RUNNING
     hand.speed = None
     assert wait(lambda: drive.values[0] == 0x047E) < 0.05 + 3 * PERIOD
     wait(lambda: exchange.snapshot.status and exchange.snapshot.status.stands)
-    assert exchange.snapshot.errors == 0
+    assert (exchange.snapshot.state, exchange.snapshot.errors) == (State.STOPPED, 0)
     for nonsense in (float("nan"), float("inf"), -0.1, 1.5):
         hand.speed = 0.5
         wait(lambda: drive.values[4] == 10000)
@@ -167,6 +162,7 @@ def test_it_runs_while_asked_and_stops_when_told_or_asked_nonsense_or_not_at_all
     exchange.close()
     assert time.monotonic() - began < 1.0
     assert drive.values[0] == 0x047E and not exchange.snapshot.connected
+    assert exchange.snapshot.state is State.CONNECTING
     assert exchange.snapshot.status is not None and exchange.snapshot.status.stands
     count = len(drive.written)
     time.sleep(4 * PERIOD)
@@ -244,7 +240,7 @@ def test_nobody_there_and_then_somebody(file: DriveFile, drive: Registers) -> No
         assert 3 <= exchange.snapshot.errors <= 4
         assert not exchange.snapshot.connected and "cannot connect" in exchange.snapshot.problem
         with closing(Wire(drive, port)):
-            wait(lambda: exchange.snapshot.connected, within=5.5)
+            wait(lambda: exchange.snapshot.connected, seconds=5.5)
 
 
 def test_the_timeout_of_another_port_guards_nothing(
@@ -392,7 +388,7 @@ def test_a_serial_line_whose_plug_is_pulled(file: DriveFile, drive: Registers) -
         wait(lambda: drive.values[4] == 10000)
         assert exchange.snapshot.connected and exchange.snapshot.errors == 0
         wire.close()
-        wait(lambda: not exchange.snapshot.connected, within=1.0)
+        wait(lambda: not exchange.snapshot.connected, seconds=1.0)
         assert wire.line in exchange.snapshot.problem
         began = time.monotonic()
         exchange.close()
@@ -446,6 +442,7 @@ def test_a_drive_that_refuses_to_stop_is_left_in_silence(
         wire.answer = refusing(drive, times)
         wait(lambda: f"so nothing is sent for {silence} s" in exchange.snapshot.problem)
         assert "refused with exception 6" in exchange.snapshot.problem
+        assert exchange.snapshot.state is State.SILENT
         assert not exchange.snapshot.connected and exchange.snapshot.status is None
         connections = wire.connections
         assert drive.written[-1] == (1, 0)  # what comes after the refused word
@@ -453,11 +450,11 @@ def test_a_drive_that_refuses_to_stop_is_left_in_silence(
             hand.speed = speed
             time.sleep(0.3)
         exchange.reset()
-        wait(lambda: len(silences(times)) == 2, within=8)
+        wait(lambda: len(silences(times)) == 2, seconds=8)
         assert min(silences(times)) >= silence
         assert wire.connections == connections + 2  # one attempt after each silence
         wire.answer = drive
-        wait(lambda: exchange.snapshot.connected, within=5)
+        wait(lambda: exchange.snapshot.connected, seconds=5)
         wait(lambda: drive.values[4] == 10000)
         wire.answer = refusing(drive)
         wait(lambda: "so nothing is sent" in exchange.snapshot.problem)
@@ -466,27 +463,6 @@ def test_a_drive_that_refuses_to_stop_is_left_in_silence(
         assert time.monotonic() - began < 2.0
         assert len(wire.seen) > count
         assert exchange.snapshot.status is None
-
-
-def test_its_states(
-    exchange: DriveExchange, drive: Registers, wire: Wire, hand: Hand
-) -> None:
-    assert exchange.snapshot.state is State.CONNECTING
-    obeys = drive.on_write
-    exchange.start()
-    wait(lambda: exchange.snapshot.state is State.STOPPED)
-    hand.speed = 0.5
-    wait(lambda: exchange.snapshot.state is State.RUNNING)
-    drive.on_write = lambda _address, _word: drive.values.update({3: 0x1231})
-    hand.speed = None
-    wait(lambda: exchange.snapshot.state is State.STOPPING)
-    drive.values[4] = 0
-    wait(lambda: exchange.snapshot.state is State.STOPPED)
-    drive.on_write = obeys
-    wire.answer = refusing(drive)
-    wait(lambda: exchange.snapshot.state is State.SILENT)
-    exchange.close()
-    assert exchange.snapshot.state is State.CONNECTING and not exchange.snapshot.connected
 
 
 # --- a drive that acknowledges *stop* and runs on -------------------------------------------------
@@ -515,7 +491,8 @@ def test_a_drive_that_runs_on_is_left_in_silence(
     hand.speed = None
     # Who asks for it sees the cause before the silence.
     wait(lambda: exchange.snapshot.status and exchange.snapshot.status.fault == ACKNOWLEDGES)
-    assert exchange.snapshot.connected and not silences(times)
+    assert exchange.snapshot.state is State.STOPPING and not silences(times)
+    assert exchange.snapshot.connected
     wait(lambda: f"{ACKNOWLEDGES} (it is 50.0%), so nothing is sent for 2.5 s"
          in exchange.snapshot.problem)
     assert "two connections" not in exchange.snapshot.problem
@@ -550,8 +527,8 @@ def test_a_drive_whose_speed_cannot_be_read_is_left_in_silence(
         return "so nothing is sent for 2.5 s" in exchange.snapshot.problem
 
     if not left:
-        with pytest.raises(AssertionError, match="in time"):
-            wait(is_left, within=4.0)
+        with pytest.raises(AssertionError, match="did not come"):
+            wait(is_left, seconds=4.0)
         return
     wait(is_left)
     for words in (
@@ -725,7 +702,7 @@ def test_a_second_driver_on_the_same_machine_keeps_off(
     )
     assert lock.stat().st_mode & 0o777 == 0o666
     first.release()
-    wait(lambda: drive.values[4] == 10000, within=5)
+    wait(lambda: drive.values[4] == 10000, seconds=5)
     exchange.close()
     assert not lock.exists()
 

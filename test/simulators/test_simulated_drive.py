@@ -5,8 +5,6 @@ from __future__ import annotations
 import os
 import select
 import socket
-import subprocess
-import sys
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
@@ -15,7 +13,6 @@ from pathlib import Path
 
 import pytest
 from graphs import free_ports
-from places import CHECKOUT
 from simulators import Bus, Simulator, refusal, until
 
 from greenroof_ros import drive_simulator
@@ -600,15 +597,6 @@ def test_wrong_options_are_refused_with_what_would_be_right(
         port = str(taken.getsockname()[1])
         assert "the port is taken" in refused(*abb, "--port", port, "--workbench", "0")
     assert "no such serial device" in refused(*abb, "--serial", "/dev/nothing", "--workbench", "0")
-
-
-def test_a_refusal_is_one_line_and_exit_code_2() -> None:
-    done = subprocess.run(
-        [sys.executable, "-m", "greenroof_ros.drive_simulator", "--drive", "abb_acs880", "--fault",
-         "smoke"],
-        cwd=CHECKOUT, capture_output=True, text=True, check=False, timeout=20,
-    )
-    assert (done.returncode, done.stderr.count("\n")) == (2, 1)
 
 
 def test_it_listens_on_loopback_alone_and_its_workbench_is_beside_it() -> None:
