@@ -217,9 +217,9 @@ CHANGES: list[dict[str, object]] = [
 def test_never_runs_while_anything_speaks_against_it(
     scenes: list[tuple[dict[str, object], float | None, int]], x1: float, limits: PumpSettings
 ) -> None:
-    """Whatever came before; nor beyond the rated speed, nor after a fault."""
+    """Whatever came before; nor beyond the rated speed, nor after a fault, nor too soon again."""
     rig = Rig(x1=x1, settings=limits)
-    fault = False
+    fault, off_for = False, 0
     for change, command, seconds in scenes:
         rig.change = change
         for _ in range(seconds):
@@ -236,6 +236,8 @@ def test_never_runs_while_anything_speaks_against_it(
                 assert decision.state == "fault"
             if decision.speed is not None:
                 assert limits.least_speed <= decision.speed <= 1
+                assert not off_for or off_for >= limits.least_off
+            off_for = off_for + 1 if decision.speed is None else 0
             assert 0 <= decision.flow < math.inf
             assert decision.why
 

@@ -287,16 +287,13 @@ def test_a_trip_by_the_timeout_is_reset_by_the_manuals_word() -> None:
     assert drive.read(400) == 0
 
 
-def test_as_delivered_the_timeout_is_the_makers(make: str) -> None:
+def test_as_delivered_the_timeout_is_the_makers_and_off_is_read_back(make: str) -> None:
     """On the serial port; the other interface's is as delivered in any case."""
     drive = OnPaper(make, timeout_s=None)
     assert {each: drive.read(each) for each in drive.its.timeout} == drive.its.timeout
     if make == "schneider_atv630":
         on_ethernet = OnPaper(make, "tcp", timeout_s=3.0)
         assert [on_ethernet.read(each) for each in (6005, 64415)] == [100, 30]
-
-
-def test_timeout_off_is_read_back_as_off(make: str) -> None:
     drive = OnPaper(make, timeout_s=3.0, ramp_s=1.0)
     address, off = drive.its.off
     assert drive.read(address) != off
