@@ -67,8 +67,6 @@ def levels(readings: list[str], **changed: object) -> list[float | str]:
         ("0BB8", {"scale": 0.001, "offset": -0.5, "kind": "holding"}, 2.5),
         ("FF9C", {"type": "int16", "scale": 0.01, "offset": 3.0}, 2.0),  # -100
         ("0001 0000", {"type": "uint32", "word_order": "high first", "scale": 2e-5}, 1.31072),
-        ("0001 0000", {"type": "uint32", "word_order": "low first", "scale": 2.0}, 2.0),
-        ("4020 0000", {"type": "float32", "word_order": "high first", "scale": 1.0}, 2.5),
         ("0000 4020", {"type": "float32", "word_order": "low first", "scale": 1.0}, 2.5),
     ],
 )

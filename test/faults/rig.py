@@ -8,7 +8,7 @@ import signal
 import socket
 import subprocess
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager, suppress
 from datetime import datetime, timedelta, timezone
 from functools import partial
@@ -68,6 +68,14 @@ def wait(condition: Callable[[], Any], seconds: float, what: str) -> None:
         if time.monotonic() > until:
             raise BrokenError(f"{what} within {seconds:g} s")
         time.sleep(0.02)
+
+
+def left(pids: Collection[int], seconds: float = 12.0) -> list[int]:
+    """Return the processes that have not ended within a time (s)."""
+    until = time.monotonic() + seconds
+    while any(map(alive, pids)) and time.monotonic() < until:
+        time.sleep(0.05)
+    return [pid for pid in pids if alive(pid)]
 
 
 def ports_of(domain: int) -> Iterator[int]:
@@ -332,10 +340,7 @@ class Rig:
                 wrong.append("still there 25 s after SIGTERM")
                 main.kill()
                 main.wait()
-        until = time.monotonic() + 12
-        while any(map(alive, pids)) and time.monotonic() < until:
-            time.sleep(0.05)
-        for pid in filter(alive, pids):
+        for pid in left(pids):
             wrong.append(f"process {pid} is left")
             os.kill(pid, signal.SIGKILL)
         until = time.monotonic() + 2 * RAMP_S
