@@ -366,7 +366,7 @@ def test_hours_of_mpc() -> None:
         rig.step(tick.command)
         worst = max(worst, abs(commanded - rig.delivered))
         commanded += tick.flows.pump
-    assert commanded > 0.5
+    assert commanded > 15 * LEAST_PULSE
     assert worst <= LEAST_PULSE
 
 
