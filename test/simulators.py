@@ -187,10 +187,10 @@ class Bus:
         self.close()
 
 
-def until(condition: Callable[[], bool], seconds: float = 60.0) -> float:
+def until(condition: Callable[[], object], seconds: float = 60.0) -> float:
     """Wait until a condition holds and return how long that took (s)."""
     began = time.monotonic()
     while not condition():
         assert time.monotonic() - began < seconds, "did not come to be so"
-        time.sleep(0.01)
+        time.sleep(0.005)
     return time.monotonic() - began

@@ -16,6 +16,7 @@ import pytest
 from graphs import free_ports
 from modbus_wire import Registers, SerialWire, Wire, acs880, over_serial
 from places import CHECKOUT
+from simulators import until as wait
 
 from greenroof_ros.drives.drive import DriveLock, DriveStatus, HeldError
 from greenroof_ros.drives.drive_file import DriveFile, Timeouts, find_drive_file, read_drive_file
@@ -71,15 +72,6 @@ def exchange(file: DriveFile, wire: Wire) -> Iterator[DriveExchange]:
         yield exchange
 
 
-def wait(what: Callable[[], Any], within: float = 60.0) -> float:
-    """Wait until something holds; return how long that took (s)."""
-    began = time.monotonic()
-    while not what():
-        assert time.monotonic() - began < within, "it did not come to that in time"
-        time.sleep(0.005)
-    return time.monotonic() - began
-
-
 class Hand:
     """Asks for a speed again and again, as the node does."""
 
@@ -97,26 +89,23 @@ class Hand:
         self._ended.set()
         self._thread.join()
 
+    close = end
+
 
 @contextmanager
 def driving(
     file: DriveFile, at: str, speed: float | None = None, **options: float
 ) -> Iterator[DriveExchange]:
     """Run a drive at a speed until the end."""
-    with closing(made(file, at, **options)) as exchange:
-        hand = Hand(exchange, speed)
+    with closing(made(file, at, **options)) as exchange, closing(Hand(exchange, speed)):
         exchange.start()
-        try:
-            yield exchange
-        finally:
-            hand.end()
+        yield exchange
 
 
 @pytest.fixture
 def hand(exchange: DriveExchange) -> Iterator[Hand]:
-    made = Hand(exchange, None)
-    yield made
-    made.end()
+    with closing(Hand(exchange, None)) as made:
+        yield made
 
 
 def run_at_half(exchange: DriveExchange, drive: Registers, hand: Hand) -> None:
@@ -143,48 +132,41 @@ def test_it_stops_the_drive_first_and_reads_what_it_is(
     assert drive.written.count(OFF) > 3  # which keeps the drive's own timeout fed
 
 
-def test_it_runs_while_asked_and_stops_when_told(
+def test_it_runs_while_asked_and_stops_when_told_or_asked_nonsense_or_not_at_all(
     exchange: DriveExchange, drive: Registers, hand: Hand
 ) -> None:
+    """And when it is closed, which reads that back; nothing is written after that."""
+    assert exchange.snapshot.state is State.CONNECTING
     exchange.start()
+    wait(lambda: exchange.snapshot.state is State.STOPPED)
     hand.speed = 0.4
     wait(lambda: exchange.snapshot.status and exchange.snapshot.status.speed == 0.4)
     assert drive.written[-2:] in ([(1, 8000), RUN], [RUN, (1, 8000)])
     hand.speed = 0.6
     wait(lambda: exchange.snapshot.status and exchange.snapshot.status.speed == 0.6)
+    assert exchange.snapshot.state is State.RUNNING
     hand.speed = None
     assert wait(lambda: drive.values[0] == 0x047E) < 0.05 + 3 * PERIOD
     wait(lambda: exchange.snapshot.status and exchange.snapshot.status.stands)
-    assert exchange.snapshot.errors == 0
-
-
-def test_dead_man(exchange: DriveExchange, drive: Registers, hand: Hand) -> None:
-    exchange.start()
-    hand.speed = 1.0
-    wait(lambda: drive.values[4] == 20000)
-    hand.end()
-    took = wait(lambda: drive.values[0] == 0x047E)
-    assert DEAD_MAN - 0.1 < took < DEAD_MAN + 4 * PERIOD
-
-
-def test_nonsense_is_off(exchange: DriveExchange, drive: Registers, hand: Hand) -> None:
-    exchange.start()
+    assert (exchange.snapshot.state, exchange.snapshot.errors) == (State.STOPPED, 0)
     for nonsense in (float("nan"), float("inf"), -0.1, 1.5):
         hand.speed = 0.5
         wait(lambda: drive.values[4] == 10000)
         errors, hand.speed = exchange.snapshot.errors, nonsense
         wait(lambda: drive.values[0] == 0x047E)
         assert exchange.snapshot.errors > errors
-
-
-def test_close_stops_and_reads_back(
-    exchange: DriveExchange, drive: Registers, hand: Hand
-) -> None:
-    run_at_half(exchange, drive, hand)
+    hand.speed = 1.0
+    wait(lambda: drive.values[4] == 20000)
+    hand.end()
+    took = wait(lambda: drive.values[0] == 0x047E)
+    assert DEAD_MAN - 0.1 < took < DEAD_MAN + 4 * PERIOD
+    exchange.demand(0.5)
+    wait(lambda: drive.values[4] == 10000)
     began = time.monotonic()
     exchange.close()
     assert time.monotonic() - began < 1.0
     assert drive.values[0] == 0x047E and not exchange.snapshot.connected
+    assert exchange.snapshot.state is State.CONNECTING
     assert exchange.snapshot.status is not None and exchange.snapshot.status.stands
     count = len(drive.written)
     time.sleep(4 * PERIOD)
@@ -262,7 +244,7 @@ def test_nobody_there_and_then_somebody(file: DriveFile, drive: Registers) -> No
         assert 3 <= exchange.snapshot.errors <= 4
         assert not exchange.snapshot.connected and "cannot connect" in exchange.snapshot.problem
         with closing(Wire(drive, port)):
-            wait(lambda: exchange.snapshot.connected, within=5.5)
+            wait(lambda: exchange.snapshot.connected, seconds=5.5)
 
 
 def test_the_timeout_of_another_port_guards_nothing(
@@ -410,7 +392,7 @@ def test_a_serial_line_whose_plug_is_pulled(file: DriveFile, drive: Registers) -
         wait(lambda: drive.values[4] == 10000)
         assert exchange.snapshot.connected and exchange.snapshot.errors == 0
         wire.close()
-        wait(lambda: not exchange.snapshot.connected, within=1.0)
+        wait(lambda: not exchange.snapshot.connected, seconds=1.0)
         assert wire.line in exchange.snapshot.problem
         began = time.monotonic()
         exchange.close()
@@ -420,12 +402,15 @@ def test_a_serial_line_whose_plug_is_pulled(file: DriveFile, drive: Registers) -
 # --- a drive that refuses to be stopped -----------------------------------------------------------
 
 
-def refusing(drive: Registers, times: list[float]) -> Callable[[bytes], Any]:
+def refusing(
+    drive: Registers, times: list[float] | None = None, *, refuses: bool = True
+) -> Callable[[bytes], Any]:
     """Answer as a drive that refuses its control word, and write down when it was asked."""
 
     def answer(request: bytes) -> Any:
-        times.append(time.monotonic())
-        if request[7:10] == b"\x06\0\0":
+        if times is not None:
+            times.append(time.monotonic())
+        if refuses and request[7:10] == b"\x06\0\0":
             return [(0.0, request[:4] + bytes([0, 3, request[6], 0x86, 6]))]
         return drive(request)
 
@@ -438,77 +423,50 @@ def silences(times: list[float]) -> list[float]:
     return [gap for gap in gaps if gap > 1.0]
 
 
+@pytest.mark.parametrize(
+    ("timeout", "silence"), [(15, 2.5), (None, 1.8)], ids=["its own timeout", "the limit"]
+)
 def test_a_drive_that_refuses_to_stop_is_left_in_silence(
-    exchange: DriveExchange, drive: Registers, wire: Wire, hand: Hand
+    file: DriveFile, drive: Registers, wire: Wire, timeout: int | None, silence: float
 ) -> None:
-    """Its own timeout, 58.16, is 1.5 s; a margin of 1 s makes 2.5 s."""
-    drive.values[5815] = 15
+    """Its own timeout, 58.16, is 1.5 s, or unknown, and the limit 0.8 s; the margin is 1 s.
+
+    Closed in a silence it tries once more, and ends.
+    """
+    if timeout is None:
+        del drive.values[5815]
+    else:
+        drive.values[5815] = timeout
     times: list[float] = []
-    run_at_half(exchange, drive, hand)
-    drive.written.clear()
-    wire.answer = refusing(drive, times)
-    wait(lambda: "so nothing is sent for 2.5 s" in exchange.snapshot.problem)
-    assert "refused with exception 6" in exchange.snapshot.problem
-    assert not exchange.snapshot.connected and exchange.snapshot.status is None
-    connections = wire.connections
-    assert drive.written[-1] == (1, 0)  # what comes after the refused word
-    for speed in (None, 0.5):  # who asks for something does not break it
-        hand.speed = speed
-        time.sleep(0.3)
-    exchange.reset()
-    wait(lambda: len(silences(times)) == 2, within=8)
-    assert min(silences(times)) >= 2.5
-    assert wire.connections == connections + 2  # one attempt after each silence
-    wire.answer = drive
-    wait(lambda: exchange.snapshot.connected, within=5)
-    wait(lambda: drive.values[4] == 10000)
-
-
-def test_the_silence_is_that_of_the_limit_where_the_timeout_is_unknown(
-    file: DriveFile, drive: Registers
-) -> None:
-    del drive.values[5815]
-    times: list[float] = []
-    with closing(Wire(refusing(drive, times))) as wire, driving(
-        file, wire.at, timeout_limit_s=0.8
-    ):
-        wait(lambda: len(silences(times)) == 1, within=6)
-        assert silences(times)[0] >= 1.8
-
-
-def test_close_in_a_silence_tries_once_more_and_ends(
-    exchange: DriveExchange, drive: Registers, wire: Wire
-) -> None:
-    wire.answer = refusing(drive, [])
-    exchange.start()
-    wait(lambda: "so nothing is sent for 6 s" in exchange.snapshot.problem)
-    count = len(wire.seen)
-    began = time.monotonic()
-    exchange.close()
-    assert time.monotonic() - began < 2.0
-    assert len(wire.seen) > count
-    assert exchange.snapshot.status is None
-
-
-def test_its_states(
-    exchange: DriveExchange, drive: Registers, wire: Wire, hand: Hand
-) -> None:
-    assert exchange.snapshot.state is State.CONNECTING
-    obeys = drive.on_write
-    exchange.start()
-    wait(lambda: exchange.snapshot.state is State.STOPPED)
-    hand.speed = 0.5
-    wait(lambda: exchange.snapshot.state is State.RUNNING)
-    drive.on_write = lambda _address, _word: drive.values.update({3: 0x1231})
-    hand.speed = None
-    wait(lambda: exchange.snapshot.state is State.STOPPING)
-    drive.values[4] = 0
-    wait(lambda: exchange.snapshot.state is State.STOPPED)
-    drive.on_write = obeys
-    wire.answer = refusing(drive, [])
-    wait(lambda: exchange.snapshot.state is State.SILENT)
-    exchange.close()
-    assert exchange.snapshot.state is State.CONNECTING and not exchange.snapshot.connected
+    with closing(made(file, wire.gateway, timeout_limit_s=0.8)) as exchange, closing(
+        Hand(exchange, None)
+    ) as hand:
+        run_at_half(exchange, drive, hand)
+        drive.written.clear()
+        wire.answer = refusing(drive, times)
+        wait(lambda: f"so nothing is sent for {silence} s" in exchange.snapshot.problem)
+        assert "refused with exception 6" in exchange.snapshot.problem
+        assert exchange.snapshot.state is State.SILENT
+        assert not exchange.snapshot.connected and exchange.snapshot.status is None
+        connections = wire.connections
+        assert drive.written[-1] == (1, 0)  # what comes after the refused word
+        for speed in (None, 0.5):  # who asks for something does not break it
+            hand.speed = speed
+            time.sleep(0.3)
+        exchange.reset()
+        wait(lambda: len(silences(times)) == 2, seconds=8)
+        assert min(silences(times)) >= silence
+        assert wire.connections == connections + 2  # one attempt after each silence
+        wire.answer = drive
+        wait(lambda: exchange.snapshot.connected, seconds=5)
+        wait(lambda: drive.values[4] == 10000)
+        wire.answer = refusing(drive)
+        wait(lambda: "so nothing is sent" in exchange.snapshot.problem)
+        count, began = len(wire.seen), time.monotonic()
+        exchange.close()
+        assert time.monotonic() - began < 2.0
+        assert len(wire.seen) > count
+        assert exchange.snapshot.status is None
 
 
 # --- a drive that acknowledges *stop* and runs on -------------------------------------------------
@@ -523,16 +481,6 @@ def soon(monkeypatch: pytest.MonkeyPatch) -> None:
         monkeypatch.setattr(f"greenroof_ros.drives.exchange.{name}", seconds)
 
 
-def asked_at(drive: Registers, times: list[float]) -> Callable[[bytes], Any]:
-    """Answer as a drive, and write down when it was asked."""
-
-    def answer(request: bytes) -> Any:
-        times.append(time.monotonic())
-        return drive(request)
-
-    return answer
-
-
 @pytest.mark.usefixtures("soon")
 def test_a_drive_that_runs_on_is_left_in_silence(
     exchange: DriveExchange, drive: Registers, wire: Wire, hand: Hand
@@ -541,13 +489,14 @@ def test_a_drive_that_runs_on_is_left_in_silence(
     drive.values[5815] = 15
     times: list[float] = []
     run_at_half(exchange, drive, hand)
-    wire.answer = asked_at(drive, times)
+    wire.answer = refusing(drive, times, refuses=False)
     # It says from now on that it is off, as after OFF1, and turns all the same.
     drive.on_write = lambda _address, _word: drive.values.update({3: 0x1231, 4: 10000})
     hand.speed = None
     # Who asks for it sees the cause before the silence.
     wait(lambda: exchange.snapshot.status and exchange.snapshot.status.fault == ACKNOWLEDGES)
-    assert exchange.snapshot.connected and not silences(times)
+    assert exchange.snapshot.state is State.STOPPING and not silences(times)
+    assert exchange.snapshot.connected
     wait(lambda: f"{ACKNOWLEDGES} (it is 50.0%), so nothing is sent for 2.5 s"
          in exchange.snapshot.problem)
     assert "two connections" not in exchange.snapshot.problem
@@ -574,7 +523,7 @@ def test_a_drive_whose_speed_cannot_be_read_is_left_in_silence(
     drive.values[5815] = 15
     times: list[float] = []
     run_at_half(exchange, drive, hand)
-    wire.answer = asked_at(drive, times)
+    wire.answer = refusing(drive, times, refuses=False)
     drive.on_write = lambda _address, _word: drive.values.update({3: word, 4: 0x8000})
     hand.speed = None
 
@@ -582,8 +531,8 @@ def test_a_drive_whose_speed_cannot_be_read_is_left_in_silence(
         return "so nothing is sent for 2.5 s" in exchange.snapshot.problem
 
     if not left:
-        with pytest.raises(AssertionError, match="in time"):
-            wait(is_left, within=4.0)
+        with pytest.raises(AssertionError, match="did not come"):
+            wait(is_left, seconds=4.0)
         return
     wait(is_left)
     for words in (
@@ -757,7 +706,7 @@ def test_a_second_driver_on_the_same_machine_keeps_off(
     )
     assert lock.stat().st_mode & 0o777 == 0o666
     first.release()
-    wait(lambda: drive.values[4] == 10000, within=5)
+    wait(lambda: drive.values[4] == 10000, seconds=5)
     exchange.close()
     assert not lock.exists()
 
@@ -847,27 +796,30 @@ def falls_for(drive: Registers, seconds: float) -> None:
     drive.on_write = falls
 
 
-def test_a_ramp_of_29_s_is_waited_for_at_the_end_and_by_the_supervisors_stop(
-    file: DriveFile, drive: Registers, wire: Wire
+def test_a_ramp_is_waited_for_at_the_end_and_by_the_supervisors_stop(
+    file: DriveFile, drive: Registers, wire: Wire, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """real-pump.md allows 30 s. Each answer may take as long as by default: a machine is busy."""
-    falls_for(drive, 29.0)
-    exchange = DriveExchange(file, parse_address(wire.gateway), PERIOD, DEAD_MAN)
-    exchange.start()
-    wait(lambda: drive.written)
-    second = acs880()
-    other = Wire(second)
-    falls_for(second, 29.0)
-    left: list[DriveStatus] = []
-    stop = threading.Thread(
-        target=lambda: left.append(stop_drive(file, parse_address(other.at)))
-    )
-    stop.start()
-    exchange.close()
-    stop.join()
-    other.close()
-    assert exchange.snapshot.status is not None and exchange.snapshot.status.stands
-    assert left[0].stands
+    """For as long as LEAVE_S, here 5 s: longer than a drive is left that does not slow down."""
+    monkeypatch.setattr("greenroof_ros.drives.exchange.LEAVE_S", 5.0)
+    for seconds, stands in ((4.0, True), (15.0, False)):
+        second = acs880()
+        with closing(Wire(second)) as other:
+            falls_for(drive, seconds)
+            drive.written.clear()
+            exchange = DriveExchange(file, parse_address(wire.gateway), PERIOD, DEAD_MAN)
+            exchange.start()
+            wait(lambda: drive.written)
+            falls_for(second, seconds)
+            left: list[DriveStatus] = []
+            stop = threading.Thread(
+                target=lambda: left.append(stop_drive(file, parse_address(other.at)))  # noqa: B023
+            )
+            stop.start()
+            exchange.close()
+            stop.join()
+        assert second.written[0] == OFF and RUN not in second.written
+        assert exchange.snapshot.status is not None
+        assert (exchange.snapshot.status.stands, left[0].stands) == (stands, stands)
 
 
 def test_the_waits_fit_into_those_of_the_pump_control_bringup_and_the_service() -> None:
@@ -895,48 +847,39 @@ def test_the_waits_fit_into_those_of_the_pump_control_bringup_and_the_service() 
 # --- the supervisor's stop ------------------------------------------------------------------------
 
 
-def test_stop_drive(file: DriveFile, drive: Registers, wire: Wire) -> None:
-    drive.values.update({0: 0x047F, 1: 20000, 3: 0x1337, 4: 20000})
-    assert str(stop_drive(file, parse_address(wire.at))) == "speed 0.0%, off"
-    assert drive.written[0] == OFF and RUN not in drive.written
-
-
-def test_who_stops_a_drive_that_turns_on_says_what_it_says(
+def test_who_stops_a_drive_that_turns_on_says_what_it_says_and_keeps_drivers_off_meanwhile(
     exchange: DriveExchange, file: DriveFile, drive: Registers, wire: Wire
 ) -> None:
-    """The supervisor's stop, and the exchange's end."""
+    """The supervisor's stop, and the exchange's end; that it runs on is seen after 3 s."""
     drive.values.update({3: 0x1137, 4: 20000})
     drive.on_write = lambda _address, _word: None
+    left: list[DriveStatus | None] = []
+    began = time.monotonic()
+    stop = threading.Thread(
+        target=lambda: left.append(stop_drive(file, parse_address(wire.at)))
+    )
+    stop.start()
+    wait(lambda: wire.seen)
     exchange.start()
+    wait(lambda: "runs this drive already" in exchange.snapshot.problem)
+    stop.join()
+    assert time.monotonic() - began < 4.0
     wait(lambda: exchange.snapshot.connected)
-    for stops in (exchange.close, lambda: stop_drive(file, parse_address(wire.at))):
-        began = time.monotonic()
-        status = stops() or exchange.snapshot.status
-        assert str(status) == "speed 100.0%, running, local control" and not status.stands
-        assert time.monotonic() - began < 4.0
+    began = time.monotonic()
+    exchange.close()
+    assert time.monotonic() - began < 4.0
+    for status in (*left, exchange.snapshot.status):
+        assert str(status) == "speed 100.0%, running, local control"
+        assert status is not None and not status.stands
 
 
 @pytest.mark.parametrize("refuses", [False, True])
 def test_a_stop_that_is_not_taken_is_tried_three_times(
     file: DriveFile, drive: Registers, wire: Wire, refuses: bool
 ) -> None:
-    wire.answer = refusing(drive, []) if refuses else lambda _request: []
+    wire.answer = refusing(drive) if refuses else lambda _request: []
     began = time.monotonic()
     with pytest.raises(DriveError, match="exception 6" if refuses else "no valid answer"):
         stop_drive(file, parse_address(wire.at), timeout_s=TIMEOUT)
     assert time.monotonic() - began < 2.0
     assert wire.connections == 3
-
-
-def test_stop_drive_keeps_drivers_off_meanwhile(
-    exchange: DriveExchange, file: DriveFile, drive: Registers, wire: Wire
-) -> None:
-    drive.values.update({0: 0x047F, 1: 20000, 3: 0x1337, 4: 20000})
-    drive.on_write = lambda _address, _word: None  # it runs on, which is seen after 3 s
-    stop = threading.Thread(target=stop_drive, args=(file, parse_address(wire.gateway)))
-    stop.start()
-    wait(lambda: wire.seen)
-    exchange.start()
-    wait(lambda: "runs this drive already" in exchange.snapshot.problem)
-    stop.join()
-    wait(lambda: exchange.snapshot.connected)

@@ -164,7 +164,7 @@ def _drive_alone(repeats: int) -> Iterator[Case]:
     for number in range(repeats):
         for drive in DRIVES:
             # It refuses what is written, and takes every request for a sign of life.
-            yield Case(f"refusing:{drive}", "drive", "refuses writes", number, Expected(
+            yield Case(f"refusing:{drive}", "drive", "refused_writes", number, Expected(
                 bound="refusing", alarm=_LOST))
             # The same behind a connection that breaks sooner than the drive can be judged on it.
             yield Case(f"refusing:{drive}", "drive", "runs_on, breaks", number, Expected(

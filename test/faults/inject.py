@@ -161,9 +161,6 @@ def _come_and_go(rig: Rig) -> Undo:
 def _drive(rig: Rig, case: Case) -> Undo:
     if case.target == "intermittent":
         return _come_and_go(rig)
-    if case.target == "refuses writes":
-        rig.lines["drive"].inject(case.target)
-        return lambda: rig.lines["drive"].inject("none")
     if case.target == "local":
         rig.truth.take_over(True)
         return lambda: rig.truth.take_over(False)

@@ -1,7 +1,7 @@
 """A Modbus TCP line that goes bad: it sits between a client and a simulator, which knows nothing.
 
-For what the simulators cannot be asked for: faults of the level sensors' lines, a drive that
-refuses to be written to while every request keeps it alive, and connections that do not last.
+For what the simulators cannot be asked for: faults of the level sensors' lines, and connections
+to a drive that do not last.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ import time
 _HEADER = 6  # transaction, protocol, length
 _WRITES = (5, 6, 15, 16)
 _SLOW_S, _LATE_S, _BYTE_S = 0.2, 1.5, 0.005
-_BUSY, _FAILURE = 6, 4
+_FAILURE = 4
 # PX4's: on for 2 s, off for 7 s.
 ON_S, OFF_S = 2.0, 7.0
 # How long a connection lasts that breaks again and again: shorter than it takes to judge a drive.
@@ -26,8 +26,7 @@ class Line:
     """Listens at a port and asks a simulator at another, in a thread of its own.
 
     Attributes:
-        fault: what is wrong with it: one of `cases.WIRE`, ``refuses writes``, ``breaks`` or
-            ``none``.
+        fault: what is wrong with it: one of `cases.WIRE`, ``breaks`` or ``none``.
     """
 
     def __init__(self, port: int, behind: int) -> None:
@@ -95,17 +94,11 @@ class Line:
                     return
                 if self.fault == "half_open":
                     continue
-                refused = self.fault == "refuses writes" and request[7] in _WRITES
-                if refused:  # it is heard all the same: something is read
-                    register = request[8:10]
-                    behind.write(request[:4] + b"\0\6" + request[6:7] + b"\3" + register + b"\0\1")
-                else:
-                    behind.write(request)
+                behind.write(request)
                 answer = await _frame(answers)
-                if refused:
-                    answer = _exception(request, _BUSY)
-                elif self.fault == "exception":
-                    answer = _exception(request, _FAILURE)
+                if self.fault == "exception":
+                    answer = request[:4] + b"\0\3" + request[6:7]
+                    answer += bytes([request[7] | 0x80, _FAILURE])
                 await self._answer(writer, answer)
         except (OSError, asyncio.IncompleteReadError):
             return  # either end has gone
@@ -138,10 +131,6 @@ class Line:
                 await asyncio.sleep(_BYTE_S)
         else:
             writer.write(answer)
-
-
-def _exception(request: bytes, code: int) -> bytes:
-    return request[:4] + b"\0\3" + request[6:7] + bytes([request[7] | 0x80, code])
 
 
 async def _frame(reader: asyncio.StreamReader) -> bytes:

@@ -10,10 +10,9 @@ from pathlib import Path
 
 from bounds import RAMP_S, bounds
 from cases import Case
-from graphs import alive
 from inject import begin
 from lost import BOUND_S, last_message, newest_file
-from rig import BrokenError, Rig, SiteRig, wait
+from rig import BrokenError, Rig, SiteRig, left, wait
 
 from greenroof_ros.recording.bag_writer import FLUSH_S, RETRY_S
 
@@ -249,12 +248,8 @@ def _ends(rig: Rig, case: Case, outcome: Outcome) -> None:
         expected = -9
     if code != expected:
         outcome.fail(f"bringup ended with exit code {code}, not {expected}")
-    until = time.monotonic() + 12
-    while any(map(alive, pids)) and time.monotonic() < until:
-        time.sleep(0.05)
-    left = [pid for pid in pids if alive(pid)]
-    if left:
-        outcome.fail(f"{len(left)} processes were left after 12 s")
+    if still := left(pids):
+        outcome.fail(f"{len(still)} processes were left after 12 s")
     outcome.recovery = f"ended with exit code {code}"
 
 

@@ -8,11 +8,12 @@ import signal
 import socket
 import subprocess
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager, suppress
 from datetime import datetime, timedelta, timezone
+from functools import partial
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import Any
 
 import yaml
 from bounds import LIMIT_S, RAMP_S
@@ -67,6 +68,14 @@ def wait(condition: Callable[[], Any], seconds: float, what: str) -> None:
         if time.monotonic() > until:
             raise BrokenError(f"{what} within {seconds:g} s")
         time.sleep(0.02)
+
+
+def left(pids: Collection[int], seconds: float = 12.0) -> list[int]:
+    """Return the processes that have not ended within a time (s)."""
+    until = time.monotonic() + seconds
+    while any(map(alive, pids)) and time.monotonic() < until:
+        time.sleep(0.05)
+    return [pid for pid in pids if alive(pid)]
 
 
 def ports_of(domain: int) -> Iterator[int]:
@@ -183,7 +192,16 @@ class Rig:
     serial = False
     drive_refuses = False
 
-    def __init__(self, directory: Path, domain: int, drive: str) -> None:
+    def __init__(self, directory: Path, domain: int, drive: str, **special: Any) -> None:
+        """Start the drive.
+
+        Args:
+            directory: for what all of it leaves.
+            domain: of the graph.
+            drive: make of the drive.
+            special: what is other than usual, by attribute.
+        """
+        vars(self).update(special)
         self.directory, self.domain, self.drive_name = directory, domain, drive
         directory.mkdir(parents=True, exist_ok=True)
         self.site_file = site_file(directory)
@@ -322,10 +340,7 @@ class Rig:
                 wrong.append("still there 25 s after SIGTERM")
                 main.kill()
                 main.wait()
-        until = time.monotonic() + 12
-        while any(map(alive, pids)) and time.monotonic() < until:
-            time.sleep(0.05)
-        for pid in filter(alive, pids):
+        for pid in left(pids):
             wrong.append(f"process {pid} is left")
             os.kill(pid, signal.SIGKILL)
         until = time.monotonic() + 2 * RAMP_S
@@ -343,8 +358,8 @@ class SiteRig(Rig):
 
     cistern_m3 = _CISTERN_M3
 
-    def __init__(self, directory: Path, domain: int, drive: str) -> None:
-        super().__init__(directory, domain, drive)
+    def __init__(self, directory: Path, domain: int, drive: str, **special: Any) -> None:
+        super().__init__(directory, domain, drive, **special)
         sensors, by_line = (
             yaml.safe_load((CONFIG / "sensors.yaml").read_text()) for _ in range(2)
         )
@@ -399,12 +414,6 @@ class SiteRig(Rig):
     def dry_level(self) -> float:
         """The level of the cistern at which the pump is stopped (m)."""
         return self.site.suction_level + settings_for(self.site).level_offset
-
-
-class DryRig(SiteRig):
-    """The same with water for half a minute."""
-
-    cistern_m3 = 19.5
 
 
 class GaugedRig(SiteRig):
@@ -509,8 +518,8 @@ class PumpRig(Rig):
 
     topics: tuple[str, ...] = ("/pump/command", *LEVELS)
 
-    def __init__(self, directory: Path, domain: int, drive: str) -> None:
-        super().__init__(directory, domain, drive)
+    def __init__(self, directory: Path, domain: int, drive: str, **special: Any) -> None:
+        super().__init__(directory, domain, drive, **special)
         self._watch()
         self.players = Players(self.watcher, self.truth, self.site, self.topics)
         self.main = pump_node(self)
@@ -519,51 +528,6 @@ class PumpRig(Rig):
         wrong = super()._end_main()
         self.players.close()
         return wrong
-
-
-class MeteredRig(PumpRig):
-    """The same with a flow meter."""
-
-    topics = (*PumpRig.topics, "/pump/meter")
-
-
-class SerialRig(PumpRig):
-    """The same on a serial line: two pseudo-terminals."""
-
-    serial = True
-
-
-class RefusingRig(PumpRig):
-    """The same with a line to the drive that can go bad."""
-
-    drive_refuses = True
-
-
-class GuardedRig(PumpRig):
-    """The same with the drive file as it is shipped."""
-
-    as_shipped = True
-
-
-class RunRig(PumpRig):
-    """The same with a pump that may run for a few seconds without a break."""
-
-    pump_parameters: ClassVar = {**PUMP_SHORTENED, "greatest_run": LIMIT_S}
-
-
-class RunPerDayRig(PumpRig):
-    """The same with a pump that may run for a few seconds in a day."""
-
-    pump_parameters: ClassVar = {**PUMP_SHORTENED, "greatest_run_per_day": LIMIT_S}
-
-
-class VolumePerDayRig(PumpRig):
-    """The same with a pump that may pump for a few seconds in a day, by volume."""
-
-    pump_parameters: ClassVar = {
-        **PUMP_SHORTENED,
-        "greatest_volume_per_day": LIMIT_S * flow_at(read_site(CONFIG / "site.yaml"), 1.0, 2.9),
-    }
 
 
 class LoopRig(Rig):
@@ -617,10 +581,24 @@ class RelayedRig(Rig):
         return super().said(pattern, since, printed) or line
 
 
-RIGS: dict[str, type[Rig]] = {
-    "site": SiteRig, "dry": DryRig, "gauged": GaugedRig, "full disk": FullDiskRig,
-    "played": PlayedRig, "flow": FlowRig, "pump": PumpRig, "metered": MeteredRig,
-    "rtu": SerialRig, "refusing": RefusingRig, "guarded": GuardedRig, "greatest_run": RunRig,
-    "greatest_run_per_day": RunPerDayRig, "greatest_volume_per_day": VolumePerDayRig,
-    "loop": LoopRig, "relayed": RelayedRig,
+RIGS: dict[str, Callable[[Path, int, str], Rig]] = {
+    "site": SiteRig, "gauged": GaugedRig, "full disk": FullDiskRig, "played": PlayedRig,
+    "flow": FlowRig, "pump": PumpRig, "loop": LoopRig, "relayed": RelayedRig,
+    # With water for half a minute.
+    "dry": partial(SiteRig, cistern_m3=19.5),
+    # With a flow meter; on a serial line, two pseudo-terminals; with a line that can go bad; and
+    # with the drive file as it is shipped.
+    "metered": partial(PumpRig, topics=(*PumpRig.topics, "/pump/meter")),
+    "rtu": partial(PumpRig, serial=True),
+    "refusing": partial(PumpRig, drive_refuses=True),
+    "guarded": partial(PumpRig, as_shipped=True),
+    # With a pump that may run for a few seconds without a break or in a day, or by volume.
+    **{
+        limit: partial(PumpRig, pump_parameters={**PUMP_SHORTENED, limit: most})
+        for limit, most in {
+            "greatest_run": LIMIT_S, "greatest_run_per_day": LIMIT_S,
+            "greatest_volume_per_day":
+                LIMIT_S * flow_at(read_site(CONFIG / "site.yaml"), 1.0, 2.9),
+        }.items()
+    },
 }

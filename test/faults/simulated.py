@@ -16,11 +16,11 @@ from pathlib import Path
 
 from bounds import SIMULATION_END_S
 from cases import Case
-from graphs import Process, alive, bag_file, environment, summary_of
+from graphs import Process, bag_file, environment, summary_of
 from inject import signal_process
 from live import Outcome
 from players import HOSTILE
-from rig import SkippedError, small_disk
+from rig import SkippedError, left, small_disk
 from watcher import Watcher
 
 from greenroof_ros.recording.bag_reader import count_ticks
@@ -114,13 +114,7 @@ def _fills_up(directory: Path, domain: int, outcome: Outcome) -> None:
     outcome.alarm = _error(run)
     if code != 1 or "No space left on device" not in run.stderr() or "Traceback" in run.stderr():
         outcome.fail(f"ended with exit code {code}: {run.stderr()[-400:]}")
-    done = subprocess.run(
-        [sys.executable, "-m", "greenroof_ros.recover", str(directory / "run" / "on"), "--output",
-         str(directory / "rescued")],
-        capture_output=True, text=True, env=environment(0), timeout=60,
-    )
-    if done.returncode != 0:
-        outcome.fail(f"the bag could not be restored: {done.stderr[-300:]}")
+    _restore(outcome, directory / "run" / "on", "--output", str(directory / "rescued"))
     outcome.recovery = f"ended with exit code {code}"
 
 
@@ -171,18 +165,24 @@ def _ends(case: Case, run: Process, directory: Path, began: float, outcome: Outc
     _count_lost(directory, domain_free=code != -signal.SIGKILL, outcome=outcome)
 
 
+def _restore(outcome: Outcome, run: Path, *options: str) -> bool:
+    """Restore the bag of a run by the command for that."""
+    done = subprocess.run(
+        [sys.executable, "-m", "greenroof_ros.recover", str(run), *options], capture_output=True,
+        text=True, env=environment(0), timeout=60,
+    )
+    if done.returncode != 0:
+        outcome.fail(f"the bag could not be restored: {done.stderr[-300:]}")
+    return done.returncode == 0
+
+
 def _count_lost(directory: Path, *, domain_free: bool, outcome: Outcome) -> None:
     """Count the ticks that the plant had made and the bag, restored, has not."""
     run = directory / "run"
     bag = run / "bag"
     ticks = count_ticks(bag)
     if ticks is None:
-        done = subprocess.run(
-            [sys.executable, "-m", "greenroof_ros.recover", str(run)], capture_output=True,
-            text=True, env=environment(0), timeout=60,
-        )
-        if done.returncode != 0:
-            outcome.fail(f"the bag could not be restored: {done.stderr[-300:]}")
+        if not _restore(outcome, run):
             return
         ticks = count_ticks(recovered_bag(bag)) or 0
     last = summary_of(run).get("last_tick")
@@ -202,13 +202,9 @@ def _clean_up(run: Process, pids: list[int], outcome: Outcome) -> None:
         except subprocess.TimeoutExpired:
             outcome.fail("bringup did not end within 20 s of SIGTERM")
             popen.kill()
-    until = time.monotonic() + 12
-    while any(map(alive, pids)) and time.monotonic() < until:
-        time.sleep(0.05)
-    for pid in pids:
-        if alive(pid):
-            outcome.fail("a node is left 12 s after the end")
-            os.kill(pid, signal.SIGKILL)
+    for pid in left(pids):
+        outcome.fail("a node is left 12 s after the end")
+        os.kill(pid, signal.SIGKILL)
 
 
 def digest(file: Path) -> str:

@@ -95,24 +95,13 @@ def test_levels_that_do_not_move_by_hand() -> None:
     assert steps_to_fault(site, 300, 60.0, rise=0.01 / site.a2, pumped=0.01)[1] == ""
 
 
-@pytest.mark.parametrize("noise", [0.0, NOISE])
-def test_a_cistern_that_the_mains_hold_is_no_alarm(noise: float) -> None:
-    """They give 0.009 m3/s, more than the pump takes, until the roof is filled: 2.1 m3 in 250 s."""
-    rig = Rig(noise=noise, site=replace(PAPER_SITE, mains_level=2.9, mains_flow=0.009))
-    for _ in range(600):
-        rig.step(1.0)
-    assert rig.plant.x1 > 70
-    assert rig.delivered > 2
-    assert not any(one.state == "fault" for one in rig.decisions)
-
-
+MAINS = replace(PAPER_SITE, mains_level=2.9, mains_flow=0.009)
 MEASURED = read_site(CONFIG / "site_neubrandenburg.yaml")
 LOW_OUTLET = site_with(low_outlet_level=1.0, low_outlet_radius=0.025)
 """At 2.8 m it takes 0.61 pi 0.025^2 sqrt(2 9.81 1.8) = 0.00712 m3/s, at 2 m 0.00531 m3/s."""
 
 
-@pytest.mark.parametrize("noise", [0.0, NOISE])
-@pytest.mark.parametrize("real", [1.0, 1.4, 0.0])
+@pytest.mark.parametrize(("real", "noise"), [(1.0, 0.0), (1.4, NOISE), (0.0, NOISE)])
 def test_a_cistern_that_its_low_outlet_drains_is_no_alarm(real: float, noise: float) -> None:
     """Four hours from 2.8 m down to it: with the file's area, 1.4 times that, and clogged.
 
@@ -156,37 +145,67 @@ def test_a_leak_is_seen_when_the_low_outlet_takes_less(leak: float, minutes: flo
     assert 0.97 < rig.plant.x1 / LOW_OUTLET.a1 < 1 + (leak / 0.0053) ** 2
 
 
-@pytest.mark.parametrize("noise", [0.0, NOISE])
-def test_what_a_measured_roof_lets_through_is_no_alarm(noise: float) -> None:
-    """Filled from wilting to its target, it keeps 0.58 at the end; then the pump holds it there.
+WELL: list[tuple[dict[str, Any], dict[str, Any], list[tuple[float, ...]], dict[str, float]]] = [
+    # The mains give more than the pump takes, until the roof is filled: 2.1 m3 in 250 s.
+    *(({"noise": noise, "site": MAINS}, {}, [(600, 1.0)], {"x1": 70, "delivered": 2})
+      for noise in (0.0, NOISE)),
+    # Filled from wilting to its target a roof keeps 0.58 at the end: half an hour long more than
+    # half of what is pumped percolates.
+    *(({"noise": noise, "x2": 0.2, "site": MEASURED}, {}, [(2400, 1.0, 0, 0.4)],
+       {"delivered": MEASURED.x2_star + 0.3, "x2": 0.99 * MEASURED.x2_star})
+      for noise in (0.0, NOISE)),
+    # From 0.5 m above the outlet to its edge, with a sensor that reads too little, or too much.
+    *(({"x1": 87.5, "x2": 3.2}, {"cistern_offset": offset}, [(7200, 0.0)], {"x1": 74.9})
+      for offset in (-0.015, 0.015)),
+    # The pipe is a third worse than the site file says, or the meter reads too much.
+    ({"x2": 0.0}, {"arriving": 2 / 3, "leaving": 2 / 3}, [(400, 1.0)], {"delivered": 2.8}),
+    ({"x2": 0.0}, {"change": {"flow": 0.0055}}, [(300, 1.0)], {"delivered": 1.5}),
+    # A cloudburst on a roof that is being watered, and on a cistern that runs over.
+    ({"x1": 76.0, "x2": 1.0}, {}, [(600, 0.15), (3600, 0.15, 100), (6600, 0.15)],
+     {"x2": PAPER_SITE.x2_star}),
+    # A heat wave is no burst pipe: then the roof is watered again, and rises.
+    ({"x2": 2.0}, {}, [(8 * 3600, 0.0, 0, 2), (150, 1.0)], {"delivered": 1}),
+    # An hour's shower into inlets of all sizes, while a pump fills a dry roof.
+    *(({"x1": 45.0, "x2": 0.2, "site": site_with(a_in=inlet)}, {},
+       [(900, command, 0, 0.5), (3600, command, rate, 0.5), (2700, command, 0, 0.5)],
+       {"delivered": 300 * 0.0084 * command})
+      for inlet in (20.0, 500.0) for command in (1.0, 0.005) for rate in (2.0, 50.0)),
+    # A gap in the levels, four hours long, in which nothing but weather happened.
+    ({"x2": 1.0}, {}, [(200, 0.3), (4 * 3600, 0.3, 0, 0.9, "roof_level"), (600, 0.3)], {"x2": 2.5}),
+]
 
-    Of what is pumped then more than half percolates, half an hour long.
-    """
-    rig = Rig(x2=0.2, noise=noise, site=MEASURED)
-    for _ in range(2400):
-        rig.step(1.0, evapotranspiration=0.4e-3 / 3600 * 68.8)
-    assert rig.delivered - rig.plant.x2 + 0.2 > 0.5
-    assert rig.plant.x2 > 0.99 * MEASURED.x2_star
-    assert not any(one.state == "fault" for one in rig.decisions)
 
-
-def rounded(rig: Rig) -> None:
-    """Have both sensors read whole millimetres."""
-    cistern, roof = rig.plant.levels()
-    rig.change = {"cistern_level": round(cistern, 3), "roof_level": round(roof, 3)}
+@pytest.mark.parametrize(("made", "changed", "scenes", "least"), WELL)
+def test_what_goes_well_is_no_alarm(
+    made: dict[str, Any], changed: dict[str, Any], scenes: list[tuple[Any, ...]],
+    least: dict[str, float],
+) -> None:
+    """Scenes: seconds, command, rain and evapotranspiration (mm/h), and a level that is unknown."""
+    rig = Rig(**({"noise": NOISE} | made))
+    for name, value in changed.items():
+        setattr(rig, name, value)
+    for scene in scenes:
+        seconds, command, rain, loss, *unknown = (*scene, *(0.0, 0.0)[len(scene) - 2:])
+        rig.change = dict.fromkeys(unknown) or changed.get("change", {})
+        for _ in range(seconds):
+            decision = rig.step(command, rain / 3.6e6, loss / 3.6e6 * rig.site.a2)
+            assert decision.state != "fault", f"{rig.now:.0f} s: {decision.why}"
+    reached = {"x1": rig.plant.x1, "x2": rig.plant.x2, "delivered": rig.delivered}
+    assert all(reached[name] > value for name, value in least.items()), reached
 
 
 def test_a_level_that_is_held_is_no_alarm() -> None:
     """For two days a trickle replaces what evaporates, 0.4 mm/h, to the digit of a sensor.
 
     By then 19 mm were pumped, three times the tolerance. Off the bed of 68.8 m2 go 0.0275 m3 in an
-    hour, which is 0.00091 of the maximum flow of 0.0084 m3/s.
+    hour, which is 0.00091 of the maximum flow of 0.0084 m3/s. Both sensors read whole millimetres.
     """
     rig = Rig(x2=0.5, tau=10.0)
     readings = set()
     for _ in range(2 * 8640):
-        rounded(rig)
-        readings.add(rig.change["roof_level"])
+        cistern, roof = (round(level, 3) for level in rig.plant.levels())
+        rig.change = {"cistern_level": cistern, "roof_level": roof}
+        readings.add(roof)
         rig.step(0.00091, evapotranspiration=0.4e-3 / 3600 * 68.8)
     assert rig.delivered > 2 * 0.006 * 68.8
     assert len(readings) < 5
@@ -251,39 +270,25 @@ def test_a_burst_pipe_that_once_was_well() -> None:
     assert time_to_fault(rig, 600, 0.9) <= 260
 
 
-@pytest.mark.parametrize("offset", [-0.015, 0.015])
-def test_a_full_cistern_runs_over_without_an_alarm(offset: float) -> None:
-    """From 0.5 m above the outlet to its edge, with a sensor that reads too little, or too much."""
-    rig = Rig(x1=87.5, x2=3.2, noise=NOISE)
-    rig.cistern_offset = offset
-    assert rig.run(7200, 0.0).state == "off"
-    assert rig.plant.x1 == pytest.approx(75, abs=0.1)
+def test_a_pump_that_runs_on_without_a_connection() -> None:
+    """For 10 s, until its own timeout stops it, that is no leak: 17 mm of a cistern of 5 m2.
 
-
-def test_a_lost_connection_is_no_leak() -> None:
-    """The drive ran on for 10 s, until its own timeout stopped it: 17 mm of a cistern of 5 m2."""
+    Where that does not stop it, what it takes counts as lost after 15 s.
+    """
     rig = Rig(x1=14.0, x2=0.5, site=site_with(a1=5.0))
     rig.run(200, 0.0)
     rig.run(3, 1.0)
-    for _ in range(10):
-        rig.change = {"speed": None, "reasons": {"drive_lost": "connection lost"}}
-        rig.stuck_speed = 1.0
-        rig.step(1.0)
+    lost: dict[str, object] = {"speed": None, "reasons": {"drive_lost": "connection lost"}}
+    rig.change, rig.stuck_speed = lost, 1.0
+    rig.run(10, 1.0)
     rig.stuck_speed = None
     rig.run(120, 1.0)
     rig.change = {}
-    rig.run(120, 0.0)
-    assert rig.decisions[-1].state == "off"
-    rig.run(60, 1.0)
-    assert rig.decisions[-1].state == "running"
-
-
-def test_a_pump_that_runs_on_without_a_connection() -> None:
-    """Its own timeout does not stop it: after 15 s what it takes counts as lost."""
+    assert rig.run(120, 0.0).state == "off"
+    assert rig.run(60, 1.0).state == "running"
     rig = Rig(x2=0.5)
     rig.run(200, 0.0)
-    rig.change = {"speed": None, "reasons": {"drive_lost": "connection lost"}}
-    rig.stuck_speed = 1.0
+    rig.change, rig.stuck_speed = lost, 1.0
     assert time_to_fault(rig, 300, 0.0) <= 90
     assert "(a stuck contactor)" in rig.decisions[-1].why
 
@@ -312,56 +317,6 @@ def test_a_gap_in_the_levels_hides_no_leak() -> None:
     rig.change = {}
     assert time_to_fault(rig, 300, 0.01) < 30
     assert "perhaps a leak, or somebody else takes water" in rig.decisions[-1].why
-
-
-def test_a_gap_in_the_levels_is_no_alarm() -> None:
-    """Four hours in which nothing but weather happened; 1 mm/h may evaporate, or a sensor drift."""
-    rig = Rig(x2=1.0, noise=NOISE)
-    rig.run(200, 0.3)
-    rig.change = {"roof_level": None}
-    for _ in range(4 * 3600):
-        rig.step(0.3, evapotranspiration=0.9e-3 / 3600 * 68.8)
-    rig.change = {}
-    assert time_to_fault(rig, 600, 0.3) == math.inf
-    assert rig.plant.x2 > 2.5
-
-
-@pytest.mark.parametrize(("noise", "known"), [(NOISE, 20), (0.0, 60)])
-def test_burst_pipe_behind_a_sensor_that_comes_and_goes(noise: float, known: int) -> None:
-    """The roof's level is unknown for 10 s of every 30 or 70: never for as long as a fault takes.
-
-    Half of 0.0083 m3/s makes 0.413 m3 in 100 s, the mean lags by 60 s, in which it is known, and
-    the pump is off for 10 s, and for 10 s more.
-    """
-    rig = Rig(x2=0.5, noise=noise)
-    rig.run(600, 0.01)
-    rig.arriving = 0.0
-    begun = rig.now
-    while rig.run(known, 1.0).state != "fault":
-        assert rig.now - begun < 160 * (known + 10) / (known - 10) + 40
-        rig.change = {"roof_level": None}
-        rig.run(10, 1.0)
-        rig.change = {}
-    assert rig.decisions[-1].why.startswith("delivery: ")
-
-
-def test_a_closed_valve_and_a_sensor_that_is_frozen_at_times() -> None:
-    """Both read whole millimetres; a frozen level is unknown until it changes, after hours.
-
-    It is frozen once 10 mm must have moved it, 0.25 m3 of the cistern; 0.15 m3 are a fault.
-    """
-    rig = Rig(x2=0.5)
-    for _ in range(600):
-        rounded(rig)
-        rig.step(0.3)
-    rig.arriving = rig.leaving = 0.0
-    before = rig.ledger.record.day_volume
-    for _ in range(60):
-        rounded(rig)
-        rig.step(0.3)
-    assert rig.decisions[-1].state == "fault"
-    assert "perhaps a closed valve" in rig.decisions[-1].why
-    assert rig.ledger.record.day_volume - before < 0.25
 
 
 class Ruled:
@@ -397,32 +352,40 @@ class Ruled:
         return math.inf
 
 
+@pytest.mark.parametrize(
+    ("noise", "tolerance", "offsets"),
+    [
+        # Ten standard deviations are tolerance enough for hours of noise.
+        (0.002, 0.02, [0.0] * 3), (NOISE, 0.05, [0.0] * 3),
+        # Set anew by 5 cm of the cistern, 1.25 m3, down and, an hour later, up again.
+        (0.0, 0.02, [-0.05, 0.0]), (0.002, 0.02, [-0.05, 0.0]),
+    ],
+)
+def test_what_is_no_jump_of_water_is_no_leak(
+    noise: float, tolerance: float, offsets: list[float]
+) -> None:
+    """Each offset of the cistern's sensor for an hour."""
+    site = Ruled(noise, tolerance=tolerance, x2=0.5)
+    for site.rig.cistern_offset in offsets:
+        assert site.time_to_fault(3600, 0.01 if any(offsets) else 0.0) == math.inf
+
+
 @pytest.mark.parametrize("noise", [0.0, 0.002])
 def test_a_drift_that_is_over_is_no_fault_later(noise: float) -> None:
     """The cistern's reading rises by 5 cm a minute, until it jumps, and is right again."""
     site = Ruled(noise, x2=0.2)
-    assert site.time_to_fault(100, 1.0) == math.inf
-    for drifting in range(45):
-        site.rig.cistern_offset = 0.05 * drifting / 60
-        assert site.time_to_fault(1, 1.0) == math.inf
+    for seconds, offsets in ((100, [0.0]), (1, [0.05 * k / 60 for k in range(45)]), (600, [0.0])):
+        for site.rig.cistern_offset in offsets:
+            assert site.time_to_fault(seconds, 1.0) == math.inf
     assert any("cistern" in one.why for one in site.rig.decisions)
-    site.rig.cistern_offset = 0.0
-    assert site.time_to_fault(600, 1.0) == math.inf
     assert any(one.state == "running" for one in site.rig.decisions[160:])
 
 
-@pytest.mark.parametrize("noise", [0.0, 0.002])
-def test_a_sensor_that_is_set_anew_is_no_leak(noise: float) -> None:
-    """By 5 cm of the cistern, 1.25 m3, down and, an hour later, up again."""
-    site = Ruled(noise, x2=0.5)
-    for offset in (-0.05, 0.0):
-        site.rig.cistern_offset = offset
-        assert site.time_to_fault(3600, 0.01) == math.inf
-
-
 @pytest.mark.parametrize("tank", [0, 1])
-@pytest.mark.parametrize(("noise", "every"), [(0.002, 30), (0.0, 30), (0.002, 90)])
-@pytest.mark.parametrize("leaving", [1.0, 0.0])
+@pytest.mark.parametrize(
+    ("noise", "every", "leaving"),
+    [(0.002, 30, 1.0), (0.002, 30, 0.0), (0.0, 30, 1.0), (0.002, 90, 0.0)],
+)
 def test_spikes_hide_no_fault(tank: int, noise: float, every: int, leaving: float) -> None:
     """Each makes both levels unknown for the time of recovery, 10 s, and some more to start.
 
@@ -455,22 +418,12 @@ def test_a_meter_that_says_nothing_hides_no_volume() -> None:
     assert rig.ledger.record.day_volume == pytest.approx(rig.plant.x2, rel=0.02)
 
 
-def test_a_flow_that_is_a_third_off_is_no_alarm() -> None:
-    """The pipe is worse than the site file says, or the meter reads too much."""
-    rig = Rig(x2=0.0, noise=NOISE)
-    rig.arriving = rig.leaving = 2 / 3
-    assert time_to_fault(rig, 400, 1.0) == math.inf
-    rig = Rig(x2=0.0, noise=NOISE)
-    rig.change = {"flow": 0.0055}
-    assert time_to_fault(rig, 300, 1.0) == math.inf
-
-
 @pytest.mark.parametrize(
     ("controller", "start", "hours", "x1", "x2"),
     [
-        # July 2021's wettest hours in the packaged file, from a full cistern and an empty roof.
-        (("onoff", "--fraction", "0.05"), "2021-07-07T12:00", 12, 75.0, 0.0),
-        (("mpc",), "2021-07-08T00:00", 6, 80.0, 3.0),
+        # The wettest hours in the packaged file, from a full cistern and an empty roof.
+        (("onoff", "--fraction", "0.05"), "2021-07-08T08:00", 6, 75.0, 0.0),
+        (("mpc",), "2021-07-08T11:00", 2, 80.0, 2.0),
     ],
 )
 def test_weather_and_noise_are_no_alarm(
@@ -478,6 +431,7 @@ def test_weather_and_noise_are_no_alarm(
 ) -> None:
     """The real weather, second by second, in the loop with a controller on the noisy site."""
     run = paper_run("--controller", *controller, "--hours", str(hours), "--start", start)
+    assert max(run.series.precipitation) > 7 / 3.6e6
     rig, decide = Rig(x1, x2, noise=NOISE), run.make_controller()
     for k in range(run.steps):
         command = decide.command(
@@ -489,64 +443,37 @@ def test_weather_and_noise_are_no_alarm(
 
 
 @pytest.mark.parametrize(
-    ("site", "x2", "noise", "command"),
+    ("site", "x2", "noise", "command", "drift", "dry_for"),
     [
-        *((PAPER_SITE, 0.5, 0.0002, command) for command in (1.0, 0.2, 0.02)),
-        *((PAPER_SITE, 0.5, NOISE, command) for command in (1.0, 0.2)),
+        *((PAPER_SITE, 0.5, 0.0002, command, 0.0, 0) for command in (1.0, 0.2, 0.02)),
+        *((PAPER_SITE, 0.5, NOISE, command, 0.0, 0) for command in (1.0, 0.2)),
         # Mains that are shut at what it reads, and a soil that keeps more than at its target.
-        (replace(PAPER_SITE, mains_level=0.7, mains_flow=0.009), 0.5, 0.0002, 1.0),
-        (MEASURED, 0.2, 0.0002, 1.0),
-        (MEASURED, 1.5, 0.0002, 1.0),
+        (replace(PAPER_SITE, mains_level=0.7, mains_flow=0.009), 0.5, 0.0002, 1.0, 0.0, 0),
+        (MEASURED, 0.2, 0.0002, 1.0, 0.0, 0),
+        (MEASURED, 1.5, 0.0002, 1.0, 0.0, 0),
+        # At full flow the pump is dry for a minute. Half of that flow would take more than the
+        # drift adds; so the roof has to show it.
+        *((PAPER_SITE, 0.5, 0.0002, command, 0.010, dry)
+          for command, dry in ((1.0, 60), (0.2, 0), (0.02, 0))),
     ],
 )
-def test_a_cisterns_sensor_that_is_stuck_latches_before_the_pump_runs_dry(
-    site: Site, x2: float, noise: float, command: float
+def test_a_cisterns_sensor_that_is_stuck_or_drifts_up_latches_before_the_pump_runs_dry(
+    site: Site, x2: float, noise: float, command: float, drift: float, dry_for: int
 ) -> None:
-    """It goes on with its noise at 60 mm above the suction level: of the paper's site 1.5 m3."""
+    """60 mm above the suction level: stuck but for its noise, or off by more each minute (m)."""
     rig = Rig(x1=site.a1 * (site.suction_level + 0.06), x2=x2, noise=noise, site=site)
-    stuck_at = rig.plant.x1
-    for _ in range(3600):
-        rig.cistern_offset = (stuck_at - rig.plant.x1) / site.a1
-        if rig.step(command).state == "fault":
-            break
-    assert rig.decisions[-1].state == "fault"
-    assert "perhaps its sensor is stuck or drifts" in rig.decisions[-1].why
-    assert rig.plant.x1 / site.a1 > site.suction_level
-
-
-@pytest.mark.parametrize(("command", "longest"), [(1.0, 60), (0.2, 0), (0.02, 0)])
-def test_a_cisterns_sensor_that_drifts_up(command: float, longest: int) -> None:
-    """By 10 mm a minute, 60 mm above the suction level: at full flow the pump is dry for a minute.
-
-    Half of that flow would take more than the drift adds; so the roof has to show it.
-    """
-    site = PAPER_SITE
-    rig = Rig(x1=site.a1 * (site.suction_level + 0.06), x2=0.5, noise=0.0002)
-    dry = 0
+    stuck_at, dry = rig.plant.x1, 0
     for second in range(3600):
-        rig.cistern_offset = 0.010 * second / 60
+        fell = (stuck_at - rig.plant.x1) / site.a1
+        rig.cistern_offset = drift * second / 60 if drift else fell
         if rig.step(command).state == "fault":
             break
         empty = rig.plant.x1 / site.a1 < site.suction_level
         rig.arriving = rig.leaving = 0.0 if empty else 1.0
         dry += empty and rig.speed > 0
     assert rig.decisions[-1].state == "fault"
-    assert dry <= longest
-
-
-@pytest.mark.parametrize(("inlet", "command", "rate"), [
-    (inlet, command, rate) for inlet in (20.0, 500.0) for command in (1.0, 0.005)
-    for rate in (2.0, 50.0)
-])
-def test_rain_into_a_cistern_that_is_emptied_is_no_alarm(
-    inlet: float, command: float, rate: float
-) -> None:
-    """An hour's shower (mm/h) into inlets of all sizes, while a pump fills a dry roof."""
-    rig = Rig(x1=45.0, x2=0.2, site=site_with(a_in=inlet), noise=NOISE)
-    for second in range(7200):
-        rain = rate / 3.6e6 if 900 <= second < 4500 else 0.0
-        decision = rig.step(command, rain, 1e-5)
-        assert decision.state != "fault", f"{second} s: {decision.why}"
+    assert drift or "perhaps its sensor is stuck or drifts" in rig.decisions[-1].why
+    assert dry <= dry_for
 
 
 def test_rain_that_has_drained_off_the_roof_is_no_alarm() -> None:
@@ -560,30 +487,6 @@ def test_rain_that_has_drained_off_the_roof_is_no_alarm() -> None:
         drained = 13.3 / 3.6e6 * rig.site.a2
         if second >= 4500 and rig.plant.x2 - drained > 0.02 * rig.site.a2:
             rig.plant.x2 -= drained
-
-
-@pytest.mark.parametrize(("noise", "tolerance"), [(0.002, 0.02), (NOISE, 0.05)])
-def test_hours_of_noise_behind_the_jump_rule_are_no_leak(noise: float, tolerance: float) -> None:
-    """Ten standard deviations are tolerance enough."""
-    site = Ruled(noise, tolerance=tolerance, x2=0.5)
-    assert site.time_to_fault(6 * 3600, 0.0) == math.inf
-
-
-def test_cloudbursts_are_no_alarm() -> None:
-    """100 mm/h for an hour on a roof that is being watered, and on a cistern that runs over."""
-    rig = Rig(x1=76.0, x2=1.0, noise=NOISE)
-    for second in range(10_800):
-        rig.step(0.15, rain=100 / 3.6e6 if 600 <= second < 4200 else 0.0)
-    assert rig.plant.x2 > PAPER_SITE.x2_star
-    assert not any(one.state in ("fault", "held") for one in rig.decisions)
-
-
-def test_a_heat_wave_is_no_burst_pipe() -> None:
-    """2 mm/h for eight hours, then the roof is watered again, and rises."""
-    rig = Rig(x2=2.0, noise=NOISE)
-    for _ in range(8 * 3600):
-        rig.step(0.0, evapotranspiration=2 / 3.6e6 * 68.8)
-    assert rig.run(150, 1.0).state == "running"
 
 
 def test_a_soil_that_drains_is_no_burst_pipe() -> None:

@@ -73,19 +73,34 @@ def read(file: Path, clock: Callable[[], float]) -> Record:
     return Ledger(file, clock).record
 
 
-def test_a_missing_file_is_a_fresh_record_and_is_made(tmp_path: Path, clock: Clock) -> None:
-    """With its directory, at the size that it keeps; nothing but the lock is left beside."""
+@pytest.mark.parametrize(
+    ("text", "kept"),
+    [
+        ("x" * 100_000, "x" * 350), ('"\\\x00' * 10_000, '"\\ ' * 116 + '"\\'),
+        ("\U0001f4a7" * 400, "\U0001f4a7" * 87), ("\ud800\x00" * 400, " " * 350),
+    ],
+    ids=["long", "escaped", "wide", "unprintable"],
+)
+def test_a_missing_file_is_a_fresh_record_and_is_made(
+    text: str, kept: str, tmp_path: Path, clock: Clock
+) -> None:
+    """With its directory, at the size that it keeps; nothing but the lock is left beside.
+
+    Whatever is in a text has room in it, beside a hundred starts in the third year.
+    """
     file = tmp_path / "state" / "pump.json"
     ledger = Ledger(file, clock)
-    assert (ledger.record.held, ledger.record.fault, ledger.kept()) == ("", "", "")
-    size = file.stat().st_size
-    ledger.fault("x" * 100_000, "delivery")
-    ledger.stop('"\\\x00\U0001f4a7' * 10_000)
-    assert ledger.kept() == ""
-    assert file.stat().st_size == size
+    assert (ledger.record.held, ledger.record.fault, ledger.kept(20.0)) == ("", "", "")
+    assert file.stat().st_size == 8192
+    ledger.count(1e8 + 0.5, 0.0, 0.0)
+    for _ in range(100):
+        ledger.switch(True)
+    ledger.fault(text, "delivery")
+    ledger.stop(text)
+    assert ledger.kept(20.0) == ""
     again = read(file, clock)
-    assert again.fault == "x" * 350
-    assert again.held.startswith('"\\ \U0001f4a7"')
+    assert (again.fault, again.held) == (kept, kept)
+    assert (len(again.starts), file.stat().st_size) == (100, 8192)
     assert {one.name for one in file.parent.iterdir()} == {"pump.json", "pump.json.lock"}
 
 
@@ -115,20 +130,6 @@ def test_a_second_ledger_erases_nothing(tmp_path: Path, clock: Clock) -> None:
     assert found.writes
     assert (found.record.fault, found.record.held) == ("burst pipe", "an operator stopped it")
     assert found.record.day_volume == 0
-
-
-@pytest.mark.parametrize("first", ["\U0001f4a7" * 400, '"' * 400, "\ud800\x00" * 400])
-def test_whatever_is_in_a_text_has_room(first: str, tmp_path: Path, clock: Clock) -> None:
-    """Beside a hundred starts in the third year."""
-    file = tmp_path / "pump.json"
-    ledger = Ledger(file, clock)
-    ledger.count(1e8 + 0.5, 0.0, 0.0)
-    for _ in range(100):
-        ledger.switch(True)
-    ledger.fault(first, "delivery")
-    ledger.stop(first)
-    assert ledger.kept(20.0) == ""
-    assert (len(read(file, clock).starts), file.stat().st_size) == (100, 8192)
 
 
 def test_an_error_that_nobody_foresaw_ends_no_saving(tmp_path: Path, clock: Clock) -> None:

@@ -58,23 +58,19 @@ def test_a_full_roof() -> None:
     assert rig.delivered == 0
 
 
-@pytest.mark.parametrize(
-    ("command", "why"),
-    [
+def test_refused_commands() -> None:
+    """Off in the very step, least time on or not; a good command starts again."""
+    rig = Rig()
+    for command, why in (
         (None, "there is no command"),
         (math.nan, "the command nan is refused: it must be a number from 0 to 1"),
         (math.inf, "the command inf is refused: it must be a number from 0 to 1"),
         (-1e-9, "the command -1e-09 is refused: it must be a number from 0 to 1"),
-    ],
-)
-def test_refused_commands(command: float | None, why: str) -> None:
-    """Off in the very step, least time on or not; a good command starts again."""
-    rig = Rig()
-    rig.run(15, 1.0)
-    decision = rig.step(command)
-    assert (decision.speed, decision.state, decision.why) == (None, "stopping", why)
-    assert rig.run(10, command).state == "off"
-    assert rig.run(5, 1.0).state in ("starting", "running")
+    ):
+        assert rig.run(20, 1.0).state == "running"
+        decision = rig.step(command)
+        assert (decision.speed, decision.state, decision.why) == (None, "stopping", why)
+        assert rig.run(10, command).state == "off"
 
 
 def test_commands_above_one() -> None:
@@ -99,27 +95,39 @@ def test_what_was_missed_is_not_caught_up() -> None:
 
 
 def test_what_is_not_known_is_said_so() -> None:
-    """A drive that is lost while it runs: neither speed nor flow, until it stands for sure."""
+    """A drive that is lost while it runs: neither speed nor flow, until it stands for sure.
+
+    That is seen, or it was not heard for the 15 s of its own timeout; what says nonsense is heard.
+    """
     rig = Rig()
+    assert rig.step(0.0).stands
     decision = rig.run(15, 0.5)
     assert (decision.stands, decision.flow_known) == (False, True)
     assert decision.turns_at is not None and decision.turns_at > 0.5
-    rig.change = {"speed": None}
-    decision = rig.step(0.5)
-    assert (decision.stands, decision.turns_at, decision.flow_known) == (False, None, False)
-    assert decision.flow == 0  # its topic has a number for every command
+    rig.change = {"speed": None, "reasons": {"drive_lost": "connection lost"}}
+    rig.run(14, 0.5)
+    assert {
+        (one.state, one.flow, one.flow_known, one.turns_at, one.stands)
+        for one in rig.decisions[-14:]
+    } == {("unknown", 0.0, False, None, False)}  # its topic has a number for every command
+    assert rig.decisions[-1].why.endswith("; whether the pump stands is not known")
+    decision = rig.run(3, 0.5)
+    assert (decision.stands, decision.why) == (True, "connection lost")
+    rig.change = {"speed": 5.0}
+    assert not rig.run(60, 0.5).stands
     rig.change = {"speed": -0.5}  # it is known to turn
     decision = rig.step(0.5)
     assert (decision.stands, decision.turns_at, decision.flow_known) == (False, -0.5, False)
     rig.change = {}
     rig.control.reset()
-    rig.run(60, 0.0)
+    decision = rig.run(60, 0.0)
+    assert (decision.state, decision.stands) == ("off", True)
     rig.change = {"speed": None}
     decision = rig.step(0.5)  # it stood when it was last heard
     assert (decision.stands, decision.turns_at, decision.flow_known) == (True, None, True)
 
 
-def test_the_first_fault_stays_until_it_is_reset() -> None:
+def test_the_first_fault_stays_until_it_is_reset_and_a_stop_until_it_is_released() -> None:
     """What follows from it does not hide it; what still is latches again."""
     rig = Rig()
     rig.run(15, 0.5)
@@ -133,9 +141,28 @@ def test_the_first_fault_stays_until_it_is_reset() -> None:
     assert rig.control.reset() == "the drive reports: earth fault (0x2330)"
     assert rig.step(0.5).why.startswith("the drive reports: overload")
     rig.change = {}
-    assert rig.run(10, 0.5).state == "fault"
     rig.control.reset()
-    assert rig.run(5, 0.5).speed is not None
+    assert rig.run(15, 0.5).state == "running"
+    rig.control.stop(True)
+    decision = rig.step(0.5)
+    assert (decision.speed, decision.state) == (None, "held")
+    assert decision.why.startswith("an operator stopped it; the pump still turns, at 0.6")
+    rig.change = {"speed": None, "reasons": {"drive_lost": "no connection to the drive"}}
+    decision = rig.step(0.5)
+    assert (decision.state, decision.stands) == ("held", False)
+    assert decision.why == (
+        "an operator stopped it; no connection to the drive; whether the pump stands is not known"
+    )
+    rig.change = {"drive_fault": "overload"}
+    decision = rig.run(20, 0.5)
+    assert (decision.state, decision.why) == (
+        "fault", "the drive reports: overload; an operator stopped it"
+    )
+    rig.change = {}
+    rig.control.reset()
+    assert rig.run(600, 0.5).why == "an operator stopped it"
+    rig.control.stop(False)
+    assert rig.step(0.5).speed is not None
 
 
 @pytest.mark.parametrize(
@@ -164,25 +191,32 @@ def test_a_speed_that_does_not_follow(stuck: float, command: float, why: str) ->
     assert rig.run(100, command).state == "fault"
 
 
-@pytest.mark.parametrize(("ramp", "tau"), [(10.0, 1.0), (18.0, 5.0), (30.0, 1.0), (30.0, 10.0)])
-def test_a_ramp_that_is_allowed_is_no_fault(ramp: float, tau: float) -> None:
-    """Up to full speed, down, and up again before it stands, whatever the ticks are."""
+LOST = {"speed": None, "reasons": {"drive_lost": "no connection"}}
+
+
+@pytest.mark.parametrize(
+    ("ramp", "tau", "scenes"),
+    [
+        # Up to full speed, down, and up again before it stands, whatever the ticks are.
+        *((ramp, tau, [(60, 1.0, None), (20, 0.0, None), (60, 1.0, None), (80, 0.0, None)])
+          for ramp, tau in ((10.0, 1.0), (18.0, 5.0), (30.0, 1.0), (30.0, 10.0))),
+        # The least time off of 10 s, then 8 s in which the drive makes itself ready.
+        (30.0, 1.0, [(18, 1.0, 0.0), (50, 1.0, None), (60, 0.0, None)]),
+        # It has not heard that it is to stop until its own timeout comes 15 s later; then 30 s.
+        (30.0, 1.0, [(60, 1.0, None), (15, 1.0, 1.0), (40, 0.0, None)]),
+    ],
+)
+def test_a_ramp_that_is_allowed_is_no_fault(
+    ramp: float, tau: float, scenes: list[tuple[float, float, float | None]]
+) -> None:
+    """Scenes: seconds, command, and where the drive stays; at speed it cannot be heard there."""
     rig = Rig(drive_ramp=1 / ramp, tau=tau)
-    for seconds, command in ((60, 1.0), (20, 0.0), (60, 1.0), (80, 0.0)):
+    for seconds, command, stuck in scenes:
+        rig.stuck_speed, rig.change = stuck, dict(LOST) if stuck else {}
         rig.run(seconds, command)
     assert max(one.speed or 0.0 for one in rig.decisions) == pytest.approx(1.0)
     assert not [one for one in rig.decisions if one.state == "fault"]
     assert rig.decisions[-1].stands
-
-
-def test_a_ramp_begins_when_the_pump_turns() -> None:
-    """Eight seconds after it was asked for, by a drive that makes itself ready first."""
-    rig = Rig(drive_ramp=1 / 30)
-    rig.stuck_speed = 0.0
-    rig.run(18, 1.0)  # the least time off is 10 s
-    rig.stuck_speed = None
-    assert rig.run(50, 1.0).state == "running"
-    assert not [one for one in rig.decisions if one.state == "fault"]
 
 
 def test_a_ramp_that_is_slower_than_it_is_said_to_be_is_a_fault() -> None:
@@ -192,27 +226,14 @@ def test_a_ramp_that_is_slower_than_it_is_said_to_be_is_a_fault() -> None:
     assert "s, which a ramp of 5 s (drive_ramp) does not explain" in rig.decisions[-1].why
 
 
-def test_a_drive_that_is_heard_again_may_begin_its_ramp_then() -> None:
-    """It had not heard that it is to stop, and its own timeout comes 15 s later; then 30 s."""
-    rig = Rig(drive_ramp=1 / 30)
-    rig.run(60, 1.0)
-    rig.change, rig.stuck_speed = {"speed": None, "reasons": {"drive_lost": "no connection"}}, 1.0
-    rig.run(15, 1.0)
-    rig.change, rig.stuck_speed = {}, None
-    rig.run(40, 0.0)
-    assert not [one for one in rig.decisions if one.state == "fault"]
-    assert rig.decisions[-1].stands
-
-
 @pytest.mark.parametrize("every", [3, 16])
 def test_a_drive_that_does_not_stop_behind_a_bad_line(every: int) -> None:
     """Its speed is unknown for a second of each so many; 15 s must be known, 3 s of its ramp."""
     rig = Rig()
     rig.run(30, 0.8)
     rig.stuck_speed = 0.8
-    lost: dict[str, object] = {"speed": None, "reasons": {"drive_lost": "no connection"}}
     for second in range(200):
-        rig.change = {} if second % every else lost
+        rig.change = {} if second % every else dict(LOST)
         if rig.step(0.0).state == "fault":
             break
     assert second <= 12 + 16 * every / (every - 1)
@@ -233,53 +254,6 @@ def test_a_drive_has_its_own_time() -> None:
     first = states.index("fault")
     asked = states.index("starting")
     assert 900 <= first - asked <= 902
-
-
-def test_an_operators_stop() -> None:
-    """At once, over anything; it hides no trouble, and released the pump goes on."""
-    rig = Rig()
-    rig.run(15, 0.5)
-    rig.control.stop(True)
-    decision = rig.step(0.5)
-    assert (decision.speed, decision.state) == (None, "held")
-    assert decision.why.startswith("an operator stopped it; the pump still turns, at 0.6")
-    rig.change = {"speed": None, "reasons": {"drive_lost": "no connection to the drive"}}
-    decision = rig.step(0.5)
-    assert (decision.state, decision.stands) == ("held", False)
-    assert decision.why == (
-        "an operator stopped it; no connection to the drive; whether the pump stands is not known"
-    )
-    rig.change = {"drive_fault": "overload"}
-    decision = rig.run(20, 0.5)
-    assert decision.state == "fault"
-    assert decision.why == "the drive reports: overload; an operator stopped it"
-    rig.change = {}
-    rig.control.reset()
-    assert rig.run(600, 0.5).why == "an operator stopped it"
-    rig.control.stop(False)
-    assert rig.step(0.5).speed is not None
-
-
-def test_whether_the_pump_stands() -> None:
-    """Seen to, or not heard for the 15 s of its own timeout; what says nonsense is heard."""
-    rig = Rig()
-    assert rig.step(0.0).stands
-    rig.run(30, 0.5)
-    assert not rig.decisions[-1].stands
-    rig.change = {"speed": None, "reasons": {"drive_lost": "connection lost"}}
-    rig.run(14, 0.5)
-    assert {(one.state, one.flow, one.stands) for one in rig.decisions[-14:]} == {
-        ("unknown", 0.0, False)
-    }
-    assert rig.decisions[-1].why.endswith("; whether the pump stands is not known")
-    decision = rig.run(3, 0.5)
-    assert (decision.stands, decision.why) == (True, "connection lost")
-    rig.change = {"speed": 5.0}
-    rig.run(60, 0.5)
-    assert not rig.decisions[-1].stands
-    rig.change = {}
-    decision = rig.run(20, 0.0)
-    assert (decision.state, decision.stands) == ("off", True)
 
 
 @pytest.mark.parametrize(
@@ -309,41 +283,32 @@ def test_a_flow_beyond_the_pump_is_not_believed() -> None:
     rig = Rig(x1=70.0)
     rig.change = {"flow": 5.7}
     decision = rig.run(60, 0.5)
-    assert decision.source == "computed from the speed"
-    assert decision.warning == (
-        "flow meter: a flow of 5.7 m3/s is not believed, the pump delivers 0.0084 m3/s at most"
+    assert (decision.source, decision.warning) == (
+        "computed from the speed",
+        "flow meter: a flow of 5.7 m3/s is not believed, the pump delivers 0.0084 m3/s at most",
     )
     rig.change = {"flow": 5.7, "drive_flow": 0.004}
     assert rig.step(0.5).source == "the drive's own"
 
 
 def test_no_flow_once_the_pump_stands() -> None:
-    """Even if the meter has an offset; while it comes to rest the meter counts."""
+    """Even if the meter has an offset; while it comes to rest the meter counts.
+
+    A speed below zero is noise, as of a drive's 16 bits; beyond that it turns backwards.
+    """
     rig = Rig()
+    rig.speed = 0.8  # it runs already, as after a crash of its node
+    decision = rig.step(1.0)
+    assert (decision.speed, decision.state) == (None, "stopping")
+    assert decision.flow > 0
     rig.run(15, 0.5)
     rig.change = {"flow": 1e-4}
     rig.run(8, None)
     assert [one.flow for one in rig.decisions[-8:]] == [1e-4] * 4 + [0.0] * 4
-    assert rig.decisions[-1].source == "the pump stands"
-
-
-def test_nothing_runs_before_anything_is_known() -> None:
-    """The first steps of a pump that runs already, as after a crash of its node."""
-    rig = Rig()
-    rig.speed = 0.8
-    decision = rig.step(1.0)
-    assert (decision.speed, decision.state) == (None, "stopping")
-    assert decision.flow > 0
-
-
-def test_noise_below_zero_is_a_pump_at_rest() -> None:
-    """As of a drive's 16 bits; beyond noise it turns backwards."""
-    rig = Rig()
     rig.change = {"speed": -0.019}
-    rig.run(9, 1.0)
-    assert rig.decisions[-1].source == "the pump stands"
+    assert rig.run(9, 0.0).source == "the pump stands"
     rig.change = {}
-    assert rig.run(5, 1.0).state in ("starting", "running")
+    assert rig.run(15, 1.0).state in ("starting", "running")
     rig.change = {"speed": -0.021}
     assert rig.step(1.0).why == "the pump turns backwards, at 0.02 of its speed"
 
@@ -357,7 +322,7 @@ def test_what_is_not_heard_counts_at_worst() -> None:
     """
     flow = 1.29646769e-3 * math.sqrt(2.8 + 55.2 - 13.0)
     rig = Rig(x1=70.0)
-    lost = {"speed": None, "reasons": {"drive_lost": "connection lost"}, "cistern_level": 2.8}
+    lost = LOST | {"cistern_level": 2.8}
     rig.step(0.0)
     rig.change = lost
     rig.run(60, 1.0)

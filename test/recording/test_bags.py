@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import resource
 import struct
 from datetime import datetime
 from pathlib import Path
@@ -11,6 +10,7 @@ from random import Random
 
 import pytest
 import yaml
+from disks import no_file_beyond
 from mcap.reader import make_reader
 from mcap.writer import Writer
 from paper import PAPER_SITE
@@ -183,13 +183,8 @@ def test_a_file_that_cannot_grow_keeps_what_was_safe(tmp_path: Path, room: int) 
             messages = [struct.pack("<Id", 256, random.random()) for _ in TOPICS]
             writer.write_tick(time_ns, [clock(time_ns), *messages])
 
-    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
-    resource.setrlimit(resource.RLIMIT_FSIZE, (room, hard))
-    try:
-        with pytest.raises(OSError, match="File too large"):
-            write()
-    finally:
-        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
+    with no_file_beyond(room), pytest.raises(OSError, match="File too large"):
+        write()
     assert writer.safe > 0
     assert restore(tmp_path / "bag", tmp_path / "new") == f"{writer.safe} ticks"
 

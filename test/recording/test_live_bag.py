@@ -3,13 +3,10 @@
 from __future__ import annotations
 
 import os
-import resource
 import signal
 import struct
 import subprocess
 import sys
-from collections.abc import Iterator
-from contextlib import contextmanager
 from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
@@ -18,6 +15,7 @@ from random import Random
 import pytest
 import yaml
 from commands import run_command
+from disks import no_file_beyond
 from graphs import environment
 from places import CHECKOUT
 from rosbags.highlevel import AnyReader
@@ -56,16 +54,6 @@ def read(bag: Path) -> list[tuple[str, int, float]]:
             (connection.topic, stamp, reader.deserialize(raw, connection.msgtype).data)
             for connection, stamp, raw in reader.messages()
         ]
-
-
-@contextmanager
-def no_file_beyond(size: int) -> Iterator[None]:
-    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
-    resource.setrlimit(resource.RLIMIT_FSIZE, (size, hard))
-    try:
-        yield
-    finally:
-        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
 
 
 def test_what_came_is_read_back_with_its_times(tmp_path: Path) -> None:

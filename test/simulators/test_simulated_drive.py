@@ -5,8 +5,6 @@ from __future__ import annotations
 import os
 import select
 import socket
-import subprocess
-import sys
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
@@ -15,7 +13,6 @@ from pathlib import Path
 
 import pytest
 from graphs import free_ports
-from places import CHECKOUT
 from simulators import Bus, Simulator, refusal, until
 
 from greenroof_ros import drive_simulator
@@ -290,16 +287,13 @@ def test_a_trip_by_the_timeout_is_reset_by_the_manuals_word() -> None:
     assert drive.read(400) == 0
 
 
-def test_as_delivered_the_timeout_is_the_makers(make: str) -> None:
+def test_as_delivered_the_timeout_is_the_makers_and_off_is_read_back(make: str) -> None:
     """On the serial port; the other interface's is as delivered in any case."""
     drive = OnPaper(make, timeout_s=None)
     assert {each: drive.read(each) for each in drive.its.timeout} == drive.its.timeout
     if make == "schneider_atv630":
         on_ethernet = OnPaper(make, "tcp", timeout_s=3.0)
         assert [on_ethernet.read(each) for each in (6005, 64415)] == [100, 30]
-
-
-def test_timeout_off_is_read_back_as_off(make: str) -> None:
     drive = OnPaper(make, timeout_s=3.0, ramp_s=1.0)
     address, off = drive.its.off
     assert drive.read(address) != off
@@ -600,15 +594,6 @@ def test_wrong_options_are_refused_with_what_would_be_right(
         port = str(taken.getsockname()[1])
         assert "the port is taken" in refused(*abb, "--port", port, "--workbench", "0")
     assert "no such serial device" in refused(*abb, "--serial", "/dev/nothing", "--workbench", "0")
-
-
-def test_a_refusal_is_one_line_and_exit_code_2() -> None:
-    done = subprocess.run(
-        [sys.executable, "-m", "greenroof_ros.drive_simulator", "--drive", "abb_acs880", "--fault",
-         "smoke"],
-        cwd=CHECKOUT, capture_output=True, text=True, check=False, timeout=20,
-    )
-    assert (done.returncode, done.stderr.count("\n")) == (2, 1)
 
 
 def test_it_listens_on_loopback_alone_and_its_workbench_is_beside_it() -> None:
