@@ -6,7 +6,7 @@ doc/explanation/pump-safety.md and doc/explanation/live.md state the same figure
 from __future__ import annotations
 
 from greenroof_ros.drives.exchange import FIRST_WAIT_S, RUNS_ON_S, SEEN_S, SILENCE_MARGIN_S
-from greenroof_ros.graph import permit
+from greenroof_ros.graph import supervision
 from greenroof_ros.graph.live import LIMITS
 from greenroof_ros.graph.supervisor import ENDING_S, SILENT_S
 from greenroof_ros.model.pump_speed import flow_at
@@ -63,8 +63,8 @@ def bounds(site: Site) -> dict[str, float]:
         "intermittent": 2.0 + _limit("/cistern/level") + site.tau + step,
         "frost": _limit("/weather/frost") + step,
         # The permit: at once for a node that ended, after its silence for one that hangs.
-        "permit": permit._GREATEST_AGE_S + step,
-        "silent": SILENT_S + permit._PERIOD_S + step,
+        "permit": supervision._GREATEST_AGE_S + step,
+        "silent": SILENT_S + supervision._PERIOD_S + step,
         # The drive stands by itself, or bringup stops it.
         "drive": DRIVE_TIMEOUT_S + end,
         "supervised": SILENCE_S + end,
