@@ -8,6 +8,7 @@ import time
 from dataclasses import dataclass, replace
 from typing import Any
 
+from greenroof_ros.common.clock import boot_time
 from greenroof_ros.drives.drive import Drive, DriveLock, DriveStatus, HeldError
 from greenroof_ros.drives.drive_file import LONGEST_RAMP_S, DriveFile
 from greenroof_ros.drives.modbus_line import Address, DeviceThread, DriveError, Known
@@ -290,7 +291,7 @@ class DriveExchange(DeviceThread[Snapshot]):
             self._fail(f"refused: {speed} is no share of rated speed")
             speed = None
         before = self._demand[0]
-        self._demand = (speed, time.monotonic())
+        self._demand = (speed, boot_time())
         if (speed is None) != (before is None):
             self._wake.set()
 
@@ -312,7 +313,7 @@ class DriveExchange(DeviceThread[Snapshot]):
 
     def _wanted(self) -> float | None:
         speed, at = self._demand
-        fresh = time.monotonic() - at <= self._dead_man_s
+        fresh = boot_time() - at <= self._dead_man_s  # nor is one of before a suspend
         return speed if fresh and not self._closing and not self._unguarded() else None
 
     def _unguarded(self) -> str:

@@ -18,6 +18,7 @@ from modbus_wire import Registers, SerialWire, Wire, acs880, over_serial
 from places import CHECKOUT
 from simulators import until as wait
 
+from greenroof_ros.common.clock import boot_time
 from greenroof_ros.drives.drive import DriveLock, DriveStatus, HeldError
 from greenroof_ros.drives.drive_file import DriveFile, Timeouts, find_drive_file, read_drive_file
 from greenroof_ros.drives.exchange import (
@@ -171,6 +172,19 @@ def test_it_runs_while_asked_and_stops_when_told_or_asked_nonsense_or_not_at_all
     count = len(drive.written)
     time.sleep(4 * PERIOD)
     assert len(drive.written) == count
+
+
+def test_what_was_asked_for_before_a_suspend_runs_nothing_after_it(
+    file: DriveFile, wire: Wire, drive: Registers, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """`time.monotonic`, which stands still in a suspend, would have it still new."""
+    address = parse_drive_address(wire.gateway, "at")
+    with closing(DriveExchange(file, address, PERIOD, dead_man_s=60.0)) as exchange:
+        exchange.start()
+        exchange.demand(0.5)
+        wait(lambda: drive.values[4] == 10000)
+        monkeypatch.setattr("greenroof_ros.drives.exchange.boot_time", lambda: boot_time() + 3600)
+        assert wait(lambda: drive.values[0] == 0x047E) < 0.05 + 3 * PERIOD
 
 
 def test_half_open_connection_is_noticed_and_heals_and_close_ends_in_time(
