@@ -145,7 +145,7 @@ def test_a_leak_is_seen_when_the_low_outlet_takes_less(leak: float, minutes: flo
     assert 0.97 < rig.plant.x1 / LOW_OUTLET.a1 < 1 + (leak / 0.0053) ** 2
 
 
-WELL: list[tuple[dict[str, Any], dict[str, Any], list[tuple[float, ...]], dict[str, float]]] = [
+WELL: list[Any] = [
     # The mains give more than the pump takes, until the roof is filled: 2.1 m3 in 250 s.
     *(({"noise": noise, "site": MAINS}, {}, [(600, 1.0)], {"x1": 70, "delivered": 2})
       for noise in (0.0, NOISE)),
@@ -164,11 +164,13 @@ WELL: list[tuple[dict[str, Any], dict[str, Any], list[tuple[float, ...]], dict[s
     ({"x1": 76.0, "x2": 1.0}, {}, [(600, 0.15), (3600, 0.15, 100), (6600, 0.15)],
      {"x2": PAPER_SITE.x2_star}),
     # A heat wave is no burst pipe: then the roof is watered again, and rises.
-    ({"x2": 2.0}, {}, [(8 * 3600, 0.0, 0, 2), (150, 1.0)], {"delivered": 1}),
+    pytest.param({"x2": 2.0}, {}, [(8 * 3600, 0.0, 0, 2), (150, 1.0)], {"delivered": 1},
+                 id="hours"),
     # An hour's shower into inlets of all sizes, while a pump fills a dry roof.
-    *(({"x1": 45.0, "x2": 0.2, "site": site_with(a_in=inlet)}, {},
-       [(900, command, 0, 0.5), (3600, command, rate, 0.5), (2700, command, 0, 0.5)],
-       {"delivered": 300 * 0.0084 * command})
+    *(pytest.param(
+        {"x1": 45.0, "x2": 0.2, "site": site_with(a_in=inlet)}, {},
+        [(900, command, 0, 0.5), (3600, command, rate, 0.5), (2700, command, 0, 0.5)],
+        {"delivered": 300 * 0.0084 * command}, id="hours")
       for inlet in (20.0, 500.0) for command in (1.0, 0.005) for rate in (2.0, 50.0)),
     # A gap in the levels, four hours long, in which nothing but weather happened.
     ({"x2": 1.0}, {}, [(200, 0.3), (4 * 3600, 0.3, 0, 0.9, "roof_level"), (600, 0.3)], {"x2": 2.5}),
@@ -356,7 +358,8 @@ class Ruled:
     ("noise", "tolerance", "offsets"),
     [
         # Ten standard deviations are tolerance enough for hours of noise.
-        (0.002, 0.02, [0.0] * 3), (NOISE, 0.05, [0.0] * 3),
+        pytest.param(0.002, 0.02, [0.0] * 3, id="hours"),
+        pytest.param(NOISE, 0.05, [0.0] * 3, id="hours"),
         # Set anew by 5 cm of the cistern, 1.25 m3, down and, an hour later, up again.
         (0.0, 0.02, [-0.05, 0.0]), (0.002, 0.02, [-0.05, 0.0]),
     ],
