@@ -98,20 +98,6 @@ def test_killed_node_of_one_leaves_the_other_alone(domain: int, tmp_path: Path) 
     assert file.read_bytes() == bag_file(tmp_path / "alone").read_bytes()
 
 
-def test_namespace_that_is_taken(domain: int, tmp_path: Path) -> None:
-    """A second bringup in the namespace is refused, with advice."""
-    first = Process(
-        domain, "bringup", "--output", "run", "--namespace", "site1", "--speed", "20", cwd=tmp_path
-    )
-    first.wait_for_ticks(size=0)
-    second = Process(domain, "bringup", "--output", "second", "--namespace", "/site1", cwd=tmp_path)
-    assert second.wait(300) == 3
-    assert "namespace /site1" in second.stderr()
-    assert "--namespace" in second.stderr()
-    first.process.send_signal(signal.SIGINT)
-    assert first.wait(300) == 130
-
-
 @pytest.mark.parametrize("name", ["site 1", "1", "a//b", "roof-1"])
 def test_wrong_namespace(unused_domain: int, tmp_path: Path, name: str) -> None:
     """What ROS does not take as a namespace is refused before anything starts."""

@@ -53,6 +53,15 @@ class Site:
 
         wait_for(step, seconds, "what the test waits for")
 
+    def until_ready(self) -> None:
+        """Supervise until every node is ready and nothing holds the pump."""
+        self.until(lambda: self.supervisor.all_ready and not self.supervisor.inhibit)
+
+    def during(self, seconds: float) -> None:
+        """Supervise for so long."""
+        ended = time.monotonic() + seconds
+        self.until(lambda: time.monotonic() > ended)
+
     def starts(self, node: str) -> list[tuple[int, float]]:
         """Return process and time of each start of a node."""
         try:
@@ -95,10 +104,17 @@ def site(
 def test_a_node_that_died_is_started_again(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """After 1 s, then 2 s; the pump is held until it is there, and told why."""
+    """After 1 s, then 2 s; the pump is held until it is there, and told why.
+
+    However often a node was started again, nothing is left open: months are long.
+    """
     with site(tmp_path, monkeypatch) as (here, failures, stops):
+        before = _open_files()
         here.add("weather", "controller", "pump")
-        here.until(lambda: here.supervisor.all_ready and not here.supervisor.inhibit)
+        here.until_ready()
+        logs = [tmp_path / f"{node}.log" for node in ("weather", "controller", "pump")]
+        here.until(lambda: all(log.exists() and log.stat().st_size for log in logs))
+        nodes = _open_files() - before
         for wait in (1.0, 2.0):
             killed = here.pid("controller")
             died = time.monotonic()
@@ -111,6 +127,8 @@ def test_a_node_that_died_is_started_again(
         assert failures == [
             ("controller", f"ended (SIGKILL); starts again in {wait} s") for wait in (1, 2)
         ]
+        # Against what was open before: what other tests left may be closed at any time.
+        assert (_open_files() - before).total() == nodes.total() > 0
         here.until(lambda: here.permits()[-1]["inhibit"] == "")
         told = [permit["inhibit"] for permit in here.permits()]
         holds = told[told.index(""):]  # before that, all three were starting
@@ -130,7 +148,7 @@ def test_a_node_that_hangs_is_killed_and_started_again(
     """Held when it is silent for 2 s, killed at the limit."""
     with site(tmp_path, monkeypatch, silence_s=5.0) as (here, failures, _):
         here.add("weather", "pump")
-        here.until(lambda: here.supervisor.all_ready and not here.supervisor.inhibit)
+        here.until_ready()
         hung = here.pid("weather")
         os.kill(hung, signal.SIGSTOP)
         here.until(lambda: here.supervisor.inhibit == "weather is silent")
@@ -146,10 +164,10 @@ def test_a_node_that_hangs_is_killed_and_started_again(
 def test_the_drive_is_stopped_for_a_pump_node_that_cannot(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, how: signal.Signals
 ) -> None:
-    """Once, and before the node is started again."""
+    """Once, and before the node is started again; also where it is dead when the site is ended."""
     with site(tmp_path, monkeypatch, silence_s=5.0) as (here, failures, stops):
         here.add("weather", "pump")
-        here.until(lambda: here.supervisor.all_ready and not here.supervisor.inhibit)
+        here.until_ready()
         os.kill(here.pid("pump"), how)
         here.until(lambda: len(here.starts("pump")) == 2)
         (stopped,) = stops
@@ -157,8 +175,12 @@ def test_the_drive_is_stopped_for_a_pump_node_that_cannot(
         assert [what.rpartition("; ")[2] for _, what in failures] == [
             "starts again in 1 s", "the drive stands"
         ]
-        here.until(lambda: here.supervisor.all_ready)
-    assert len(stops) == 2 and len(failures) == 2  # at the end, whatever the pump node says
+        here.until_ready()
+        if how == signal.SIGKILL:
+            os.kill(here.pid("pump"), how)
+            time.sleep(0.2)
+    assert len(stops) == 2  # at the end, whatever the pump node says
+    assert failures[2:] == [("pump", "ended (SIGKILL); the drive stands")][:how == signal.SIGKILL]
 
 
 def test_a_pump_that_turns_on_is_stopped_once_more(
@@ -168,15 +190,13 @@ def test_a_pump_that_turns_on_is_stopped_once_more(
     monkeypatch.setattr(supervisor, "LONGEST_RAMP_S", 1.0)
     with site(tmp_path, monkeypatch, silence_s=9.0) as (here, failures, stops):
         here.add("weather", "pump")
-        here.until(lambda: here.supervisor.all_ready and not here.supervisor.inhibit)
+        here.until_ready()
         (here.marks / "pump-says").write_text("stopping: the weather is missing")
-        ended = time.monotonic() + 5
-        here.until(lambda: time.monotonic() > ended)
+        here.during(5)
         assert not failures  # it is allowed
         (here.marks / "weather-waits").touch()
         here.until(lambda: len(here.starts("pump")) == 2)
-        ended = time.monotonic() + 5
-        here.until(lambda: time.monotonic() > ended)
+        here.during(5)
         assert failures == [
             ("pump", "did not stop the pump within 3 s (weather is starting): killed; "
              "starts again in 1 s"),
@@ -201,35 +221,26 @@ def test_a_silent_pump_node_whose_pump_may_turn_is_killed_sooner(
         assert failures[0][1].startswith(f"had not answered for {limit} s (stopped): killed;")
 
 
-def test_a_pump_node_that_does_not_end_by_itself(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """Nothing is left that runs, be the node dead when the site is stopped."""
-    with site(tmp_path, monkeypatch) as (here, failures, stops):
-        here.add("pump")
-        here.until(lambda: here.supervisor.all_ready)
-        os.kill(here.pid("pump"), signal.SIGKILL)
-        time.sleep(0.2)
-    assert len(stops) == 1
-    assert failures == [("pump", "ended (SIGKILL); the drive stands")]
-
-
+@pytest.mark.parametrize(
+    ("kind", "code", "tried", "reason"),
+    [
+        ("fails", 1, 2, "ended (exit code 1); it was restarted 2 times in the last 10 minutes, and "
+         "is given up"),
+        ("wrong", 2, 0, "ended (exit code 2): parameter x must be a number"),
+    ],
+)
 def test_a_node_that_fails_again_and_again_is_given_up(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, kind: str, code: int, tried: int, reason: str
 ) -> None:
-    """After 1 and 2 s; the third end is the last, and says so."""
+    """After 1 and 2 s; the third end is the last, and says so. A wrong parameter stays wrong."""
     with site(tmp_path, monkeypatch, restarts=2) as (here, failures, _):
-        here.add("weather", "fails")
+        here.add("weather", kind)
         with pytest.raises(NodeFailed) as failed:
             here.until(lambda: False)
-    assert failed.value.reason == (
-        "node fails ended (exit code 1); it was restarted 2 times in the last 10 minutes, and is "
-        "given up"
-    )
-    assert failed.value.code == 1
-    assert "fails was started" in str(failed.value)
+    assert (failed.value.reason, failed.value.code) == (f"node {kind} {reason}", code)
+    assert f"{kind} was started" in str(failed.value)
     assert failures == [
-        ("fails", f"ended (exit code 1); starts again in {wait} s") for wait in (1, 2)
+        (kind, f"ended (exit code {code}); starts again in {wait} s") for wait in (1, 2)[:tried]
     ]
     assert not alive(here.starts("weather")[0][0])
 
@@ -240,26 +251,11 @@ def test_a_recorder_ends_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch
         here.add("weather", "pump")
         here.supervisor.add("recorder", "small_node", "wrong", str(here.marks))
         here.until(lambda: len(failures) == 2)
-        here.until(lambda: here.supervisor.all_ready and not here.supervisor.inhibit)
+        here.until_ready()
     assert failures == [
         ("recorder", "ended (exit code 2): parameter x must be a number; "
          f"starts again in {wait} s; nothing is recorded until then") for wait in (1, 600)
     ]
-
-
-def test_a_wrong_parameter_is_not_tried_again(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """It would be as wrong then."""
-    with site(tmp_path, monkeypatch) as (here, failures, _):
-        here.add("wrong")
-        with pytest.raises(NodeFailed) as failed:
-            here.until(lambda: False)
-    assert failed.value.reason == (
-        "node wrong ended (exit code 2): parameter x must be a number"
-    )
-    assert failed.value.code == 2
-    assert not failures
 
 
 def test_what_a_node_waits_for_holds_the_pump(
@@ -313,23 +309,6 @@ def test_a_supervisor_that_was_stopped_blames_nobody(tmp_path: Path) -> None:
     assert (process.returncode, said) == (0, "")
 
 
-def test_nothing_is_left_open(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """However often a node was started again: months are long."""
-    with site(tmp_path, monkeypatch) as (here, _, _):
-        before = _open_files()
-        here.add("weather", "pump")
-        here.until(lambda: here.supervisor.all_ready)
-        logs = [tmp_path / "weather.log", tmp_path / "pump.log"]
-        here.until(lambda: all(log.exists() and log.stat().st_size for log in logs))
-        nodes = _open_files() - before
-        for node in ("pump", "weather"):
-            os.kill(here.pid(node), signal.SIGKILL)
-            here.until(lambda node=node: len(here.starts(node)) == 2)
-        here.until(lambda: here.supervisor.all_ready)
-        # Against what was open before: what other tests left may be closed at any time.
-        assert (_open_files() - before).total() == nodes.total() > 0
-
-
 def _open_files() -> Counter[str]:
     """Return what this process has open, and how often."""
     found: Counter[str] = Counter()
@@ -347,9 +326,8 @@ def test_a_log_that_cannot_be_written_delays_nobody(
     os.mkfifo(log)  # who opens it to write waits until somebody reads
     with site(tmp_path, monkeypatch) as (here, failures, _):
         here.add("weather", "pump")
-        here.until(lambda: here.supervisor.all_ready and not here.supervisor.inhibit)
-        ended = time.monotonic() + 5
-        here.until(lambda: time.monotonic() > ended)
+        here.until_ready()
+        here.during(5)
         assert DISK.late
         times = [float(str(permit["at"])) for permit in here.permits()]
         assert max(after - before for before, after in pairwise(times)) < 2.0  # else it lapses
@@ -401,15 +379,14 @@ def test_a_node_that_cannot_be_started_again_for_now(
     with site(tmp_path, monkeypatch) as (here, failures, _):
         here.add("weather", "pump", "recorder")
         here.until(lambda: here.supervisor.last.keys() == {"weather", "pump", "recorder"})
-        here.until(lambda: here.supervisor.all_ready and not here.supervisor.inhibit)
+        here.until_ready()
         with few_files_left(1):
             os.kill(here.pid(node), signal.SIGKILL)
             here.until(lambda: "cannot be started" in str(failures))
-            ended = time.monotonic() + 4
-            here.until(lambda: time.monotonic() > ended)
+            here.during(4)
             assert here.supervisor.inhibit == ("weather is missing" if node == "weather" else "")
         here.until(lambda: len(here.starts(node)) == 2)
-        here.until(lambda: here.supervisor.all_ready and not here.supervisor.inhibit)
+        here.until_ready()
     unrecorded = "; nothing is recorded until then" if node == "recorder" else ""
     assert [what for _, what in failures if not what.endswith("the drive stands")] == [
         f"ended (SIGKILL); starts again in 1 s{unrecorded}",
@@ -426,7 +403,7 @@ def test_a_recorder_that_cannot_be_started_at_all(
         with few_files_left(1):
             here.add("recorder")
         here.until(lambda: here.supervisor.last.keys() == {"weather", "pump"})
-        here.until(lambda: here.supervisor.all_ready and not here.supervisor.inhibit)
+        here.until_ready()
         assert failures == [(
             "recorder", "cannot be started: Too many open files; tried again every 10 s; nothing "
             "is recorded until then",
@@ -452,7 +429,7 @@ def test_what_a_node_of_another_version_says(
     shown: list[str] = []
     with site(tmp_path, monkeypatch) as (here, failures, _):
         here.add("weather", "pump", "recorder")
-        here.until(lambda: here.supervisor.all_ready and not here.supervisor.inhibit)
+        here.until_ready()
         log = IncidentLog(shown.append)
         drive = {"drive": Expected("drive", "an address", "look at it")}
         start = _Start([LiveNode("pump", "pump", (), {}, drive)])
@@ -470,5 +447,5 @@ def test_what_a_node_of_another_version_says(
 
             here.until(shows)
         raw.unlink()
-        here.until(lambda: here.supervisor.all_ready and not here.supervisor.inhibit)
+        here.until_ready()
     assert not failures and not shown

@@ -10,7 +10,6 @@ import math
 import os
 import re
 import signal
-import subprocess
 import time
 from array import array
 from datetime import UTC, datetime, timedelta
@@ -37,7 +36,6 @@ from ros_rig import (
     live_node,
     newest,
     start_live,
-    start_node,
     write_forecast,
 )
 from std_msgs.msg import Float64, Float64MultiArray, MultiArrayDimension, MultiArrayLayout
@@ -507,15 +505,3 @@ def test_unknown_frost_may_pump(domain: int, tmp_path: Path, site: Site) -> None
         site.until(lambda: len(frost) > 2, LATE, "frost")
         assert site.says("/weather: forecast", ERROR, "missing.csv: cannot be read")()
         assert not evapotranspiration
-
-
-def test_live_weather_needs_a_file(domain: int, tmp_path: Path) -> None:
-    """A model of forecasts is made of records, which a live site does not have."""
-    node = start_node(
-        domain, tmp_path, "weather", live="true", forecast="persistence",
-        popen={"stderr": subprocess.PIPE, "text": True},
-    )
-    said = node.communicate(timeout=60)[1]
-    assert node.returncode == 2
-    assert "parameter forecast of weather = 'persistence': must be a FILE.csv" in said
-    assert len(said.splitlines()) == 1

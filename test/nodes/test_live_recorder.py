@@ -7,13 +7,11 @@ import subprocess
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
-from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
-from diagnostic_msgs.msg import DiagnosticArray
-from disks import disk_that_hangs, small_disk
-from ros_rig import ERROR, OK, Site, qos, start_node
+from disks import small_disk
+from ros_rig import ERROR, OK, Site, start_node
 from rosbags.highlevel import AnyReader
 
 
@@ -70,39 +68,3 @@ def test_a_full_disk_is_an_alarm_and_no_end(domain: int, tmp_path: Path, site: S
             site.until(full, 60, "the alarm")
             site.during(2)
             assert full() and process.poll() is None
-
-
-def test_a_disk_that_hangs_for_half_a_minute_costs_nothing(
-    domain: int, tmp_path: Path, site: Site
-) -> None:
-    """The node answers all the time, and what came meanwhile is in the bag, with its times."""
-    disk = tmp_path / "disk"
-    with disk_that_hangs(disk) as hang:
-        with recorder(domain, disk / "bag"):
-            site.until(site.says("/recorder: recording", OK), 60, "a start")
-            outflow = site.watcher.publisher("/pump/flow")
-            site.until(lambda: outflow.get_subscription_count() == 1, 60, "the subscription")
-            sent = []
-            site.values = {"/pump/flow": lambda now: sent.append(now) or now}
-            site.during(3)
-            hang(True)
-            heard: list[float] = []
-            site.node.create_subscription(
-                DiagnosticArray, "/diagnostics",
-                lambda array: "/recorder" in {one.name for one in array.status}
-                and heard.append(time.monotonic()), qos("/diagnostics"),
-            )
-            site.until(
-                site.says("/recorder: recording", ERROR, "what comes waits in memory"), 30,
-                "the alarm",
-            )
-            site.during(30)
-            # bringup kills who is silent for 5 s.
-            assert len(heard) > 30 and max(b - a for a, b in pairwise(heard)) < 4
-            hang(False)
-            site.until(site.says("/recorder: recording", OK), 60, "its end")
-            site.during(1)
-        kept = flows(disk / "bag")
-    assert len(kept) > 300 and [value for _, value in kept] == sent[-len(kept):]
-    assert max(b - a for (a, _), (b, _) in pairwise(kept)) < 4
-
