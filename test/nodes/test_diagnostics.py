@@ -4,13 +4,16 @@ from __future__ import annotations
 
 import re
 import socket
+import time
 from pathlib import Path
 
 from diagnostic_msgs.msg import DiagnosticArray
 from graphs import Process
 from places import CONFIG
 from ros_rig import ERROR, OK, STALE, WARN, Observer, Site, live_node, qos, start_node
+from rosgraph_msgs.msg import Clock
 from test_live_recorder import recorder
+from test_nodes import parameter
 
 from greenroof_ros.common.files import read_yaml
 from greenroof_ros.controllers.registry import BUILT_IN
@@ -65,23 +68,49 @@ def test_every_node_has_its_group() -> None:
 
 
 def test_simulated_run(domain: int, tmp_path: Path, observer: Observer) -> None:
-    """All nodes are well while it runs, and say the numbers that a watcher needs."""
+    """All nodes are well while it runs, say the numbers that a watcher needs, and its time.
+
+    The graph is in a namespace; a clock on /clock, a day later, is not its own.
+    """
+    start, ticks = 1_625_641_200, 720  # 2021-07-07T02:00-05:00 in seconds since 1970
+    names = [f"/site1/{name}" for name in ("plant", "weather", "mpc", "recorder")]
+    began = time.time()
     arrays = listen(observer)
+    other = observer.node.create_publisher(Clock, "/clock", 10)
+    message = Clock()
+    message.clock.sec = start + 86_400
     process = Process(
-        domain, "bringup", "--output", "run", "--hours", "0.1", "--speed", "45", cwd=tmp_path
+        domain, "bringup", "--output", "run", "--namespace", "site1", "--hours", "0.2",
+        "--speed", "120", cwd=tmp_path,
     )
-    observer.until(lambda: process.process.poll() is not None, 120, "the end of the run")
+    for name in names:
+        assert parameter(observer, name, "use_sim_time").bool_value is True
+
+    def ended() -> bool:
+        other.publish(message)
+        return process.process.poll() is not None
+
+    observer.until(ended, 120, "the end of the run")
     assert process.wait(300) == 0, process.stderr()
     check(arrays)
-    names = {"/plant", "/weather", "/mpc", "/recorder"}
-    assert observer.diagnoses.keys() == names
+    assert observer.diagnoses.keys() == set(names)
     assert {status.level for array in arrays for status in array.status} == {OK}
-    plant = observer.values("/plant")
-    assert isinstance(plant["roof_level"], float) and plant["tick"] == 360
-    for name in names - {"/recorder"}:
+    plant = observer.values("/site1/plant")
+    assert isinstance(plant["roof_level"], float) and plant["tick"] == ticks
+    for name in names[:3]:
         where = tmp_path / "run" / "configuration" / "site.yaml"
         assert observer.values(name)["site"] == str(where)
-    assert observer.values("/recorder")["bag"] == str(tmp_path / "run" / "bag")
+    assert observer.values(names[3])["bag"] == str(tmp_path / "run" / "bag")
+    for name in names:
+        stamps = [
+            one.header.stamp.sec for one in arrays if name in {each.name for each in one.status}
+        ]
+        # The system's time until the first tick; then it moves with the run, to its end.
+        first = next(i for i, stamp in enumerate(stamps) if stamp < began - 1)
+        assert all(began - 1 < stamp < time.time() for stamp in stamps[:first]), name
+        moved = [stamp - start for stamp in stamps[first:]]
+        assert moved == sorted(moved), name
+        assert 0 <= moved[0] < moved[-1] <= ticks, name
 
 
 def test_failure_of_a_node(domain: int, tmp_path: Path, observer: Observer) -> None:

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import math
+import os
 import re
 import signal
 import subprocess
 import sys
-import time
 from collections.abc import Callable
 from itertools import cycle
 from pathlib import Path
@@ -19,8 +19,7 @@ from graphs import Process, environment, summary_of, udp_addresses_of, wait_for
 from places import CONFIG
 from rcl_interfaces.msg import Parameter, ParameterType, ParameterValue
 from rcl_interfaces.srv import GetParameters, SetParameters
-from ros_rig import FORECASTS, Observer, nodes
-from rosgraph_msgs.msg import Clock
+from ros_rig import FORECASTS, Observer, nodes, policies
 from std_msgs.msg import Float64, Float64MultiArray
 
 
@@ -70,7 +69,7 @@ def test_bad_level_or_frost_stops_the_pump(
         name: observer.publisher(name)
         for name in ("/cistern/level", "/roof/level", *FORECASTS, "/weather/frost")
     }
-    with nodes(domain, tmp_path, "controller --controller mpc"):
+    with nodes(domain, tmp_path, "controller --controller mpc") as (process,):
         observer.until(
             lambda: all(each.get_subscription_count() for each in publish.values()), 60, "mpc"
         )
@@ -86,6 +85,8 @@ def test_bad_level_or_frost_stops_the_pump(
             for name in FORECASTS:
                 publish[name].publish(Float64MultiArray(data=[0.0] * 10))
             observer.until(lambda tick=tick: len(commands) == tick + 1, 60, f"command {tick}")
+        # A node of a simulation lets the others go on; one of a live site must be in time.
+        assert policies(process.pid) == {os.SCHED_BATCH}
     assert all(command > 0 for command in commands[::2])
     assert commands[1::2] == [0.0] * 5
 
@@ -148,46 +149,6 @@ def test_weight_is_set_during_a_run(domain: int, tmp_path: Path, observer: Obser
         re.sub("[│\n]", " ", process.stdout()).split()
     )
     assert 0 <= change["tick"] <= 720
-
-
-def test_simulated_time(domain: int, tmp_path: Path, observer: Observer) -> None:
-    """Every node has use_sim_time, follows its own graph's clock, and stamps its reports by it.
-
-    The graph is in a namespace; a clock on /clock, a day later, is not its own.
-    """
-    start, ticks = 1_625_641_200, 720  # 2021-07-07T02:00-05:00 in seconds since 1970
-    names = [f"/site1/{name}" for name in ("plant", "weather", "mpc", "recorder")]
-    stamps: dict[str, list[int]] = {}
-    began = time.time()
-
-    def note(array: Any) -> None:
-        for status in array.status:
-            stamps.setdefault(status.name, []).append(array.header.stamp.sec)
-
-    observer.hear("/diagnostics", note)
-    other = observer.node.create_publisher(Clock, "/clock", 10)
-    message = Clock()
-    message.clock.sec = start + 86_400
-    process = Process(
-        domain, "bringup", "--output", "run", "--namespace", "site1", "--hours", "0.2",
-        "--speed", "120", cwd=tmp_path,
-    )
-    for name in names:
-        assert parameter(observer, name, "use_sim_time").bool_value is True
-
-    def ended() -> bool:
-        other.publish(message)
-        return process.process.poll() is not None
-
-    observer.until(ended, 60, "the end of the run")
-    assert process.wait(300) == 0, process.stderr()
-    for name in names:
-        # The system's time until the first tick; then it moves with the run, to its end.
-        first = next(i for i, stamp in enumerate(stamps[name]) if stamp < began - 1)
-        assert all(began - 1 < stamp < time.time() for stamp in stamps[name][:first]), name
-        moved = [stamp - start for stamp in stamps[name][first:]]
-        assert moved == sorted(moved), name
-        assert 0 <= moved[0] < moved[-1] <= ticks, name
 
 
 def test_whole_numbers_and_the_file_for_all_nodes(
