@@ -10,9 +10,8 @@ from pathlib import Path
 from diagnostic_msgs.msg import DiagnosticArray
 from graphs import Process
 from places import CONFIG
-from ros_rig import ERROR, OK, STALE, WARN, Observer, Site, live_node, qos, start_node
+from ros_rig import ERROR, OK, STALE, WARN, Observer, qos, start_node
 from rosgraph_msgs.msg import Clock
-from test_live_recorder import recorder
 from test_nodes import parameter
 
 from greenroof_ros.common.files import read_yaml
@@ -128,19 +127,3 @@ def test_failure_of_a_node(domain: int, tmp_path: Path, observer: Observer) -> N
     assert "no start within 10 s" in values["failure"]
     assert values["process"] == f"{HERE} {process.pid}"
     assert values["site"] == str(tmp_path / "my_site.yaml")
-
-
-def test_parts_of_live_nodes(domain: int, tmp_path: Path, site: Site) -> None:
-    """A part that is not well is so while its node's own status is OK."""
-    arrays = listen(site.watcher)
-    site.be_dry()
-    with live_node(domain, tmp_path, "controller --controller onoff", recovery_time=1.0):
-        site.until(site.says("/onoff: inputs", OK), 60, "good inputs")
-        del site.values["/roof/level"]
-        site.until(site.says("/onoff: inputs", ERROR), 60, "an input that is missed")
-        assert site.says("/onoff", OK)()
-        assert site.watcher.values("/onoff")["site"] == str(tmp_path / "site.yaml")
-        with recorder(domain, tmp_path / "kept"):
-            site.until(lambda: site.watcher.values("/recorder"), 60, "the recorder")
-            assert site.watcher.values("/recorder")["bag"] == str(tmp_path / "kept")
-    check(arrays)

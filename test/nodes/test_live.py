@@ -40,14 +40,21 @@ from ros_rig import (
     write_forecast,
 )
 from std_msgs.msg import Float64, Float64MultiArray, MultiArrayDimension, MultiArrayLayout
+from test_diagnostics import check, listen
 
 from greenroof_ros.common.files import read_yaml
 
 
 def test_a_bad_input_stops_the_pump(domain: int, tmp_path: Path, site: Site) -> None:
-    """Command 0 within the bound, the input and the rule on /diagnostics, and good again."""
+    """Command 0 within the bound, the input and the rule on /diagnostics, and good again.
+
+    That it has no forecast is nothing to on/off, nor is one that is refused.
+    """
+    arrays = listen(site.watcher)
     commands = site.be_dry()
-    good = dict(site.values)
+    for name in FORECASTS:
+        del site.values[name]
+    good = {**site.values, **dict.fromkeys(FORECASTS, [math.nan] * 10)}
     roof, cistern = good["/roof/level"], good["/cistern/level"]
     recovery = 1.0
 
@@ -66,6 +73,7 @@ def test_a_bad_input_stops_the_pump(domain: int, tmp_path: Path, site: Site) -> 
         site.until(lambda: newest(commands) == 0.5, LATE, "a command")
         # A live node must be in time, beside whatever computes; one of a simulation need not.
         assert policies(process.pid) == {os.SCHED_OTHER}
+        assert site.watcher.values("/onoff")["site"] == str(tmp_path / "site.yaml")
         for change, level, *words in (
             ({"/roof/level": math.nan}, ERROR, "/roof/level was refused", "0 to 100 m"),
             ({"/cistern/level": None}, ERROR, "/cistern/level is older than 1.5 s (level_limit)"),
@@ -75,6 +83,7 @@ def test_a_bad_input_stops_the_pump(domain: int, tmp_path: Path, site: Site) -> 
             changed = {**good, **change}
             site.values = {name: value for name, value in changed.items() if value is not None}
             stops(level, *words)
+            assert site.says("/onoff", OK)()  # what is not well is a part of it
             site.values = dict(good)
             mended = time.monotonic()
             recovers()
@@ -106,21 +115,8 @@ def test_a_bad_input_stops_the_pump(domain: int, tmp_path: Path, site: Site) -> 
         assert len(times) < 1.1 * (times[-1] - times[0]) / TAU + 10
         gaps = [after - before for before, after in pairwise(times)]
         assert median(gaps) == pytest.approx(TAU, rel=0.5)
-
-
-def test_onoff_needs_no_forecast(domain: int, tmp_path: Path, site: Site) -> None:
-    """It is as well without; with one that is refused, too."""
-    commands = site.be_dry()
-    for name in FORECASTS:
-        del site.values[name]
-    with live_node(domain, tmp_path, "controller --controller onoff", recovery_time=0.2):
-        site.until(lambda: newest(commands) == 1.0, LATE, "a command")
-        site.until(site.says("/onoff: inputs", OK), LATE, "all well")
-        site.values.update(dict.fromkeys(FORECASTS, [math.nan] * 10))
-        site.during(2)
-        assert newest(commands) == 1.0
-        assert site.says("/onoff: inputs", OK)()
         assert "/onoff: forecast" not in site.diagnoses
+    check(arrays)
 
 
 # What a forecast of rain may be, and what is said of it: of another length, with a value far ahead

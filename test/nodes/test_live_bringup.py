@@ -24,9 +24,9 @@ from places import CHECKOUT, CONFIG, guarding
 from pump_node_rig import SimulatedDrive, addresses
 from rcl_interfaces.srv import SetParameters
 from rclpy.parameter import Parameter
-from ros_rig import Site, write_forecast
+from ros_rig import ERROR, Site, write_forecast
 from rosbags.highlevel import AnyReader
-from test_live_recorder import flows
+from test_recorder import flows
 
 from greenroof_ros.experiment.incidents import read_incidents
 
@@ -285,8 +285,13 @@ def test_a_disk_that_hangs_stops_no_pump(domain: int, tmp_path: Path) -> None:
     assert not any(part == "process" for _, part in incidents)
 
 
-def test_a_full_disk_keeps_no_site_from_starting(domain: int, tmp_path: Path) -> None:
-    """After a power cut nobody is there to make room; what was written before is not removed."""
+def test_a_full_disk_keeps_no_site_from_starting(
+    domain: int, tmp_path: Path, site: Site
+) -> None:
+    """After a power cut nobody is there to make room; what was written before is not removed.
+
+    That nothing is recorded is an alarm, and no end of the recorder.
+    """
     disk = tmp_path / "run"
     old = disk / "configuration" / "site" / "old.yaml"
     with small_disk(disk, "64k"):
@@ -297,8 +302,9 @@ def test_a_full_disk_keeps_no_site_from_starting(domain: int, tmp_path: Path) ->
             while True:
                 stream.write(bytes(4096))
         with live(domain, tmp_path, *NOBODY) as process:
-            wait_for(lambda: len(process.nodes()) == 2, 50, "the nodes")
-            wait_for(lambda: "/roof/level has not come" in process.stderr(), 50, "the controller")
+            full = ("nothing is recorded", "No space left on device")
+            site.until(site.says("/recorder: recording", ERROR, *full), 60, "the alarm")
+            site.until(lambda: "/roof/level has not come" in process.stderr(), 50, "the controller")
             assert process.nodes().keys() == {"controller", "live_recorder"}
         assert old.read_text() == "of before"
         said = process.stderr()
@@ -375,13 +381,13 @@ def test_a_drive_that_is_lost_in_the_loop_leaves_a_trace(domain: int, tmp_path: 
         assert not {"/pump/state", "/diagnostics"} & reader.topics.keys()
 
 
-# Has bringup wait for a drive for 3 s, not a minute.
+# Has bringup wait for a drive for 10 s, not a minute.
 HASTY = """
 import sys
 if "greenroof_ros.bringup" in sys.orig_argv:
     from greenroof_ros.bringup import simulated
     assert simulated._DRIVE_LIMIT_S == 60.0
-    simulated._DRIVE_LIMIT_S = 3.0
+    simulated._DRIVE_LIMIT_S = 10.0
 """
 
 

@@ -24,9 +24,8 @@ from graphs import Process, environment, free_ports, wait_for
 from places import CONFIG
 from pump_node_rig import PumpRig, SimulatedDrive, stands_within
 from rclpy.node import Node
-from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from ros_rig import ERROR, LATE, OK, STALE, SUSPENDED, WARN, Observer, impostor
-from std_msgs.msg import Float64, String
+from std_msgs.msg import Float64
 from std_srvs.srv import SetBool, Trigger
 from test_node_help import check_topics, help_of, parameters_of, section
 
@@ -448,7 +447,9 @@ def test_a_fault_stays_until_it_is_reset_and_a_stop_until_it_is_lifted(
     assert answer.success
     assert "the drive reports" in answer.message
     rig.run(drive)
-    assert what_a_late_reader_hears(rig) == [rig.state]
+    late = rig.observer.hear("/pump/state")  # as by ros2 topic echo --once
+    rig.observer.until(lambda: late, LATE, "a state")
+    assert late == [rig.state]
 
     answer = rig.call(SetBool, "stop", data=True)
     assert answer.success
@@ -463,21 +464,6 @@ def test_a_fault_stays_until_it_is_reset_and_a_stop_until_it_is_lifted(
     assert rig.state.startswith("held: an operator stopped it")
     assert rig.call(SetBool, "stop", data=False).success
     rig.run(drive)
-
-
-def what_a_late_reader_hears(rig: PumpRig) -> list[str]:
-    """Return the states that a reader gets who joins now, as ``ros2 topic echo --once`` does."""
-    heard: list[str] = []
-    profile = QoSProfile(
-        depth=10, reliability=ReliabilityPolicy.RELIABLE,
-        durability=DurabilityPolicy.TRANSIENT_LOCAL,
-    )
-    late = rig.node.create_subscription(
-        String, "/pump/state", lambda message: heard.append(message.data), profile
-    )
-    rig.observer.until(lambda: heard, LATE, "a state")
-    rig.node.destroy_subscription(late)
-    return heard
 
 
 def test_it_runs_only_with_a_fresh_permit_of_bringup(
