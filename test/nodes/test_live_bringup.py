@@ -86,7 +86,9 @@ def test_a_site_is_kept_up_and_systemd_told(
     # As a user of a service has none.
     monkeypatch.setenv("HOME", "/proc/nohome")
     commands = site.listen("/pump/command")
-    with live(domain, tmp_path, *NOBODY, "--bag-limit", "50", code=1) as process:
+    (tmp_path / "nodes.yaml").write_text(QUICK)
+    options = (*NOBODY, "--bag-limit", "50", "--node-parameters", "nodes.yaml")
+    with live(domain, tmp_path, *options, code=1) as process:
         site.until(lambda: systemd.times("EXTEND_TIMEOUT_USEC=30000000"), 60, "the start")
         missing = "missing:\n  inputs of mpc: "
         site.until(lambda: missing in process.stderr(), 60, "what is missing")
@@ -100,9 +102,13 @@ def test_a_site_is_kept_up_and_systemd_told(
         site.until(
             lambda: commands[-1][0] > killed + 1 and commands[-1][1] > 0, 60, "a command again"
         )
-        change_weight(site, 25)
-        kept = site.watcher.values("/mpc")["parameter_changes"]
-        assert [one["value"] for one in kept] == [6.0 + number for number in range(20)]
+        for number in range(25):
+            weight = Parameter("weight", value=1.0 + number).to_parameter_msg()
+            site.call(SetParameters, "/mpc/set_parameters", parameters=[weight])
+        values = site.watcher.values
+        site.until(lambda: values("/mpc")["parameter_change_count"] == 25, 60, "the changes")
+        kept = [one["value"] for one in values("/mpc")["parameter_changes"]]
+        assert kept == [6.0 + number for number in range(20)]
         site.during(2)
         beats = systemd.times("WATCHDOG=1")
         # WatchdogSec of examples/greenroof.service.
@@ -133,16 +139,6 @@ def test_a_site_is_kept_up_and_systemd_told(
     assert counts["/pump/command"] == pytest.approx(len(commands), abs=30)
     assert stamps == sorted(stamps)
     assert abs(stamps[-1] - time.time()) < 60
-
-
-def change_weight(site: Site, count: int) -> None:
-    """Change a parameter of mpc so often."""
-    for number in range(count):
-        weight = Parameter("weight", value=1.0 + number).to_parameter_msg()
-        site.call(SetParameters, "/mpc/set_parameters", parameters=[weight])
-    site.until(
-        lambda: site.watcher.values("/mpc")["parameter_change_count"] == count, 60, "the changes"
-    )
 
 
 class Hardware(SimulatedDrive):

@@ -147,7 +147,9 @@ def test_who_looks_on_sets_and_commands(domain: int, tmp_path: Path, observer: O
         before = clock[-1]
         assert before <= first_seen(observer, as_printed)
     # The history is there for nodes that join late: of 64 ticks, 6 s, which joining may take.
-    observer.until(lambda: first_seen(observer, qos("/clock")) < clock[-1], 60, "an older tick")
+    observer.until(
+        lambda: clock[-1] > first_seen(observer, qos("/clock")), 60, "an older tick"
+    )
     for bad in (-1.0, 0.0, -5, math.nan, math.inf):
         refused = set_weight(observer, bad)
         assert not refused.successful and "weight" in refused.reason
