@@ -24,8 +24,6 @@ from greenroof_ros.drives.exchange import DriveExchange
 from greenroof_ros.experiment.options import parse_run_arguments
 
 LIVE = ("--plant", "external")
-# Of a live site with a weather node, what is somebody else's.
-WEATHERED = (*LIVE, "--sensors", "external", "--pump", "external")
 NOBODY = ("--sensors", "external", "--pump", "external", "--weather", "external")
 
 
@@ -97,79 +95,41 @@ def test_what_is_not_this_packages_simulator_runs_at_real_time_alone(tmp_path: P
     assert not list(tmp_path.iterdir())
 
 
+# Of a live site with a weather node, what is somebody else's; and a drive.
+WEATHERED = "--plant external --sensors external --pump external"
+DRIVE = "--drive abb_acs880 --drive-at tcp://127.0.0.1:1"
 WRONG = {
-    "sensors": (
-        (*LIVE, "--weather", "external", "--pump", "external"), "--sensors FILE: is missing: live"
-    ),
-    "drive": (
-        (*LIVE, "--weather", "external", "--sensors", "external"), "--drive NAME: is missing: live"
-    ),
-    "forecast": (
-        WEATHERED,
+    "--plant external --weather external --pump external": "--sensors FILE: is missing: live",
+    "--plant external --weather external --sensors external": "--drive NAME: is missing: live",
+    WEATHERED:
         "--forecast FILE.csv: is missing: live, it is what mpc knows of the weather to come",
-    ),
-    "neither forecast nor thermometer": (
-        (*WEATHERED, "--controller", "onoff"),
+    f"{WEATHERED} --controller onoff":
         "--thermometer external: is missing: without --forecast FILE.csv only a thermometer can "
         "say whether there is frost; let a node of your own publish /gauge/temperature (degC) and",
-    ),
-    "a thermometer in place of a forecast that is needed": (
-        (*WEATHERED, "--thermometer", "external"),
-        "--forecast FILE.csv: is missing: live",
-    ),
-    "a model of forecasts": (
-        (*WEATHERED, "--forecast", "persistence"),
-        "--forecast = 'persistence': must be a FILE.csv",
-    ),
-    "no such forecast": (
-        (*WEATHERED, "--forecast", "no.csv"),
-        "--forecast = 'no.csv': must be a file that is there",
-    ),
-    "no such sensors": (
-        (*LIVE, "--weather", "external", "--pump", "external", "--sensors", "no.yaml"),
+    f"{WEATHERED} --thermometer external": "--forecast FILE.csv: is missing: live",
+    f"{WEATHERED} --forecast persistence": "--forecast = 'persistence': must be a FILE.csv",
+    f"{WEATHERED} --forecast no.csv": "--forecast = 'no.csv': must be a file that is there",
+    "--plant external --weather external --pump external --sensors no.yaml":
         "--sensors = 'no.yaml': must be a file that is there",
-    ),
-    "weather of a simulation": (
-        (*WEATHERED, "--weather", "july.csv"),
-        "--weather = 'july.csv': must be external, or not given",
-    ),
-    "two weathers": (
-        (*LIVE, *NOBODY, "--forecast", "forecast.csv"),
+    f"{WEATHERED} --weather july.csv": "--weather = 'july.csv': must be external, or not given",
+    f"{WEATHERED} --weather external --forecast forecast.csv":
         "--forecast = 'forecast.csv': is of the weather node",
-    ),
-    "live weather in a simulation": (
-        ("--weather", "external"), "--weather = 'external': is for a live site"
-    ),
-    "two pumps": (
-        ("--pump", "external", "--drive", "abb_acs880", "--drive-at", "tcp://127.0.0.1:1"),
+    f"{WEATHERED} --weather external --site no.yaml": "no.yaml",
+    f"{WEATHERED} --weather external {DRIVE}":
         "--pump = 'external': leaves the pump to somebody else's node",
-    ),
-    "two pumps, live": (
-        (*LIVE, *NOBODY, "--drive", "abb_acs880", "--drive-at", "tcp://127.0.0.1:1"),
-        "--pump = 'external': leaves the pump to somebody else's node",
-    ),
-    "a drive that is nowhere": (
-        ("--drive", "abb_acs880"), "--drive = 'abb_acs880': needs --drive-at, such as tcp://"
-    ),
-    "an address of nothing": (
-        ("--drive-at", "tcp://127.0.0.1:1"), "--drive-at = 'tcp://127.0.0.1:1': needs --drive"
-    ),
-    "no such drive": (
-        ("--drive", "acme", "--drive-at", "tcp://127.0.0.1:1"), "abb_acs880"
-    ),
-    "minimum times of a drive": (
-        ("--drive", "abb_acs880", "--drive-at", "tcp://127.0.0.1:1", "--minimum-on", "60"),
-        "minimum on and off times: are the pump driver's business",
-    ),
-    "state of nothing": (("--state", "here"), "--state: is of a drive, or a live site"),
-    "a site that is none": ((*LIVE, *NOBODY, "--site", "no.yaml"), "no.yaml"),
+    f"--pump external {DRIVE}": "--pump = 'external': leaves the pump to somebody else's node",
+    "--weather external": "--weather = 'external': is for a live site",
+    "--drive abb_acs880": "--drive = 'abb_acs880': needs --drive-at, such as tcp://",
+    "--drive-at tcp://127.0.0.1:1": "--drive-at = 'tcp://127.0.0.1:1': needs --drive",
+    "--drive acme --drive-at tcp://127.0.0.1:1": "abb_acs880",
+    f"{DRIVE} --minimum-on 60": "minimum on and off times: are the pump driver's business",
+    "--state here": "--state: is of a drive, or a live site",
 }
 
 
-@pytest.mark.parametrize("case", WRONG)
-def test_what_is_wrong_is_said(monkeypatch: pytest.MonkeyPatch, case: str) -> None:
-    arguments, message = WRONG[case]
-    assert message in refused(monkeypatch, *arguments)
+@pytest.mark.parametrize("words", WRONG)
+def test_what_is_wrong_is_said(monkeypatch: pytest.MonkeyPatch, words: str) -> None:
+    assert WRONG[words] in refused(monkeypatch, *words.split())
 
 
 def test_a_serial_line_of_a_sensor_and_the_drive(

@@ -270,7 +270,7 @@ def another_has(file: Path) -> Iterator[str]:
 def nowhere(file: Path) -> Iterator[str]:
     """Have a directory that is not there, until then."""
     file.parent.symlink_to(file.parent.with_name("nowhere"))
-    yield "cannot be written"
+    yield "a restart would not know of a stop"
     file.parent.unlink()
 
 
@@ -294,7 +294,7 @@ def test_a_state_that_cannot_be_kept(
         rig.tick_until(0.5, lambda: rig.says("state file", ERROR, words), LATE, "the alarm")
         answer = rig.call(SetBool, "stop", data=True)
         assert not answer.success
-        assert words in answer.message and "a restart would not know of a stop" in answer.message
+        assert words in answer.message
         assert rig.state.startswith("held: an operator stopped it")
         assert (file.read_bytes() if file.exists() else None) == before
     if blocked is another_has:
