@@ -512,11 +512,11 @@ def test_the_drive_of_the_readme(domain: int, tmp_path: Path) -> None:
         Process(domain, "drive_simulator", *drive, "--speed", "15", "--port", "0", "--workbench",
                 "0", cwd=tmp_path)
     )
-    given = ("--drive-at", place, "--hours", "0.05", "--speed", "15")
+    given = ("--drive-at", place, "--hours", "0.1", "--speed", "15")
     done = bring_up(domain, tmp_path, *run, *given)
     # As without a drive, but for a least pulse of this pump at its least speed: 0.0167 m3.
     simulated = Process(
-        domain, "simulate", "--hours", "0.05", "--output", "simulated", cwd=tmp_path
+        domain, "simulate", "--hours", "0.1", "--output", "simulated", cwd=tmp_path
     )
     assert simulated.wait(300) == 0
     expected = summary_of(tmp_path / "simulated")["pumped_m3"]
