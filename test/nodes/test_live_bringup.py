@@ -24,7 +24,7 @@ from places import CHECKOUT, CONFIG, guarding
 from pump_node_rig import SimulatedDrive, addresses
 from rcl_interfaces.srv import SetParameters
 from rclpy.parameter import Parameter
-from ros_rig import ERROR, Site, write_forecast
+from ros_rig import Site, write_forecast
 from rosbags.highlevel import AnyReader
 from test_recorder import flows
 
@@ -281,9 +281,7 @@ def test_a_disk_that_hangs_stops_no_pump(domain: int, tmp_path: Path) -> None:
     assert not any(part == "process" for _, part in incidents)
 
 
-def test_a_full_disk_keeps_no_site_from_starting(
-    domain: int, tmp_path: Path, site: Site
-) -> None:
+def test_a_full_disk_keeps_no_site_from_starting(domain: int, tmp_path: Path) -> None:
     """After a power cut nobody is there to make room; what was written before is not removed.
 
     That nothing is recorded is an alarm, and no end of the recorder.
@@ -297,10 +295,10 @@ def test_a_full_disk_keeps_no_site_from_starting(
         with (disk / "other").open("wb", buffering=0) as stream, suppress(OSError):
             while True:
                 stream.write(bytes(4096))
-        with live(domain, tmp_path, *NOBODY) as process:
-            full = ("nothing is recorded", "No space left on device")
-            site.until(site.says("/recorder: recording", ERROR, *full), 60, "the alarm")
-            site.until(lambda: "/roof/level has not come" in process.stderr(), 50, "the controller")
+        with live(domain, tmp_path, *NOBODY, code=1) as process:
+            alarm = "incident 1: recorder: nothing is recorded: "
+            wait_for(lambda: alarm in process.stderr(), 60, "the alarm")
+            wait_for(lambda: "/roof/level has not come" in process.stderr(), 50, "the controller")
             assert process.nodes().keys() == {"controller", "live_recorder"}
         assert old.read_text() == "of before"
         said = process.stderr()
