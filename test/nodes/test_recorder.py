@@ -163,8 +163,10 @@ def test_all_that_comes_is_kept_live(domain: int, tmp_path: Path, site: Site) ->
         began = time.time()
         site.during(3)
         ended = time.time()
+        site.values = {}
         site.until(lambda: site.watcher.values("/recorder"), 60, "its report")
         assert site.watcher.values("/recorder")["bag"] == str(bag)
+        site.during(0.5)
     finally:
         recorder.terminate()
         code = recorder.wait(300)
