@@ -46,12 +46,12 @@ COLUMNS = {
 
 
 def bag_values(run: Path) -> dict[str, list[bytes]]:
-    """Return the eight bytes of each value of each Float64 topic in a bag."""
+    """Return the eight bytes of each value of each of these topics in a bag."""
     values: dict[str, list[bytes]] = {}
     with bag_file(run).open("rb") as stream:
-        for schema, channel, message in make_reader(stream, validate_crcs=True).iter_messages():
-            if schema is not None and schema.name == "std_msgs/msg/Float64":
-                values.setdefault(channel.topic, []).append(message.data[4:12])
+        reader = make_reader(stream, validate_crcs=True)
+        for _, channel, message in reader.iter_messages(COLUMNS, log_time_order=False):
+            values.setdefault(channel.topic, []).append(message.data[4:12])
     return values
 
 
