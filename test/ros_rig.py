@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import signal
 import subprocess
 import sys
@@ -243,6 +244,13 @@ def live_node(
         process.send_signal(signal.SIGINT)
         # The kernel ends a node whose middleware takes long to go, as on a busy machine.
         assert process.wait(300) in (0, -signal.SIGALRM)
+
+
+def policies(process: int) -> set[int]:
+    """Return by which policies the kernel lets the threads of a process run."""
+    threads = [int(one.name) for one in Path(f"/proc/{process}/task").iterdir()]
+    assert len(threads) > 1
+    return {os.sched_getscheduler(thread) for thread in threads}
 
 
 FORECAST_HEADER = "issued,time,precipitation [mm/h],evapotranspiration [mm/day],temperature [degC]"

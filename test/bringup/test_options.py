@@ -72,16 +72,6 @@ def test_an_option_of_the_other_way_to_run(monkeypatch: pytest.MonkeyPatch, way:
         assert refused(monkeypatch, *filter(None, words)) == f"--{option}: {why}"
 
 
-def test_a_refusal_leaves_nothing_behind(tmp_path: Path) -> None:
-    done = bringup(tmp_path, *LIVE, *NOBODY, "--speed", "max")
-    assert (done.returncode, done.stdout) == (2, "")
-    assert done.stderr == (
-        "error: --speed: is for a simulated site; live, time, weather and levels are the site's "
-        "own\n"
-    )
-    assert not list(tmp_path.iterdir())
-
-
 def test_what_is_not_this_packages_simulator_runs_at_real_time_alone(tmp_path: Path) -> None:
     """A real motor would run on made-up levels, with sixty times the starts per hour."""
     drive = acs880()
@@ -105,95 +95,54 @@ def test_what_is_not_this_packages_simulator_runs_at_real_time_alone(tmp_path: P
     assert not list(tmp_path.iterdir())
 
 
+# Of a live site with a weather node, what is somebody else's; and a drive.
+WEATHERED = "--plant external --sensors external --pump external"
+DRIVE = "--drive abb_acs880 --drive-at tcp://127.0.0.1:1"
 WRONG = {
-    "sensors": (
-        (*LIVE, "--weather", "external", "--pump", "external"), "--sensors FILE: is missing: live"
-    ),
-    "drive": (
-        (*LIVE, "--weather", "external", "--sensors", "external"), "--drive NAME: is missing: live"
-    ),
-    "forecast": (
-        (*LIVE, "--sensors", "external", "--pump", "external"),
+    "--plant external --weather external --pump external": "--sensors FILE: is missing: live",
+    "--plant external --weather external --sensors external": "--drive NAME: is missing: live",
+    WEATHERED:
         "--forecast FILE.csv: is missing: live, it is what mpc knows of the weather to come",
-    ),
-    "neither forecast nor thermometer": (
-        (*LIVE, "--sensors", "external", "--pump", "external", "--controller", "onoff"),
+    f"{WEATHERED} --controller onoff":
         "--thermometer external: is missing: without --forecast FILE.csv only a thermometer can "
         "say whether there is frost; let a node of your own publish /gauge/temperature (degC) and",
-    ),
-    "a thermometer in place of a forecast that is needed": (
-        (*LIVE, "--sensors", "external", "--pump", "external", "--thermometer", "external"),
-        "--forecast FILE.csv: is missing: live",
-    ),
-    "a model of forecasts": (
-        (*LIVE, "--sensors", "external", "--pump", "external", "--forecast", "persistence"),
-        "--forecast = 'persistence': must be a FILE.csv",
-    ),
-    "no such forecast": (
-        (*LIVE, "--sensors", "external", "--pump", "external", "--forecast", "no.csv"),
-        "--forecast = 'no.csv': must be a file that is there",
-    ),
-    "no such sensors": (
-        (*LIVE, "--weather", "external", "--pump", "external", "--sensors", "no.yaml"),
+    f"{WEATHERED} --thermometer external": "--forecast FILE.csv: is missing: live",
+    f"{WEATHERED} --forecast persistence": "--forecast = 'persistence': must be a FILE.csv",
+    f"{WEATHERED} --forecast no.csv": "--forecast = 'no.csv': must be a file that is there",
+    "--plant external --weather external --pump external --sensors no.yaml":
         "--sensors = 'no.yaml': must be a file that is there",
-    ),
-    "weather of a simulation": (
-        (*LIVE, "--sensors", "external", "--pump", "external", "--weather", "july.csv"),
-        "--weather = 'july.csv': must be external, or not given",
-    ),
-    "two weathers": (
-        (*LIVE, *NOBODY, "--forecast", "forecast.csv"),
+    f"{WEATHERED} --weather july.csv": "--weather = 'july.csv': must be external, or not given",
+    f"{WEATHERED} --weather external --forecast forecast.csv":
         "--forecast = 'forecast.csv': is of the weather node",
-    ),
-    "live weather in a simulation": (
-        ("--weather", "external"), "--weather = 'external': is for a live site"
-    ),
-    "two pumps": (
-        ("--pump", "external", "--drive", "abb_acs880", "--drive-at", "tcp://127.0.0.1:1"),
+    f"{WEATHERED} --weather external --site no.yaml": "no.yaml",
+    f"{WEATHERED} --weather external {DRIVE}":
         "--pump = 'external': leaves the pump to somebody else's node",
-    ),
-    "two pumps, live": (
-        (*LIVE, *NOBODY, "--drive", "abb_acs880", "--drive-at", "tcp://127.0.0.1:1"),
-        "--pump = 'external': leaves the pump to somebody else's node",
-    ),
-    "a drive that is nowhere": (
-        ("--drive", "abb_acs880"), "--drive = 'abb_acs880': needs --drive-at, such as tcp://"
-    ),
-    "an address of nothing": (
-        ("--drive-at", "tcp://127.0.0.1:1"), "--drive-at = 'tcp://127.0.0.1:1': needs --drive"
-    ),
-    "no such drive": (
-        ("--drive", "acme", "--drive-at", "tcp://127.0.0.1:1"), "abb_acs880"
-    ),
-    "minimum times of a drive": (
-        ("--drive", "abb_acs880", "--drive-at", "tcp://127.0.0.1:1", "--minimum-on", "60"),
-        "minimum on and off times: are the pump driver's business",
-    ),
-    "state of nothing": (("--state", "here"), "--state: is of a drive, or a live site"),
-    "a site that is none": ((*LIVE, *NOBODY, "--site", "no.yaml"), "no.yaml"),
+    f"--pump external {DRIVE}": "--pump = 'external': leaves the pump to somebody else's node",
+    "--weather external": "--weather = 'external': is for a live site",
+    "--drive abb_acs880": "--drive = 'abb_acs880': needs --drive-at, such as tcp://",
+    "--drive-at tcp://127.0.0.1:1": "--drive-at = 'tcp://127.0.0.1:1': needs --drive",
+    "--drive acme --drive-at tcp://127.0.0.1:1": "abb_acs880",
+    f"{DRIVE} --minimum-on 60": "minimum on and off times: are the pump driver's business",
+    "--state here": "--state: is of a drive, or a live site",
 }
 
 
-@pytest.mark.parametrize("case", WRONG)
-def test_what_is_wrong_is_said(monkeypatch: pytest.MonkeyPatch, case: str) -> None:
-    arguments, message = WRONG[case]
-    assert message in refused(monkeypatch, *arguments)
+@pytest.mark.parametrize("words", WRONG)
+def test_what_is_wrong_is_said(monkeypatch: pytest.MonkeyPatch, words: str) -> None:
+    assert WRONG[words] in refused(monkeypatch, *words.split())
 
 
-def test_a_serial_line_of_a_sensor_and_the_drive(tmp_path: Path) -> None:
+def test_a_serial_line_of_a_sensor_and_the_drive(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
     """One program alone can open it, so that one of both would never be heard."""
     sensors = tmp_path / "sensors.yaml"
     shipped = (CHECKOUT / "config" / "sensors.yaml").read_text()
     sensors.write_text(shipped.replace("tcp://127.0.0.1:5031", "/dev/ttyS0"))
-    done = bringup(
-        tmp_path, *LIVE, "--weather", "external", "--sensors", str(sensors),
+    assert refused(
+        monkeypatch, *LIVE, "--weather", "external", "--sensors", str(sensors),
         "--drive", "danfoss_fc202", "--drive-at", "/dev/ttyS0,1",
-    )
-    assert done.returncode == 2
-    assert done.stderr.startswith(
-        "error: --drive-at = '/dev/ttyS0,1': is the serial line of the roof's sensor, too"
-    )
-    assert [each.name for each in tmp_path.iterdir()] == ["sensors.yaml"]
+    ).startswith("--drive-at = '/dev/ttyS0,1': is the serial line of the roof's sensor, too")
 
 
 NODES = {
@@ -204,38 +153,25 @@ NODES = {
 }
 
 
-def parameters(namespace: str, file: Path) -> list[Path]:
+def parameters(file: Path) -> list[Path]:
     """Return what bringup with a drive makes of a parameter file."""
-    words = ["--namespace", namespace, "--node-parameters", str(file)]
-    arguments = make_parser().parse_args(words if namespace else words[2:])
+    arguments = make_parser().parse_args(["--namespace", "site1", "--node-parameters", str(file)])
     return own_parameters(arguments, NODES, find_controller("onoff"))
 
 
-@pytest.mark.parametrize(
-    ("section", "line", "value"),
-    [
-        ("/**/pump", "drive", "danfoss_fc202"), ("/**", "address", "tcp://127.0.0.1:2"),
-        ("pump", "device_id", 17), ("/site1/pump", "state_file", "mine.json"),
-    ],
-)
-def test_what_bringup_alone_says_of_the_drive(
-    tmp_path: Path, section: str, line: str, value: object
-) -> None:
-    """Else the node would run one drive, and bringup stop another."""
-    file = tmp_path / "nodes.yaml"
-    file.write_text(
-        "weather_station:\n  ros__parameters:\n    address: its own\n"
-        f"{section}:\n  ros__parameters:\n    least_off: 1.0\n    {line}: {value}\n"
-    )
-    with pytest.raises(ConfigurationError) as error:
-        parameters("", file)
-    assert str(error.value).startswith(
-        f"{file}, line 7: {section}: {line} = {value!r}: must not be given to the node pump"
-    )
-
-
+_ONLY_BRINGUP = "must not be given to the node pump"
 # By what a file says: what is refused of it, beginning with its line.
 NO_EFFECT = {
+    # Only bringup says which drive: else the node would run one drive, and bringup stop another.
+    "other:\n  ros__parameters:\n    address: its own\n"
+    "/**/pump:\n  ros__parameters:\n    least_off: 1.0\n    drive: danfoss_fc202\n":
+        f"line 7: /**/pump: drive = 'danfoss_fc202': {_ONLY_BRINGUP}",
+    "/**:\n  ros__parameters:\n    address: tcp://127.0.0.1:2\n":
+        f"line 3: /**: address = 'tcp://127.0.0.1:2': {_ONLY_BRINGUP}",
+    "pump:\n  ros__parameters:\n    device_id: 17\n":
+        f"line 3: pump: device_id = 17: {_ONLY_BRINGUP}",
+    "/site1/pump:\n  ros__parameters:\n    state_file: mine.json\n":
+        f"line 3: /site1/pump: state_file = 'mine.json': {_ONLY_BRINGUP}",
     "/**/pump:\n  ros__parameters:\n    least_off: 1.0\n    greatest_volume_per_dai: 0.5\n":
         "line 4: /**/pump: greatest_volume_per_dai = 0.5: there is no such parameter; the closest "
         "is greatest_volume_per_day;",
@@ -266,9 +202,11 @@ def test_a_parameter_that_would_have_no_effect(tmp_path: Path, text: str) -> Non
     """rclpy takes a mistyped limit without a word."""
     pytest.importorskip("rclpy")
     file = tmp_path / "nodes.yaml"
+    with pytest.raises(ConfigurationError, match="must be a file that is there"):
+        parameters(file)
     file.write_text(text)
     with pytest.raises(ConfigurationError) as error:
-        parameters("site1", file)
+        parameters(file)
     assert str(error.value).startswith(f"{file}, {NO_EFFECT[text]}")
 
 
@@ -279,16 +217,12 @@ def test_a_wrong_parameter_file_is_refused_before_anything_is_made(
     (tmp_path / "forecast.csv").write_text("")
     (tmp_path / "nodes.yaml").write_text("pump:\n  least_off: 1.0\n")
     site = (*LIVE, "--sensors", "external", "--forecast", "forecast.csv")
-    for file, message in (
-        ("nodes.yaml", "nodes.yaml, line 2: pump: least_off = 1.0: has no effect here"),
-        ("no.yaml", "--node-parameters = 'no.yaml': must be a file that is there"),
-    ):
-        done = bringup(
-            tmp_path, *(site if way == "live" else ()), "--drive", "abb_acs880",
-            "--drive-at", "gateway://127.0.0.1:1", "--node-parameters", file,
-        )
-        assert done.returncode == 2
-        assert done.stderr.startswith(f"error: {message}")
+    done = bringup(
+        tmp_path, *(site if way == "live" else ()), "--drive", "abb_acs880",
+        "--drive-at", "gateway://127.0.0.1:1", "--node-parameters", "nodes.yaml",
+    )
+    assert (done.returncode, done.stdout) == (2, "")
+    assert done.stderr.startswith("error: nodes.yaml, line 2: pump: least_off = 1.0: has no effect")
     assert {each.name for each in tmp_path.iterdir()} == {"nodes.yaml", "forecast.csv"}
 
 
@@ -308,7 +242,7 @@ def test_a_parameter_that_a_node_has(tmp_path: Path, text: str) -> None:
     pytest.importorskip("rclpy")
     file = tmp_path / "nodes.yaml"
     file.write_text(text)
-    assert parameters("site1", file) == [file]
+    assert parameters(file) == [file]
 
 
 def test_a_state_file_is_a_drives_however_its_address_is_written(

@@ -63,7 +63,12 @@ def test_bytes_of_the_generated_code(kind: str, value: Any, message: Any) -> Non
 
 
 def test_members_travel_in_the_layout() -> None:
-    """Rows of an ensemble: dimensions, sizes and strides as Float64MultiArray means them."""
+    """Rows of an ensemble: dimensions, sizes and strides as Float64MultiArray means them.
+
+    Each byte is that of the generated code, but where that leaves what was in memory: behind the
+    header of four bytes the labels' ends, at 19 and 37, are padded to whole fours, and the numbers
+    begin at a whole eight. One row alone has no layout.
+    """
     values = np.arange(6.0).reshape(2, 3)
     written = encoder(NUMBERS, ENSEMBLE)(values)
     message = deserialize_message(written, Float64MultiArray)
@@ -74,20 +79,12 @@ def test_members_travel_in_the_layout() -> None:
     again = decoder(NUMBERS)(written)
     assert again.shape == (2, 3)
     assert again.tobytes() == values.tobytes()
-
-
-def test_padding_of_a_layout_is_zero() -> None:
-    """Each byte is that of the generated code, but where that leaves what was in memory.
-
-    Behind the header of four bytes the labels' ends, at 19 and 37, are padded to whole fours, and
-    the numbers begin at a whole eight.
-    """
-    written = encoder(NUMBERS, ENSEMBLE)(np.arange(6.0).reshape(2, 3))
-    generated = bytearray(serialize_message(deserialize_message(written, Float64MultiArray)))
+    generated = bytearray(serialize_message(message))
     for first, end in ((19, 20), (37, 40), (56, 60)):
         assert written[first:end] == bytes(end - first)
         generated[first:end] = bytes(end - first)
     assert written == bytes(generated)
+    assert encoder(NUMBERS, ENSEMBLE)(values[:1]) == encoder(NUMBERS)(array("d", values[0]))
 
 
 def test_plans_travel_with_their_own_labels() -> None:
@@ -102,12 +99,6 @@ def test_plans_travel_with_their_own_labels() -> None:
     assert decoder(topic.type)(encode(plan)).tobytes() == plan.tobytes()
     assert encode(np.empty((0, 3))) == encode(array("d"))
     assert encode(np.full((1, 3), math.nan)) == encode(topic.undecided)
-
-
-def test_an_ensemble_of_one_is_a_single_forecast() -> None:
-    """Its bytes are those of a row without a layout."""
-    row = array("d", [1.0, 2.0])
-    assert encoder(NUMBERS, ENSEMBLE)(np.array([row])) == encoder(NUMBERS)(row)
 
 
 def test_layout_that_does_not_fit() -> None:

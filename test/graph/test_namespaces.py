@@ -45,7 +45,14 @@ def bag_names(run: Path) -> set[str]:
 
 
 def test_two_at_once(domain: int, tmp_path: Path) -> None:
-    """Their bags have each byte of those of runs alone, and names in their namespace."""
+    """Their bags have each byte of those of runs alone, and names in their namespace.
+
+    So they have beside a third, of which a node is killed: its run ends.
+    """
+    killed = Process(
+        domain, "bringup", "--output", "run", "--namespace", "site3", "--speed", "20", cwd=tmp_path
+    )
+    killed.wait_for_ticks(size=0)
     together = {
         site: Process(
             domain, "bringup", "--output", f"{site}-together", *options(tmp_path, site),
@@ -53,6 +60,11 @@ def test_two_at_once(domain: int, tmp_path: Path) -> None:
         )
         for site in OPTIONS
     }
+    file = bag_file(tmp_path / "site2-together")
+    wait_for(lambda: file.exists() and file.stat().st_size > 10_000, 60, "a bag")
+    os.kill(killed.nodes()["weather"], signal.SIGKILL)
+    assert killed.wait(300) == 1
+    assert "node weather ended (SIGKILL)" in killed.stderr()
     for process in together.values():
         assert process.wait(120) == 0, process.stderr()
     for site in OPTIONS:
@@ -77,39 +89,6 @@ def test_two_at_once(domain: int, tmp_path: Path) -> None:
     assert bag_file(tmp_path / "again").read_bytes() == (
         bag_file(tmp_path / "site1-alone").read_bytes()
     )
-
-
-def test_killed_node_of_one_leaves_the_other_alone(domain: int, tmp_path: Path) -> None:
-    """kill -9 of a node in one namespace: its run ends, and the other's bag is as ever."""
-    bring_up(domain, tmp_path, *options(tmp_path, "site2"), output="alone")
-    first = Process(
-        domain, "bringup", "--output", "run", "--namespace", "site1", "--speed", "20", cwd=tmp_path
-    )
-    first.wait_for_ticks(size=0)
-    second = Process(
-        domain, "bringup", "--output", "other", *options(tmp_path, "site2"), cwd=tmp_path
-    )
-    file = bag_file(tmp_path / "other")
-    wait_for(lambda: file.exists() and file.stat().st_size > 10_000, 60, "the other's bag")
-    os.kill(first.nodes()["weather"], signal.SIGKILL)
-    assert first.wait(300) == 1
-    assert "node weather ended (SIGKILL)" in first.stderr()
-    assert second.wait(120) == 0, second.stderr()
-    assert file.read_bytes() == bag_file(tmp_path / "alone").read_bytes()
-
-
-def test_namespace_that_is_taken(domain: int, tmp_path: Path) -> None:
-    """A second bringup in the namespace is refused, with advice."""
-    first = Process(
-        domain, "bringup", "--output", "run", "--namespace", "site1", "--speed", "20", cwd=tmp_path
-    )
-    first.wait_for_ticks(size=0)
-    second = Process(domain, "bringup", "--output", "second", "--namespace", "/site1", cwd=tmp_path)
-    assert second.wait(300) == 3
-    assert "namespace /site1" in second.stderr()
-    assert "--namespace" in second.stderr()
-    first.process.send_signal(signal.SIGINT)
-    assert first.wait(300) == 130
 
 
 @pytest.mark.parametrize("name", ["site 1", "1", "a//b", "roof-1"])

@@ -6,12 +6,10 @@ import json
 import os
 import resource
 import signal
-import subprocess
-import sys
 import time
 from collections import Counter
 from collections.abc import Iterator
-from contextlib import contextmanager, suppress
+from contextlib import ExitStack, contextmanager, suppress
 from itertools import pairwise
 from pathlib import Path
 from statistics import median
@@ -34,9 +32,24 @@ TOO_LONG_S = 60
 class Site:
     """A supervisor with what its nodes and drive have done."""
 
-    def __init__(self, of_site: LiveSupervisor, marks: Path) -> None:
-        self.supervisor = of_site
-        self.marks = marks
+    def __init__(self, directory: Path, silence_s: float = 5.0, restarts: int = 9) -> None:
+        """Begin without a node."""
+        self.directory, self.marks = directory, directory / "marks"
+        self.marks.mkdir()
+        self.failures: list[tuple[str, str]] = []
+        self.stops: list[float] = []
+
+        def stop_drive(_pump_node: int) -> tuple[bool, str]:
+            self.stops.append(time.monotonic())
+            return True, "the drive stands"
+
+        self.supervisor = LiveSupervisor(
+            directory, [], "", stop_drive, lambda *what: self.failures.append(what),
+            silence_s=silence_s, restarts=restarts,
+        )
+        self._ending = ExitStack()
+        self._ending.enter_context(self.supervisor)
+        self.end = self._ending.close
 
     def add(self, *nodes: str) -> None:
         for node in nodes:
@@ -52,6 +65,15 @@ class Site:
             return bool(condition())
 
         wait_for(step, seconds, "what the test waits for")
+
+    def until_ready(self) -> None:
+        """Supervise until every node is ready and nothing holds the pump."""
+        self.until(lambda: self.supervisor.all_ready and not self.supervisor.inhibit)
+
+    def during(self, seconds: float) -> None:
+        """Supervise for so long."""
+        ended = time.monotonic() + seconds
+        self.until(lambda: time.monotonic() > ended)
 
     def starts(self, node: str) -> list[tuple[int, float]]:
         """Return process and time of each start of a node."""
@@ -70,264 +92,195 @@ class Site:
         return self.supervisor.nodes[node].process.pid
 
 
-@contextmanager
-def site(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, *, silence_s: float = 5.0, restarts: int = 9
-) -> Iterator[tuple[Site, list[tuple[str, str]], list[float]]]:
+@pytest.fixture
+def here(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, request: pytest.FixtureRequest
+) -> Iterator[Site]:
+    """A site, whose supervisor's limits a test may choose."""
     monkeypatch.setenv("PYTHONPATH", f"{CHECKOUT}{os.pathsep}{Path(__file__).parent}")
-    marks = tmp_path / "marks"
-    marks.mkdir()
-    failures: list[tuple[str, str]] = []
-    stops: list[float] = []
-
-    def stop_drive(_pump_node: int) -> tuple[bool, str]:
-        stops.append(time.monotonic())
-        return True, "the drive stands"
-
-    of_site = LiveSupervisor(
-        tmp_path, [], "", stop_drive, lambda *what: failures.append(what),
-        silence_s=silence_s, restarts=restarts,
-    )
-    with of_site:
-        yield Site(of_site, marks), failures, stops
+    it = Site(tmp_path, **getattr(request, "param", {}))
+    yield it
+    it.end()
 
 
-def test_a_node_that_died_is_started_again(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """After 1 s, then 2 s; the pump is held until it is there, and told why."""
-    with site(tmp_path, monkeypatch) as (here, failures, stops):
-        here.add("weather", "controller", "pump")
-        here.until(lambda: here.supervisor.all_ready and not here.supervisor.inhibit)
-        for wait in (1.0, 2.0):
-            killed = here.pid("controller")
-            died = time.monotonic()
-            os.kill(killed, signal.SIGKILL)
-            here.until(lambda: here.supervisor.inhibit == "controller is missing")
-            here.until(lambda: not here.supervisor.inhibit)
-            _, started = here.starts("controller")[-1]
-            assert started - died >= wait
-            assert here.pid("controller") != killed
-        assert failures == [
-            ("controller", f"ended (SIGKILL); starts again in {wait} s") for wait in (1, 2)
-        ]
-        here.until(lambda: here.permits()[-1]["inhibit"] == "")
-        told = [permit["inhibit"] for permit in here.permits()]
-        holds = told[told.index(""):]  # before that, all three were starting
-        assert set(holds) == {"", "controller is missing", "controller is starting"}
-        times = [float(str(permit["at"])) for permit in here.permits()]
-        assert median(after - before for before, after in pairwise(times)) < 1.0
-        assert 0 <= boot_time() - times[-1] < TOO_LONG_S  # of the same clock
-        assert not stops
+def limits(**given: float) -> pytest.MarkDecorator:
+    """Return the mark of a test that chooses them."""
+    return pytest.mark.parametrize("here", [given], indirect=True, ids=[""])
+
+
+def test_a_node_that_died_is_started_again(here: Site) -> None:
+    """After 1 s, then 2 s; the pump is held until it is there, and told why.
+
+    However often a node was started again, nothing is left open: months are long.
+    """
+    before = _open_files()
+    here.add("weather", "controller", "pump")
+    here.until_ready()
+    logs = [here.directory / f"{node}.log" for node in ("weather", "controller", "pump")]
+    here.until(lambda: all(log.exists() and log.stat().st_size for log in logs))
+    nodes = _open_files() - before
+    for wait in (1.0, 2.0):
+        killed = here.pid("controller")
+        died = time.monotonic()
+        os.kill(killed, signal.SIGKILL)
+        here.until(lambda: here.supervisor.inhibit == "controller is missing")
+        here.until(lambda: not here.supervisor.inhibit)
+        _, started = here.starts("controller")[-1]
+        assert started - died >= wait
+        assert here.pid("controller") != killed
+    assert here.failures == [
+        ("controller", f"ended (SIGKILL); starts again in {wait} s") for wait in (1, 2)
+    ]
+    # Against what was open before: what other tests left may be closed at any time.
+    assert (_open_files() - before).total() == nodes.total() > 0
+    here.until(lambda: here.permits()[-1]["inhibit"] == "")
+    told = [permit["inhibit"] for permit in here.permits()]
+    holds = told[told.index(""):]  # before that, all three were starting
+    assert set(holds) == {"", "controller is missing", "controller is starting"}
+    times = [float(str(permit["at"])) for permit in here.permits()]
+    assert median(after - before for before, after in pairwise(times)) < 1.0
+    assert 0 <= boot_time() - times[-1] < TOO_LONG_S  # of the same clock
+    assert not here.stops
+    here.end()
     assert not any(alive(pid) for node in ("weather", "controller", "pump")
                    for pid, _ in here.starts(node))
-    assert "controller was started" in (tmp_path / "controller.log").read_text()
+    assert "controller was started" in (here.directory / "controller.log").read_text()
 
 
-def test_a_node_that_hangs_is_killed_and_started_again(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_node_that_hangs_is_killed_and_started_again(here: Site) -> None:
     """Held when it is silent for 2 s, killed at the limit."""
-    with site(tmp_path, monkeypatch, silence_s=5.0) as (here, failures, _):
-        here.add("weather", "pump")
-        here.until(lambda: here.supervisor.all_ready and not here.supervisor.inhibit)
-        hung = here.pid("weather")
-        os.kill(hung, signal.SIGSTOP)
-        here.until(lambda: here.supervisor.inhibit == "weather is silent")
-        assert alive(hung)
-        here.until(lambda: here.supervisor.inhibit == "weather is missing")
-        assert not alive(hung)
-        here.until(lambda: not here.supervisor.inhibit)
-        killed = "had not answered for 5 s (stopped): killed; starts again in 1 s"
-        assert failures == [("weather", killed)]
+    here.add("weather", "pump")
+    here.until_ready()
+    hung = here.pid("weather")
+    os.kill(hung, signal.SIGSTOP)
+    here.until(lambda: here.supervisor.inhibit == "weather is silent")
+    assert alive(hung)
+    here.until(lambda: here.supervisor.inhibit == "weather is missing")
+    assert not alive(hung)
+    here.until(lambda: not here.supervisor.inhibit)
+    killed = "had not answered for 5 s (stopped): killed; starts again in 1 s"
+    assert here.failures == [("weather", killed)]
 
 
 @pytest.mark.parametrize("how", [signal.SIGKILL, signal.SIGSTOP])
 def test_the_drive_is_stopped_for_a_pump_node_that_cannot(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, how: signal.Signals
+    here: Site, how: signal.Signals
 ) -> None:
-    """Once, and before the node is started again."""
-    with site(tmp_path, monkeypatch, silence_s=5.0) as (here, failures, stops):
-        here.add("weather", "pump")
-        here.until(lambda: here.supervisor.all_ready and not here.supervisor.inhibit)
+    """Once, and before the node is started again; also where it is dead when the site is ended."""
+    here.add("weather", "pump")
+    here.until_ready()
+    os.kill(here.pid("pump"), how)
+    here.until(lambda: len(here.starts("pump")) == 2)
+    (stopped,) = here.stops
+    assert stopped < here.starts("pump")[1][1]
+    assert [what.rpartition("; ")[2] for _, what in here.failures] == [
+        "starts again in 1 s", "the drive stands"
+    ]
+    here.until_ready()
+    if how == signal.SIGKILL:
         os.kill(here.pid("pump"), how)
-        here.until(lambda: len(here.starts("pump")) == 2)
-        (stopped,) = stops
-        assert stopped < here.starts("pump")[1][1]
-        assert [what.rpartition("; ")[2] for _, what in failures] == [
-            "starts again in 1 s", "the drive stands"
-        ]
-        here.until(lambda: here.supervisor.all_ready)
-    assert len(stops) == 2 and len(failures) == 2  # at the end, whatever the pump node says
+        time.sleep(0.2)
+    here.end()
+    assert len(here.stops) == 2  # at the end, whatever the pump node says
+    dead = [("pump", "ended (SIGKILL); the drive stands")]
+    assert here.failures[2:] == (dead if how == signal.SIGKILL else [])
 
 
+@limits(silence_s=9.0)
 def test_a_pump_that_turns_on_is_stopped_once_more(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    here: Site, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Longer than any ramp after it was forbidden; once, since the node may be right."""
     monkeypatch.setattr(supervisor, "LONGEST_RAMP_S", 1.0)
-    with site(tmp_path, monkeypatch, silence_s=9.0) as (here, failures, stops):
-        here.add("weather", "pump")
-        here.until(lambda: here.supervisor.all_ready and not here.supervisor.inhibit)
-        (here.marks / "pump-says").write_text("stopping: the weather is missing")
-        ended = time.monotonic() + 5
-        here.until(lambda: time.monotonic() > ended)
-        assert not failures  # it is allowed
-        (here.marks / "weather-waits").touch()
-        here.until(lambda: len(here.starts("pump")) == 2)
-        ended = time.monotonic() + 5
-        here.until(lambda: time.monotonic() > ended)
-        assert failures == [
-            ("pump", "did not stop the pump within 3 s (weather is starting): killed; "
-             "starts again in 1 s"),
-            ("pump", "could not stop the drive; the drive stands"),
-        ]
-        assert len(stops) == 1 and len(here.starts("pump")) == 2
+    here.add("weather", "pump")
+    here.until_ready()
+    (here.marks / "pump-says").write_text("stopping: the weather is missing")
+    here.during(5)
+    assert not here.failures  # it is allowed
+    (here.marks / "weather-waits").touch()
+    here.until(lambda: len(here.starts("pump")) == 2)
+    here.during(5)
+    assert here.failures == [
+        ("pump", "did not stop the pump within 3 s (weather is starting): killed; "
+         "starts again in 1 s"),
+        ("pump", "could not stop the drive; the drive stands"),
+    ]
+    assert len(here.stops) == 1 and len(here.starts("pump")) == 2
 
 
+@limits(silence_s=6.0)
 @pytest.mark.parametrize("stands", [True, False])
 def test_a_silent_pump_node_whose_pump_may_turn_is_killed_sooner(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, stands: bool
+    here: Site, stands: bool
 ) -> None:
     """By what it says of the pump, not by the words of its state: an *off* may not be heard."""
-    with site(tmp_path, monkeypatch, silence_s=6.0) as (here, failures, _):
-        (here.marks / "pump-says").write_text("off: no connection to the drive")
-        (here.marks / "pump-stands").write_text(json.dumps(stands))
-        here.add("pump")
-        here.until(lambda: here.supervisor.last.get("pump", {}).get("stands") is stands)
-        os.kill(here.pid("pump"), signal.SIGSTOP)
-        here.until(lambda: failures)
-        limit = 6 if stands else 2
-        assert failures[0][1].startswith(f"had not answered for {limit} s (stopped): killed;")
+    (here.marks / "pump-says").write_text("off: no connection to the drive")
+    (here.marks / "pump-stands").write_text(json.dumps(stands))
+    here.add("pump")
+    here.until(lambda: here.supervisor.last.get("pump", {}).get("stands") is stands)
+    os.kill(here.pid("pump"), signal.SIGSTOP)
+    here.until(lambda: here.failures)
+    limit = 6 if stands else 2
+    assert here.failures[0][1].startswith(f"had not answered for {limit} s (stopped): killed;")
 
 
-def test_a_pump_node_that_does_not_end_by_itself(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """Nothing is left that runs, be the node dead when the site is stopped."""
-    with site(tmp_path, monkeypatch) as (here, failures, stops):
-        here.add("pump")
-        here.until(lambda: here.supervisor.all_ready)
-        os.kill(here.pid("pump"), signal.SIGKILL)
-        time.sleep(0.2)
-    assert len(stops) == 1
-    assert failures == [("pump", "ended (SIGKILL); the drive stands")]
-
-
+@limits(restarts=2)
+@pytest.mark.parametrize(
+    ("kind", "code", "tried", "reason"),
+    [
+        ("fails", 1, 2, "ended (exit code 1); it was restarted 2 times in the last 10 minutes, and "
+         "is given up"),
+        ("wrong", 2, 0, "ended (exit code 2): parameter x must be a number"),
+    ],
+)
 def test_a_node_that_fails_again_and_again_is_given_up(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    here: Site, kind: str, code: int, tried: int, reason: str
 ) -> None:
-    """After 1 and 2 s; the third end is the last, and says so."""
-    with site(tmp_path, monkeypatch, restarts=2) as (here, failures, _):
-        here.add("weather", "fails")
-        with pytest.raises(NodeFailed) as failed:
-            here.until(lambda: False)
-    assert failed.value.reason == (
-        "node fails ended (exit code 1); it was restarted 2 times in the last 10 minutes, and is "
-        "given up"
-    )
-    assert failed.value.code == 1
-    assert "fails was started" in str(failed.value)
-    assert failures == [
-        ("fails", f"ended (exit code 1); starts again in {wait} s") for wait in (1, 2)
+    """After 1 and 2 s; the third end is the last, and says so. A wrong parameter stays wrong."""
+    here.add("weather", kind)
+    with pytest.raises(NodeFailed) as failed:
+        here.until(lambda: False)
+    here.end()
+    assert (failed.value.reason, failed.value.code) == (f"node {kind} {reason}", code)
+    assert f"{kind} was started" in str(failed.value)
+    assert here.failures == [
+        (kind, f"ended (exit code {code}); starts again in {wait} s") for wait in (1, 2)[:tried]
     ]
     assert not alive(here.starts("weather")[0][0])
 
 
-def test_a_recorder_ends_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """It is tried again, ever more seldom; the others go on, and the pump with them."""
-    with site(tmp_path, monkeypatch, restarts=1) as (here, failures, _):
-        here.add("weather", "pump")
+@limits(restarts=1)
+def test_a_recorder_ends_nothing(here: Site, monkeypatch: pytest.MonkeyPatch) -> None:
+    """It is tried again, ever more seldom; what others wait for holds the pump, and it does not."""
+    monkeypatch.setattr(supervisor, "_LONGEST_WAIT_S", 1.0)
+    (here.marks / "weather-waits").touch()
+    here.add("weather", "pump")
+    with few_files_left(1):
         here.supervisor.add("recorder", "small_node", "wrong", str(here.marks))
-        here.until(lambda: len(failures) == 2)
-        here.until(lambda: here.supervisor.all_ready and not here.supervisor.inhibit)
-    assert failures == [
-        ("recorder", "ended (exit code 2): parameter x must be a number; "
-         f"starts again in {wait} s; nothing is recorded until then") for wait in (1, 600)
+    here.until(lambda: here.supervisor.inhibit == "weather is starting")
+    (here.marks / "weather-waits").unlink()
+    here.until_ready()
+    here.until(lambda: len(here.failures) == 3)
+    here.until_ready()
+    assert "recorder" not in str([permit["inhibit"] for permit in here.permits()])
+    here.end()
+    lost = "nothing is recorded until then"
+    assert here.failures == [
+        ("recorder", f"cannot be started: Too many open files; tried again every 1 s; {lost}"),
+        *(("recorder", "ended (exit code 2): parameter x must be a number; "
+           f"starts again in {wait} s; {lost}") for wait in (1, 600)),
     ]
 
 
-def test_a_wrong_parameter_is_not_tried_again(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """It would be as wrong then."""
-    with site(tmp_path, monkeypatch) as (here, failures, _):
-        here.add("wrong")
-        with pytest.raises(NodeFailed) as failed:
-            here.until(lambda: False)
-    assert failed.value.reason == (
-        "node wrong ended (exit code 2): parameter x must be a number"
-    )
-    assert failed.value.code == 2
-    assert not failures
-
-
-def test_what_a_node_waits_for_holds_the_pump(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    with site(tmp_path, monkeypatch) as (here, failures, _):
-        (here.marks / "weather-waits").touch()
-        here.add("weather", "recorder", "pump")
-        here.until(lambda: here.supervisor.last.keys() == {"weather", "recorder", "pump"})
-        here.until(lambda: here.supervisor.inhibit == "weather is starting")
-        (here.marks / "weather-waits").unlink()
-        here.until(lambda: not here.supervisor.inhibit)
-        # The recorder is none of the pump's.
-        os.kill(here.pid("recorder"), signal.SIGKILL)
-        here.until(lambda: len(here.starts("recorder")) == 2)
-        assert len(failures) == 1 and not here.supervisor.inhibit
-        assert "recorder" not in str([permit["inhibit"] for permit in here.permits()])
-
-
-_STOPPED = """
-import sys
-from pathlib import Path
-from greenroof_ros.graph.supervisor import LiveSupervisor
-marks = Path(sys.argv[1])
-supervisor = LiveSupervisor(marks, [], "", None, print, silence_s=3.0, restarts=9)
-with supervisor:
-    for node in ("weather", "pump"):
-        supervisor.add(node, "small_node", node, str(marks))
-    while not (marks / "end").exists():
-        supervisor.listen()
-        supervisor.look()
-        if supervisor.all_ready:
-            (marks / "ready").touch()
-"""
-
-
-def test_a_supervisor_that_was_stopped_blames_nobody(tmp_path: Path) -> None:
+@limits(silence_s=3.0)
+def test_a_supervisor_that_was_stopped_blames_nobody(here: Site) -> None:
     """What it did not hear meanwhile is not the nodes' silence."""
-    path = f"{CHECKOUT}{os.pathsep}{Path(__file__).parent}"
-    process = subprocess.Popen(
-        [sys.executable, "-c", _STOPPED, str(tmp_path)], stdout=subprocess.PIPE, text=True,
-        env={**os.environ, "PYTHONPATH": path},
-    )
-    wait_for((tmp_path / "ready").exists, TOO_LONG_S, "nodes")
-    process.send_signal(signal.SIGSTOP)
+    here.add("weather", "pump")
+    here.until_ready()
     time.sleep(4.0)  # longer than the limit
-    process.send_signal(signal.SIGCONT)
-    time.sleep(1.0)
-    (tmp_path / "end").touch()
-    said, _ = process.communicate(timeout=TOO_LONG_S)
-    assert (process.returncode, said) == (0, "")
-
-
-def test_nothing_is_left_open(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """However often a node was started again: months are long."""
-    with site(tmp_path, monkeypatch) as (here, _, _):
-        before = _open_files()
-        here.add("weather", "pump")
-        here.until(lambda: here.supervisor.all_ready)
-        logs = [tmp_path / "weather.log", tmp_path / "pump.log"]
-        here.until(lambda: all(log.exists() and log.stat().st_size for log in logs))
-        nodes = _open_files() - before
-        for node in ("pump", "weather"):
-            os.kill(here.pid(node), signal.SIGKILL)
-            here.until(lambda node=node: len(here.starts(node)) == 2)
-        here.until(lambda: here.supervisor.all_ready)
-        # Against what was open before: what other tests left may be closed at any time.
-        assert (_open_files() - before).total() == nodes.total() > 0
+    here.during(1)
+    here.end()
+    assert not here.failures
 
 
 def _open_files() -> Counter[str]:
@@ -339,25 +292,21 @@ def _open_files() -> Counter[str]:
     return found
 
 
-def test_a_log_that_cannot_be_written_delays_nobody(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_log_that_cannot_be_written_delays_nobody(here: Site) -> None:
     """The permit is given all the time; what was printed meanwhile is in the log afterwards."""
-    log = tmp_path / "weather.log"
+    log = here.directory / "weather.log"
     os.mkfifo(log)  # who opens it to write waits until somebody reads
-    with site(tmp_path, monkeypatch) as (here, failures, _):
-        here.add("weather", "pump")
-        here.until(lambda: here.supervisor.all_ready and not here.supervisor.inhibit)
-        ended = time.monotonic() + 5
-        here.until(lambda: time.monotonic() > ended)
-        assert DISK.late
-        times = [float(str(permit["at"])) for permit in here.permits()]
-        assert max(after - before for before, after in pairwise(times)) < 2.0  # else it lapses
-        reading = os.open(log, os.O_RDONLY)
-        here.until(lambda: not DISK.late)
-        assert os.read(reading, 1000) == b"weather was started\n"
-        os.close(reading)
-        assert not failures
+    here.add("weather", "pump")
+    here.until_ready()
+    here.during(5)
+    assert DISK.late
+    times = [float(str(permit["at"])) for permit in here.permits()]
+    assert max(after - before for before, after in pairwise(times)) < 2.0  # else it lapses
+    reading = os.open(log, os.O_RDONLY)
+    here.until(lambda: not DISK.late)
+    assert os.read(reading, 1000) == b"weather was started\n"
+    os.close(reading)
+    assert not here.failures
 
 
 @contextmanager
@@ -380,57 +329,37 @@ def few_files_left(number: int) -> Iterator[None]:
 
 
 @pytest.mark.parametrize("files", range(7))
-def test_a_start_for_which_there_are_too_few_files(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, files: int
-) -> None:
+def test_a_start_for_which_there_are_too_few_files(here: Site, files: int) -> None:
     """Wherever in it they run out: it is an error that can be handled, and leaves nothing open."""
-    monkeypatch.setenv("PYTHONPATH", f"{CHECKOUT}{os.pathsep}{Path(__file__).parent}")
-    nodes = Supervisor(tmp_path, [], "", None, print)
+    nodes = Supervisor(here.directory, [], "", None, print)
     before = _open_files()
     with few_files_left(files), pytest.raises(OSError, match="Too many open files"):
-        nodes.start("weather", "small_node", "weather", str(tmp_path))
+        nodes.start("weather", "small_node", "weather", str(here.marks))
     assert _open_files() == before
 
 
 @pytest.mark.parametrize("node", ["weather", "pump", "recorder"])
 def test_a_node_that_cannot_be_started_again_for_now(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, node: str
+    here: Site, monkeypatch: pytest.MonkeyPatch, node: str
 ) -> None:
     """It is said once and tried on; the pump is held, but not for a recorder."""
     monkeypatch.setattr(supervisor, "_LONGEST_WAIT_S", 1.0)
-    with site(tmp_path, monkeypatch) as (here, failures, _):
-        here.add("weather", "pump", "recorder")
-        here.until(lambda: here.supervisor.last.keys() == {"weather", "pump", "recorder"})
-        here.until(lambda: here.supervisor.all_ready and not here.supervisor.inhibit)
-        with few_files_left(1):
-            os.kill(here.pid(node), signal.SIGKILL)
-            here.until(lambda: "cannot be started" in str(failures))
-            ended = time.monotonic() + 4
-            here.until(lambda: time.monotonic() > ended)
-            assert here.supervisor.inhibit == ("weather is missing" if node == "weather" else "")
-        here.until(lambda: len(here.starts(node)) == 2)
-        here.until(lambda: here.supervisor.all_ready and not here.supervisor.inhibit)
+    here.add("weather", "pump", "recorder")
+    here.until(lambda: here.supervisor.last.keys() == {"weather", "pump", "recorder"})
+    here.until_ready()
+    with few_files_left(1):
+        os.kill(here.pid(node), signal.SIGKILL)
+        here.until(lambda: "cannot be started" in str(here.failures))
+        here.during(4)
+        assert here.supervisor.inhibit == ("weather is missing" if node == "weather" else "")
+    here.until(lambda: len(here.starts(node)) == 2)
+    here.until_ready()
+    here.end()
     unrecorded = "; nothing is recorded until then" if node == "recorder" else ""
-    assert [what for _, what in failures if not what.endswith("the drive stands")] == [
+    assert [what for _, what in here.failures if not what.endswith("the drive stands")] == [
         f"ended (SIGKILL); starts again in 1 s{unrecorded}",
         f"cannot be started: Too many open files; tried again every 1 s{unrecorded}",
     ]
-
-
-def test_a_recorder_that_cannot_be_started_at_all(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """All others are ready, and the pump may run."""
-    with site(tmp_path, monkeypatch) as (here, failures, _):
-        here.add("weather", "pump")
-        with few_files_left(1):
-            here.add("recorder")
-        here.until(lambda: here.supervisor.last.keys() == {"weather", "pump"})
-        here.until(lambda: here.supervisor.all_ready and not here.supervisor.inhibit)
-        assert failures == [(
-            "recorder", "cannot be started: Too many open files; tried again every 10 s; nothing "
-            "is recorded until then",
-        )]
 
 
 # What a node of another version may say, or one that is broken.
@@ -445,30 +374,28 @@ _STRANGE = [
 ]
 
 
-def test_what_a_node_of_another_version_says(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_what_a_node_of_another_version_says(here: Site) -> None:
     """Whoever reads it goes on, and shows what can be read."""
     shown: list[str] = []
-    with site(tmp_path, monkeypatch) as (here, failures, _):
-        here.add("weather", "pump", "recorder")
-        here.until(lambda: here.supervisor.all_ready and not here.supervisor.inhibit)
-        log = IncidentLog(shown.append)
-        drive = {"drive": Expected("drive", "an address", "look at it")}
-        start = _Start([LiveNode("pump", "pump", (), {}, drive)])
-        for strange in _STRANGE:
-            raw = here.marks / "pump-raw"
-            raw.with_suffix(".new").write_bytes(json.dumps(strange).encode() + b"\n")
-            raw.with_suffix(".new").rename(raw)
-            ended = time.monotonic() + 0.12
+    here.add("weather", "pump", "recorder")
+    here.until_ready()
+    log = IncidentLog(shown.append)
+    drive = {"drive": Expected("drive", "an address", "look at it")}
+    start = _Start([LiveNode("pump", "pump", (), {}, drive)])
+    for strange in _STRANGE:
+        raw = here.marks / "pump-raw"
+        raw.with_suffix(".new").write_bytes(json.dumps(strange).encode() + b"\n")
+        raw.with_suffix(".new").rename(raw)
+        ended = time.monotonic() + 0.12
 
-            def shows(ended: float = ended) -> bool:
-                start.look(here.supervisor.last, "")
-                values_of(here.supervisor.last)
-                log.look(here.supervisor.last)
-                return time.monotonic() > ended
+        def shows(ended: float = ended) -> bool:
+            start.look(here.supervisor.last, "")
+            values_of(here.supervisor.last)
+            log.look(here.supervisor.last)
+            return time.monotonic() > ended
 
-            here.until(shows)
-        raw.unlink()
-        here.until(lambda: here.supervisor.all_ready and not here.supervisor.inhibit)
-    assert not failures and not shown
+        here.until(shows)
+    raw.unlink()
+    here.until_ready()
+    here.end()
+    assert not here.failures and not shown

@@ -10,7 +10,6 @@ import math
 import os
 import re
 import signal
-import subprocess
 import time
 from array import array
 from datetime import UTC, datetime, timedelta
@@ -36,55 +35,64 @@ from ros_rig import (
     Site,
     live_node,
     newest,
+    policies,
     start_live,
-    start_node,
     write_forecast,
 )
 from std_msgs.msg import Float64, Float64MultiArray, MultiArrayDimension, MultiArrayLayout
+from test_diagnostics import check, listen
 
 from greenroof_ros.common.files import read_yaml
 
 
 def test_a_bad_input_stops_the_pump(domain: int, tmp_path: Path, site: Site) -> None:
-    """Command 0 within the bound, the input and the rule on /diagnostics, and good again."""
+    """Command 0 within the bound, the input and the rule on /diagnostics, and good again.
+
+    That it has no forecast is nothing to on/off, nor is one that is refused.
+    """
+    arrays = listen(site.watcher)
     commands = site.be_dry()
-    good = dict(site.values)
-    recovery, limit = 1.0, 1.5
+    for name in FORECASTS:
+        del site.values[name]
+    good = {**site.values, **dict.fromkeys(FORECASTS, [math.nan] * 10)}
+    roof, cistern = good["/roof/level"], good["/cistern/level"]
+    recovery = 1.0
 
     def stops(level: bytes, *words: str) -> None:
         site.until(lambda: newest(commands) == 0.0, LATE, f"stop: {words}")
         site.until(site.says("/onoff: inputs", level, *words), LATE, f"{words}")
 
-    def recovers(mended: float) -> None:
+    def recovers() -> None:
         site.until(lambda: newest(commands) == 0.5, LATE, "recovery")
-        assert commands[-1][0] - mended > recovery - 0.1  # from the first good value on
         site.until(site.says("/onoff: inputs", OK), LATE, "all well")
 
     with live_node(
-        domain, tmp_path, "controller --controller onoff", fraction=0.5, level_limit=limit,
+        domain, tmp_path, "controller --controller onoff", fraction=0.5, level_limit=1.5,
         recovery_time=recovery, frozen_movement=3e-4, jump_tolerance=0.02,
-    ):
+    ) as process:
         site.until(lambda: newest(commands) == 0.5, LATE, "a command")
-        site.values["/roof/level"] = math.nan
-        stops(ERROR, "/roof/level was refused", "0 to 100 m")
-        site.values = dict(good)
-        recovers(time.monotonic())
-        del site.values["/cistern/level"]
-        stops(ERROR, "/cistern/level is older than 1.5 s (level_limit)")
-        site.values = dict(good)
-        recovers(time.monotonic())
-        level = good["/roof/level"]
-        site.values["/roof/level"] = lambda now: level(now) + 0.012  # within the tolerance
+        # A live node must be in time, beside whatever computes; one of a simulation need not.
+        assert policies(process.pid) == {os.SCHED_OTHER}
+        assert site.watcher.values("/onoff")["site"] == str(tmp_path / "site.yaml")
+        for change, level, *words in (
+            ({"/roof/level": math.nan}, ERROR, "/roof/level was refused", "0 to 100 m"),
+            ({"/cistern/level": None}, ERROR, "/cistern/level is older than 1.5 s (level_limit)"),
+            # 0.5 of the pumps' flow is 0.16 mm/s of the cistern: 0.3 mm in 1.8 s.
+            ({"/cistern/level": cistern(time.monotonic())}, ERROR, "/cistern/level is frozen"),
+        ):
+            changed = {**good, **change}
+            site.values = {name: value for name, value in changed.items() if value is not None}
+            stops(level, *words)
+            assert site.says("/onoff", OK)()  # what is not well is a part of it
+            site.values = dict(good)
+            mended = time.monotonic()
+            recovers()
+            assert commands[-1][0] - mended > recovery - 0.1  # from the first good value on
+        site.values["/roof/level"] = lambda now: roof(now) + 0.012  # within the tolerance
         site.during(2)
-        jumped = time.monotonic()
-        site.values["/roof/level"] = lambda now: level(now) - 0.015
+        site.values["/roof/level"] = lambda now: roof(now) - 0.015
         stops(WARN, "/roof/level jumped")
-        recovers(jumped)
-        # 0.5 of the pumps' flow is 0.16 mm/s of the cistern: 0.3 mm in 1.8 s.
-        site.values["/cistern/level"] = good["/cistern/level"](time.monotonic())
-        stops(ERROR, "/cistern/level is frozen")
-        site.values["/cistern/level"] = good["/cistern/level"]
-        recovers(time.monotonic())
+        recovers()
         intruder = Node("intruder", context=site.watcher.context, start_parameter_services=False)
         second = site.watcher.publisher("/roof/level", intruder)
         stops(ERROR, "/roof/level has 2 publishers (intruder, observer)")
@@ -92,12 +100,12 @@ def test_a_bad_input_stops_the_pump(domain: int, tmp_path: Path, site: Site) -> 
         site.during(1)
         assert newest(commands) == 0.0
         intruder.destroy_node()
-        recovers(time.monotonic())
+        recovers()
         # The flow that is heard counts, not the command: a held pump freezes no level.
         site.values["/pump/flow"] = 0.0
         site.during(2)
         site.said.clear()
-        site.values["/cistern/level"] = good["/cistern/level"](time.monotonic())
+        site.values["/cistern/level"] = cistern(time.monotonic())
         site.during(4)
         # A command 0 for another reason, as when this process stood still, passes.
         assert not [text for text in site.said if "frozen" in text]
@@ -107,21 +115,8 @@ def test_a_bad_input_stops_the_pump(domain: int, tmp_path: Path, site: Site) -> 
         assert len(times) < 1.1 * (times[-1] - times[0]) / TAU + 10
         gaps = [after - before for before, after in pairwise(times)]
         assert median(gaps) == pytest.approx(TAU, rel=0.5)
-
-
-def test_onoff_needs_no_forecast(domain: int, tmp_path: Path, site: Site) -> None:
-    """It is as well without; with one that is refused, too."""
-    commands = site.be_dry()
-    for name in FORECASTS:
-        del site.values[name]
-    with live_node(domain, tmp_path, "controller --controller onoff", recovery_time=0.2):
-        site.until(lambda: newest(commands) == 1.0, LATE, "a command")
-        site.until(site.says("/onoff: inputs", OK), LATE, "all well")
-        site.values.update(dict.fromkeys(FORECASTS, [math.nan] * 10))
-        site.during(2)
-        assert newest(commands) == 1.0
-        assert site.says("/onoff: inputs", OK)()
         assert "/onoff: forecast" not in site.diagnoses
+    check(arrays)
 
 
 # What a forecast of rain may be, and what is said of it: of another length, with a value far ahead
@@ -171,23 +166,17 @@ def test_onoff_commands_without_a_forecast(domain: int, tmp_path: Path, site: Si
             site.until(lambda: newest(commands) == 1.0, LATE, f"on/off after {change}")
         site.values = {name: value for name, value in without.items() if name != "/cistern/level"}
         site.until(lambda: newest(commands) == 0.0, LATE, "stop without a level")
-        site.values = good
+        site.values = dict(good)
         site.until(lambda: 0 < newest(commands) <= 0.4, LATE, "mpc again")
-
-
-def test_a_moment_without_a_forecast_starts_no_pump(
-    domain: int, tmp_path: Path, site: Site
-) -> None:
-    """Of a roof that waits for rain: on/off would pump."""
-    commands = site.be_dry()
-    (tmp_path / "mine.py").write_text(MINE)
-    with live_node(domain, tmp_path, "controller --controller mine:Waiting", recovery_time=2.0):
-        site.until(site.says("/waiting: forecast", OK), LATE, "a forecast")
-        site.values["/forecast/precipitation"] = [math.nan] * 10
-        site.until(site.says("/waiting: forecast", WARN, "was refused"), LATE, "the refusal")
-        site.values["/forecast/precipitation"] = [0.0] * 10
-        site.until(site.says("/waiting: forecast", OK), LATE, "a forecast again")
-        assert {value for _, value in commands} == {0.0}
+        # A wrong layout ends a simulated run; a live node refuses it, as too many members.
+        del site.values[rain]
+        for sizes, count, why in (((3, 5), 4, "layout is [3, 5]"), ((2, 10), 20, "has 2 members")):
+            dimensions = [MultiArrayDimension(size=size) for size in sizes]
+            site.publishers[rain].publish(Float64MultiArray(
+                layout=MultiArrayLayout(dim=dimensions), data=array("d", [0.0] * count)
+            ))
+            site.until(site.says("/mpc: forecast", WARN, why), LATE, "why")
+            site.until(lambda: newest(commands) == 1.0, LATE, "on/off")
 
 
 MINE = """
@@ -195,9 +184,9 @@ import math
 from greenroof_ros.common.parameter import Parameter
 
 class Waiting:
-    parameters = ()
-    def __init__(self, site): pass
-    def command(self, *inputs): return 0.0
+    parameters = (Parameter("answer", 0.0, "1", 0.0, 2.0, "none above 1", may_change=True),)
+    def __init__(self, site, answer): self.answer = answer
+    def command(self, *inputs): return math.nan if self.answer > 1 else self.answer
     def skip(self): pass
     def statistics(self): return None
 
@@ -210,12 +199,11 @@ class Counting(Waiting):
         return self.base + 0.001 * self.asked
 
 class Own(Waiting):
+    parameters = ()
     needs_forecast = False
+    def __init__(self, site): pass
     def command(self, cistern, roof, rain, evapotranspiration):
         return 0.3 if len(rain) == len(evapotranspiration) == 10 else 0.2
-
-class Broken(Waiting):
-    def command(self, *inputs): return math.nan
 """
 
 
@@ -245,36 +233,22 @@ def test_classes_of_a_users_own(domain: int, tmp_path: Path, site: Site) -> None
         site.values = good
         site.until(lambda: newest(commands) == 0.3, LATE, "with a forecast again")
         assert {value for _, value in commands} <= {0.0, 0.2, 0.3}
-
-
-def test_a_controller_whose_command_is_none(domain: int, tmp_path: Path, site: Site) -> None:
-    """The forecast is good: no on/off in its place."""
-    commands = site.be_dry()
-    (tmp_path / "mine.py").write_text(MINE)
-    with live_node(domain, tmp_path, "controller --controller mine:Broken", recovery_time=0.2):
-        broken = site.says("/broken: command", ERROR, "must be a finite number")
+    # Of a roof that waits for rain: a moment without a forecast has on/off start no pump.
+    commands.clear()
+    with live_node(domain, tmp_path, "controller --controller mine:Waiting", recovery_time=2.0):
+        site.until(site.says("/waiting: forecast", OK), LATE, "a forecast")
+        site.values = {**good, "/forecast/precipitation": [math.nan] * 10}
+        site.until(site.says("/waiting: forecast", WARN, "was refused"), LATE, "the refusal")
+        site.values = good
+        site.until(site.says("/waiting: forecast", OK), LATE, "a forecast again")
+        # A command that is none is 0; the forecast is good, and so no on/off in its place.
+        answer = Parameter("answer", value=1.5).to_parameter_msg()
+        site.call(SetParameters, "/waiting/set_parameters", parameters=[answer])
+        broken = site.says("/waiting: command", ERROR, "must be a finite number")
         site.until(broken, LATE, "what is wrong")
         site.during(2)
         assert {value for _, value in commands} == {0.0}
-        assert site.says("/broken: forecast", OK)()
-
-
-def test_a_forecast_whose_layout_is_wrong(domain: int, tmp_path: Path, site: Site) -> None:
-    """It ends a simulated run; a live node refuses it, as too many members, and lives on."""
-    commands = site.be_dry()
-    with live_node(
-        domain, tmp_path, "controller --controller mpc", max_command=0.4, recovery_time=0.2
-    ):
-        site.until(lambda: newest(commands), LATE, "a command")
-        publisher = site.publishers["/forecast/precipitation"]
-        del site.values["/forecast/precipitation"]
-        for sizes, count, why in (((3, 5), 4, "layout is [3, 5]"), ((2, 10), 20, "has 2 members")):
-            dimensions = [MultiArrayDimension(size=size) for size in sizes]
-            publisher.publish(Float64MultiArray(
-                layout=MultiArrayLayout(dim=dimensions), data=array("d", [0.0] * count)
-            ))
-            site.until(site.says("/mpc: forecast", WARN, why), LATE, "why")
-            site.until(lambda: newest(commands) == 1.0, LATE, "on/off")
+        assert site.says("/waiting: forecast", OK)()
 
 
 @pytest.mark.parametrize("when", ["suspended", "suspended_in_a_decision"])
@@ -291,20 +265,6 @@ def test_no_command_of_what_was_before_a_suspend(
         site.until(lambda: newest(commands) == 0.0, LATE, "no command")
         site.until(lambda: any("stood still for 3600 s" in said for said in site.said), LATE, "why")
         site.until(lambda: newest(commands), LATE, "a command of what is new")
-
-
-@pytest.mark.parametrize(("live", "policy"), [("true", "OTHER"), ("false", "BATCH")])
-def test_who_may_be_preempted(
-    domain: int, tmp_path: Path, site: Site, live: str, policy: str
-) -> None:
-    """A node of a simulation lets the others go on; one of a live site must be in time."""
-    with live_node(domain, tmp_path, "controller --controller onoff", live=live) as process:
-        site.until(lambda: "/onoff" in site.diagnoses, 60, "the node")
-        threads = [int(one.name) for one in Path(f"/proc/{process.pid}/task").iterdir()]
-        assert len(threads) > 1
-        assert {os.sched_getscheduler(thread) for thread in threads} == {
-            getattr(os, f"SCHED_{policy}")
-        }
 
 
 def test_no_command_of_what_was_before_a_stop(domain: int, tmp_path: Path, site: Site) -> None:
@@ -394,69 +354,53 @@ def test_live_weather(domain: int, tmp_path: Path, site: Site) -> None:
     frost = site.listen("/weather/frost")
     forecast = site.listen("/forecast/precipitation")
 
-    def expect(rain_now: float, frost_now: float, what: str) -> None:
+    def expect(rain_now: float, frost_now: float, *said: tuple[Any, ...]) -> None:
+        """See rain, frost, and what is said of parts of the node, each with level and words."""
         site.until(
-            lambda: newest(rain) == pytest.approx(rain_now) and newest(frost) == frost_now,
-            LATE, what,
+            lambda: newest(rain) == pytest.approx(rain_now, rel=1e-9)
+            and newest(frost) == pytest.approx(frost_now, nan_ok=True),
+            LATE, f"{rain_now}, {frost_now}",
         )
+        for part, *what in said:
+            site.until(site.says(f"/weather: {part}", *what), LATE, f"{part}: {what}")
 
     with live_node(
         domain, tmp_path, "weather", forecast=file, gauge_limit=1.0, recovery_time=0.3,
     ):
-        site.until(lambda: rain and forecast, LATE, "the weather")
-        expect(1e-6, 0.0, "3.6 mm/h")
+        site.until(lambda: rain and forecast and evapotranspiration, LATE, "the weather")
+        expect(1e-6, 0.0, ("forecast", OK, "issued"))  # 3.6 mm/h
         assert list(newest(forecast)) == pytest.approx([1e-6] * 10)
         # 2 mm/day off 68.8 m2.
-        site.until(lambda: evapotranspiration, LATE, "evapotranspiration")
         assert newest(evapotranspiration) == pytest.approx(0.002 * 68.8 / 86400)
-        site.until(site.says("/weather: forecast", OK, "issued"), LATE, "all well")
-
         write_forecast(file, timedelta(0), 7.2, -1.0)
-        expect(2e-6, 1.0, "the new file")
-
+        expect(2e-6, 1.0)
         file.write_text(FORECAST_HEADER + "\nnow,now,1.0,2.0,3.0\n")
-        site.until(
-            site.says("/weather: forecast", WARN, f"{file}, line 2", "'now'"),
-            LATE, "the broken file",
-        )
+        expect(2e-6, 1.0, ("forecast", WARN, f"{file}, line 2", "'now'"))
         file.unlink()
-        site.until(
-            site.says("/weather: forecast", WARN, f"{file}: cannot be read"), LATE, "no file"
-        )
-        expect(2e-6, 1.0, "the old forecast")
+        expect(2e-6, 1.0, ("forecast", WARN, f"{file}: cannot be read"))
 
         site.values = {"/gauge/precipitation": 5e-6, "/gauge/temperature": 4.0}
-        expect(5e-6, 0.0, "the gauges")
+        expect(5e-6, 0.0)
         site.until(
             lambda: list(newest(forecast)) == pytest.approx([5e-6] * 10),
             LATE, "their rain forecast",
         )
         site.values = {"/gauge/precipitation": math.nan, "/gauge/temperature": 500.0}
-        expect(2e-6, 1.0, "the forecast again")
-        for part in ("rain gauge", "thermometer"):
-            site.until(site.says(f"/weather: {part}", WARN, "was refused"), LATE, part)
+        refused = (WARN, "was refused")
+        expect(2e-6, 1.0, ("rain gauge", *refused), ("thermometer", *refused))
         site.values = {}
-        site.until(
-            site.says("/weather: thermometer", WARN, "older than 1 s", "gauge_limit"),
-            LATE, "silence",
-        )
+        expect(2e-6, 1.0, ("thermometer", WARN, "older than 1 s", "gauge_limit"))
 
         write_forecast(file, timedelta(hours=2, minutes=1), 3.6, 15.0)
-        site.until(
-            site.says("/weather: forecast", ERROR, "is older than 2 h"), LATE, "an old issue"
-        )
-        site.until(lambda: math.isnan(newest(frost)), LATE, "unknown frost")
-        assert site.says("/weather: frost", ERROR, "unknown_frost_may_pump")()
+        expect(2e-6, math.nan, ("forecast", ERROR, "is older than 2 h"),
+               ("frost", ERROR, "unknown_frost_may_pump"))
         site.during(0.5)
-        known = len(forecast), len(rain)
-        unknown = len(frost)
+        known, unknown = (len(forecast), len(rain)), len(frost)
         site.until(lambda: len(frost) > unknown + 4, LATE, "unknown frost again")
         assert (len(forecast), len(rain)) == known
         assert newest(evapotranspiration) in usual_evapotranspiration()
-
         write_forecast(file, timedelta(0), 3.6, 15.0)
-        expect(1e-6, 0.0, "a good file")
-        site.until(site.says("/weather: forecast", OK), LATE, "all well")
+        expect(1e-6, 0.0, ("forecast", OK))
 
 
 def test_live_weather_without_a_forecast(domain: int, tmp_path: Path, site: Site) -> None:
@@ -507,15 +451,3 @@ def test_unknown_frost_may_pump(domain: int, tmp_path: Path, site: Site) -> None
         site.until(lambda: len(frost) > 2, LATE, "frost")
         assert site.says("/weather: forecast", ERROR, "missing.csv: cannot be read")()
         assert not evapotranspiration
-
-
-def test_live_weather_needs_a_file(domain: int, tmp_path: Path) -> None:
-    """A model of forecasts is made of records, which a live site does not have."""
-    node = start_node(
-        domain, tmp_path, "weather", live="true", forecast="persistence",
-        popen={"stderr": subprocess.PIPE, "text": True},
-    )
-    said = node.communicate(timeout=60)[1]
-    assert node.returncode == 2
-    assert "parameter forecast of weather = 'persistence': must be a FILE.csv" in said
-    assert len(said.splitlines()) == 1

@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import json
 import signal
 import subprocess
 from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
@@ -49,62 +47,39 @@ class Nodes:
 
 @pytest.fixture
 def nodes(domain: int, tmp_path: Path) -> Iterator[Nodes]:
-    with by_hand(domain, tmp_path) as it:
-        yield it
-
-
-@contextmanager
-def by_hand(domain: int, cwd: Path) -> Iterator[Nodes]:
-    it = Nodes(domain, cwd)
-    try:
-        yield it
-    finally:
-        for process in it.started.values():
-            if process.poll() is None:
-                process.send_signal(signal.SIGCONT)
-                process.send_signal(signal.SIGINT)
-        for process in it.started.values():
-            process.wait(300)
-
-
-@pytest.fixture(scope="session")
-def recorded_by_hand(domain: int, once: Once) -> Path:
-    """A run of 360 ticks, each node started when the others wait; its exit codes in codes.json."""
-
-    def fill(cwd: Path) -> None:
-        with by_hand(domain, cwd) as it:
-            it.node("weather", run_length=360)
-            it.says("weather", "waiting for plant\n")
-            it.node("recorder", directory="bag")
-            it.says("recorder", "waiting for mpc, plant\n")
-            it.node("plant", run_length=360, record="true")
-            it.says("plant", "waiting for the controller\n")
-            it.says("weather", "waiting for the controller\n")
-            it.node("mpc")
-            it.says("plant", "finished 360 ticks")
-            codes = {name: it.code(name, 60) for name in it.started}
-        (cwd / "codes.json").write_text(json.dumps(codes))
-
-    return once("recorded-by-hand", fill)
-
-
-def test_nodes_wait_by_name_and_end_with_the_run(recorded_by_hand: Path) -> None:
-    """All end by themselves with exit code 0; what they said is in the fixture."""
-    codes = json.loads((recorded_by_hand / "codes.json").read_text())
-    assert codes == {"weather": 0, "recorder": 0, "plant": 0, "mpc": 0}
-    for name in codes:
-        log = (recorded_by_hand / f"{name}.log").read_text()
-        assert "does not answer" not in log
-        assert "ended" not in log
-        assert log.count("waiting for") < 15
+    it = Nodes(domain, tmp_path)
+    yield it
+    for process in it.started.values():
+        if process.poll() is None:
+            process.send_signal(signal.SIGCONT)
+            process.send_signal(signal.SIGINT)
+    for process in it.started.values():
+        process.wait(300)
 
 
 def test_started_by_hand_gives_the_bag_of_bringup(
-    domain: int, recorded_by_hand: Path, once: Once
+    domain: int, tmp_path: Path, nodes: Nodes, once: Once
 ) -> None:
-    """Equal in every byte."""
+    """Equal in every byte, each node started when the others wait for it, by name.
+
+    All end by themselves with exit code 0.
+    """
+    nodes.node("weather", run_length=360)
+    nodes.says("weather", "waiting for plant\n")
+    nodes.node("recorder", directory="bag")
+    nodes.says("recorder", "waiting for mpc, plant\n")
+    nodes.node("plant", run_length=360, record="true")
+    nodes.says("plant", "waiting for the controller\n")
+    nodes.says("weather", "waiting for the controller\n")
+    nodes.node("mpc")
+    nodes.says("plant", "finished 360 ticks", 60)
+    for name in nodes.started:
+        assert nodes.code(name, 60) == 0
+        log = nodes.log(name)
+        assert "does not answer" not in log and "ended" not in log
+        assert log.count("waiting for") < 15
     run = once("recorded", lambda cwd: bring_up(domain, cwd, "--hours", "0.1")) / "run"
-    mine = recorded_by_hand / "bag" / "bag_0.mcap"
+    mine = tmp_path / "bag" / "bag_0.mcap"
     assert mine.read_bytes() == bag_file(run).read_bytes()
 
 
@@ -126,28 +101,17 @@ def test_plant_that_goes_ends_the_others(nodes: Nodes, how: signal.Signals) -> N
         assert make_reader(stream, validate_crcs=True).get_summary() is not None
 
 
-@pytest.mark.parametrize(
-    ("victim", "how", "line"),
-    [
-        (
-            "weather", signal.SIGKILL,
-            "nothing came within 5 s on /weather/precipitation, /weather/evapotranspiration "
-            "from weather\n",
-        ),
-        ("onoff", signal.SIGSTOP, "nothing came within 5 s on /pump/command from onoff\n"),
-    ],
-    ids=["weather", "onoff"],
-)
-def test_fatal_line_names_the_cause(
-    nodes: Nodes, observer: Observer, victim: str, how: signal.Signals, line: str
-) -> None:
-    """Not the controller that waits for the weather's forecast, and no controller but this one."""
+def test_fatal_line_names_the_cause(nodes: Nodes, observer: Observer) -> None:
+    """The weather: not the controller that waits for its forecast."""
     nodes.node("weather")
     nodes.node("onoff")
     nodes.node("plant", run_length=40_000, speed=100.0, peer_limit=5.0)
     flows = observer.hear("/pump/flow")
     observer.until(lambda: len(flows) >= 50, 60, "50 ticks")
-    nodes.started[victim].send_signal(how)
+    nodes.started["weather"].kill()
     assert nodes.code("plant", 60) == 1
-    (said,) = [text for text in nodes.log("plant").splitlines(True) if "FATAL" in text]
-    assert said.endswith(line), said
+    (said,) = [text for text in nodes.log("plant").splitlines() if "FATAL" in text]
+    assert said.endswith(
+        "nothing came within 5 s on /weather/precipitation, /weather/evapotranspiration from "
+        "weather"
+    )

@@ -13,7 +13,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable, Iterator
-from contextlib import nullcontext
+from contextlib import AbstractContextManager, contextmanager, nullcontext
 from datetime import datetime
 from pathlib import Path
 from types import SimpleNamespace
@@ -21,14 +21,13 @@ from typing import Any
 
 import pytest
 from graphs import Process, environment, free_ports, wait_for
-from places import CONFIG, guarding
+from places import CONFIG
 from pump_node_rig import PumpRig, SimulatedDrive, stands_within
 from rclpy.node import Node
-from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from ros_rig import ERROR, LATE, OK, STALE, SUSPENDED, WARN, Observer, impostor
-from std_msgs.msg import Float64, String
+from std_msgs.msg import Float64
 from std_srvs.srv import SetBool, Trigger
-from test_node_help import check_topics, parameters_of, run_module, section
+from test_node_help import check_topics, help_of, parameters_of, section
 
 from greenroof_ros.common.clock import boot_time
 from greenroof_ros.common.errors import ConfigurationError
@@ -80,13 +79,28 @@ def test_lifecycle(domain: int, tmp_path: Path, rig: PumpRig) -> None:
     assert rig.observer.diagnoses["/pump: drive"].hardware_id.startswith("ABB ACS880")
     assert rig.change("deactivate")
     rig.tick_until(0.5, lambda: rig.flows[-1] == 0.0 and drive.speed() == 0.0, 5, "a stop")
-    assert rig.change("activate")
-    rig.run(drive)
-    assert rig.change("deactivate")
     wait_for(lambda: rig.change("cleanup"), 20, "the end of the ramp")
     assert drive.speed() == 0.0  # it lets go of a drive that stands
     assert rig.lifecycle_state() == "unconfigured"
     assert rig.tick(0.5) == 0.0
+    wait_for(lambda: rig.change("configure"), 20, "the drive")
+    # A cleanup that fails is refused, soon: ask again; at last the node is unconfigured and lives.
+    assert rig.change("activate")
+    rig.run(drive)
+    assert rig.change("deactivate")
+    drive.inject("stuck_running", 5000)
+    began = time.monotonic()
+    assert not rig.change("cleanup")
+    assert time.monotonic() - began < 4.5
+    assert rig.lifecycle_state() == "inactive"
+    assert not rig.change("activate")
+    rig.tick(0.5)  # answered by the flow of a pump that still turns
+    assert "it is being let go of; clean up first" in rig.state
+    wait_for(
+        lambda: not rig.change("cleanup") and rig.lifecycle_state() == "unconfigured", 40,
+        "the end of the attempt",
+    )
+    drive.inject("none")
     wait_for(lambda: rig.change("configure"), 20, "the drive")
     assert rig.change("shutdown")
     assert rig.lifecycle_state() == "finalized"
@@ -128,7 +142,10 @@ def test_a_timeout_that_does_not_guard(
 def test_without_the_drives_own_timeout_it_does_not_activate(
     domain: int, tmp_path: Path, rig: PumpRig
 ) -> None:
-    """Refused with the reason; the parameter of the long name overrules that."""
+    """Refused with the reason; the parameter of the long name overrules that.
+
+    Then, with no supervisor either, nothing but the node's own watchdog stops the pump.
+    """
     drive = SimulatedDrive(domain, tmp_path, "--fault", "timeout_off")
     node = rig.start(drive.address)
     rig.join()
@@ -143,37 +160,35 @@ def test_without_the_drives_own_timeout_it_does_not_activate(
     rig.start(drive.address, activate_without_drive_timeout="true")
     rig.run(drive)
     assert rig.says("drive timeout", WARN, "is off")
+    # It counts steady time; the clock topic stands with the commands.
+    began = time.monotonic()
+    rig.observer.until(lambda: drive.speed() == 0.0, 6, "the watchdog")
+    assert 2.5 < time.monotonic() - began < 4.5
+    rig.observer.until(lambda: rig.says("command", STALE, "command_limit"), LATE, "the reason")
+    assert rig.tick(0.5) == 0.0  # a first command after a silence finds a pump at rest
+    rig.run(drive)
 
 
-def test_a_drive_that_guards_some_time_after_power_up(
-    tmp_path: Path, rig: PumpRig, drive: SimulatedDrive
-) -> None:
+def test_what_the_drive_file_says(tmp_path: Path, rig: PumpRig, drive: SimulatedDrive) -> None:
+    """That it guards some time after power-up, and its least speed.
+
+    0.4 of the flow from 3 m is a speed of 0.60, s^2 = (0.16 42.2 + 13) / 55.2: below 0.9.
+    """
     text = (CONFIG / "drives" / "abb_acs880.yaml").read_text()
+    text = text.replace("after_power_up_s: 30 ", "after_power_up_s: 4 ")
     file = tmp_path / "mine.yaml"
-    file.write_text(text.replace("after_power_up_s: 30 ", "after_power_up_s: 4 "))
+    file.write_text(text.replace("least_speed: 0.3", "least_speed: 0.9"))
     began = time.monotonic()
     rig.start(drive.address, drive=str(file))
     rig.join()
-    rig.tick_until(0.5, lambda: "does not guard for 4 s" in rig.state, 20, "the reason")
-    rig.tick_until(0.5, lambda: rig.code("drive timeout") == "drive_guards_later", LATE, "its code")
+    rig.tick_until(0.4, lambda: "does not guard for 4 s" in rig.state, 20, "the reason")
+    rig.tick_until(0.4, lambda: rig.code("drive timeout") == "drive_guards_later", LATE, "its code")
     assert rig.lifecycle_state() == "active"
     while time.monotonic() - began < 4:  # it connected later than that began
-        assert rig.tick(0.5) == 0.0
-    rig.run(drive)
-    assert rig.says("drive timeout", OK, "beware: a changed 58.14 to 58.16 is in force only")
-
-
-def test_the_least_speed_of_the_drive_file(
-    rig: PumpRig, drive: SimulatedDrive, tmp_path: Path
-) -> None:
-    """0.4 of the flow from 3 m is a speed of 0.60, s^2 = (0.16 42.2 + 13) / 55.2: below 0.9."""
-    file = tmp_path / "mine.yaml"
-    text = Path(guarding("abb_acs880", tmp_path)).read_text()
-    file.write_text(text.replace("least_speed: 0.3", "least_speed: 0.9"))
-    rig.start(drive.address, drive=str(file))
-    rig.join()
-    rig.tick_until(0.4, lambda: drive.speed() > 0.89, 40, "a pulse at the least speed")
+        assert rig.tick(0.4) == 0.0
+    rig.tick_until(0.4, lambda: drive.speed() > 0.89, 60, "a pulse at the least speed")
     assert "a pulse" in rig.state
+    assert rig.says("drive timeout", OK, "beware: a changed 58.14 to 58.16 is in force only")
 
 
 def test_the_motor_stands_when_the_node_goes(rig: PumpRig, drive: SimulatedDrive) -> None:
@@ -226,65 +241,6 @@ def test_a_stop_that_fails_at_the_end_is_said(
         assert word in said
 
 
-def test_a_cleanup_that_fails_is_refused(rig: PumpRig, drive: SimulatedDrive) -> None:
-    """Who asked is told to ask again, soon, and at last; the node is unconfigured and lives."""
-    node = rig.start(drive.address)
-    rig.run(drive)
-    assert rig.change("deactivate")
-    drive.inject("stuck_running", 5000)
-    began = time.monotonic()
-    assert not rig.change("cleanup")
-    assert time.monotonic() - began < 4.5  # bringup kills a node that is silent for 5 s
-    assert rig.lifecycle_state() == "inactive"
-    assert not rig.change("activate")
-    rig.tick(0.5)  # answered by the flow of a pump that still turns
-    assert "it is being let go of; clean up first" in rig.state
-
-    def over() -> bool:
-        assert not rig.change("cleanup")
-        return rig.lifecycle_state() == "unconfigured"
-
-    wait_for(over, 40, "the end of the attempt")
-    assert node.poll() is None
-
-
-def test_the_nodes_watchdog_alone(rig: PumpRig, drive: SimulatedDrive) -> None:
-    """No supervisor, and a drive that would run on for ever: a silent command still stops it."""
-    drive.inject("timeout_off")
-    rig.start(drive.address, activate_without_drive_timeout="true")
-    rig.run(drive)
-    assert rig.says("drive timeout", WARN, "is off")
-    # It counts steady time; the clock topic stands with the commands.
-    began = time.monotonic()
-    rig.observer.until(lambda: drive.speed() == 0.0, 6, "the watchdog")
-    assert 2.5 < time.monotonic() - began < 4.5
-    rig.observer.until(lambda: rig.says("command", STALE, "command_limit"), LATE, "the reason")
-    assert rig.tick(0.5) == 0.0  # a first command after a silence finds a pump at rest
-    rig.run(drive)
-
-
-def test_a_state_that_cannot_be_kept(rig: PumpRig, drive: SimulatedDrive, tmp_path: Path) -> None:
-    """It does not activate, a stop says that it would be forgotten, and it heals."""
-    directory = tmp_path / "state"
-    directory.symlink_to(tmp_path / "nowhere")
-    rig.start(drive.address, state_file=directory / "pump.json")
-    rig.join()
-    rig.tick_until(0.5, lambda: "cannot be written" in rig.state, 60, "the refusal")
-    assert "not activated" in rig.state
-    rig.tick_until(0.5, lambda: rig.says("state file", ERROR, "cannot be written"), LATE, "alarm")
-    assert drive.speed() == 0.0
-    answer = rig.call(SetBool, "stop", data=True)
-    assert not answer.success
-    assert "a restart would not know of a stop" in answer.message
-    assert rig.state.startswith("held: an operator stopped it")
-    directory.unlink()
-    assert rig.call(SetBool, "stop", data=True).success
-    assert (directory / "pump.json").is_file()
-    assert rig.call(SetBool, "stop", data=False).success
-    rig.run(drive)
-    assert rig.says("state file", OK)
-
-
 _HOLDER = """
 import sys, time
 from pathlib import Path
@@ -298,42 +254,61 @@ ledger.close()
 """
 
 
-def test_a_state_file_that_another_program_has(
-    rig: PumpRig, drive: SimulatedDrive, tmp_path: Path
-) -> None:
-    """It does not activate and writes nothing; then the other's fault, and a stop here, count."""
-    file = tmp_path / "state.json"
-    holder = subprocess.Popen(
+@contextmanager
+def another_has(file: Path) -> Iterator[str]:
+    """Have another program hold a state file, and leave a fault in it; yield what is said of it."""
+    with subprocess.Popen(
         [sys.executable, "-c", _HOLDER, str(file)], stdin=subprocess.PIPE, stdout=subprocess.PIPE,
-    )
-    try:
+    ) as holder:
         assert holder.stdout is not None
         assert holder.stdout.readline() == b"has it\n"
-        before = file.read_bytes()
-        node = rig.start(drive.address)
+        yield f"process {holder.pid} has it already"
+        holder.communicate(b"\n", timeout=120)
+
+
+@contextmanager
+def nowhere(file: Path) -> Iterator[str]:
+    """Have a directory that is not there, until then."""
+    file.parent.symlink_to(file.parent.with_name("nowhere"))
+    yield "a restart would not know of a stop"
+    file.parent.unlink()
+
+
+@pytest.mark.parametrize("blocked", [another_has, nowhere])
+def test_a_state_that_cannot_be_kept(
+    rig: PumpRig, drive: SimulatedDrive, tmp_path: Path,
+    blocked: Callable[[Path], AbstractContextManager[str]],
+) -> None:
+    """It does not activate, a stop says that it would be forgotten, and it heals.
+
+    What another program found meanwhile counts, and so does the stop.
+    """
+    file = (tmp_path if blocked is another_has else tmp_path / "state") / "pump.json"
+    with blocked(file) as words:
+        before = file.read_bytes() if file.exists() else None
+        node = rig.start(drive.address, state_file=file)
         rig.join()
-        words = f"{file} cannot be written: process {holder.pid} has it already"
-        rig.tick_until(0.5, lambda: f"not activated: {words}" in rig.state, 60, "the refusal")
+        rig.tick_until(
+            0.5, lambda: "not activated" in rig.state and words in rig.state, 60, "the refusal"
+        )
+        rig.tick_until(0.5, lambda: rig.says("state file", ERROR, words), LATE, "the alarm")
         answer = rig.call(SetBool, "stop", data=True)
         assert not answer.success
-        assert answer.message.startswith("held: an operator stopped it; not activated")
         assert words in answer.message
-        assert file.read_bytes() == before
-        holder.communicate(b"\n", timeout=120)
+        assert rig.state.startswith("held: an operator stopped it")
+        assert (file.read_bytes() if file.exists() else None) == before
+    if blocked is another_has:
         rig.tick_until(
             0.5, lambda: rig.state.startswith("fault: burst pipe; an operator stopped it"), 20,
             "what the other found",
         )
-        assert drive.speed() == 0.0
-        assert rig.call(SetBool, "stop", data=True).success
-        assert node.poll() is None
-        rig.call(SetBool, "stop", data=False)
         assert rig.call(Trigger, "reset").success
-        rig.run(drive)
-    finally:
-        if holder.poll() is None:
-            holder.kill()
-            holder.wait(120)
+    assert drive.speed() == 0.0
+    assert rig.call(SetBool, "stop", data=True).success
+    assert file.is_file() and node.poll() is None
+    assert rig.call(SetBool, "stop", data=False).success
+    rig.run(drive)
+    assert rig.says("state file", OK)
 
 
 def test_a_disk_that_hangs_undoes_no_stop(
@@ -364,25 +339,10 @@ def test_a_disk_that_hangs_undoes_no_stop(
     assert b"an operator stopped it" in file.read_bytes()
 
 
-def test_two_processes_of_one_name_command(
+def test_commands_that_must_not_pump(
     domain: int, tmp_path: Path, rig: PumpRig, drive: SimulatedDrive
 ) -> None:
-    """The second calls itself as the first, and reports nothing: endpoints count, not names."""
-    rig.start(drive.address)
-    rig.run(drive)
-    name = rig.node.get_name()
-    with impostor(domain, tmp_path, name, "/pump/command", 0.5):
-        rig.tick_until(0.5, lambda: "has 2 publishers" in rig.state, 60, "the second")
-        rig.tick_until(0.5, lambda: drive.speed() == 0.0, 4, "its stop")
-        assert f"/pump/command has 2 publishers ({name})" in rig.state
-        rig.tick_until(0.5, lambda: rig.says("command", ERROR, name), LATE, "its name")
-        rig.tick_until(0.5, lambda: rig.code("pump") == "two_controllers", LATE, "its code")
-    rig.run(drive)
-    rig.tick_until(0.5, lambda: rig.observer.values("/pump: pump") == {}, LATE, "no code")
-
-
-def test_commands_that_must_not_pump(rig: PumpRig, drive: SimulatedDrive) -> None:
-    """Not a number, negative, of a publisher that is not heard: off, by name, and it heals."""
+    """Not a number, negative, of two, of one that is not heard: off, by name, and it heals."""
     rig.start(drive.address)
     rig.run(drive)
     for bad in (math.nan, math.inf, -1.0):
@@ -393,6 +353,15 @@ def test_commands_that_must_not_pump(rig: PumpRig, drive: SimulatedDrive) -> Non
     rig.run(drive)
     rig.tick_until(5.0, lambda: drive.speed() > 0.99, LATE, "full speed, and no more")
     rig.tick_until(5.0, lambda: rig.says("limits", WARN, "taken as 1"), LATE, "the warning")
+    # The second calls itself as the first, and reports nothing: endpoints count, not names.
+    name = rig.node.get_name()
+    with impostor(domain, tmp_path, name, "/pump/command", 0.5):
+        rig.tick_until(0.5, lambda: "has 2 publishers" in rig.state, 60, "the second")
+        rig.tick_until(0.5, lambda: drive.speed() == 0.0, 4, "its stop")
+        assert f"/pump/command has 2 publishers ({name})" in rig.state
+        rig.tick_until(0.5, lambda: rig.says("command", ERROR, name), LATE, "its name")
+        rig.tick_until(0.5, lambda: rig.code("pump") == "two_controllers", LATE, "its code")
+    rig.run(drive)
     # One that a graph cannot hear, as by ros2 topic pub: whoever publishes 0 means a stop.
     unheard = Node("unheard", context=rig.observer.context)
     unheard.create_publisher(Float64, "/pump/command", 10)
@@ -403,6 +372,7 @@ def test_commands_that_must_not_pump(rig: PumpRig, drive: SimulatedDrive) -> Non
     unheard.destroy_node()
     rig.run(drive)
     assert rig.says("command", OK)
+    rig.tick_until(0.5, lambda: rig.observer.values("/pump: pump") == {}, LATE, "no code")
 
 
 def _numbers(rig: PumpRig) -> dict[str, float]:
@@ -461,9 +431,9 @@ def test_a_drive_that_is_lost_stops_and_comes_back(rig: PumpRig, drive: Simulate
 def test_a_lost_drive_is_not_said_to_stand_while_it_may_slow_down(
     domain: int, tmp_path: Path, rig: PumpRig
 ) -> None:
-    """Danfoss, 8-04 = 5, stop and trip: after 1.5 s it ramps down, here for some 12 s."""
+    """Danfoss, 8-04 = 5, stop and trip: after 1.5 s it ramps down, here for some 6 s."""
     drive = SimulatedDrive(
-        domain, tmp_path, "--speed", "1", "--ramp", "12", make="danfoss_fc202"
+        domain, tmp_path, "--speed", "1", "--ramp", "6", make="danfoss_fc202"
     )
     rig.start(
         drive.address, drive="danfoss_fc202", drive_timeout_limit=2.0, follow_time=60.0
@@ -499,7 +469,9 @@ def test_a_fault_stays_until_it_is_reset_and_a_stop_until_it_is_lifted(
     assert answer.success
     assert "the drive reports" in answer.message
     rig.run(drive)
-    assert what_a_late_reader_hears(rig) == [rig.state]
+    late = rig.observer.hear("/pump/state")  # as by ros2 topic echo --once
+    rig.observer.until(lambda: late, LATE, "a state")
+    assert late == [rig.state]
 
     answer = rig.call(SetBool, "stop", data=True)
     assert answer.success
@@ -514,21 +486,6 @@ def test_a_fault_stays_until_it_is_reset_and_a_stop_until_it_is_lifted(
     assert rig.state.startswith("held: an operator stopped it")
     assert rig.call(SetBool, "stop", data=False).success
     rig.run(drive)
-
-
-def what_a_late_reader_hears(rig: PumpRig) -> list[str]:
-    """Return the states that a reader gets who joins now, as ``ros2 topic echo --once`` does."""
-    heard: list[str] = []
-    profile = QoSProfile(
-        depth=10, reliability=ReliabilityPolicy.RELIABLE,
-        durability=DurabilityPolicy.TRANSIENT_LOCAL,
-    )
-    late = rig.node.create_subscription(
-        String, "/pump/state", lambda message: heard.append(message.data), profile
-    )
-    rig.observer.until(lambda: heard, LATE, "a state")
-    rig.node.destroy_subscription(late)
-    return heard
 
 
 def test_it_runs_only_with_a_fresh_permit_of_bringup(
@@ -653,33 +610,10 @@ def test_live(domain: int, tmp_path: Path, rig: PumpRig, drive: SimulatedDrive) 
 def test_what_its_help_says_is_what_it_has(
     tmp_path: Path, rig: PumpRig, observer: Observer
 ) -> None:
-    text = run_module(tmp_path, "pump --help").stdout
+    text = help_of(tmp_path, "pump")
     rig.start(f"tcp://127.0.0.1:{free_ports(1)[0]}")
     assert section(text, "parameters") == parameters_of(observer, "pump")
     check_topics(observer, "pump", text)
-
-
-def test_wrong_parameters_end_it_in_one_line(tmp_path: Path, rig: PumpRig) -> None:
-    """Exit code 2: who supervises it need not start it again."""
-    slow = tmp_path / "slow.yaml"
-    slow.write_text((CONFIG / "site.yaml").read_text().replace("tau: 1.0 ", "tau: 3.0 "))
-    wrong = {
-        "drive": (None, "parameter drive of pump: must be given"),
-        "address": ("127.0.0.1:502", "parameter address of pump = '127.0.0.1:502': must be tcp://"),
-        "command_limit": (3.0, "parameter command_limit of pump = 3.0: must be more than tau of "
-                          "the site, 3 s"),
-        "folow_time": (9.0, "parameter folow_time of pump = '9.0': there is no such parameter"),
-    }
-    for name, (value, words) in wrong.items():
-        given = {
-            "address": "tcp://127.0.0.1:1", "live": "true", "site_file": slow,
-            "command_limit": 4.0, name: value,
-        }
-        file = tmp_path / f"{name}.err"
-        with file.open("w") as errors:
-            assert rig.start(popen={"stderr": errors}, **given).wait(300) == 2, name
-        line = file.read_text().splitlines()[-1]
-        assert line.startswith(f"error: {words}")
 
 
 @pytest.mark.parametrize(
