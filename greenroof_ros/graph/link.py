@@ -94,7 +94,7 @@ class LinkedNode(Node):
         self._heard: list[Publishers] = []  # of all that it subscribes to
         self._warnings: list[str] = []
         self._outputs: list[Publisher] = []
-        self._reported = self._warned = 0.0
+        self._reported = self._warned = self._looked = 0.0
         self._final_values: dict[str, Any] = {}
         self._site_file: dict[str, str] = {}
         self._trigger: Live | Lockstep = (
@@ -349,9 +349,11 @@ class LinkedNode(Node):
         if (self.live or not self.acted) and now - self._warned >= DISCOVERY_S:
             self._warned = now
             self._warn(now)
-        if not self.ready and not self.inputs.absent():
-            self.reports.state = READY
-            self._report(now)
+        if not self.ready and now - self._looked >= LISTEN_S:  # asking ROS takes milliseconds
+            self._looked = now
+            if not self.inputs.absent():
+                self.reports.state = READY
+                self._report(now)
         if now - self._reported > _REPORT_S:
             # Again and again, for a reader that joins late may miss what was said once.
             self._report(now)

@@ -32,7 +32,7 @@ from greenroof_ros.graph.supervision import FINISHED
 
 CLOCK, RUN = "/clock", "/run"
 PLANT = "plant"
-# How often publishers are counted in the run (s): asking takes a tenth of a millisecond.
+# How often publishers are counted (s): asking takes a tenth of a millisecond and more.
 _COUNT_S = 0.25
 # How long somebody must be missing before it is said, and how often it is said again (s).
 _PATIENCE_S, _AGAIN_S = 2.0, 5.0
@@ -169,7 +169,7 @@ class Lockstep:
             OccupiedError: a second publisher was there before the run.
         """
         node = self._node
-        if node.acted and now - self._counted < _COUNT_S:
+        if now - self._counted < _COUNT_S:
             return
         self._counted = now
         alone = not node.reports.supervised
