@@ -294,11 +294,12 @@ def _topic(topic: str, mode: str, rig: str) -> Expected:
         # The forecast counts instead.
         said = Expected(stops=False, bound="gauge", alarm=topic)
         return {"off": said, "garbage": said}.get(mode, _RUNS_ON)
-    return {"garbage": Expected(bound="command", alarm=name)}.get(mode, _RUNS_ON)
+    return _RUNS_ON  # the campaign's controller, on/off, needs no forecast
 
 
 LEVELS = ("/cistern/level", "/roof/level", "/weather/frost")
-PLAYED = (*LEVELS, "/forecast/precipitation", "/forecast/evapotranspiration")
+FORECASTS = ("/forecast/precipitation", "/forecast/evapotranspiration")
+PLAYED = (*LEVELS, *FORECASTS)
 GAUGES = ("/gauge/precipitation", "/gauge/temperature")
 # By rig, what is played there.
 _ON = {
@@ -322,16 +323,15 @@ def _topics(repeats: int) -> Iterator[Case]:
                                _topic(topic, mode, rig))
                 yield Case(f"{rig}:{DRIVES[number % 4]}", "10000 hostile", topic, number, Expected(
                     stops=None, bound="gauge" if rig == "gauged" else "command",
-                    alarm="" if topic in ("/pump/meter", "/pump/flow") else topic))
+                    alarm="" if topic in ("/pump/meter", "/pump/flow", *FORECASTS) else topic))
 
 
 # --- intruders ------------------------------------------------------------------------------------
 
 # What stops while there are two publishers; of the others nobody takes the pump's orders.
-_OBEYED = ("/pump/command", "/cistern/level", "/roof/level", "/weather/frost",
-           "/forecast/precipitation", "/forecast/evapotranspiration")
-_HEARD = ("/weather/precipitation", "/weather/evapotranspiration", "/pump/flow", "/pump/state",
-          "/pump/meter", "/controller/cost", "/diagnostics")
+_OBEYED = ("/pump/command", "/cistern/level", "/roof/level", "/weather/frost")
+_HEARD = (*FORECASTS, "/weather/precipitation", "/weather/evapotranspiration", "/pump/flow",
+          "/pump/state", "/pump/meter", "/controller/cost", "/diagnostics")
 
 
 # A drive that another node has.
@@ -387,7 +387,7 @@ def _loop(repeats: int) -> Iterator[Case]:
                 recovery = "heals" if (node, fault) == ("bringup", "stop long") else "ends"
                 yield Case(f"loop:{DRIVES[number % 4]}", fault, node, number, Expected(
                     bound=bound, alarm=alarm, recovery=recovery))
-        for topic in ("/clock", *_OBEYED, "/weather/precipitation", "/pump/flow"):
+        for topic in ("/clock", *_OBEYED, *FORECASTS, "/weather/precipitation", "/pump/flow"):
             for fault in ("intruder", "10000 hostile")[:1 if number else 2]:
                 yield Case(f"loop:{DRIVES[number % 4]}", fault, topic, number, Expected(
                     bound="supervised", recovery="ends",
@@ -398,7 +398,7 @@ def _loop(repeats: int) -> Iterator[Case]:
 
 # Of the weather only the plant hears these.
 _OF_PLANT = ("/weather/precipitation", "/weather/evapotranspiration")
-RELAYED = (*_OBEYED, *_OF_PLANT)
+RELAYED = (*_OBEYED, *FORECASTS, *_OF_PLANT)
 
 
 def _relayed(repeats: int) -> Iterator[Case]:
@@ -453,7 +453,7 @@ def _simulated(repeats: int) -> Iterator[Case]:
                 yield Case("simulated", fault, node, number, Expected(
                     stops=None, bound="supervised", alarm="" if recovery == "same" else alarm,
                     recovery=recovery))
-        for topic in ("/clock", *_OBEYED, "/weather/precipitation", "/weather/evapotranspiration"):
+        for topic in ("/clock", *_OBEYED, *FORECASTS, *_OF_PLANT):
             for fault in ("intruder", "10000 hostile")[:1 if number else 2]:
                 yield Case("simulated", fault, topic, number, Expected(
                     stops=None, bound="supervised", recovery="ends",

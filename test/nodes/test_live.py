@@ -168,6 +168,13 @@ def test_onoff_commands_without_a_forecast(domain: int, tmp_path: Path, site: Si
         site.until(lambda: newest(commands) == 0.0, LATE, "stop without a level")
         site.values = dict(good)
         site.until(lambda: 0 < newest(commands) <= 0.4, LATE, "mpc again")
+        intruder = Node("intruder", context=site.watcher.context, start_parameter_services=False)
+        site.watcher.publisher(rain, intruder)
+        two = site.says("/mpc: forecast", WARN, f"{rain} has 2 publishers (intruder, observer)")
+        site.until(two, LATE, "a second publisher")
+        site.until(lambda: newest(commands) == 1.0, LATE, "on/off beside two forecasts")
+        intruder.destroy_node()
+        site.until(lambda: 0 < newest(commands) <= 0.4, LATE, "mpc again, with one forecast")
         # A wrong layout ends a simulated run; a live node refuses it, as too many members.
         del site.values[rain]
         for sizes, count, why in (((3, 5), 4, "layout is [3, 5]"), ((2, 10), 20, "has 2 members")):
