@@ -93,16 +93,17 @@ window.legendEntry = (id, text) => {
 """
 
 
-@pytest.fixture(scope="module")
-def page_file(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The report on a study of the paper's size, of noise, which takes the most room."""
-    directory = tmp_path_factory.mktemp("page")
+def noisy_study(
+    directory: Path, initials: tuple[str, ...], weights: tuple[str, ...],
+    fractions: tuple[str, ...],
+) -> None:
+    """Write a study of runs of 12 h of noise, which takes the most room."""
     random = np.random.default_rng(1)
     row = simulate("onoff", "0.5", "low-low", "0.01").row
     runs = []
-    for initial in INITIALS:
+    for initial in initials:
         for controller, key, values in (
-            ("mpc", "weight", WEIGHTS), ("onoff", "fraction", FRACTIONS)
+            ("mpc", "weight", weights), ("onoff", "fraction", fractions)
         ):
             for value in values:
                 noise = random.random((9, SAMPLES))
@@ -122,7 +123,22 @@ def page_file(tmp_path_factory: pytest.TempPathFactory) -> Path:
                          "parameter:fraction": "", "hours": "12", "bound_m3": 30_000.0,
                          f"parameter:{key}": value}
                 runs.append((about, trajectory))
-    write_study(directory / "study", runs)
+    write_study(directory, runs)
+
+
+@pytest.fixture(scope="module")
+def page_file(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The report on a study of the paper's size."""
+    directory = tmp_path_factory.mktemp("page")
+    noisy_study(directory / "study", INITIALS, WEIGHTS, FRACTIONS)
+    return reported(directory)
+
+
+@pytest.fixture(scope="module")
+def small_file(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The report on a study of four runs."""
+    directory = tmp_path_factory.mktemp("small")
+    noisy_study(directory / "study", INITIALS[:1], WEIGHTS[:2], FRACTIONS[:2])
     return reported(directory)
 
 
@@ -185,18 +201,30 @@ def opened(browser: Any, file: Path, width: int, *, unfold: bool = True) -> Any:
     page.wait_for_function("document.documentElement.dataset.drawn")
     page.evaluate(f"() => {{ {SCENE} }}")
     if unfold:
-        page.evaluate("document.querySelectorAll('details').forEach((one) => { one.open = true })")
-        page.wait_for_function("Math.max(...clipped()) <= 1", timeout=20_000)
-        settle(page)
+        unfold_all(page)
     return page
 
 
+def unfold_all(page: Any) -> None:
+    """Open all that is folded, and wait until it is drawn."""
+    page.evaluate("document.querySelectorAll('details').forEach((one) => { one.open = true })")
+    page.wait_for_function("Math.max(...clipped()) <= 1", timeout=20_000)
+    settle(page)
+
+
 @pytest.fixture(scope="module")
-def page(browser: Any, page_file: Path) -> Iterator[Any]:
-    """The page at the width of a desk's screen."""
-    found = opened(browser, page_file, 1280)
+def folded_page(browser: Any, page_file: Path) -> Iterator[Any]:
+    """The largest page, opened once for all tests: as it is until ``page`` unfolds it."""
+    found = opened(browser, page_file, 1400, unfold=False)
     yield found
     found.close()
+
+
+@pytest.fixture(scope="module")
+def page(folded_page: Any) -> Any:
+    """The same with nothing folded."""
+    unfold_all(folded_page)
+    return folded_page
 
 
 def overflow(page: Any) -> int:
@@ -211,27 +239,32 @@ def test_size(page_file: Path) -> None:
     assert page_file.stat().st_size < 5_000_000
 
 
-@pytest.mark.parametrize(("name", "most"), [("page_file", 3000), ("run_file", 2700)])
-def test_short(
-    browser: Any, request: pytest.FixtureRequest, name: str, most: int
-) -> None:
-    """What few read is folded, and drawn to its width once it is unfolded."""
-    page = opened(browser, request.getfixturevalue(name), 1400, unfold=False)
+def test_a_study_is_short(folded_page: Any) -> None:
+    """Before anything is unfolded, and so before all tests of ``page``."""
+    short(folded_page, 3000)
+
+
+def test_a_run_is_short(browser: Any, run_file: Path) -> None:
+    """The same of one run."""
+    page = opened(browser, run_file, 1400, unfold=False)
     try:
-        assert page.evaluate("document.documentElement.scrollHeight") < most
-        lead = page.locator("header figure .panel canvas")
-        assert lead.last.bounding_box()["y"] < 900
-        folded = page.locator("#pump-curve-1")
-        assert not folded.locator("canvas").is_visible()
-        folded.locator("summary").click()
-        width = "document.querySelector('#pump-curve-1 {}').getBoundingClientRect().width"
-        page.wait_for_function(
-            f"Math.abs({width.format('canvas')} - {width.format('.panel')}) <= 3"
-        )
-        assert folded.locator("canvas").is_visible()
-        page.wait_for_function("crowded().length === 0")
+        short(page, 2700)
     finally:
         page.close()
+
+
+def short(page: Any, most: int) -> None:
+    """Check that what few read is folded, and drawn to its width once it is unfolded."""
+    assert page.evaluate("document.documentElement.scrollHeight") < most
+    lead = page.locator("header figure .panel canvas")
+    assert lead.last.bounding_box()["y"] < 900
+    folded = page.locator("#pump-curve-1")
+    assert not folded.locator("canvas").is_visible()
+    folded.locator("summary").click()
+    width = "document.querySelector('#pump-curve-1 {}').getBoundingClientRect().width"
+    page.wait_for_function(f"Math.abs({width.format('canvas')} - {width.format('.panel')}) <= 3")
+    assert folded.locator("canvas").is_visible()
+    page.wait_for_function("crowded().length === 0")
 
 
 def test_silent_and_alone(page: Any, page_file: Path) -> None:
@@ -379,10 +412,10 @@ def test_hover_shows_values(page: Any) -> None:
     assert "weight" in text and "electric energy (Wh)" in text
 
 
-def test_widths(browser: Any, page: Any, page_file: Path) -> None:
+def test_widths(browser: Any, page: Any, small_file: Path) -> None:
     """Two columns or one, never wider than the window, laid out again when its width changes."""
     assert overflow(page) == 0
-    narrow = opened(browser, page_file, 500)
+    narrow = opened(browser, small_file, 500)
     try:
         assert narrow.said == []
         assert overflow(narrow) == 0
