@@ -412,34 +412,36 @@ def test_hover_shows_values(page: Any) -> None:
     assert "weight" in text and "electric energy (Wh)" in text
 
 
-def test_widths(browser: Any, page: Any, small_file: Path) -> None:
+@pytest.fixture(scope="module")
+def small_page(browser: Any, small_file: Path) -> Iterator[Any]:
+    """A page that is opened in a narrow window."""
+    found = opened(browser, small_file, 500)
+    yield found
+    found.close()
+
+
+def test_widths(page: Any, small_page: Any) -> None:
     """Two columns or one, never wider than the window, laid out again when its width changes."""
     assert overflow(page) == 0
-    narrow = opened(browser, small_file, 500)
-    try:
-        assert narrow.said == []
-        assert overflow(narrow) == 0
-        assert max(narrow.evaluate("clipped()")) <= 1
-        assert first_number(narrow) <= 500 - 16
-        box = narrow.locator(".scroll").nth(1)
-        assert box.evaluate("(one) => one.scrollWidth > one.clientWidth")
-        box.evaluate("(one) => { one.scrollLeft = 300 }")
-        left = box.evaluate("(one) => one.getBoundingClientRect().left")
-        first = box.locator("tbody th").first
-        assert first.evaluate("(one) => one.getBoundingClientRect().left") == pytest.approx(
-            left, abs=2
-        )
-        lefts = "[...document.querySelectorAll('#energy-1 .panel')].map((p) => p.offsetLeft)"
-        width = "window.reportViews.get('energy-1-panel-1').container().clientWidth"
-        assert len(set(narrow.evaluate(lefts))) == 1
-        assert narrow.evaluate(width) < 500
-        narrow.set_viewport_size({"width": 1280, "height": 900})
-        narrow.wait_for_function(f"new Set({lefts}).size === 2")
-        drawn = "document.querySelector('#energy-1-panel-1 canvas').getBoundingClientRect().width"
-        narrow.wait_for_function(f"Math.abs({drawn} - {width}) <= 3")
-        assert overflow(narrow) == 0
-    finally:
-        narrow.close()
+    assert small_page.said == []
+    assert overflow(small_page) == 0
+    assert max(small_page.evaluate("clipped()")) <= 1
+    assert first_number(small_page) <= 500 - 16
+    box = small_page.locator(".scroll").nth(1)
+    assert box.evaluate("(one) => one.scrollWidth > one.clientWidth")
+    box.evaluate("(one) => { one.scrollLeft = 300 }")
+    left = box.evaluate("(one) => one.getBoundingClientRect().left")
+    first = box.locator("tbody th").first
+    assert first.evaluate("(one) => one.getBoundingClientRect().left") == pytest.approx(left, abs=2)
+    lefts = "[...document.querySelectorAll('#energy-1 .panel')].map((p) => p.offsetLeft)"
+    width = "window.reportViews.get('energy-1-panel-1').container().clientWidth"
+    assert len(set(small_page.evaluate(lefts))) == 1
+    assert small_page.evaluate(width) < 500
+    small_page.set_viewport_size({"width": 1280, "height": 900})
+    small_page.wait_for_function(f"new Set({lefts}).size === 2")
+    drawn = "document.querySelector('#energy-1-panel-1 canvas').getBoundingClientRect().width"
+    small_page.wait_for_function(f"Math.abs({drawn} - {width}) <= 3")
+    assert overflow(small_page) == 0
 
 
 def test_many_seeds(browser: Any, seeds_file: Path) -> None:
@@ -482,10 +484,10 @@ def first_number(page: Any) -> float:
 def test_readable_at_any_width(
     browser: Any, request: pytest.FixtureRequest, name: str
 ) -> None:
-    """No cell of three lines at 1400 px; no legend is clipped there, at 500 px, or once made so.
+    """No cell of three lines at 1400 px; no legend is clipped there, or once it is 500 px wide.
 
-    At 500 px the first table shows a number without being moved. The study's page is looked at in
-    ``test_widths`` and below.
+    At 500 px the first table shows a number without being moved. Pages of studies, and one that is
+    opened at 500 px, are looked at in ``test_widths`` and below.
     """
     page = opened(browser, request.getfixturevalue(name), 1400)
     try:
@@ -496,24 +498,19 @@ def test_readable_at_any_width(
         page.wait_for_function("Math.max(...clipped()) <= 1")
         settle(page)
         assert page.evaluate("crowded()") == []
-    finally:
-        page.close()
-    page = opened(browser, request.getfixturevalue(name), 500)
-    try:
-        assert max(page.evaluate("clipped()")) <= 1
         assert first_number(page) <= 500 - 16 or name == "runs_file"  # with its long setting
     finally:
         page.close()
 
 
-def test_printed_as_lines(page: Any) -> None:
+def test_printed_as_lines(small_page: Any) -> None:
     """On paper figures are vectors; on the screen they are canvases again afterwards."""
-    panels = page.locator(".panel canvas").count()
-    page.evaluate("window.dispatchEvent(new Event('beforeprint'))")
-    assert page.locator(".panel svg").count() == panels
-    page.evaluate("window.dispatchEvent(new Event('afterprint'))")
-    assert page.locator(".panel canvas").count() == panels
-    assert page.said == []
+    panels = small_page.locator(".panel canvas").count()
+    small_page.evaluate("window.dispatchEvent(new Event('beforeprint'))")
+    assert small_page.locator(".panel svg").count() == panels
+    small_page.evaluate("window.dispatchEvent(new Event('afterprint'))")
+    assert small_page.locator(".panel canvas").count() == panels
+    assert small_page.said == []
 
 
 def test_a_study_is_readable_at_any_width(page: Any) -> None:
