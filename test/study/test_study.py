@@ -10,7 +10,8 @@ import time
 from pathlib import Path
 
 import pytest
-from graphs import wait_for
+from commands import run_command
+from graphs import environment, wait_for
 from places import CHECKOUT, DATA
 from studies import CONFIG, GRID, WEATHER, edited, grid, rows_of, study
 
@@ -124,7 +125,9 @@ def test_what_was_begun_is_not_mixed_with_something_else(tmp_path: Path) -> None
     before = (tmp_path / "out" / "results.csv").read_bytes()
 
     def refusal(*options: str) -> str:
-        result = study(tmp_path, "grid.yaml", "--output", "out", *options)
+        result = run_command(
+            "study", "grid.yaml", "--output", "out", *options, cwd=tmp_path, env=environment(0)
+        )
         assert result.returncode == 2
         assert result.stderr.count("\n") == 1
         return result.stderr
@@ -142,7 +145,9 @@ def test_what_was_begun_is_not_mixed_with_something_else(tmp_path: Path) -> None
     assert (tmp_path / "out" / "results.csv").read_bytes() == before
     (tmp_path / "mine").mkdir()
     (tmp_path / "mine" / "thesis.txt").write_text("42")
-    result = study(tmp_path, "grid.yaml", "--output", "mine")
+    result = run_command(
+        "study", "grid.yaml", "--output", "mine", cwd=tmp_path, env=environment(0)
+    )
     assert result.returncode == 2
     assert "exists, is not empty and no study" in result.stderr
     assert [path.name for path in (tmp_path / "mine").iterdir()] == ["thesis.txt"]
