@@ -43,8 +43,9 @@ FOR_BENCH := $(VENV)/.for-bench
 FOR_DOCS := $(VENV)/.for-docs
 FOR_MUTATION := $(VENV)/.for-mutation
 
-# It says what it installs: the first time it takes a minute or two.
-PIP_INSTALL = $(BIN)/python -m pip --disable-pip-version-check install --editable
+# It says what it installs: the first time it takes a minute or two. Python compiles what is
+# imported, which is a small part of it.
+PIP_INSTALL = $(BIN)/python -m pip --disable-pip-version-check install --no-compile --editable
 
 .PHONY: help run study test lint docs bench doc-commands faults test-kilted mutation clean
 

@@ -12,7 +12,16 @@ from greenroof_ros.calibration.fit import Fit
 from greenroof_ros.calibration.halves import Halves
 from greenroof_ros.calibration.record import TOGETHER, Record, Values
 from greenroof_ros.calibration.scores import DAY_S, HOUR_S, time_name
-from greenroof_ros.report.drawing import COLOURS, Figure, Panel, Rows, distinct, hover_points, short
+from greenroof_ros.report.drawing import (
+    COLOURS,
+    Figure,
+    Panel,
+    Rows,
+    distinct,
+    hover_points,
+    pointed,
+    short,
+)
 
 MEASURED, SIMULATED = "measured", "simulated"
 FITTED, VALIDATED = "fit", "validation"
@@ -154,7 +163,9 @@ def _over_time(quantity: _Quantity, name: str, boundary: float | None) -> Panel:
         clip=True, strokeWidth=1.2, interpolate="step-after"
     ).encode(
         x=_TIME, y=alt.Y("v:Q", title=quantity.axis(DAY_S), scale=alt.Scale(zero=quantity.total)),
-        tooltip=["series:N", _WHEN, alt.Tooltip("v:Q", title=quantity.axis(DAY_S), format=".4~g")],
+        tooltip=pointed(
+            "series:N", _WHEN, alt.Tooltip("v:Q", title=quantity.axis(DAY_S), format=".4~g")
+        ),
         **distinct("series", [MEASURED, SIMULATED], ""),
     )
     return Panel(
@@ -168,7 +179,7 @@ def _residuals(quantity: _Quantity, name: str, boundary: float | None) -> Panel:
         clip=True, strokeWidth=1.2, interpolate="step-after"
     ).encode(
         x=_TIME, y=alt.Y("v:Q", title=f"too much {quantity.axis(DAY_S)}"),
-        tooltip=["part:N", _WHEN, alt.Tooltip("v:Q", title="too much", format=".4~g")],
+        tooltip=pointed("part:N", _WHEN, alt.Tooltip("v:Q", title="too much", format=".4~g")),
         **distinct("part", [FITTED, VALIDATED], ""),
     )
     return Panel(

@@ -7,7 +7,7 @@ from collections.abc import Callable
 import altair as alt
 
 from greenroof_ros.report.assessment import Assessment
-from greenroof_ros.report.drawing import Figure, Panel, short
+from greenroof_ros.report.drawing import Figure, Panel, pointed, short
 from greenroof_ros.report.results import Report, Window
 
 _TERMS = {
@@ -64,7 +64,7 @@ def balance(report: Report, window: Window, number: int) -> Figure:
                 "term:N", title=None,
                 scale=alt.Scale(domain=list(parts), range=[_TERMS[term] for term in parts]),
             ),
-            tooltip=["run:N", "term:N", alt.Tooltip("v:Q", title="m³", format=".6~g")],
+            tooltip=pointed("run:N", "term:N", alt.Tooltip("v:Q", title="m³", format=".6~g")),
         )
         panels.append(Panel(chart, tank, height=max(90, 17 * len(runs)), toggle="term"))
     caption = (

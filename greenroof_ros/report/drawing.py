@@ -173,6 +173,15 @@ def distinct(name: str, values: list[str], title: str) -> dict[str, Any]:
     }
 
 
+def pointed(*fields: str | alt.Tooltip) -> list[alt.Tooltip]:
+    """Return what the pointer shows.
+
+    As any channel it is made here: of one that is but a name Altair goes through all of its own
+    classes, which takes longer than the rest of a chart.
+    """
+    return [alt.Tooltip(field) if isinstance(field, str) else field for field in fields]
+
+
 def cycle(choices: Sequence[Any], values: Sequence[str]) -> list[Any]:
     """Return a choice for each value, beginning again where there are more values."""
     return [choices[index % len(choices)] for index in range(len(values))]

@@ -16,7 +16,7 @@ from greenroof_ros.model.plant import head_loss, maximum_pump_flow, pump_flow
 from greenroof_ros.model.pump_curve import fit_pump_curve
 from greenroof_ros.model.site import Site
 from greenroof_ros.model.smooth_plant import linearise
-from greenroof_ros.report.drawing import Figure, Panel, Rows, distinct, short
+from greenroof_ros.report.drawing import Figure, Panel, Rows, distinct, pointed, short
 
 # No pump that waters a roof is believed to have more [assumed]; sheets in l/s, m3/h or mm have.
 _LARGEST_FLOW, _LARGEST_HEAD = 0.5, 500.0
@@ -105,7 +105,7 @@ def pump_curve(
     y = alt.Y("head:Q", title="head (m)", scale=alt.Scale(domain=[0, top], nice=False))
     layers = [
         alt.Chart(alt.NamedData(data)).mark_line(clip=True).encode(
-            x=x, y=y, tooltip=["line:N", "flow:Q", "head:Q"], **distinct("line", names, ""),
+            x=x, y=y, tooltip=pointed("line:N", "flow:Q", "head:Q"), **distinct("line", names, ""),
         ),
         alt.Chart(alt.InlineData(working)).mark_point(size=90, color="black").encode(
             x=x, y=y,
@@ -116,7 +116,7 @@ def pump_curve(
         measured = [{"flow": flow * 1000, "head": head} for flow, head in points]
         layers.append(
             alt.Chart(alt.InlineData(measured)).mark_point(shape="cross", size=60, color="black")
-            .encode(x=x, y=y, tooltip=["flow:Q", "head:Q"])
+            .encode(x=x, y=y, tooltip=pointed("flow:Q", "head:Q"))
         )
     panel = Panel(alt.layer(*layers), "Head over flow", height=260, toggle="line")
     return Figure(
@@ -156,7 +156,7 @@ def pump_smoothing(site: Site, number: int, of: str) -> Figure:
             x=alt.X("x:Q", title=f"{tank}, {name} (m³)",
                     scale=alt.Scale(domain=[low, high], nice=False)),
             y=alt.Y("q:Q", title="pump flow (L/s)"),
-            tooltip=["model:N", alt.Tooltip("x:Q", format=".4g"), "q:Q"],
+            tooltip=pointed("model:N", alt.Tooltip("x:Q", format=".4g"), "q:Q"),
             **distinct("model", names, ""),
         )
         panels.append(Panel(chart, title, toggle="model"))

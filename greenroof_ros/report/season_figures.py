@@ -9,7 +9,16 @@ from typing import Any
 import altair as alt
 
 from greenroof_ros.recording.results_table import differing
-from greenroof_ros.report.drawing import COLOURS, Figure, Panel, Rows, cycle, distinct, short
+from greenroof_ros.report.drawing import (
+    COLOURS,
+    Figure,
+    Panel,
+    Rows,
+    cycle,
+    distinct,
+    pointed,
+    short,
+)
 from greenroof_ros.report.results import Report
 from greenroof_ros.report.seasons import (
     Place,
@@ -80,7 +89,7 @@ def by_year(found: Sequence[Seasons]) -> Figure:
                 x=alt.X("year:O", title=None, axis=alt.Axis(labelAngle=0)),
                 y=alt.Y(**_scale("v"), title="total |x2 - x2*| of the season (m³)"),
                 **distinct("series", series, ""),
-                tooltip=["series:N", "year:O", "v:Q", "least:Q", "largest:Q"],
+                tooltip=pointed("series:N", "year:O", "v:Q", "least:Q", "largest:Q"),
             )
             title = [_title(place, found), *([f"forecasts: {forecast}"] if forecast else [])]
             panels.append(Panel(chart, title, height=_HEIGHT, toggle="series"))
@@ -124,14 +133,14 @@ def comparison_figure(report: Report, found: Sequence[Seasons]) -> Figure:
             color=alt.Color("controller:N", title=None, scale=alt.Scale(
                 domain=[controller_name(each) for each in colours], range=list(colours.values()),
             )),
-            tooltip=["series:N", "v:Q", "low:Q", "high:Q", "verdict:N"],
+            tooltip=pointed("series:N", "v:Q", "low:Q", "high:Q", "verdict:N"),
         )
         intervals = base.mark_rule(strokeWidth=2).encode(
             x=alt.X(**_scale("low"), title="deviation of a season over that of on/off (1)"),
-            x2="high:Q",
+            x2=alt.X2("high:Q"),
         )
-        marks = base.mark_point(filled=True, size=70, opacity=1).encode(x="v:Q")
-        line = alt.Chart(alt.InlineData(values=[{"x": 1}])).mark_rule().encode(x="x:Q")
+        marks = base.mark_point(filled=True, size=70, opacity=1).encode(x=alt.X("v:Q"))
+        line = alt.Chart(alt.InlineData(values=[{"x": 1}])).mark_rule().encode(x=alt.X("x:Q"))
         panels.append(
             Panel(alt.layer(line, intervals, marks), _title(place, found), height=_HEIGHT)
         )
@@ -159,7 +168,7 @@ def sizing(found: Sequence[Seasons]) -> Figure:
         ]
         base = alt.Chart(alt.NamedData(name)).encode(
             **distinct("series", series, ""),
-            tooltip=["series:N", "volume:Q", "saved:Q", "overflow:Q"],
+            tooltip=pointed("series:N", "volume:Q", "saved:Q", "overflow:Q"),
         )
         title = f"green roof of {area:g} m²"
         volumes = sorted({row["volume"] for row in data[name]})
@@ -171,7 +180,7 @@ def sizing(found: Sequence[Seasons]) -> Figure:
         traded = base.mark_line(point=True).encode(
             x=alt.X(**_scale("overflow"), title="overflow to the sewer (m³ a season)"),
             y=alt.Y(**_scale("saved"), title="mains water saved (m³ a season)"),
-            order="volume:Q",
+            order=alt.Order("volume:Q"),
         )
         upper.append(Panel(saved, title, height=_HEIGHT, toggle="series"))
         lower.append(Panel(traded, title, height=_HEIGHT, toggle="series"))

@@ -117,7 +117,7 @@ def _chart(report: Report, found: list[Spread], dataset: str) -> Chart:
     layers += [
         alt.Chart(alt.InlineData([{"v": bound, "text": "least possible"}])).mark_text(
             align="left", baseline="top", dx=4, dy=3, fontSize=10
-        ).encode(x=alt.value(0), y=y, text="text:N")
+        ).encode(x=alt.XValue(0), y=y, text=alt.Text("text:N"))
         for bound in bounds
     ]
     tooltip = [

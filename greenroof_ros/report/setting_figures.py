@@ -179,7 +179,7 @@ def _bound_layers(data: str, y: alt.Y, colour: alt.Color) -> list[alt.Chart]:
             ],
         ),
         base.mark_text(align="left", baseline="bottom", dx=4, dy=-1, fontSize=10).encode(
-            x=alt.value(0), y=y, color=colour, text="text:N",
+            x=alt.XValue(0), y=y, color=colour, text=alt.Text("text:N"),
         ),
     ]
 

@@ -156,7 +156,7 @@ def _reference_layers(axis_range: _Range, scale: alt.Scale) -> list[alt.Chart]:
             layers.append(
                 alt.Chart(alt.InlineData([{"from": reference.value, "to": high}]))
                 .mark_rect(color="#D55E00", opacity=0.12)
-                .encode(y=alt.Y("from:Q", scale=scale), y2="to:Q")
+                .encode(y=alt.Y("from:Q", scale=scale), y2=alt.Y2("to:Q"))
             )
         if inside:
             layers.append(base.mark_rule(color=_GREY, strokeDash=[3, 2]).encode(y=y))
@@ -164,6 +164,6 @@ def _reference_layers(axis_range: _Range, scale: alt.Scale) -> list[alt.Chart]:
             base.mark_text(
                 align="right", baseline="top" if above and not inside else "bottom",
                 dx=-4, dy=3 if above and not inside else -2, color="#333333", fontSize=10,
-            ).encode(x=alt.value("width"), y=y, text="text:N")
+            ).encode(x=alt.XValue("width"), y=y, text=alt.Text("text:N"))
         )
     return layers

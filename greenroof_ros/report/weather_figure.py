@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import altair as alt
 
-from greenroof_ros.report.drawing import Figure, Panel, distinct, hover_points, short
+from greenroof_ros.report.drawing import Figure, Panel, distinct, hover_points, pointed, short
 from greenroof_ros.report.results import Report, Result, Sky
 
 
@@ -43,7 +43,7 @@ def weather(report: Report, sky: Sky, number: int) -> Figure:
         alt.Chart(alt.InlineData([
             {"from": origin + low * 1000, "to": origin + high * 1000} for low, high in frozen
         ])).mark_rect(color="#999999", opacity=0.3).encode(
-            x=alt.X("from:T", scale=alt.Scale(type="utc")), x2="to:T"
+            x=alt.X("from:T", scale=alt.Scale(type="utc")), x2=alt.X2("to:T")
         )
     ] if frozen else []
     rained = alt.Chart(alt.NamedData(f"rain-{number}")).mark_area(
@@ -56,7 +56,7 @@ def weather(report: Report, sky: Sky, number: int) -> Figure:
         interpolate="step-after", clip=True
     ).encode(
         x=x, y=alt.Y("v:Q", title="evapotranspiration (mm/day)", scale=alt.Scale(zero=True)),
-        tooltip=["method:N", when, alt.Tooltip("v:Q", title="mm/day")],
+        tooltip=pointed("method:N", when, alt.Tooltip("v:Q", title="mm/day")),
         **distinct("method", list(first), "method"),
     )
     caption = (

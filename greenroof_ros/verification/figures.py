@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 
 import altair as alt
 
-from greenroof_ros.report.drawing import Figure, Panel, Rows, distinct, hover_points, short
+from greenroof_ros.report.drawing import Figure, Panel, Rows, distinct, hover_points, pointed, short
 from greenroof_ros.verification.pairs import Class, Sum
 from greenroof_ros.verification.scores import TENTHS, Tally
 
@@ -62,7 +62,7 @@ def _lines(data: str, title: str, axis: str, leads: list[str], names: list[str])
     lines = alt.Chart(alt.NamedData(data)).mark_line(point=True, strokeWidth=1.5).encode(
         x=alt.X("lead:N", title="lead", sort=leads, axis=alt.Axis(labelAngle=0)),
         y=alt.Y("v:Q", title=axis),
-        tooltip=["lead:N", "sum:N", alt.Tooltip("v:Q", title=axis, format=".3f")],
+        tooltip=pointed("lead:N", "sum:N", alt.Tooltip("v:Q", title=axis, format=".3f")),
         **distinct("sum", names, "sum of"),
     )
     return Panel(lines, title, hover=hover_points(lines), toggle="sum")
@@ -106,13 +106,13 @@ def _diagram(data: str, one: Sum, leads: list[str]) -> Panel:
     scale = alt.Scale(domain=[0, 1])
     perfect = alt.Chart(alt.InlineData([{"v": 0}, {"v": 1}])).mark_line(
         color="#888888", strokeWidth=1
-    ).encode(x="v:Q", y="v:Q")
+    ).encode(x=alt.X("v:Q"), y=alt.Y("v:Q"))
     lines = alt.Chart(alt.NamedData(data)).mark_line(point=True, strokeWidth=1.5).encode(
         x=alt.X("p:Q", title="probability that was forecast", scale=scale),
         y=alt.Y("o:Q", title="share of events", scale=scale),
-        tooltip=["lead:N", alt.Tooltip("p:Q", title="forecast", format=".2f"),
+        tooltip=pointed("lead:N", alt.Tooltip("p:Q", title="forecast", format=".2f"),
                  alt.Tooltip("o:Q", title="observed", format=".2f"),
-                 alt.Tooltip("n:Q", title="forecasts")],
+                 alt.Tooltip("n:Q", title="forecasts")),
         **distinct("lead", leads, "lead"),
     )
     return Panel(
@@ -141,13 +141,13 @@ def _ranks(tallies: Mapping[Class, Tally]) -> Figure:
 
 
 def _histogram(data: str, one: Sum, leads: list[str]) -> Panel:
-    even = alt.Chart(alt.InlineData([{"v": 1}])).mark_rule(color="#888888").encode(y="v:Q")
+    even = alt.Chart(alt.InlineData([{"v": 1}])).mark_rule(color="#888888").encode(y=alt.Y("v:Q"))
     steps = alt.Chart(alt.NamedData(data)).mark_line(
         interpolate="step", strokeWidth=1.5
     ).encode(
         x=alt.X("rank:Q", title="members below the observation", axis=alt.Axis(tickMinStep=1)),
         y=alt.Y("v:Q", title="over an even share", scale=alt.Scale(zero=True)),
-        tooltip=["lead:N", "rank:Q", alt.Tooltip("v:Q", title="over even", format=".2f")],
+        tooltip=pointed("lead:N", "rank:Q", alt.Tooltip("v:Q", title="over even", format=".2f")),
         **distinct("lead", leads, "lead"),
     )
     return Panel(

@@ -209,7 +209,9 @@ def test_energy_and_starts_by_hand() -> None:
     assert metrics["pump_starts"] == 3
 
 
-@pytest.mark.parametrize("options", [("mpc", "low-low"), ("mpc", "high-low"), ("onoff", "low-low")])
+@pytest.mark.parametrize(
+    "options", [("mpc", "low-low"), ("onoff", "high-low"), ("onoff", "low-low")]
+)
 def test_the_papers_runs_balance(options: tuple[str, str]) -> None:
     """12 hours in which no tank runs dry, so nothing is limited."""
     controller, initial = options

@@ -121,7 +121,7 @@ def test_no_layer_lets_all_through() -> None:
     assert plant.layer == 0.0
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=25, deadline=None)
 @given(
     layer=st.floats(0, 1), inflow=st.floats(0, 0.005) | st.just(0.0),
     seconds=st.sampled_from([0.1, 1.0, 60.0, 3600.0, 1e6]),

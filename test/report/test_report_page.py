@@ -93,16 +93,17 @@ window.legendEntry = (id, text) => {
 """
 
 
-@pytest.fixture(scope="module")
-def page_file(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The report on a study of the paper's size, of noise, which takes the most room."""
-    directory = tmp_path_factory.mktemp("page")
+def noisy_study(
+    directory: Path, initials: tuple[str, ...], weights: tuple[str, ...],
+    fractions: tuple[str, ...],
+) -> None:
+    """Write a study of runs of 12 h of noise, which takes the most room."""
     random = np.random.default_rng(1)
     row = simulate("onoff", "0.5", "low-low", "0.01").row
     runs = []
-    for initial in INITIALS:
+    for initial in initials:
         for controller, key, values in (
-            ("mpc", "weight", WEIGHTS), ("onoff", "fraction", FRACTIONS)
+            ("mpc", "weight", weights), ("onoff", "fraction", fractions)
         ):
             for value in values:
                 noise = random.random((9, SAMPLES))
@@ -122,7 +123,22 @@ def page_file(tmp_path_factory: pytest.TempPathFactory) -> Path:
                          "parameter:fraction": "", "hours": "12", "bound_m3": 30_000.0,
                          f"parameter:{key}": value}
                 runs.append((about, trajectory))
-    write_study(directory / "study", runs)
+    write_study(directory, runs)
+
+
+@pytest.fixture(scope="module")
+def page_file(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The report on a study of the paper's size."""
+    directory = tmp_path_factory.mktemp("page")
+    noisy_study(directory / "study", INITIALS, WEIGHTS, FRACTIONS)
+    return reported(directory)
+
+
+@pytest.fixture(scope="module")
+def small_file(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The report on a study of four runs."""
+    directory = tmp_path_factory.mktemp("small")
+    noisy_study(directory / "study", INITIALS[:1], WEIGHTS[:2], FRACTIONS[:2])
     return reported(directory)
 
 
@@ -185,18 +201,30 @@ def opened(browser: Any, file: Path, width: int, *, unfold: bool = True) -> Any:
     page.wait_for_function("document.documentElement.dataset.drawn")
     page.evaluate(f"() => {{ {SCENE} }}")
     if unfold:
-        page.evaluate("document.querySelectorAll('details').forEach((one) => { one.open = true })")
-        page.wait_for_function("Math.max(...clipped()) <= 1", timeout=20_000)
-        settle(page)
+        unfold_all(page)
     return page
 
 
+def unfold_all(page: Any) -> None:
+    """Open all that is folded, and wait until it is drawn."""
+    page.evaluate("document.querySelectorAll('details').forEach((one) => { one.open = true })")
+    page.wait_for_function("Math.max(...clipped()) <= 1", timeout=20_000)
+    settle(page)
+
+
 @pytest.fixture(scope="module")
-def page(browser: Any, page_file: Path) -> Iterator[Any]:
-    """The page at the width of a desk's screen."""
-    found = opened(browser, page_file, 1280)
+def folded_page(browser: Any, page_file: Path) -> Iterator[Any]:
+    """The largest page, opened once for all tests: as it is until ``page`` unfolds it."""
+    found = opened(browser, page_file, 1400, unfold=False)
     yield found
     found.close()
+
+
+@pytest.fixture(scope="module")
+def page(folded_page: Any) -> Any:
+    """The same with nothing folded."""
+    unfold_all(folded_page)
+    return folded_page
 
 
 def overflow(page: Any) -> int:
@@ -211,27 +239,32 @@ def test_size(page_file: Path) -> None:
     assert page_file.stat().st_size < 5_000_000
 
 
-@pytest.mark.parametrize(("name", "most"), [("page_file", 3000), ("run_file", 2700)])
-def test_short(
-    browser: Any, request: pytest.FixtureRequest, name: str, most: int
-) -> None:
-    """What few read is folded, and drawn to its width once it is unfolded."""
-    page = opened(browser, request.getfixturevalue(name), 1400, unfold=False)
+def test_a_study_is_short(folded_page: Any) -> None:
+    """Before anything is unfolded, and so before all tests of ``page``."""
+    short(folded_page, 3000)
+
+
+def test_a_run_is_short(browser: Any, run_file: Path) -> None:
+    """The same of one run."""
+    page = opened(browser, run_file, 1400, unfold=False)
     try:
-        assert page.evaluate("document.documentElement.scrollHeight") < most
-        lead = page.locator("header figure .panel canvas")
-        assert lead.last.bounding_box()["y"] < 900
-        folded = page.locator("#pump-curve-1")
-        assert not folded.locator("canvas").is_visible()
-        folded.locator("summary").click()
-        width = "document.querySelector('#pump-curve-1 {}').getBoundingClientRect().width"
-        page.wait_for_function(
-            f"Math.abs({width.format('canvas')} - {width.format('.panel')}) <= 3"
-        )
-        assert folded.locator("canvas").is_visible()
-        page.wait_for_function("crowded().length === 0")
+        short(page, 2700)
     finally:
         page.close()
+
+
+def short(page: Any, most: int) -> None:
+    """Check that what few read is folded, and drawn to its width once it is unfolded."""
+    assert page.evaluate("document.documentElement.scrollHeight") < most
+    lead = page.locator("header figure .panel canvas")
+    assert lead.last.bounding_box()["y"] < 900
+    folded = page.locator("#pump-curve-1")
+    assert not folded.locator("canvas").is_visible()
+    folded.locator("summary").click()
+    width = "document.querySelector('#pump-curve-1 {}').getBoundingClientRect().width"
+    page.wait_for_function(f"Math.abs({width.format('canvas')} - {width.format('.panel')}) <= 3")
+    assert folded.locator("canvas").is_visible()
+    page.wait_for_function("crowded().length === 0")
 
 
 def test_silent_and_alone(page: Any, page_file: Path) -> None:
@@ -379,34 +412,36 @@ def test_hover_shows_values(page: Any) -> None:
     assert "weight" in text and "electric energy (Wh)" in text
 
 
-def test_widths(browser: Any, page: Any, page_file: Path) -> None:
+@pytest.fixture(scope="module")
+def small_page(browser: Any, small_file: Path) -> Iterator[Any]:
+    """A page that is opened in a narrow window."""
+    found = opened(browser, small_file, 500)
+    yield found
+    found.close()
+
+
+def test_widths(page: Any, small_page: Any) -> None:
     """Two columns or one, never wider than the window, laid out again when its width changes."""
     assert overflow(page) == 0
-    narrow = opened(browser, page_file, 500)
-    try:
-        assert narrow.said == []
-        assert overflow(narrow) == 0
-        assert max(narrow.evaluate("clipped()")) <= 1
-        assert first_number(narrow) <= 500 - 16
-        box = narrow.locator(".scroll").nth(1)
-        assert box.evaluate("(one) => one.scrollWidth > one.clientWidth")
-        box.evaluate("(one) => { one.scrollLeft = 300 }")
-        left = box.evaluate("(one) => one.getBoundingClientRect().left")
-        first = box.locator("tbody th").first
-        assert first.evaluate("(one) => one.getBoundingClientRect().left") == pytest.approx(
-            left, abs=2
-        )
-        lefts = "[...document.querySelectorAll('#energy-1 .panel')].map((p) => p.offsetLeft)"
-        width = "window.reportViews.get('energy-1-panel-1').container().clientWidth"
-        assert len(set(narrow.evaluate(lefts))) == 1
-        assert narrow.evaluate(width) < 500
-        narrow.set_viewport_size({"width": 1280, "height": 900})
-        narrow.wait_for_function(f"new Set({lefts}).size === 2")
-        drawn = "document.querySelector('#energy-1-panel-1 canvas').getBoundingClientRect().width"
-        narrow.wait_for_function(f"Math.abs({drawn} - {width}) <= 3")
-        assert overflow(narrow) == 0
-    finally:
-        narrow.close()
+    assert small_page.said == []
+    assert overflow(small_page) == 0
+    assert max(small_page.evaluate("clipped()")) <= 1
+    assert first_number(small_page) <= 500 - 16
+    box = small_page.locator(".scroll").nth(1)
+    assert box.evaluate("(one) => one.scrollWidth > one.clientWidth")
+    box.evaluate("(one) => { one.scrollLeft = 300 }")
+    left = box.evaluate("(one) => one.getBoundingClientRect().left")
+    first = box.locator("tbody th").first
+    assert first.evaluate("(one) => one.getBoundingClientRect().left") == pytest.approx(left, abs=2)
+    lefts = "[...document.querySelectorAll('#energy-1 .panel')].map((p) => p.offsetLeft)"
+    width = "window.reportViews.get('energy-1-panel-1').container().clientWidth"
+    assert len(set(small_page.evaluate(lefts))) == 1
+    assert small_page.evaluate(width) < 500
+    small_page.set_viewport_size({"width": 1280, "height": 900})
+    small_page.wait_for_function(f"new Set({lefts}).size === 2")
+    drawn = "document.querySelector('#energy-1-panel-1 canvas').getBoundingClientRect().width"
+    small_page.wait_for_function(f"Math.abs({drawn} - {width}) <= 3")
+    assert overflow(small_page) == 0
 
 
 def test_many_seeds(browser: Any, seeds_file: Path) -> None:
@@ -449,10 +484,10 @@ def first_number(page: Any) -> float:
 def test_readable_at_any_width(
     browser: Any, request: pytest.FixtureRequest, name: str
 ) -> None:
-    """No cell of three lines at 1400 px; no legend is clipped there, at 500 px, or once made so.
+    """No cell of three lines at 1400 px; no legend is clipped there, or once it is 500 px wide.
 
-    At 500 px the first table shows a number without being moved. The study's page is looked at in
-    ``test_widths`` and below.
+    At 500 px the first table shows a number without being moved. Pages of studies, and one that is
+    opened at 500 px, are looked at in ``test_widths`` and below.
     """
     page = opened(browser, request.getfixturevalue(name), 1400)
     try:
@@ -463,24 +498,19 @@ def test_readable_at_any_width(
         page.wait_for_function("Math.max(...clipped()) <= 1")
         settle(page)
         assert page.evaluate("crowded()") == []
-    finally:
-        page.close()
-    page = opened(browser, request.getfixturevalue(name), 500)
-    try:
-        assert max(page.evaluate("clipped()")) <= 1
         assert first_number(page) <= 500 - 16 or name == "runs_file"  # with its long setting
     finally:
         page.close()
 
 
-def test_printed_as_lines(page: Any) -> None:
+def test_printed_as_lines(small_page: Any) -> None:
     """On paper figures are vectors; on the screen they are canvases again afterwards."""
-    panels = page.locator(".panel canvas").count()
-    page.evaluate("window.dispatchEvent(new Event('beforeprint'))")
-    assert page.locator(".panel svg").count() == panels
-    page.evaluate("window.dispatchEvent(new Event('afterprint'))")
-    assert page.locator(".panel canvas").count() == panels
-    assert page.said == []
+    panels = small_page.locator(".panel canvas").count()
+    small_page.evaluate("window.dispatchEvent(new Event('beforeprint'))")
+    assert small_page.locator(".panel svg").count() == panels
+    small_page.evaluate("window.dispatchEvent(new Event('afterprint'))")
+    assert small_page.locator(".panel canvas").count() == panels
+    assert small_page.said == []
 
 
 def test_a_study_is_readable_at_any_width(page: Any) -> None:

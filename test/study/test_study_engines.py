@@ -10,7 +10,7 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import suppress
 from pathlib import Path
 
@@ -57,7 +57,7 @@ def workers(process: int) -> list[int]:
 
 def test_a_killed_worker_fails_its_run_alone(tmp_path: Path) -> None:
     """The others go on; the failure is in the table; the next call makes it good."""
-    text = GRID.replace("hours: 0.25", "hours: 12").replace("[low-low, ", "[")
+    text = GRID.replace("hours: 0.25", "hours: 6").replace("[low-low, ", "[")
     text = text.replace("[published, fao56]", "fao56")
     process = subprocess.Popen(
         [sys.executable, "-m", "greenroof_ros.study", grid(tmp_path, text), "--output", "out",
@@ -327,54 +327,29 @@ def test_sensor_and_pump_errors_by_both_engines(tmp_path: Path) -> None:
     assert not set(names) & plain[0].columns().keys()
 
 
-def test_dask(tmp_path: Path) -> None:
-    """The same table from a cluster of two workers; exit code 2 where there is no answer."""
-    from distributed import LocalCluster
-
-    archive(tmp_path)
-    # As a study of seasons: coarse ticks, and no forecast for a controller that looks at none.
-    text = GRID.replace("02:00", "01:00").replace("onoff:", "onoff: {forecast: perfect}")
-    text = text.replace(f"site: {CONFIG / 'site.yaml'}", "site: {file: site.yaml, tau: 10, M: 1}")
-    name = grid(tmp_path, text + "forecast: archive.csv\n")
-    assert study(tmp_path, name, "--output", "here").returncode == 0
-    with LocalCluster(
-        n_workers=2, threads_per_worker=1, host="127.0.0.1", dashboard_address=":0"
-    ) as cluster:
-        result = study(
-            tmp_path, name, "--output", "there", "--scheduler", cluster.scheduler_address
-        )
-    assert result.returncode == 0, result.stderr
-    here, there = (tmp_path / each / "results.csv" for each in ("here", "there"))
-    assert here.read_bytes() == there.read_bytes()
-    assert {(row["controller"], row["forecast"]) for row in rows_of(here)} == {
-        ("mpc", "archive.csv"), ("onoff", "perfect"),
-    }
-    result = study(tmp_path, name, "--output", "nowhere", "--scheduler", "tcp://127.0.0.1:9")
-    assert result.returncode == 2
-    assert "--scheduler = 'tcp://127.0.0.1:9': does not answer" in result.stderr
-    assert "Traceback" not in result.stderr
-
-
 class DaskCluster:
-    """A Dask scheduler and a worker, each a process of its own, on the loopback."""
+    """A Dask scheduler and its workers, each a process of its own, on the loopback."""
 
-    def __init__(self, directory: Path) -> None:
+    def __init__(self, directory: Path, workers: int = 1) -> None:
         file = directory / f"scheduler-{time.monotonic_ns()}.json"
-        self.log = (directory / "dask.log").open("a")
+        self.log_file = directory / "dask.log"
+        self.log = self.log_file.open("a")
         self.scheduler = self._start(
             "scheduler", "--host", "127.0.0.1", "--port", "0", "--dashboard-address", ":0",
             "--no-show", "--scheduler-file", str(file),
         )
         wait_for(lambda: file.is_file() and file.read_text().endswith("}"), 60, "a scheduler")
         self.address = json.loads(file.read_text())["address"]
-        self.worker = self.start_worker()
+        self.workers: list[subprocess.Popen[str]] = []
+        for _ in range(workers):
+            self.start_worker()
 
-    def start_worker(self) -> subprocess.Popen[str]:
+    def start_worker(self) -> None:
         """Start one more."""
-        return self._start(
+        self.workers.append(self._start(
             "worker", self.address, "--nthreads", "1", "--no-nanny", "--dashboard-address", ":0",
             "--host", "127.0.0.1",
-        )
+        ))
 
     def _start(self, what: str, *options: str) -> subprocess.Popen[str]:
         return subprocess.Popen(
@@ -383,27 +358,29 @@ class DaskCluster:
         )
 
     def end(self) -> None:
-        """Kill both."""
-        for process in (self.worker, self.scheduler):
+        """Kill all."""
+        for process in (*self.workers, self.scheduler):
             process.kill()
             process.wait()
         self.log.close()
 
 
-def study_on(cluster: DaskCluster, directory: Path, stored: int) -> subprocess.Popen[str]:
-    """Begin a study of 12 runs on a cluster, and wait until so many are stored."""
+def study_on(
+    cluster: DaskCluster, directory: Path, until: Callable[[], bool]
+) -> subprocess.Popen[str]:
+    """Begin a study on a cluster, or go on with it, and wait for something."""
     process = subprocess.Popen(
-        [sys.executable, "-m", "greenroof_ros.study", grid(directory, edited("0.25", "3")),
-         "--output", "out", "--scheduler", cluster.address],
+        [sys.executable, "-m", "greenroof_ros.study", "grid.yaml", "--output", "out",
+         "--scheduler", cluster.address],
         cwd=directory, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
         preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),
     )
 
     def under_way() -> bool:
         assert process.poll() is None, process.communicate()
-        return len(finished(directory)) >= stored
+        return until()
 
-    wait_for(under_way, 120, f"{stored} finished runs")
+    wait_for(under_way, 120, "a study under way")
     return process
 
 
@@ -415,81 +392,49 @@ def finished(directory: Path) -> list[Path]:
 def ended_in_one_sentence(process: subprocess.Popen[str], directory: Path, what: str) -> None:
     """Check what a study says whose cluster went: exit code 1, the bar, and a sentence."""
     shown, errors = process.communicate(timeout=60)
-    bar, *said = errors.splitlines()
+    *there, bar, said = errors.splitlines()
+    assert all(line.endswith("of 12 runs are there already") for line in there)
     assert bar.startswith("study ")
-    assert said == [
+    assert said == (
         f"error: {what}: {len(finished(directory))} of 12 cases are stored; run the same command "
         "again, it goes on"
-    ]
+    )
     assert (process.returncode, shown) == (1, "")
     status = [row["status"] for row in rows_of(directory / "out" / "results.csv")]
     assert (status.count("done"), len(status)) == (len(finished(directory)), 12)
     assert set(status) == {"done", "not run"}
 
 
-def test_dask_scheduler_killed(tmp_path: Path) -> None:
-    """One sentence; on another cluster the same command goes on, and no run is made twice."""
-    cluster = DaskCluster(tmp_path)
-    try:
-        process = study_on(cluster, tmp_path, stored=2)
-        cluster.scheduler.kill()
-        ended_in_one_sentence(
-            process, tmp_path, f"the Dask scheduler at {cluster.address} is gone"
-        )
-    finally:
-        cluster.end()
-    before = {run: (run / "outcome.json").read_bytes() for run in finished(tmp_path)}
-    cluster = DaskCluster(tmp_path)
-    try:
-        result = study(tmp_path, "grid.yaml", "--output", "out", "--scheduler", cluster.address)
-    finally:
-        cluster.end()
-    assert result.returncode == 0, result.stderr
-    assert f"{len(before)} of 12 runs are there already" in result.stderr
-    assert {row["status"] for row in rows_of(tmp_path / "out" / "results.csv")} == {"done"}
-    for run, outcome in before.items():
-        assert (run / "outcome.json").read_bytes() == outcome
+def test_dask(tmp_path: Path) -> None:
+    """A study loses a worker, the other, and the scheduler; it ends with the table of a whole one.
 
+    The second worker goes on, and makes again what the first had under way, no more. With none left
+    for a while, or no scheduler, the study says so in one sentence; Ctrl-C before that interrupts
+    it at once, and where there is no worker or no answer it does not begin. On another cluster the
+    same command goes on, and no run is made twice.
+    """
+    text = edited("0.25", "1").replace("[1.0e-3, 0.1]", "[1.0e-3, 0.01, 0.1]")
+    grid(tmp_path, text.replace("  onoff:\n", ""))
 
-def test_dask_one_of_two_workers_killed(tmp_path: Path) -> None:
-    """The other goes on, and makes again what the first had under way, no more; the same table."""
-    cluster = DaskCluster(tmp_path)
-    second = cluster.start_worker()
+    def stored(count: int) -> Callable[[], bool]:
+        return lambda: len(finished(tmp_path)) >= count
+
+    cluster = DaskCluster(tmp_path, workers=2)
     try:
-        process = study_on(cluster, tmp_path, stored=6)
-        cluster.worker.kill()
-        _, errors = process.communicate(timeout=300)
-    finally:
-        second.kill()
-        second.wait()
-        cluster.end()
-    assert process.returncode == 0, errors
-    log = (tmp_path / "dask.log").read_text()
-    assert "Remove worker" in log
-    # What was stored is not made again, but for the last run, which the study may still hold.
-    lost = [line for line in log.splitlines() if "lose already computed" in line]
-    assert sum(line.count("run_case") for line in lost) <= 1
-    assert study(tmp_path, "grid.yaml", "--output", "here").returncode == 0
-    here, there = (tmp_path / each / "results.csv" for each in ("here", "out"))
-    assert here.read_bytes() == there.read_bytes()
-
-
-def test_dask_workers_killed(tmp_path: Path) -> None:
-    """With no worker left for a while: the same; Ctrl-C before that: interrupted, at once."""
-    cluster = DaskCluster(tmp_path)
-    try:
-        process = study_on(cluster, tmp_path, stored=1)
-        cluster.worker.kill()
+        process = study_on(cluster, tmp_path, stored(2))
+        cluster.workers[0].kill()
+        wait_for(lambda: "Remove worker" in cluster.log_file.read_text(), 60, "a worker gone")
+        wait_for(stored(len(finished(tmp_path)) + 2), 120, "two runs of the other worker")
+        # What was stored is not made again, but for the last run, which the study may still hold.
+        log = cluster.log_file.read_text().splitlines()
+        lost = [line for line in log if "lose already computed" in line]
+        assert sum(line.count("run_case") for line in lost) <= 1
+        cluster.workers[1].kill()
         ended_in_one_sentence(
             process, tmp_path,
             f"the Dask scheduler at {cluster.address} has had no worker for 15 s",
         )
-        process = subprocess.Popen(
-            [sys.executable, "-m", "greenroof_ros.study", "grid.yaml", "--output", "out",
-             "--scheduler", cluster.address],
-            cwd=tmp_path, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
-            preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),
-        )
+        process = study_on(cluster, tmp_path, lambda: True)
         assert process.stderr is not None
         assert "of 12 runs are there already" in process.stderr.readline()
         time.sleep(3)  # it waits for a worker
@@ -501,8 +446,50 @@ def test_dask_workers_killed(tmp_path: Path) -> None:
         assert result.stderr.splitlines()[1:] == [
             f"error: --scheduler = '{cluster.address}': has no worker"
         ]
+        cluster.start_worker()
+        process = study_on(cluster, tmp_path, stored(len(finished(tmp_path)) + 1))
+        cluster.scheduler.kill()
+        ended_in_one_sentence(
+            process, tmp_path, f"the Dask scheduler at {cluster.address} is gone"
+        )
+        cluster.scheduler.wait()
+        result = study(tmp_path, "grid.yaml", "--output", "out", "--scheduler", cluster.address)
+        assert result.returncode == 2
+        assert f"--scheduler = '{cluster.address}': does not answer" in result.stderr
+        assert "Traceback" not in result.stderr
     finally:
         cluster.end()
+    before = {run: (run / "outcome.json").read_bytes() for run in finished(tmp_path)}
+    cluster = DaskCluster(tmp_path)
+    try:
+        result = study(tmp_path, "grid.yaml", "--output", "out", "--scheduler", cluster.address)
+        assert result.returncode == 0, result.stderr
+        assert f"{len(before)} of 12 runs are there already" in result.stderr
+        assert study(tmp_path, "grid.yaml", "--output", "here").returncode == 0
+        here, there = (tmp_path / each / "results.csv" for each in ("here", "out"))
+        assert here.read_bytes() == there.read_bytes()
+        assert {row["status"] for row in rows_of(there)} == {"done"}
+        for run, outcome in before.items():
+            assert (run / "outcome.json").read_bytes() == outcome
+        coarse_study_on(cluster, tmp_path)
+    finally:
+        cluster.end()
+
+
+def coarse_study_on(cluster: DaskCluster, directory: Path) -> None:
+    """Check a study as of seasons: coarse ticks, no forecast for who looks at none."""
+    archive(directory)
+    text = GRID.replace("02:00", "01:00").replace("onoff:", "onoff: {forecast: perfect}")
+    text = text.replace(f"site: {CONFIG / 'site.yaml'}", "site: {file: site.yaml, tau: 10, M: 1}")
+    name = grid(directory, text + "forecast: archive.csv\n")
+    assert study(directory, name, "--output", "loop").returncode == 0
+    result = study(directory, name, "--output", "dask", "--scheduler", cluster.address)
+    assert result.returncode == 0, result.stderr
+    here, there = (directory / each / "results.csv" for each in ("loop", "dask"))
+    assert here.read_bytes() == there.read_bytes()
+    assert {(row["controller"], row["forecast"]) for row in rows_of(here)} == {
+        ("mpc", "archive.csv"), ("onoff", "perfect"),
+    }
 
 
 def test_ros_in_a_domain_in_use(tmp_path: Path) -> None:
