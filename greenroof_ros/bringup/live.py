@@ -192,7 +192,7 @@ class _Start:
             _say(f"running: {levels}")
             return
         if not lines and inhibit:
-            lines, missing = [f"  the pump is held: {inhibit}"], [(inhibit,)]
+            lines, missing = [f"  the pump is kept off: {inhibit}"], [(inhibit,)]
         now = time.monotonic()
         if missing != self._seen[0]:
             self._seen = missing, now

@@ -202,12 +202,13 @@ class Input:
         refused: how many were.
         heard: live: whether anything ever came.
         optional: live: whether the node acts without it.
-        heals: lockstep: whether the node itself looks for a second publisher, which ends nothing.
+        tolerates_second: lockstep: whether the node itself looks for a second publisher, which
+            ends nothing.
     """
 
     def __init__(
         self, publishers: Publishers, logger: RcutilsLogger, *,
-        optional: bool = False, heals: bool = False,
+        optional: bool = False, tolerates_second: bool = False,
     ) -> None:
         """Start with the value 0.
 
@@ -215,7 +216,7 @@ class Input:
             publishers: who publishes it.
             logger: of the node.
             optional: live: whether the node acts without it.
-            heals: whether a second publisher ends nothing in lockstep, either.
+            tolerates_second: whether a second publisher ends nothing in lockstep, either.
         """
         self.publishers = publishers
         self.topic = publishers.topic
@@ -224,7 +225,7 @@ class Input:
         self.verdict = _GOOD
         self.refused = 0
         self.heard = False
-        self.optional, self.heals = optional, heals
+        self.optional, self.tolerates_second = optional, tolerates_second
         self._logger = logger
         self._decode = decoder(self.topic.type)
 

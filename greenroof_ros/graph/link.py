@@ -195,22 +195,24 @@ class LinkedNode(Node):
 
     def subscribe(
         self, name: str, callback: Callable[[Any], None] | None = None, *, raw: bool = False,
-        optional: bool = False, level: LevelRule | None = None, heals: bool = False,
+        optional: bool = False, level: LevelRule | None = None,
+        tolerates_second: bool = False,
     ) -> Input:
-        """Open an input and return it.
+        """Open an input and return it; in lockstep it is awaited, unless a callback has its values.
 
         Args:
             name: of the topic in the interface.
-            callback: called with each value; without it the input is one of those that must be
-                fresh before the node acts.
+            callback: called with each value as it comes; the node does not wait for it to act.
             raw: the callback gets the serialised message: the node only keeps what is published.
             optional: the node acts without it, too; only in a live graph.
             level: what else holds for a level in a live graph.
-            heals: a second publisher ends nothing in lockstep, either; the node looks itself
-                whether there is one, at the ``publishers`` of what is returned.
+            tolerates_second: a second publisher ends nothing in lockstep, either; the node looks
+                itself whether there is one, at the ``publishers`` of what is returned.
         """
         publishers = Publishers(self, self.interface[name], live=self.live)
-        entry = Input(publishers, self.get_logger(), optional=optional, heals=heals)
+        entry = Input(
+            publishers, self.get_logger(), optional=optional, tolerates_second=tolerates_second
+        )
         self.inputs.by_name[name] = entry
         if isinstance(self._trigger, Live):
             self._open(publishers, self._trigger.hold_to_rules(entry, level, callback))

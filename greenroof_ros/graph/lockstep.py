@@ -9,9 +9,13 @@ rule, for every node but the recorder, which only counts:
 3. *publish*: the node says its own messages of the tick, one on each topic.
 
 Readers that are discovered late get what was said before: topics are transient local and 64 deep,
-and the plant is at most 32 ticks ahead of the recorder. A second message of one tick, a second
-publisher, and a message that does not come within the peer limit each end the run. There are no
-timers and no sleeps on the way of a tick; the only wall clocks here end a run which hangs.
+and the plant is at most 32 ticks ahead of the recorder. Awaited are the inputs without a callback.
+A second message before its node has acted, a second publisher, and a message that does not come
+within the peer limit (before a node's first answer the start limit) each end the run; the last
+under the name of what the plant itself awaits. A second message after the node has acted counts as
+that of the next tick, and is found when that comes too, or at the end by the count. One that only
+the recorder misses is found at the end. There are no timers and no sleeps on the way of a tick; the
+only wall clocks here end a run which hangs, and the pump node's own stop its drive.
 """
 
 from __future__ import annotations
@@ -118,7 +122,7 @@ class Lockstep:
 
     def receive(self, entry: Input, message: bytes) -> None:
         """Take the message of an input, and act where it was the last that was awaited."""
-        if entry.topic.name not in self._awaited and not entry.heals:
+        if entry.topic.name not in self._awaited and not entry.tolerates_second:
             self._refuse(
                 f"{entry.name} came twice in tick {self.tick} "
                 f"({', '.join(entry.publishers.names())}); another publisher, or nodes of an "
@@ -181,7 +185,7 @@ class Lockstep:
             return
         for entry in node.inputs.by_name.values():
             publishers = entry.publishers
-            if not entry.heals and publishers.count > 1 and publishers.heard > 1:
+            if not entry.tolerates_second and publishers.count > 1 and publishers.heard > 1:
                 self._refuse(publishers.said(now))
         if self._is_over():  # what the plant says of the run came behind the last tick
             node.finish()

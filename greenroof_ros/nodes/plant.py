@@ -99,7 +99,7 @@ class PlantNode(LinkedNode):
         self._tick = 0
         self._written = 0
         self._running = False
-        self._held = False  # the tick is due, but not yet allowed: pace or recorder
+        self._paused = False  # the tick is due, but not yet allowed: pace or recorder
         self._done = False
         self._wall_s = 0.0
         self._began = self._waiting_since = time.monotonic()
@@ -154,13 +154,13 @@ class PlantNode(LinkedNode):
         cistern, roof = self._levels()
         self._publish_cistern(cistern)
         self._publish_roof(roof)
-        self._held = False
+        self._paused = False
         self._waiting_since = time.monotonic()
         self.set_time(now)
 
     def on_inputs(self) -> None:
         """Step the plant: weather and command, or flow, of this tick are here."""
-        if not self._running or self._held:
+        if not self._running or self._paused:
             raise OccupiedError(
                 f"answers to tick {self._tick} came before it was published: nodes of an earlier "
                 "run are in this graph; end them"
@@ -196,7 +196,7 @@ class PlantNode(LinkedNode):
         if not self._behind() and not self._pause():
             self._publish_tick()
         else:
-            self._held = True
+            self._paused = True
             self._waiting_since = time.monotonic()
         self._publish_flows(flows)
 
@@ -221,17 +221,17 @@ class PlantNode(LinkedNode):
                     f"no start within {self._start_limit:g} s: {self.absent()}"
                 )
             return LISTEN_S
-        if self._held and not self._behind():
+        if self._paused and not self._behind():
             pause = self._pause()
             if pause:
                 return min(pause, LISTEN_S)
             self._publish_tick()
             return LISTEN_S
         # Who has not answered yet may still be joining: on a busy machine that takes seconds.
-        answered = self._tick and (self._written or not self._held)
+        answered = self._tick and (self._written or not self._paused)
         limit = self._limit if answered else max(self._limit, self._start_limit)
         if now - self._waiting_since > limit:
-            missing = "/recorder/written from recorder" if self._held else self.missing()
+            missing = "/recorder/written from recorder" if self._paused else self.missing()
             raise LockstepError(f"tick {self._tick}: nothing came within {limit:g} s on {missing}")
         return LISTEN_S
 

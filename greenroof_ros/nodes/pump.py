@@ -4,7 +4,8 @@ It is a lifecycle node. *configure* connects to the drive and reads its nameplat
 communication timeout; *activate* lets the pump run, unless that timeout is off, too long or
 unreadable; *deactivate* ramps down, *cleanup* lets go. ``~/stop`` (std_srvs/SetBool) keeps the pump
 off over anything, after a restart too; ``~/reset`` (std_srvs/Trigger) clears a latched fault. In
-any state each command is answered by the flow, and /pump/state says why the pump stands.
+any state each command is answered by the flow (live, it is said every tau, and between commands the
+drive is stopped by wall time), and /pump/state says why the pump stands.
 """
 
 from __future__ import annotations
@@ -255,7 +256,7 @@ class PumpNode(Lifecycle, LinkedNode):
         self._reasons: tuple[object, ...] = ()  # as of the last decision
         self._begin_times()
         on_command = self._on_command if self.live else None
-        self._command = self.subscribe("/pump/command", on_command, heals=True)
+        self._command = self.subscribe("/pump/command", on_command, tolerates_second=True)
         self._levels = Levels(site, values, self.subscribe)
         self._cistern, self._roof = self._levels.cistern, self._levels.roof
         self._frost = self.subscribe("/weather/frost")
@@ -353,7 +354,7 @@ class PumpNode(Lifecycle, LinkedNode):
             problem = self._drive.timeout_problem(self._drive.snapshot)
         if not problem:
             self._take_state()
-            problem = self._ledger.kept()
+            problem = self._ledger.why_not_kept()
         if problem:
             raise RefusedError(f"not activated: {problem}")
         unverified = self._drive.file.unverified_and_vital
@@ -437,7 +438,7 @@ class PumpNode(Lifecycle, LinkedNode):
 
     def _kept(self, response: Any, message: str) -> Any:
         """Answer a service, by whether a restart would know of it."""
-        problem = self._ledger.kept()
+        problem = self._ledger.why_not_kept()
         response.success = not problem
         response.message = f"{message}; but {problem}" if problem else message
         return response

@@ -7,10 +7,13 @@ says what follows:
   is kept over restarts.
 - *inhibit*: the site, its operator or a limit forbids pumping. It clears by itself, but for an
   operator's stop and a record that cannot be read, which end by ``~/stop`` with false.
-- *enable*: a condition for running the pump at all is missing. It clears by itself.
+- *enable*: a condition for running the pump at all is missing. It clears by itself once that is
+  there again: ``not_active`` by *activate*, where somebody had asked for another state,
+  ``drive_local`` and ``drive_timeout`` by a person at the panel.
 
-To add one, add its row here, and give a reason under its code where its source is looked at:
-:mod:`.pump_control`, :mod:`.limits` or the pump node.
+To add one, add its row here, and give a reason under its code in :mod:`.limits` (levels, weather,
+how long and how much), :mod:`.pump_control` (what the drive shows) or the pump node (what it knows
+itself). CONTRIBUTING.md lists the rest.
 
 A diagnostic status of a node has a sentence for people and a code for programs. The codes are those
 of the interlocks and the others below. A code, once given, keeps its meaning.
@@ -30,10 +33,10 @@ class Interlock(NamedTuple):
     Attributes:
         kind: what it does, and how it clears.
         reason: when it is active, in general.
-        source: the module that finds that out.
+        source: the module that gives the reason.
         limit: the parameters that set when; empty where there is none.
         advice: what to do.
-        follows: codes that explain it: while one of them has a reason, this one is not said.
+        explained_by: codes that explain it: while one of them has a reason, this one is not said.
     """
 
     kind: str
@@ -41,11 +44,10 @@ class Interlock(NamedTuple):
     source: str
     limit: str
     advice: str
-    follows: tuple[str, ...] = ()
+    explained_by: tuple[str, ...] = ()
 
 
 _CONTROL, _LIMITS, _NODE = "pump_control", "limits", "nodes/pump"
-_DELIVERY, _LEDGER = "delivery", "ledger"
 _RESET = "remedy it, then call ~/reset"
 # What explains that there is no command, or no speed.
 _UNABLE = (
@@ -75,7 +77,7 @@ INTERLOCKS = {
         f"see whether the pump is blocked, and whether the drive's own limits act, {_RESET}",
     ),
     "delivery": Interlock(
-        LATCHED, "the levels do not show the water that was pumped", _DELIVERY,
+        LATCHED, "the levels do not show the water that was pumped", _CONTROL,
         "least_delivery, level_tolerance, averaging_time, greatest_loss, level_offset",
         f"look at valves, pipes and both level sensors, {_RESET}",
     ),
@@ -88,8 +90,8 @@ INTERLOCKS = {
         "call ~/stop with false when it may run again",
     ),
     "record_unknown": Interlock(
-        INHIBIT, "whether there was a stop or a fault is not known any more", _LEDGER, "state_file",
-        "see that pump and pipes are in order, then call ~/stop with false",
+        INHIBIT, "whether there was a stop or a fault is not known any more", _CONTROL,
+        "state_file", "see that pump and pipes are in order, then call ~/stop with false",
     ),
     "cistern_level_unknown": Interlock(
         INHIBIT, "the cistern's level is not known, or not believed", _LIMITS,
@@ -106,7 +108,7 @@ INTERLOCKS = {
         "look at the level sensor and its node",
     ),
     "frost_unknown": Interlock(
-        INHIBIT, "whether there is frost is not known", "weather node",
+        INHIBIT, "whether there is frost is not known", _LIMITS,
         "frost_limit, unknown_frost_may_pump",
         "see that there is a forecast with temperatures, or a thermometer",
     ),
@@ -159,7 +161,7 @@ INTERLOCKS = {
         ENABLE, "commands do not come", _NODE, "command_limit", "see whether the controller runs"
     ),
     "command_unknown": Interlock(
-        ENABLE, "there is no command that counts", "controller", "command_limit, recovery_time",
+        ENABLE, "there is no command that counts", _CONTROL, "command_limit, recovery_time",
         "see whether the controller runs", _UNABLE,
     ),
     "command_refused": Interlock(
@@ -252,5 +254,5 @@ def evaluate(reasons: Mapping[str, str]) -> dict[str, str]:
         raise KeyError(*unknown)
     return {
         code: reasons[code] for code, one in INTERLOCKS.items()
-        if reasons.get(code) and not any(reasons.get(cause) for cause in one.follows)
+        if reasons.get(code) and not any(reasons.get(cause) for cause in one.explained_by)
     }

@@ -188,7 +188,7 @@ class Ledger:
             self.count(0.0, run, run * flow)
             self.switch(False)
 
-    def kept(self, within: float = _WAIT_S) -> str:
+    def why_not_kept(self, within: float = _WAIT_S) -> str:
         """Write the record, and return why it is not kept; it is written on, if that is late.
 
         Args:

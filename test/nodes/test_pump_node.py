@@ -246,7 +246,7 @@ import sys, time
 from pathlib import Path
 from greenroof_ros.pumping.ledger import Ledger
 ledger = Ledger(Path(sys.argv[1]), time.time)
-ledger.kept()
+ledger.why_not_kept()
 print("has it", flush=True)
 sys.stdin.readline()
 ledger.fault("burst pipe", "delivery")

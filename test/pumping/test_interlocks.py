@@ -24,6 +24,7 @@ from greenroof_ros.pumping.interlocks import (
 from greenroof_ros.pumping.ledger import Record
 from greenroof_ros.pumping.limits import pump_parameters, settings_for
 from greenroof_ros.pumping.pump_control import Decision
+from greenroof_ros.watch.advice import FOREIGN, OTHER, advise
 
 
 def codes(decision: Decision) -> list[str]:
@@ -81,6 +82,9 @@ def test_each_keeps_the_pump_off_alone_and_clears_as_its_kind_does(code: str) ->
         LATCHED: ("fault",), INHIBIT: ("held",), ENABLE: ("off", "stopping", "unknown"),
     }[kind]
     assert decision.why.startswith(decision.interlocks[code])
+    if code not in (*NODE, "record_unknown"):  # whose reasons are made up here
+        advice = advise("/pump", "pump", "pump", f"{decision.state}: {decision.why}")
+        assert advice not in (OTHER, FOREIGN)
     rig.change, rig.stuck_speed, rig.arriving, rig.leaving = {}, None, 1.0, 1.0
     rig.ledger.record = replace(
         rig.ledger.record, held="", unknown="", day_run=0.0, day_volume=0.0
@@ -156,10 +160,14 @@ def test_the_table_is_whole() -> None:
     with pytest.raises(KeyError):
         evaluate({"operator_stops": "x"})
     rows = INTERLOCKS.values()
-    assert {code for one in rows for code in one.follows} <= INTERLOCKS.keys()
+    assert {code for one in rows for code in one.explained_by} <= INTERLOCKS.keys()
     kinds = [one.kind for one in rows]
     assert kinds == sorted(kinds, key=[LATCHED, INHIBIT, ENABLE].index)
     assert all(meaning and advice for meaning, advice in CONDITIONS.values())
+    for code, row in INTERLOCKS.items():
+        folder = "" if "/" in row.source else "pumping"
+        source = (PACKAGE / folder / f"{row.source}.py").read_text(encoding="utf-8")
+        assert f'"{code}"' in source, code
     settings = {one.name for one in pump_parameters(PAPER_SITE)}
     of_nodes = {
         "state_file", "level_limit", "frost_limit", "command_limit", "recovery_time", "autostart",

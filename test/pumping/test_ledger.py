@@ -109,15 +109,15 @@ def test_a_second_ledger_erases_nothing(tmp_path: Path, clock: Clock) -> None:
     file = tmp_path / "pump.json"
     first = Ledger(file, clock)
     first.switch(True)
-    assert first.kept() == ""
+    assert first.why_not_kept() == ""
     second = Ledger(file, clock)
     assert not second.writes
     second.count_unseen(25.0, 0.001)
     first.fault("burst pipe", "delivery")
     first.stop("an operator stopped it")
     first.switch(False)
-    assert first.kept() == ""
-    problem = second.kept()
+    assert first.why_not_kept() == ""
+    problem = second.why_not_kept()
     assert problem.startswith(
         f"{file} cannot be written: process {os.getpid()} has it already; end that one"
     )
@@ -149,14 +149,14 @@ def test_use_of_the_day(tmp_path: Path, clock: Clock) -> None:
     """Written every 10 s of use; time without the node counts for the day."""
     file = tmp_path / "pump.json"
     ledger = Ledger(file, clock)
-    ledger.kept()
+    ledger.why_not_kept()
     for _ in range(19):
         ledger.count(1.0, 0.5, 0.01)
     wait_for(lambda: written(file)["day_volume"] > 0, 60, "a record")
     assert written(file)["day_volume"] == pytest.approx(0.1)
     for _ in range(81):
         ledger.count(1.0, 0.5, 0.01)
-    ledger.kept()
+    ledger.why_not_kept()
     clock.now += 3600
     again = read(file, clock)
     assert again.day_volume == pytest.approx(1.0)
@@ -173,7 +173,7 @@ def test_a_clock_that_goes_back_frees_nothing(tmp_path: Path, clock: Clock) -> N
     file = tmp_path / "pump.json"
     ledger = Ledger(file, clock)
     ledger.count(1000.0, 10.0, 1.0)
-    ledger.kept()
+    ledger.why_not_kept()
     clock.now = 0.0
     assert (read(file, clock).day_elapsed, read(file, clock).day_volume) == (1000, 1)
 
@@ -219,7 +219,7 @@ def test_a_broken_line_holds_the_pump(tmp_path: Path, clock: Clock) -> None:
         unknown = again.record.unknown
         assert f"{file} cannot be read (line {torn + 1}: its checksum is wrong)" in unknown
         assert before - 0.5 <= again.record.day_volume <= before
-        assert again.kept() == ""
+        assert again.why_not_kept() == ""
         assert read(file, clock).unknown == unknown
         again.stop("")
         again.close()
@@ -254,7 +254,7 @@ def test_a_broken_file_holds_the_pump(content: bytes, tmp_path: Path) -> None:
     assert (decision.speed, decision.state) == (None, "held")
     assert decision.why.startswith(f"{file} cannot be read (")
     assert decision.why.endswith("look at the pump, then release it")
-    assert rig.ledger.kept() == ""
+    assert rig.ledger.why_not_kept() == ""
     assert (tmp_path / "pump.json.broken").read_bytes() == content
     assert Rig(file=file).run(30, 1.0).state == "held"
     rig.control.stop(True)
@@ -266,19 +266,19 @@ def test_a_broken_file_holds_the_pump(content: bytes, tmp_path: Path) -> None:
     # A directory where the file should be stays.
     ledger = Ledger(tmp_path, time.time)
     assert "cannot be read (it is no file)" in ledger.record.unknown
-    assert "no file" in ledger.kept()
+    assert "no file" in ledger.why_not_kept()
 
 
 def test_a_full_disk_takes_a_stop(disk: Path, clock: Clock) -> None:
     """The room for it was taken when the file was made."""
     file = disk / "pump.json"
     ledger = Ledger(file, clock)
-    assert ledger.kept() == ""
+    assert ledger.why_not_kept() == ""
     fill(disk)
     for number in range(3):
         ledger.stop(f"stop {number}")
         ledger.fault(f"fault {number}", "delivery")
-        assert ledger.kept() == ""
+        assert ledger.why_not_kept() == ""
         again = Ledger(file, clock).record
         assert (again.held, again.fault) == (f"stop {number}", f"fault {number}")
 
@@ -291,7 +291,7 @@ def test_a_disk_that_was_full_before(disk: Path) -> None:
     rig.control.stop(True)
     assert rig.step(1.0).state == "held"
     rig.control.stop(False)
-    assert rig.ledger.kept().startswith(
+    assert rig.ledger.why_not_kept().startswith(
         f"{file} cannot be written: No space left on device; a restart would not know"
     )
     assert rig.run(30, 1.0).state == "running"
@@ -311,7 +311,7 @@ def test_killed_at_any_moment(tmp_path: Path) -> None:
         "ledger = Ledger(Path(sys.argv[1]), time.time)\n"
         "while True:\n"
         "    ledger.stop('x' * 350)\n"
-        "    ledger.kept()\n"
+        "    ledger.why_not_kept()\n"
     )
     before = 0
     for attempt in range(5):
@@ -359,7 +359,7 @@ def test_a_slow_disk_stops_nothing(tmp_path: Path) -> None:
     rig.run(30, 1.0)
     assert rig.decisions[-1].state == "running"
     began = time.monotonic()
-    assert rig.ledger.kept() in (
+    assert rig.ledger.why_not_kept() in (
         f"{tmp_path}/pump.json is not yet on the disk; it is written on",
         f"{tmp_path}/pump.json could not be written within 2 s",  # where the machine is busy
     )

@@ -214,8 +214,9 @@ def test_a_state_file_that_is_not_kept(tmp_path: Path) -> None:
     (tmp_path / "broken.json").write_text("{")
     broken = Ledger(tmp_path / "broken.json", time.time)
     try:
-        assert on_pump("state file", second.kept()).startswith("Two programs for the same pump")
-        assert on_pump("state file", nowhere.kept()).startswith("A stop would be forgotten")
+        taken, unwritable = second.why_not_kept(), nowhere.why_not_kept()
+        assert on_pump("state file", taken).startswith("Two programs for the same pump")
+        assert on_pump("state file", unwritable).startswith("A stop would be forgotten")
         why = f"held: {broken.record.unknown}"
         assert on_pump("pump", why).startswith("What the pump's program had noted is lost")
     finally:
