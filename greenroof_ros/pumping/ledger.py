@@ -201,7 +201,7 @@ class Ledger:
 
     def close(self) -> str:
         """Write the record, let go of the file, and return why the record is not kept."""
-        problem = self.kept(PATIENCE_S)
+        problem = self.why_not_kept(PATIENCE_S)
         if self._only is not None and DISK.wait(0.0):
             self._only.close()
             self._only = None
