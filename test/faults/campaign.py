@@ -121,8 +121,8 @@ class Bench:
         with (RESULTS / "results.jsonl").open("a") as stream:
             stream.write(json.dumps(self._last) + "\n")
 
-    def end(self) -> str:
-        """End what is left, and return what is wrong with that; the last case gets it, too."""
+    def end(self) -> None:
+        """End what is left; what is wrong with that stands beside the last case."""
         wrong = self._close()
         if wrong:
             self._last["wrong"] = "; ".join(filter(None, (self._last["wrong"], wrong)))
@@ -130,7 +130,6 @@ class Bench:
         Process.end_all()
         if not self._failed:
             shutil.rmtree(self.place, ignore_errors=True)
-        return wrong
 
 
 @pytest.fixture
@@ -138,20 +137,38 @@ def nothing_left() -> None:
     """A rig outlives its cases: the same fixture of all other tests would end it."""
 
 
-@pytest.fixture(scope="module")
-def bench(request: pytest.FixtureRequest) -> Iterator[Bench]:
-    """One for each group."""
-    bench = Bench()
-    yield bench
-    if wrong := bench.end():
-        pytest.fail(wrong, pytrace=False)
+class Benches:
+    """The bench of the group whose turn it is; a fixture with a parameter would end after each."""
+
+    def __init__(self) -> None:
+        self._group = ""
+        self._bench: Bench | None = None
+
+    def of(self, group: str) -> Bench:
+        """Return the bench of a group, and end the one before."""
+        if self._bench is None or group != self._group:
+            self.end()
+            self._group, self._bench = group, Bench()
+        return self._bench
+
+    def end(self) -> None:
+        """End the bench; what is wrong with that is written down beside its last case."""
+        if self._bench is not None:
+            self._bench.end()
 
 
-@pytest.mark.parametrize(("bench", "case"), [
+@pytest.fixture(scope="session")
+def benches() -> Iterator[Benches]:
+    benches = Benches()
+    yield benches
+    benches.end()
+
+
+@pytest.mark.parametrize(("group", "case"), [
     pytest.param(group, case, id=case.id, marks=pytest.mark.xdist_group(group))
     for group, those in groups().items() for case in those
-], indirect=["bench"])
-def test_case(bench: Bench, case: Case) -> None:
-    outcome = bench.do(case)
+])
+def test_case(benches: Benches, group: str, case: Case) -> None:
+    outcome = benches.of(group).do(case)
     if outcome.wrong:
         pytest.fail(outcome.wrong, pytrace=False)
