@@ -90,6 +90,8 @@ def read_text(path: Path, *, byte_order_mark: bool = False) -> str:
     return text
 
 
+# How deep a file may be nested: far more than any of ours, far less than a thread has stack for.
+_DEEPEST = 200
 _NUMBERS = (":int", ":float", ":timestamp")
 
 
@@ -160,6 +162,16 @@ class _FastLoader(_LibYaml):
     yaml_constructors = _Loader.yaml_constructors
 
 
+def _nesting(text: str) -> int:
+    """Return how deep a YAML text can be nested at most, by its brackets and its indentation."""
+    depth = deepest = 0
+    for bracket in re.findall(r"[][{}]", text):
+        depth = max(0, depth + (1 if bracket in "[{" else -1))
+        deepest = max(deepest, depth)
+    indented = max((len(line) - len(line.lstrip(" -?")) for line in text.splitlines()), default=0)
+    return max(deepest, indented)
+
+
 def _load(text: str) -> Any:
     """Read YAML by libyaml, or, if that finds an error in it, by PyYAML, whose words say more."""
     try:
@@ -174,8 +186,11 @@ def read_yaml(path: Path) -> YamlMapping:
     Raises:
         ConfigurationError: it cannot be read, is not YAML, gives a key twice, or holds no mapping.
     """
+    text = read_text(path)
+    if _nesting(text) > _DEEPEST:  # libyaml would end the process
+        raise ConfigurationError(f"is nested more than {_DEEPEST} levels deep", file=path)
     try:
-        content = _load(read_text(path))
+        content = _load(text)
     except yaml.MarkedYAMLError as error:
         line = error.problem_mark.line + 1 if error.problem_mark else None
         raise ConfigurationError(

@@ -421,6 +421,8 @@ def test_duplicate_key(tmp_path: Path) -> None:
         (b"a1: 25.0\na_in: [0.3\n", ", line 3", "is not valid YAML"),
         (b"a1: 25.0\na_in: &x *y\n", ", line 2", "is not valid YAML"),
         (b"a1: 25.0\nz_o: !!python/name:os.system\n", ", line 2", "is not valid YAML"),
+        (b"a1: " + b"[" * 100_000, "", "is nested more than 200 levels deep"),
+        (b"- " * 100_000 + b"x", "", "is nested more than 200 levels deep"),
         (b"- 25.0\n- 0.3\n", "", "must hold 'key: value' lines"),
         (b"25.0\n", "", "must hold 'key: value' lines"),
     ],
