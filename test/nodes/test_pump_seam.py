@@ -113,7 +113,8 @@ def test_publisher_that_does_not_fit_is_named_at_once(domain: int, tmp_path: Pat
             "/pump/command, or it misses messages; a graph has exactly one publisher of it, plant "
             "or pump"
         )
-        wait_for(lambda: warning in (logs / "plant.log").read_text(), 60, "the log")
+        log = logs / "plant.log"
+        wait_for(lambda: log.exists() and warning in log.read_text(), 60, "the log")
         process.process.terminate()
         assert process.wait(300) == 130
     finally:

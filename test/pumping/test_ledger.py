@@ -90,14 +90,14 @@ def test_a_missing_file_is_a_fresh_record_and_is_made(
     """
     file = tmp_path / "state" / "pump.json"
     ledger = Ledger(file, clock)
-    assert (ledger.record.held, ledger.record.fault, ledger.kept(20.0)) == ("", "", "")
+    assert (ledger.record.held, ledger.record.fault, ledger.why_not_kept(20.0)) == ("", "", "")
     assert file.stat().st_size == 8192
     ledger.count(1e8 + 0.5, 0.0, 0.0)
     for _ in range(100):
         ledger.switch(True)
     ledger.fault(text, "delivery")
     ledger.stop(text)
-    assert ledger.kept(20.0) == ""
+    assert ledger.why_not_kept(20.0) == ""
     again = read(file, clock)
     assert (again.fault, again.held) == (kept, kept)
     assert (len(again.starts), file.stat().st_size) == (100, 8192)
@@ -136,12 +136,12 @@ def test_an_error_that_nobody_foresaw_ends_no_saving(tmp_path: Path, clock: Cloc
     """A clock that gives what JSON has not: it is said, and the next record is written."""
     file = tmp_path / "pump.json"
     ledger = Ledger(file, clock)
-    assert ledger.kept(20.0) == ""
+    assert ledger.why_not_kept(20.0) == ""
     clock.now = Fraction(1_800_000_000)  # type: ignore[assignment]
     ledger.stop("an operator stopped it")
-    assert ledger.kept(20.0).startswith(f"{file} cannot be written: TypeError")
+    assert ledger.why_not_kept(20.0).startswith(f"{file} cannot be written: TypeError")
     clock.now = 1_800_000_000.0
-    assert ledger.kept(20.0) == ""
+    assert ledger.why_not_kept(20.0) == ""
     assert read(file, clock).held == "an operator stopped it"
 
 
