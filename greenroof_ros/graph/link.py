@@ -334,7 +334,9 @@ class LinkedNode(Node):
 
     def listen_s(self) -> float:
         """How long the node may wait for the next message (s)."""
-        return min(self.on_idle(), max(0.0, self._trigger.due - boot_time()))
+        if isinstance(self._trigger, Live):
+            return min(self.on_idle(), max(0.0, self._trigger.due - boot_time()))
+        return self.on_idle()
 
     def check(self) -> None:
         """Look at the wall clock: say how the node is, and act where it is time to.
@@ -347,15 +349,19 @@ class LinkedNode(Node):
         if self.error is not None:
             raise self.error
         now = time.monotonic()
-        self._trigger.look(now)
+        if self.live:
+            self._trigger.look(now)  # it may be time to act
+        if now - self._looked < LISTEN_S:  # a message costs little; asking ROS, milliseconds
+            return
+        self._looked = now
+        if not self.live:
+            self._trigger.look(now)
         if (self.live or not self.acted) and now - self._warned >= DISCOVERY_S:
             self._warned = now
             self._warn(now)
-        if not self.ready and now - self._looked >= LISTEN_S:  # asking ROS takes milliseconds
-            self._looked = now
-            if not self.inputs.absent():
-                self.reports.state = READY
-                self._report(now)
+        if not self.ready and not self.inputs.absent():
+            self.reports.state = READY
+            self._report(now)
         if now - self._reported > _REPORT_S:
             # Again and again, for a reader that joins late may miss what was said once.
             self._report(now)

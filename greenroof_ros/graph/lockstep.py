@@ -4,7 +4,7 @@ Each topic of a tick has exactly one message per tick, k = 0..N, and but for ``/
 of its tick: none is needed, since no node publishes tick k + 1 before it has acted on tick k. The
 rule, for every node but the recorder, which only counts:
 
-1. *wait*: a message arrives, and its input is awaited no more (:meth:`Lockstep.receive`);
+1. *wait*: a message arrives, and its input is awaited no more (:meth:`Lockstep.await_input`);
 2. *act*: no input is awaited; from here on all are, of the next tick (:meth:`Lockstep.act`);
 3. *publish*: the node says its own messages of the tick, one on each topic.
 
@@ -92,10 +92,7 @@ class Lockstep:
     Attributes:
         run: the one that the node takes part in; None before the plant has said it.
         tick: on which the node acts next.
-        due: when the node acts whatever comes: never.
     """
-
-    due = math.inf
 
     def __init__(self, node: LockstepNode) -> None:
         """Begin before the run.
@@ -116,23 +113,25 @@ class Lockstep:
 
     def await_input(self, entry: Input) -> Callable[[bytes], None]:
         """Have the node act on an input; returns what receives its messages."""
-        self._of_tick.add(entry.topic.name)
-        self._awaited.add(entry.topic.name)
-        return lambda message: self.receive(entry, message)
+        name, awaited = entry.topic.name, self._awaited
+        self._of_tick.add(name)
+        awaited.add(name)
 
-    def receive(self, entry: Input, message: bytes) -> None:
-        """Take the message of an input, and act where it was the last that was awaited."""
-        if entry.topic.name not in self._awaited and not entry.tolerates_second:
-            self._refuse(
-                f"{entry.name} came twice in tick {self.tick} "
-                f"({', '.join(entry.publishers.names())}); another publisher, or nodes of an "
-                "earlier run, are in this graph"
-            )
-            return
-        entry.receive(message)
-        self._awaited.discard(entry.topic.name)
-        if not self._awaited:
-            self.act()
+        def receive(message: bytes) -> None:
+            """Take a message, and act where it was the last that was awaited."""
+            if name not in awaited and not entry.tolerates_second:
+                self._refuse(
+                    f"{entry.name} came twice in tick {self.tick} "
+                    f"({', '.join(entry.publishers.names())}); another publisher, or nodes of an "
+                    "earlier run, are in this graph"
+                )
+                return
+            entry.receive(message)
+            awaited.discard(name)
+            if not awaited:
+                self.act()
+
+        return receive
 
     def act(self) -> None:
         """Let the node act on its inputs, and await those of the next tick."""
