@@ -228,6 +228,7 @@ class Input:
         self.optional, self.tolerates_second = optional, tolerates_second
         self._logger = logger
         self._decode = decoder(self.topic.type)
+        self._low, self._high = self.topic.low, self.topic.high
 
     @property
     def good(self) -> bool:
@@ -247,17 +248,19 @@ class Input:
     def receive(self, message: bytes) -> None:
         """Read a message's value and keep it, or 0 where it must be refused."""
         value = self._decode(message)
-        low, high = self.topic.low, self.topic.high
+        low, high = self._low, self._high
         if isinstance(value, (float, int)):
             if low <= value <= high:  # a NaN is neither
                 self.value, self.verdict = value, _GOOD
             else:
                 self._refuse(value, 0.0)
             return
-        numbers = np.asarray(value)
-        wrong = numbers[~((low <= numbers) & (numbers <= high))]
+        if isinstance(value, np.ndarray):
+            wrong: Any = value[~((low <= value) & (value <= high))]
+        else:  # ten numbers: numpy would take longer
+            wrong = [number for number in value if not low <= number <= high]
         if len(wrong):
-            self._refuse(float(wrong[0]), np.zeros_like(numbers))
+            self._refuse(float(wrong[0]), np.zeros(np.shape(value)))
         else:
             self.value, self.verdict = value, _GOOD
 
