@@ -111,12 +111,11 @@ class Mpc:
         self._lag = np.where(lag >= 0, lag, size)
         self._identity = np.eye(size)
         # The upper triangle of P, column by column, which is how OSQP stores it.
-        columns, rows = np.tril_indices(size)
-        self._upper = rows * size + columns
+        self._columns, self._rows = np.tril_indices(size)
         pattern = scipy.sparse.csc_matrix(np.triu(np.ones((size, size))))
         self._statuses = osqp.SolverStatus
-        program = osqp.OSQP()
-        program.setup(
+        self._solver = osqp.OSQP()
+        self._solver.setup(
             P=pattern,
             q=np.zeros(size),
             A=scipy.sparse.identity(size, format="csc"),
@@ -125,9 +124,6 @@ class Mpc:
             max_iter=max_iterations,
             **_SOLVER_SETTINGS,
         )
-        # The compiled solver itself: what stands around it in Python copies all that is known of
-        # each solution, which takes longer than solving.
-        self._solver = program._solver
 
     def command(
         self,
@@ -180,7 +176,7 @@ class Mpc:
             free.append(deviation + d2 / site.a2)
         response.append(0.0)
         # Step 3.
-        G = np.array(response).take(self._lag)
+        G = np.array(response)[self._lag]
         r = np.array(free)
         with np.errstate(all="ignore"):  # what is not finite is refused before it is solved
             P = self._identity + G.T @ G / self.weight
@@ -220,20 +216,20 @@ class Mpc:
 
         None where the solver reports anything else than solved.
         """
-        hessian = P.take(self._upper)
+        hessian = P[self._rows, self._columns]
         if not (np.isfinite(hessian).all() and np.isfinite(q).all()):
             # OSQP does not refuse these; it returns numbers.
             self.status = int(self._statuses.OSQP_UNSOLVED)
             _log.warning("the prediction is not finite; falling back to no pumping for one tick")
             return None
-        self._solver.update_data_vec(q=q, l=None, u=None)
-        self._solver.update_data_mat(P_x=hessian, P_i=None, A_x=None, A_i=None)
-        self._solver.solve()
-        info, first = self._solver.info, float(self._solver.solution.x[0])
-        self.status = int(info.status_val)
-        if self.status != self._statuses.OSQP_SOLVED or not math.isfinite(first):
-            _log.warning("OSQP reports '%s'; falling back to no pumping for one tick", info.status)
+        self._solver.update(Px=hessian, q=q)
+        result = self._solver.solve(raise_error=False)
+        self.status = int(result.info.status_val)
+        if self.status != self._statuses.OSQP_SOLVED or not math.isfinite(result.x[0]):
+            _log.warning(
+                "OSQP reports '%s'; falling back to no pumping for one tick", result.info.status
+            )
             zeros = np.zeros_like(q)
-            self._solver.warm_start(zeros, zeros)
+            self._solver.warm_start(x=zeros, y=zeros)
             return None
-        return first, float(info.obj_val)
+        return float(result.x[0]), float(result.info.obj_val)

@@ -181,7 +181,7 @@ class Live:
                 entry.refused += 1
                 entry.verdict = Verdict("input_refused", f"was refused: {error}")
             rules.came(now, entry.value, entry.why)
-            self.judge()
+            self._judge(entry, rules)
             if callback is not None:
                 callback(entry.value)
 
@@ -197,7 +197,10 @@ class Live:
     def judge(self) -> None:
         """Judge all inputs as they are now."""
         for entry, rules in self._inputs.values():
-            entry.verdict = rules.judge(boot_time(), entry.publishers.problem(time.monotonic()))
+            self._judge(entry, rules)
+
+    def _judge(self, entry: Input, rules: InputRules) -> None:
+        entry.verdict = rules.judge(boot_time(), entry.publishers.problem(time.monotonic()))
 
     def look(self, _: float) -> None:
         """Act once in a period; of periods that were missed, by a pause, none is made good."""
