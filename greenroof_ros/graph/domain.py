@@ -12,6 +12,7 @@ costs a tick is in doc/performance.md.
 from __future__ import annotations
 
 import os
+import signal
 import time
 from collections.abc import Callable, Collection, Iterator
 from contextlib import contextmanager
@@ -23,7 +24,8 @@ from greenroof_ros.common.files import shared_directory
 from greenroof_ros.common.lock import LockedError, take_lock
 
 _RANGE = "ROS_AUTOMATIC_DISCOVERY_RANGE"
-_PROFILES = "FASTRTPS_DEFAULT_PROFILES_FILE"
+# Names the file of profiles; Fast DDS 3 (ROS 2 Kilted) has another name, and warns of the old one.
+_PROFILES, _PROFILES_3 = "FASTRTPS_DEFAULT_PROFILES_FILE", "FASTDDS_DEFAULT_PROFILES_FILE"
 # In both files of profiles: how long a process that was killed is known to the others (s). In
 # lockstep a node that was only stopped for as long would be met again, and all that it said lately
 # would come twice.
@@ -50,6 +52,11 @@ def no_ros(error: ImportError) -> ConfigurationError:
     )
 
 
+def _is_fast_dds_3() -> bool:
+    """Whether Fast DDS 3 is loaded: its library has another name; neither says its version."""
+    return "/libfastdds.so" in Path("/proc/self/maps").read_text(encoding="utf-8")
+
+
 def choose_transport() -> None:
     """Choose UDP in the environment of this process; to be called before ``rclpy.init``.
 
@@ -65,16 +72,25 @@ def choose_transport() -> None:
 
     asked = os.environ.setdefault(_RANGE, "LOCALHOST")
     fast_dds = rclpy.get_rmw_implementation_identifier().startswith("rmw_fastrtps")
-    if not fast_dds or _PROFILES in os.environ:
+    if not fast_dds or _PROFILES in os.environ or _PROFILES_3 in os.environ:
         return
     os.environ.setdefault(LEASE, _LEASE_S)
-    config = shared_directory() / "config"
+    variable, name = (_PROFILES_3, "fastdds3") if _is_fast_dds_3() else (_PROFILES, "fastdds")
     if asked == "LOCALHOST":
         os.environ[_RANGE] = "SYSTEM_DEFAULT"
-        os.environ[_PROFILES] = str(config / "fastdds_loopback.xml")
+        name += "_loopback"
     else:
         os.environ.setdefault("FASTDDS_BUILTIN_TRANSPORTS", "UDPv4")
-        os.environ[_PROFILES] = str(config / "fastdds.xml")
+    os.environ[variable] = str(shared_directory() / "config" / f"{name}.xml")
+
+
+def end_soon() -> None:
+    """Have the kernel end this process if the middleware locks up; to be called when all is said.
+
+    From then on the process has :data:`TAKING_DOWN_S` to end.
+    """
+    signal.signal(signal.SIGALRM, signal.SIG_DFL)
+    signal.alarm(TAKING_DOWN_S)
 
 
 def join() -> Any:

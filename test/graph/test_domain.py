@@ -34,15 +34,29 @@ def test_a_lock_that_is_a_link_is_not_followed(
     assert file.read_text() == "of this user"
 
 
-def test_both_files_for_fast_dds_set_the_same_of_publishers() -> None:
-    """Whether the graph stays on the machine or not; Fast DDS reads one file only."""
-    publishers = []
-    for name in ("fastdds.xml", "fastdds_loopback.xml"):
-        element = ElementTree.parse(CONFIG / name).getroot().find("{*}publisher")
-        assert element is not None
-        element.tail = None
-        publishers.append(ElementTree.tostring(element))
-    assert publishers[0] == publishers[1]
+def publishers(element: ElementTree.Element) -> bytes:
+    """Return what a file of profiles says of publishers."""
+    publisher = element.find("{*}publisher")
+    assert publisher is not None
+    return ElementTree.tostring(publisher).strip()
+
+
+def test_files_of_profiles_differ_only_in_what_they_are_for() -> None:
+    """Fast DDS reads one file, on loopback alone or not; its version 3 has two new names."""
+    files = {
+        name: ElementTree.parse(CONFIG / f"{name}.xml").getroot()
+        for name in ("fastdds", "fastdds_loopback", "fastdds3", "fastdds3_loopback")
+    }
+    assert publishers(files["fastdds"]) == publishers(files["fastdds_loopback"])
+    for kind in ("", "_loopback"):
+        text, new = (ElementTree.tostring(files[name + kind]) for name in ("fastdds", "fastdds3"))
+        for before, after in (
+            (b"nackSupressionDuration", b"nack_supression_duration"),
+            (b"heartbeatPeriod", b"heartbeat_period"),
+        ):
+            assert text.count(before) == 2
+            text = text.replace(before, after)
+        assert new == text
 
 
 def test_messages_that_come_while_an_executor_begins_to_listen() -> None:
