@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import json
 import os
 import resource
@@ -312,6 +313,7 @@ def test_a_log_that_cannot_be_written_delays_nobody(here: Site) -> None:
 @contextmanager
 def few_files_left(number: int) -> Iterator[None]:
     """Let this process open no more files than so many."""
+    gc.collect()  # what an earlier test left open is not closed in between
     opened = []
     soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
     resource.setrlimit(resource.RLIMIT_NOFILE, (256, hard))

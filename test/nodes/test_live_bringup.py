@@ -483,11 +483,11 @@ def test_a_forecast_that_is_lost_at_a_site(domain: int, tmp_path: Path, site: Si
         "--forecast", "forecast.csv", "--node-parameters", "nodes.yaml", code=1,
     ) as process:
         site.values = {**LEVELS, "/pump/flow": 0.0, "/gauge/temperature": 8.0}
-        missing = "  forecast: the newest forecast, issued at "
-        site.until(lambda: missing in process.stderr(), 60, "what is missing")
+        site.until(lambda: "  forecast: " in process.stderr(), 60, "what is missing")
         site.until(lambda: commands and commands[-1][1] == 1.0, 90, "on/off")
         site.until(lambda: "running: cistern 2.400 m" in process.stderr(), 90, "the end of it")
-        site.until(lambda: "incident 1: weather: " in process.stderr(), 60, "the incident")
+        lost = "incident 1: weather: since the start: the newest forecast, issued at "
+        site.until(lambda: lost in process.stderr(), 60, "the incident")
         write_forecast(tmp_path / "forecast.csv", timedelta(minutes=1), 0.0, 12.0)
         site.until(lambda: 0 < commands[-1][1] <= 0.4, 60, "mpc")
         site.until(lambda: "incident 1 is over" in process.stderr(), 60, "its end")
