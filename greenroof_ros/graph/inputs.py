@@ -59,10 +59,11 @@ class Publishers:
         self.required = replace(
             topic.qos,
             durability="volatile" if live else topic.qos.durability,
-            lease_s=math.inf if recorded else topic.qos.lease_s,
+            # Each message of a topic with a lease sets a timer again in each of its readers.
+            lease_s=topic.qos.lease_s if live and not recorded else math.inf,
         )
         self._node = node
-        self._by_lease = live and math.isfinite(self.required.lease_s)
+        self._by_lease = math.isfinite(self.required.lease_s)
         self._depth = topic.qos.depth if not live else _RECORDED_DEPTH if recorded else 1
         self._alive = 0  # by lease
         self._unfit_since = -math.inf  # when the middleware last said that one is not heard
@@ -153,9 +154,10 @@ class Publishers:
 
     def _warning(self, name: str, offered: QoSProfile) -> str:
         who = call_node(name) if name == _UNKNOWN_NAME else f"node {name}"
+        wanted = replace(self.required, lease_s=self.topic.qos.lease_s)
         sentence = (
             f"{self.full_name}: what {who} publishes does not arrive: it "
-            f"{' and '.join(lacks(offered, self.required))}, and must be "
+            f"{' and '.join(lacks(offered, wanted))}, and must be "
             f"{requirements(self.topic.qos)} (doc/real-pump.md)"
         )
         read = self._node.get_subscriptions_info_by_topic

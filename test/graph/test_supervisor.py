@@ -313,7 +313,6 @@ def test_a_log_that_cannot_be_written_delays_nobody(here: Site) -> None:
 @contextmanager
 def few_files_left(number: int) -> Iterator[None]:
     """Let this process open no more files than so many."""
-    gc.collect()  # what an earlier test left open is not closed in between
     opened = []
     soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
     resource.setrlimit(resource.RLIMIT_NOFILE, (256, hard))
@@ -334,6 +333,7 @@ def few_files_left(number: int) -> Iterator[None]:
 def test_a_start_for_which_there_are_too_few_files(here: Site, files: int) -> None:
     """Wherever in it they run out: it is an error that can be handled, and leaves nothing open."""
     nodes = Supervisor(here.directory, [], "", None, print)
+    gc.collect()  # what an earlier test left open is not closed in between
     before = _open_files()
     with few_files_left(files), pytest.raises(OSError, match="Too many open files"):
         nodes.start("weather", "small_node", "weather", str(here.marks))
