@@ -6,7 +6,7 @@ import itertools
 import threading
 import time
 from collections import deque
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import suppress
 
 from simulators import Workbench
@@ -56,17 +56,22 @@ class Truth:
 
     def inject_drive(self, fault: str, parameter: int = DEFAULT) -> None:
         assert fault in DRIVE_FAULTS
-        with self._one_at_a_time:
-            self._drive.inject(fault, parameter)
+        self._ask(lambda: self._drive.inject(fault, parameter))
 
     def inject_site(self, fault: str, parameter: int = DEFAULT) -> None:
-        assert self._site is not None
-        with self._one_at_a_time:
-            self._site.inject(fault, parameter)
+        site = self._site
+        assert site is not None
+        self._ask(lambda: site.inject(fault, parameter))
 
     def take_over(self, local: bool) -> None:
+        self._ask(lambda: self._drive.take_over(local))
+
+    def _ask(self, request: Callable[[], None]) -> None:
         with self._one_at_a_time:
-            self._drive.take_over(local)
+            try:
+                request()
+            except DriveError:  # the simulator was started again since the last request
+                request()
 
     @property
     def speed(self) -> float:
