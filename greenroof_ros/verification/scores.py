@@ -198,7 +198,7 @@ def _mean_error(forecast: Array, observed: Array) -> Array:
 def _spread(forecast: Array) -> Array:
     """Return half the sum of |x_i - x_j| over all pairs of members (mm), shape (pairs,)."""
     members = len(forecast)
-    weights = 2.0 * np.arange(1, members + 1) - members - 1
+    weights = np.arange(1.0 - members, members, 2.0)
     spread: Array = weights @ np.sort(forecast, axis=0)
     return spread
 
