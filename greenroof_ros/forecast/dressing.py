@@ -26,6 +26,10 @@ forecast's end are taken as they were.
 **No leakage.** Neither the line nor the analogs of an issue come from issues less than the length
 of a member and five days from it, before or after it. So an issue of the archive that made the file
 is dressed without what fell after it, and a season can be replayed with the file of that season.
+
+The numbers of members, hours and days here were chosen at Budva, 2024-02-20 to 12-31, on GEM, GFS
+and KNMI, by the CRPS of sums over 12, 48 and 120 h of each half year dressed by itself; years that
+judge should be others.
 """
 
 from __future__ import annotations
@@ -55,7 +59,7 @@ Array = NDArray[np.float64]
 
 MEMBERS = 10
 """Of a dressed issue. With issues of five months 20 members score worse, since the last of them are
-little like the issue; with issues of ten months they score alike."""
+little like the issue; with issues of ten months they score 2 % better."""
 
 # Ends of the blocks of leads (h); the last ends where the forecasts do.
 _ENDS = (6, 12, 24, 48, 72, 120, 240)
@@ -126,7 +130,8 @@ class Dressing:
         now = block_sums(rain.mean(axis=0), whole)
         past = self.forecast[usable, :blocks]
         come = self._come[usable, :blocks]
-        logs = np.log(_expected(past, come, now[None, :])) - np.log(_expected(past, come, past))
+        logs = np.log(_expected(past, come, np.vstack([now, past])))
+        logs = logs[0] - logs[1:]
         distance = np.sum(logs**2, axis=1)
         chosen: list[int] = []
         while len(chosen) < MEMBERS:

@@ -108,8 +108,8 @@ def parameters(site: Site) -> list[Parameter]:
             "is usual of a file's kind",
         ),
         Parameter(
-            "dressed", "", meaning="a file, of a simulated run: FILE.csv of greenroof verify --dress, "
-            "by which each forecast is an ensemble of what fell after similar ones; empty: none",
+            "dressed", "", meaning="a file, simulated: FILE.csv of greenroof verify --dress, by "
+            "which each forecast is an ensemble of what fell after similar ones; empty: none",
         ),
         Parameter(
             "issue_limit", 7200.0, "s", 1.0, 1e6, "live: how long ago the newest forecast of the "
