@@ -111,8 +111,8 @@ def make_parser() -> argparse.ArgumentParser:
     parser.add_argument(
         "--dress", action="store_true",
         help="write what fell in the records after each issue of an archive to -o FILE.csv, and "
-        "score what that is worth; --horizon says how many hours of it. Half a year is needed at "
-        "least. To judge by some months, leave them out of --weather",
+        "score what that is worth; --horizon says how many hours of it. Half a year or more is "
+        "sensible. To judge by some months, leave them out of --weather",
     )
     parser.add_argument(
         "--fit", type=Path, metavar="FILE.yaml",

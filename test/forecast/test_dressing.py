@@ -210,6 +210,15 @@ def test_gaps_and_ends() -> None:
     assert short.shape == (MEMBERS, 36)
 
 
+def test_rain_that_stands_an_hour_late() -> None:
+    """What fell is taken by when it fell; the record's first hour was the one before it."""
+    rain = np.arange(60.0 * 24)
+    late = record(rain)
+    late = replace(late, records=replace(late.records, rain_late=1))
+    dressing = learn(archive({at: np.ones((1, 24)) for at in (0, 24, 48)}), late, 24)
+    assert dressing.fell[:, 0].tolist() == [1.0, 25.0, 49.0]
+
+
 def test_evapotranspiration_goes_on() -> None:
     """It stays that of the issue, and after its end that of its last day."""
     rain = showers(90 * 24, 11)
