@@ -19,8 +19,10 @@ from greenroof_ros.common.progress_lines import ProgressLines
 from greenroof_ros.common.times import to_people
 from greenroof_ros.experiment.options import add_forecast_options, forecast_from_arguments
 from greenroof_ros.forecast.choice import MODELS
-from greenroof_ros.model.site import read_site
+from greenroof_ros.forecast.dressing import chosen_archive, dressing_text, learn
+from greenroof_ros.model.site import Site, read_site
 from greenroof_ros.verification.archive_faults import archive_faults
+from greenroof_ros.verification.dressed import worth, worth_table
 from greenroof_ros.verification.issued import IssuedForecasts, issued_forecasts
 from greenroof_ros.verification.pairs import Class, Sum, tally
 from greenroof_ros.verification.scores import Tally
@@ -33,6 +35,9 @@ _DESCRIPTION = """\
 Hold forecasts of rain against records: by lead, and by sums over hours, with what counts as an
 event among them. FORECASTS are an archive, a file or a directory of files as --forecast of simulate
 takes them, or a model of this package, whose forecasts of the records are made and scored.
+
+With --dress, make of an archive and a record the file by which --dressed of simulate and run gives
+a controller, instead of each forecast, ten courses of rain that were observed after similar ones.
 """
 _EPILOG = f"""\
 A model is one of {', '.join(MODELS)}.
@@ -46,12 +51,16 @@ Brier  mean squared error of the event's probability
 CRPS   error of the whole distribution (mm); of a single forecast the mean error
 
 Of an ensemble the first five are those of member 0, the last two of all members.
+--dress scores sums from each issue on: as issued, dressed without the ten days around it, and by
+climate, all that fell in the record. CRPS is the fair one there, alike for any number of members.
 
 examples:
   greenroof verify gem_previous_runs.csv --weather gauge.csv
   greenroof verify caspar/ --weather 'hourly_*.csv' --lead 6 --sums 1 6 --events 1 2
   greenroof verify gem_previous_runs.csv --weather gauge.csv --fit gem.yaml
   greenroof verify errors --weather 'hourly_*.csv' -o errors.html -o errors.csv
+  greenroof verify --dress gem_previous_runs.csv --weather gauge.csv -o dressed_gem.csv
+  greenroof verify gem_previous_runs.csv --dressed dressed_gem.csv --weather later.csv
 
 exit codes: 0 done, 2 bad usage, configuration or file
 """
@@ -96,7 +105,14 @@ def make_parser() -> argparse.ArgumentParser:
     )
     parser.add_argument(
         "-o", "--output", type=Path, action="append", default=[], metavar="FILE",
-        help="write a page with figures, FILE.html, or the table, FILE.csv; may be given twice",
+        help="write a page with figures, FILE.html, or the table, FILE.csv; may be given twice; "
+        "with --dress, FILE.csv for --dressed",
+    )
+    parser.add_argument(
+        "--dress", action="store_true",
+        help="write what fell in the records after each issue of an archive to -o FILE.csv, and "
+        "score what that is worth; --horizon says how many hours of it. Half a year or more is "
+        "sensible. To judge by some months, leave them out of --weather",
     )
     parser.add_argument(
         "--fit", type=Path, metavar="FILE.yaml",
@@ -111,13 +127,14 @@ def make_parser() -> argparse.ArgumentParser:
 def main() -> int:
     """Verify the forecasts that the command line names."""
     arguments = make_parser().parse_args()
+    if arguments.dress:
+        return _dress(arguments)
     sums = _sums(arguments)
     render = _page(arguments.output)
     if arguments.fit is not None:
         _refuse_unwritable(arguments.fit, (".yaml",), "--fit")
     choice = forecast_from_arguments(arguments, arguments.forecasts, "FORECASTS")
-    site = read_site(arguments.site or shared_directory() / "config" / "site.yaml")
-    weather = read_weather(find_files(arguments.weather, "--weather"), site, rain_only=True)
+    site, weather = _site_and_weather(arguments)
     forecasts = issued_forecasts(choice, weather, site, arguments.horizon)
     if arguments.lead % forecasts.finest_lead:
         raise ConfigurationError(
@@ -158,6 +175,45 @@ def main() -> int:
         written = ", ".join(map(str, texts))
         console.print(f"written: {written}", soft_wrap=True, highlight=False)
     return EXIT_DONE
+
+
+def _dress(arguments: argparse.Namespace) -> int:
+    """Make the file by which an archive is dressed, and say what that is worth."""
+    for key in ("sums", "events", "fit", "dressed"):
+        if getattr(arguments, key) is not None:
+            raise ConfigurationError("is for scores; --dress makes a file", key=f"--{key}")
+    if len(arguments.output) != 1:
+        raise ConfigurationError(
+            "must be given once with --dress: FILE.csv, for --dressed", key="--output"
+        )
+    output: Path = arguments.output[0]
+    _refuse_unwritable(output, (".csv",), "--output")
+    choice = forecast_from_arguments(arguments, arguments.forecasts, "FORECASTS")
+    if choice.file is None:
+        raise ConfigurationError(
+            "must be an archive with --dress: a model's forecasts are made of the records",
+            key="FORECASTS", value=arguments.forecasts,
+        )
+    site, weather = _site_and_weather(arguments)
+    archive = chosen_archive(choice, site)
+    dressing = learn(archive, weather, arguments.horizon)
+    with _bar("dressing", len(archive.issues), "issues") as done:
+        rows = worth(archive, dressing, weather, done)
+    output.write_text(dressing_text(dressing), encoding="utf-8")
+    console = Console()
+    title = f"{archive.source} ({archive.kind}), against {weather.source}"
+    console.print(worth_table(title, rows))
+    console.print(
+        f"written: {output}, {len(dressing.issued)} issues and {dressing.hours} h after each",
+        soft_wrap=True, highlight=False,
+    )
+    return EXIT_DONE
+
+
+def _site_and_weather(arguments: argparse.Namespace) -> tuple[Site, Weather]:
+    """Return the place, and its records of rain."""
+    site = read_site(arguments.site or shared_directory() / "config" / "site.yaml")
+    return site, read_weather(find_files(arguments.weather, "--weather"), site, rain_only=True)
 
 
 def _sums(arguments: argparse.Namespace) -> list[Sum]:

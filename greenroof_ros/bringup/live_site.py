@@ -26,8 +26,9 @@ EXTERNAL = "external"
 _REFUSED = {
     "live": (
         ("start", "hours", "initial", "cistern", "roof", "evapotranspiration", "gaps",
-         "forecast_skill", "forecast_seed", "forecast_members", "forecast_delay", "roof_noise",
-         "roof_offset", "noise_seed", "minimum_on", "minimum_off", "output", "speed", "json"),
+         "forecast_skill", "forecast_seed", "forecast_members", "forecast_delay", "dressed",
+         "roof_noise", "roof_offset", "noise_seed", "minimum_on", "minimum_off", "output",
+         "speed", "json"),
         "is for a simulated site; live, time, weather and levels are the site's own",
     ),
     "simulated": (

@@ -193,6 +193,12 @@ def add_forecast_options(group: argparse._ArgumentGroup) -> None:
         f"(default: of errors and ensemble {SERVICE_DELAY_H:g}, of a file what is usual of its "
         "kind; 0 in this project's form, which says when it was known)",
     )
+    group.add_argument(
+        "--dressed", type=Path, metavar="FILE",
+        help="a file: instead of each forecast an ensemble of what fell after similar ones, by "
+        "FILE.csv that 'greenroof verify --dress' made of an archive and a record; forecasts less "
+        "than ten days from an issue are left out, so that none is dressed by its own weather",
+    )
 
 
 def _add_sensor_pump_arguments(parser: argparse.ArgumentParser) -> None:
@@ -390,4 +396,9 @@ def forecast_from_arguments(
                 f"is an option of {' and '.join(owners)}; the forecast is {choice}",
                 key=f"--forecast-{option}",
             )
-    return replace(choice, **given)
+    if arguments.dressed is not None and choice.file is None:
+        raise ConfigurationError(
+            f"is an option of a file; the forecast is {choice}", key="--dressed",
+            value=str(arguments.dressed),
+        )
+    return replace(choice, **given, dressed=arguments.dressed)

@@ -108,6 +108,10 @@ def _write_configuration(
         skill_file = configuration / "skill.yaml"
         shutil.copyfile(choice.skill_file, skill_file)
         choice = replace(choice, skill=str(skill_file))
+    if choice.dressed is not None:
+        dressed = configuration / "dressed.csv"
+        shutil.copyfile(choice.dressed, dressed)
+        choice = replace(choice, dressed=dressed)
     common = {"site_file": str(site_file)}
     span = {"start": run.start.isoformat(), "run_length": run.steps}
     parameters = {
@@ -123,6 +127,7 @@ def _write_configuration(
             "all_members": run.controller.ensemble,
             "forecast": str(choice),
             **{f"forecast_{name}": value for name, value in choice.options().items()},
+            **({"dressed": str(choice.dressed)} if choice.dressed is not None else {}),
         },
         run.controller.name: {**common, **run.parameters},
         "recorder": {

@@ -119,6 +119,7 @@ def _setting(run: Run) -> dict[str, Any]:
             "model": choice.model,
             **choice.options(),
             **({"file": str(choice.file)} if choice.file is not None else {}),
+            **({"dressed": str(choice.dressed)} if choice.dressed is not None else {}),
         },
         "forecast_repeats_last_record_from": repeats_from.isoformat() if repeats_from else None,
         "sensor_pump_errors": run.sensor_pump_errors.values(),

@@ -47,6 +47,8 @@ class ForecastChoice:
         file: with the forecasts, or directory of such; None where there is none.
         delay: h after its nominal time from which an issue is known; None for what is usual of the
             file's kind, and of a model with errors what is of weather services.
+        dressed: file of what fell after past issues, see
+            :mod:`greenroof_ros.forecast.dressing`; None for the forecasts as they were issued.
     """
 
     model: str = PERFECT
@@ -55,6 +57,7 @@ class ForecastChoice:
     members: int = 10
     file: Path | None = None
     delay: float | None = None
+    dressed: Path | None = None
 
     def __str__(self) -> str:
         """The model's name or the file's path, as the option ``--forecast`` has it."""

@@ -36,6 +36,18 @@ class Issue:
         """How many it has."""
         return len(self.rain[0])
 
+    def evapotranspiration_at(self, ahead: NDArray[np.intp]) -> NDArray[np.float64] | None:
+        """Return evapotranspiration so many hours ahead (mm/day); None where the file has none.
+
+        After the last hour it is that of the same hour of the last day, or that of the last hour
+        where the issue is shorter than a day.
+        """
+        if self.evapotranspiration is None:
+            return None
+        last = self.hours - 1
+        index = ahead - 24 * np.maximum(-((last - ahead) // 24), 0)
+        return self.evapotranspiration[np.where(index < 0, last, index)]
+
 
 class Contents(NamedTuple):
     """What is in the files of an archive."""

@@ -16,8 +16,9 @@ from numpy.typing import NDArray
 
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.times import to_minutes
-from greenroof_ros.forecast.archive import Archive, read_archive
+from greenroof_ros.forecast.archive import Archive
 from greenroof_ros.forecast.choice import PERFECT, SERVICE_DELAY_H, ForecastChoice
+from greenroof_ros.forecast.dressing import chosen_archive
 from greenroof_ros.forecast.error_model import ErrorModel
 from greenroof_ros.forecast.issue import Issue
 from greenroof_ros.forecast.issue_times import newest_issue, records_at
@@ -64,10 +65,10 @@ def make_model(
         all_members: of an ensemble; otherwise its member 0 only.
 
     Raises:
-        ConfigurationError: the file of forecasts, or of their skill, is wrong.
+        ConfigurationError: the file of forecasts, of their dressing or their skill is wrong.
     """
     if choice.file is not None:
-        return FileModel(read_archive(choice.file, site, choice.delay), weather, all_members)
+        return FileModel(chosen_archive(choice, site), weather, all_members)
     if choice.model == "persistence":
         return PersistenceModel(weather)
     members = choice.members if all_members and choice.model == "ensemble" else 1
@@ -160,11 +161,12 @@ class FileModel:
         there = of_rain < issue.hours
         rain = np.zeros((self.members, hours))
         rain[:, there] = issue.rain[: self.members, of_rain[there]]
-        if issue.evapotranspiration is not None:
-            last = issue.hours - 1
-            index = ahead - 24 * np.maximum(-((last - ahead) // 24), 0)
-            return rain, issue.evapotranspiration[np.where(index < 0, last, index)]
-        return rain, records_at(self._weather, EVAPOTRANSPIRATION, np.arange(hour, hour + hours))
+        evapotranspiration = issue.evapotranspiration_at(ahead)
+        if evapotranspiration is None:
+            evapotranspiration = records_at(
+                self._weather, EVAPOTRANSPIRATION, np.arange(hour, hour + hours)
+            )
+        return rain, evapotranspiration
 
     def repeats_from(self, hour: int, hours: int) -> datetime | None:
         """Return the end of the issue, or of records that it needs, if the hours are past it."""

@@ -108,6 +108,10 @@ def parameters(site: Site) -> list[Parameter]:
             "is usual of a file's kind",
         ),
         Parameter(
+            "dressed", "", meaning="a file, simulated: FILE.csv of greenroof verify --dress, by "
+            "which each forecast is an ensemble of what fell after similar ones; empty: none",
+        ),
+        Parameter(
             "issue_limit", 7200.0, "s", 1.0, 1e6, "live: how long ago the newest forecast of the "
             "file may have been issued",
         ),
@@ -133,6 +137,13 @@ def _forecast(values: dict[str, Any]) -> ForecastChoice:
     given = {name: values[f"forecast_{name}"] for name in OPTIONS}
     if given["delay"] == _USUAL:
         del given["delay"]
+    if values["dressed"]:
+        if choice.file is None:
+            raise ConfigurationError(
+                f"is for a file of forecasts; the forecast is {choice}",
+                key="parameter dressed of weather", value=values["dressed"],
+            )
+        given["dressed"] = Path(values["dressed"])
     return replace(choice, **given)
 
 

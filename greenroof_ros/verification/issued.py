@@ -11,8 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from greenroof_ros.common.times import hours_since_1970, to_people
-from greenroof_ros.forecast.archive import read_archive, refuse_between_hours
+from greenroof_ros.forecast.archive import refuse_between_hours
 from greenroof_ros.forecast.choice import ForecastChoice
+from greenroof_ros.forecast.dressing import chosen_archive
 from greenroof_ros.forecast.issue import Issue
 from greenroof_ros.forecast.issue_times import ISSUE_HOURS
 from greenroof_ros.forecast.models import make_model
@@ -85,12 +86,7 @@ class ArchivedForecasts:
     def __iter__(self) -> Iterator[Issued]:
         """Yield them in the order of time."""
         for issue in self.issues:
-            yield Issued((issue.issued - _fell_from(self.weather)) // HOUR, issue.rain)
-
-
-def _fell_from(weather: Weather) -> datetime:
-    """Return when the hour began in which the first record's rain fell."""
-    return weather.first - weather.records.rain_late * HOUR
+            yield Issued((issue.issued - self.weather.rain_from) // HOUR, issue.rain)
 
 
 @dataclass
@@ -154,9 +150,9 @@ def issued_forecasts(
             ", ".join([choice.model, *options]), members, horizon, 1, 0.0,
             _span(weather.first, weather.end), choice, weather, site,
         )
-    archive = read_archive(choice.file, site, choice.delay)
+    archive = chosen_archive(choice, site)
     refuse_between_hours(archive.verified, weather)
-    first = _fell_from(weather)
+    first = weather.rain_from
     end = first + len(weather.precipitation) * HOUR
     within = tuple(
         issue for issue in archive.verified

@@ -168,11 +168,39 @@ def crps(forecast: Array, observed: Array) -> Array:
         forecast: mm, shape (members, pairs).
         observed: mm, shape (pairs,).
     """
-    members = len(forecast)
-    weights = 2 * np.arange(1, members + 1) - members - 1
-    spread = weights @ np.sort(forecast, axis=0)
-    score: Array = np.mean(np.abs(forecast - observed), axis=0) - spread / members**2
+    score: Array = _mean_error(forecast, observed) - _spread(forecast) / len(forecast) ** 2
     return score
+
+
+def fair_crps(forecast: Array, observed: Array) -> Array:
+    """Return the CRPS that is the same in the mean for any number of members (mm).
+
+    More members of the same distribution have a lower :func:`crps`. With M (M - 1) instead of M^2
+    there it is that of infinitely many (Ferro 2014, doi:10.1002/qj.2270), so that ensembles of
+    unlike size, single forecasts among them, can be compared. Of one member it is the mean error.
+
+    Args:
+        forecast: mm, shape (members, pairs).
+        observed: mm, shape (pairs,).
+    """
+    members = len(forecast)
+    score: Array = (
+        _mean_error(forecast, observed) - _spread(forecast) / max(members * (members - 1), 1)
+    )
+    return score
+
+
+def _mean_error(forecast: Array, observed: Array) -> Array:
+    errors: Array = np.mean(np.abs(forecast - observed), axis=0)
+    return errors
+
+
+def _spread(forecast: Array) -> Array:
+    """Return half the sum of |x_i - x_j| over all pairs of members (mm), shape (pairs,)."""
+    members = len(forecast)
+    weights = np.arange(1.0 - members, members, 2.0)
+    spread: Array = weights @ np.sort(forecast, axis=0)
+    return spread
 
 
 def rank_counts(forecast: Array, observed: Array) -> Array:

@@ -66,6 +66,11 @@ class Weather:
         return self.records.first
 
     @property
+    def rain_from(self) -> datetime:
+        """Start of the hour in which the first record's rain fell."""
+        return self.first - self.records.rain_late * HOUR
+
+    @property
     def end(self) -> datetime:
         """End of the last hour."""
         return self.first + len(self.precipitation) * HOUR

@@ -53,9 +53,9 @@ ONLY = {
     "live": {
         "start": "2021-07-07T02:00", "hours": "1", "initial": "low-low", "cistern": "1",
         "roof": "1", "evapotranspiration": "fao56", "gaps": "fill", "forecast-skill": "real",
-        "forecast-seed": "1", "forecast-members": "2", "forecast-delay": "1", "roof-noise": "0.1",
-        "roof-offset": "0.1", "noise-seed": "5", "minimum-on": "60", "minimum-off": "60",
-        "output": "here", "speed": "2", "json": None,
+        "forecast-seed": "1", "forecast-members": "2", "forecast-delay": "1",
+        "dressed": "dressed.csv", "roof-noise": "0.1", "roof-offset": "0.1", "noise-seed": "5",
+        "minimum-on": "60", "minimum-off": "60", "output": "here", "speed": "2", "json": None,
     },
     "simulated": {
         "sensors": "x.yaml", "thermometer": "external", "restarts": "3", "bag-limit": "50",

@@ -12,7 +12,13 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 from scipy import integrate, stats
 
-from greenroof_ros.verification.scores import Contingency, Tally, crps, rank_counts
+from greenroof_ros.verification.scores import (
+    Contingency,
+    Tally,
+    crps,
+    fair_crps,
+    rank_counts,
+)
 
 Array = NDArray[np.float64]
 
@@ -100,6 +106,22 @@ def test_crps_is_the_integral(members: list[float], observed: float) -> None:
     )
     got = crps(np.array(members)[:, None], np.array([observed]))
     assert got.tolist() == pytest.approx([expected], rel=1e-9, abs=1e-9)
+
+
+@pytest.mark.parametrize("members", [2, 3, 10])
+def test_fair_crps_does_not_go_by_the_number_of_members(members: int) -> None:
+    """Of draws from an exponential distribution it is in the mean that of the distribution.
+
+    That of the distribution is y + 2 exp(-y) - 3/2 at the observation y.
+    """
+    chance = np.random.default_rng(members)
+    observed = chance.exponential(1.0, 200_000)
+    drawn = chance.exponential(1.0, (members, 200_000))
+    whole = (observed + 2 * np.exp(-observed) - 1.5).mean()
+    assert fair_crps(drawn, observed).mean() == pytest.approx(whole, rel=0.01)
+    assert crps(drawn, observed).mean() > 1.05 * whole
+    single = fair_crps(drawn[:1], observed)
+    np.testing.assert_allclose(single, np.abs(drawn[0] - observed))
 
 
 @pytest.mark.parametrize("observed", [-1.5, 0.0, 0.3, 2.0])

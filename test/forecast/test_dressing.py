@@ -1,0 +1,293 @@
+"""Analogs: as by plain counting, without leakage or bias, climatology without skill; files."""
+
+from __future__ import annotations
+
+import itertools
+import math
+from dataclasses import replace
+from datetime import datetime, timedelta, timezone
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from greenroof_ros.common.errors import ConfigurationError
+from greenroof_ros.common.times import hours_since_1970
+from greenroof_ros.forecast.archive import Archive
+from greenroof_ros.forecast.dressing import (
+    MEMBERS,
+    Dressing,
+    dress,
+    dressing_text,
+    learn,
+    read_dressing,
+)
+from greenroof_ros.forecast.issue import Issue
+from greenroof_ros.verification.dressed import worth
+from greenroof_ros.weather.records import Records
+from greenroof_ros.weather.series import Weather
+
+HOUR = timedelta(hours=1)
+FIRST = datetime(2024, 1, 1, tzinfo=timezone.utc)
+Array = np.ndarray
+
+
+def record(rain: Array) -> Weather:
+    """Return hourly records of rain from the first hour on."""
+    records = Records((Path("gauge.csv"),), FIRST, {"precipitation": rain})
+    return Weather(records, rain, np.zeros(len(rain)), "given", None)
+
+
+def archive(issues: dict[int, Array]) -> Archive:
+    """Return an archive by the hour of each issue and its rain, shape (members, hours)."""
+    made = tuple(
+        Issue(FIRST + hour * HOUR, Path("archive.csv"), 2, rain) for hour, rain in issues.items()
+    )
+    return Archive(Path("archive.csv"), "own form", made, 0.0, made, 1)
+
+
+def showers(hours: int, seed: int) -> Array:
+    """Return rain that comes in spells of some hours (mm/h)."""
+    rng = np.random.default_rng(seed)
+    wet = np.repeat(rng.random(hours // 6 + 1) < 0.12, 6)[:hours]
+    rain: Array = np.round(wet * rng.gamma(0.6, 3.0, hours), 1)
+    return rain
+
+
+def forecasts(
+    rain: Array, every: int, hours: int, seed: int, bias: float = 1.7, skill: float = 1.0
+) -> dict[int, Array]:
+    """Return issues that know a share of the rain to come, and have too much water."""
+    rng = np.random.default_rng(seed)
+    others = rng.permutation(len(rain) - hours)
+    return {
+        start: bias * (
+            skill * rain[start : start + hours]
+            + (1 - skill) * rain[others[start] : others[start] + hours]
+        )[None, :] * rng.gamma(4.0, 0.25)
+        for start in range(0, len(rain) - hours, every)
+    }
+
+
+def brute(issues: dict[int, Array], rain: Array, start: int, hours: int) -> list[list[float]]:
+    """Return the members of an issue, by the definition and in plain Python."""
+    edges = [edge for edge in (0, 6, 12, 24, 48, 72, 120) if edge < hours] + [hours]
+    blocks = list(itertools.pairwise(edges))
+    past = [at for at in issues if abs(at - start) >= hours + 120 and at + hours <= len(rain)]
+
+    def said(at: int, block: tuple[int, int]) -> float:
+        members = issues[at].tolist()
+        return sum(sum(member[block[0] : block[1]]) for member in members) / len(members)
+
+    def line(block: tuple[int, int]) -> tuple[float, float, float]:
+        x = [said(at, block) for at in past]
+        y = [float(sum(rain[at + block[0] : at + block[1]])) for at in past]
+        mean_x, mean_y = sum(x) / len(x), sum(y) / len(y)
+        slope = sum((a - mean_x) * (b - mean_y) for a, b in zip(x, y, strict=True))
+        slope /= sum((a - mean_x) ** 2 for a in x)
+        slope = min(max(slope, 0.0), mean_y / mean_x)
+        return mean_y - slope * mean_x, slope, 0.1 * mean_y
+
+    lines = {block: line(block) for block in blocks}
+
+    def expected(at: int, block: tuple[int, int]) -> float:
+        intercept, slope, least = lines[block]
+        return max(intercept + slope * said(at, block), least)
+
+    ratios = {
+        at: [expected(start, block) / expected(at, block) for block in blocks] for at in past
+    }
+    chosen: list[int] = []
+    for at in sorted(past, key=lambda at: sum(math.log(ratio) ** 2 for ratio in ratios[at])):
+        if len(chosen) < 10 and all(abs(at - other) >= 48 for other in chosen):
+            chosen.append(at)
+    return [
+        [
+            float(rain[at + hour]) * min(max(ratio, 0.25), 4.0)
+            for (low, high), ratio in zip(blocks, ratios[at], strict=True)
+            for hour in range(low, high)
+        ]
+        for at in chosen
+    ]
+
+
+def test_analogs_as_by_plain_counting() -> None:
+    """Lines, distances, choice and corrected members of an ensemble's issues."""
+    rain = showers(120 * 24, 1)
+    single, other = (forecasts(rain, 12, 60, seed, skill=0.6) for seed in (2, 3))
+    # No two are alike: which of such are taken is a lot.
+    rng = np.random.default_rng(4)
+    issues = {
+        start: np.vstack([one, other[start]]) + rng.uniform(0, 0.01, (2, 60))
+        for start, one in single.items()
+    }
+    dressing = learn(archive(issues), record(rain), 60)
+    assert dressing.edges == (0, 6, 12, 24, 48, 60)
+    for start in (0, 1200, 2784):
+        found = dressing.members(hours_since_1970(FIRST) + start, issues[start])
+        np.testing.assert_allclose(found, brute(issues, rain, start, 60), rtol=1e-9, atol=1e-9)
+
+
+def test_nothing_of_its_own_weather() -> None:
+    """What was forecast and what fell within ten days of an issue of 120 h changes nothing."""
+    rain = showers(200 * 24, 5)
+    issues = forecasts(rain, 12, 120, 6, skill=0.5)
+    start = 100 * 24
+    before = learn(archive(issues), record(rain), 120)
+    members = before.members(hours_since_1970(FIRST) + start, issues[start])
+    near = range(start - 120, start + 240)  # all hours less than five days from its own
+    flooded = rain.copy()
+    flooded[near.start : near.stop] = 50.0
+    wrong = {
+        at: np.full_like(one, 20.0) if abs(at - start) < 240 and at != start else one
+        for at, one in issues.items()
+    }
+    after = learn(archive(wrong), record(flooded), 120)
+    assert not np.array_equal(before.fell, after.fell)
+    again = after.members(hours_since_1970(FIRST) + start, issues[start])
+    np.testing.assert_array_equal(members, again)
+    other = start + 300
+    moved = after.members(hours_since_1970(FIRST) + other, issues[other])
+    assert not np.array_equal(
+        before.members(hours_since_1970(FIRST) + other, issues[other]), moved
+    )
+
+
+def test_a_bias_is_removed() -> None:
+    """Of forecasts with 1.7 times the water, of all issues and of the wettest tenth."""
+    rain = showers(500 * 24, 7)
+    given = archive(forecasts(rain, 12, 48, 8, skill=0.7))
+    dressing = learn(given, record(rain), 48)
+    dressed = dress(given, dressing)
+    assert dressed.members == MEMBERS
+    fell = dressing.fell.sum(axis=1)
+    said = np.array([one.rain.sum() for one in given.issues])
+    means = np.array([one.rain.sum(axis=1).mean() for one in dressed.issues])
+    assert said.mean() / fell.mean() == pytest.approx(1.7, rel=0.05)
+    assert means.mean() / fell.mean() == pytest.approx(1.0, rel=0.05)
+    wettest = said > np.quantile(said, 0.9)
+    assert means[wettest].mean() / fell[wettest].mean() == pytest.approx(1.0, rel=0.1)
+    row = worth(given, dressing, record(rain), lambda _: None)[-1]
+    issued, after, climate = row.crps
+    assert after < 0.8 * min(issued, climate)
+    assert row.fell == pytest.approx(fell.mean())
+
+
+@pytest.mark.parametrize("same", [True, False])
+def test_no_skill_is_climatology(same: bool) -> None:
+    """Forecasts that are always the same, or those of other days: as good as all that fell."""
+    rain = showers(700 * 24, 9)
+    issues = forecasts(rain, 24, 48, 10, skill=0.0)
+    if same:
+        issues = {at: np.full((1, 48), 0.2) for at in issues}
+    given = archive(issues)
+    dressing = learn(given, record(rain), 48)
+    for row in worth(given, dressing, record(rain), lambda _: None):
+        assert row.bias[1] == pytest.approx(1.0, abs=0.06)
+        assert row.crps[1] == pytest.approx(row.crps[2], rel=0.06)
+    if same:  # each issue is drawn as often as others, and no two issues have the same draw
+        drawn = [dressing.members(int(at), issues[0]).sum() for at in dressing.issued[:20]]
+        assert len(set(drawn)) == 20
+
+
+def test_gaps_and_ends() -> None:
+    """Twelve missing hours are bridged, thirteen are in no member; short issues are not learned."""
+    rain = np.ones(90 * 24)
+    rain[600:612] = np.nan
+    rain[612] = 2.0
+    rain[1200:1213] = np.nan
+    issues = {at: np.ones((1, 24)) for at in range(0, 90 * 24, 24)}
+    issues[48] = np.ones((1, 23))
+    dressing = learn(archive(issues), record(rain), 36)
+    starts = (dressing.issued - hours_since_1970(FIRST)).tolist()
+    assert 48 not in starts
+    assert [at for at in issues if at not in starts] == [48, 1176, 1200, 2136]
+    row = dressing.fell[starts.index(600)]
+    np.testing.assert_allclose(row[:12], 1 + np.arange(1, 13) / 13)
+    # What follows the forecast's end is as it was, and a short issue has as many hours.
+    assert dressing.edges == (0, 6, 12, 24)
+    short = dressing.members(hours_since_1970(FIRST) + 48, np.ones((1, 5)))
+    assert short.shape == (MEMBERS, 36)
+
+
+def test_rain_that_stands_an_hour_late() -> None:
+    """What fell is taken by when it fell; the record's first hour was the one before it."""
+    rain = np.arange(60.0 * 24)
+    late = record(rain)
+    late = replace(late, records=replace(late.records, rain_late=1))
+    dressing = learn(archive({at: np.ones((1, 24)) for at in (0, 24, 48)}), late, 24)
+    assert dressing.fell[:, 0].tolist() == [1.0, 25.0, 49.0]
+
+
+def test_evapotranspiration_goes_on() -> None:
+    """It stays that of the issue, and after its end that of its last day."""
+    rain = showers(90 * 24, 11)
+    given = archive(forecasts(rain, 24, 30, 12))
+    given = replace(given, issues=tuple(
+        replace(one, evapotranspiration=np.arange(30.0)) for one in given.issues
+    ))
+    dressed = dress(given, learn(given, record(rain), 60))
+    expected = [*range(30), *range(6, 30), *range(6, 12)]
+    for one in dressed.issues:
+        assert one.evapotranspiration is not None
+        assert one.evapotranspiration.tolist() == expected
+        assert one.rain.shape == (MEMBERS, 60)
+
+
+def written(directory: Path) -> tuple[Path, Dressing]:
+    """Write a file of a dressing."""
+    rain = showers(80 * 24, 13)
+    dressing = learn(archive(forecasts(rain, 24, 24, 14)), record(rain), 30)
+    path = directory / "dressed.csv"
+    path.write_text(dressing_text(dressing))
+    return path, dressing
+
+
+def test_a_file_is_read_as_written(tmp_path: Path) -> None:
+    """All but the last digits."""
+    path, dressing = written(tmp_path)
+    found = read_dressing(path)
+    assert (found.edges, found.hours, found.source) == (dressing.edges, 30, str(path))
+    assert found.issued.tolist() == dressing.issued.tolist()
+    np.testing.assert_allclose(found.forecast, dressing.forecast, rtol=1e-5)
+    np.testing.assert_allclose(found.fell, dressing.fell, rtol=1e-5)
+
+
+WRONG = {
+    "header": ("issued,", "time,", "line 3: 'time': the column must be 'issued': a file for --dr"),
+    "hours": ("fell in hour 3 ", "fell in hour 4 ", "line 3: 'fell in hour 4 [mm]': the column mu"),
+    "blocks": ("hours 6 to 12", "hours 7 to 12", "line 3: 'forecast of hours 7 to 12 [mm]': the "),
+    "order": ("2024-01-02", "2023-12-02", "line 5: issued = '2023-12-02T00:00:00+00:00': must be"),
+    "zone": ("00+00:00,", "00,", "line 4: issued = '2024-01-01T00:00:00': must say its offset"),
+    "cells": ("2024-01-02T00:00:00+00:00,", "2024-01-02T00:00:00+00:00,0,", "line 5: must have 34"),
+    "amount": ("2024-01-02T00:00:00+00:00,", "2024-01-02T00:00:00+00:00,-", "line 5: forecast of"),
+}
+
+
+@pytest.mark.parametrize("name", WRONG)
+def test_wrong_files(tmp_path: Path, name: str) -> None:
+    """File, line, value and what would be right."""
+    path, _ = written(tmp_path)
+    old, new, words = WRONG[name]
+    text = path.read_text()
+    assert old in text
+    if name == "amount":
+        line = text.splitlines()[4]
+        text = text.replace(line, line.replace(line.split(",")[1], "-1", 1))
+    path.write_text(text if name == "amount" else text.replace(old, new, 1))
+    with pytest.raises(ConfigurationError) as error:
+        read_dressing(path)
+    assert str(error.value).startswith(f"{path}, {words}")
+
+
+def test_too_few_issues() -> None:
+    """It says how many there are, and of which issue; records of another time have none."""
+    rain = showers(25 * 24, 15)
+    given = archive(forecasts(rain, 24, 24, 16))
+    with pytest.raises(ConfigurationError, match="has 8 issues two days"):
+        dress(given, learn(given, record(rain), 24))
+    late = replace(given, issues=tuple(
+        replace(one, issued=one.issued + 1000 * HOUR) for one in given.issues
+    ))
+    with pytest.raises(ConfigurationError, match=r"has no issue after which gauge.csv has 24 h"):
+        learn(late, record(rain), 24)

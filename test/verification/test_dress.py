@@ -1,0 +1,130 @@
+"""``verify --dress`` and ``--dressed``: the file, what it is worth, runs with it; wrong use."""
+
+from __future__ import annotations
+
+import csv
+import json
+import os
+import subprocess
+from datetime import datetime, timedelta
+from pathlib import Path
+
+import numpy as np
+import pytest
+from commands import run_command
+
+FIRST = datetime.fromisoformat("2024-03-01T00:00+00:00")
+DAYS = 100
+
+
+def command(directory: Path, *arguments: str) -> subprocess.CompletedProcess[str]:
+    """Run a command to its end."""
+    return run_command(*arguments, cwd=directory, env={**os.environ, "COLUMNS": "80"})
+
+
+@pytest.fixture(scope="module")
+def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A directory with a gauge's hours, and forecasts with twice their water, of other days some.
+
+    The forecasts are previous runs of two days; the service's hours end at their time.
+    """
+    directory = tmp_path_factory.mktemp("dressed")
+    rng = np.random.default_rng(3)
+    wet = np.repeat(rng.random(DAYS * 4) < 0.15, 6)
+    rain = np.round(wet * rng.gamma(0.7, 2.0, DAYS * 24), 1)
+    hours = [FIRST + number * timedelta(hours=1) for number in range(DAYS * 24)]
+    with (directory / "gauge.csv").open("w") as stream:
+        rows = csv.writer(stream, lineterminator="\n")
+        rows.writerow(["time", "precipitation [mm/h]", "given evapotranspiration [mm/day]"])
+        rows.writerows(
+            [hour.isoformat(), value, 2.0] for hour, value in zip(hours, rain, strict=True)
+        )
+    with (directory / "archive.csv").open("w") as stream:
+        rows = csv.writer(stream, lineterminator="\n")
+        rows.writerow(["datetime", *(f"precipitation_previous_day{day}" for day in (1, 2))])
+        for number, hour in enumerate(hours):
+            said = 2.0 * rain[[number, number - 3]]
+            rows.writerow([f"{hour + timedelta(hours=1):%Y-%m-%d %H:%M:%S}", *said])
+    done = command(
+        directory, "verify", "--dress", "archive.csv", "--weather", "gauge.csv", "--horizon", "60",
+        "-o", "dressed.csv",
+    )
+    assert done.returncode == 0, done.stderr
+    assert "written: dressed.csv, 391 issues and 60 h after each" in done.stdout
+    (directory / "said.txt").write_text(done.stdout)
+    return directory
+
+
+def test_what_it_is_worth(site: Path) -> None:
+    """Sums to the forecasts' end: as issued twice the water and a larger error, dressed neither."""
+    rows = [line.split() for line in (site / "said.txt").read_text().splitlines() if " h " in line]
+    assert [row[0] for row in rows[:2]] == ["12", "48"]
+    for row in rows[:2]:
+        issued, dressed, error, less, climate = map(float, row[4:])
+        assert issued == pytest.approx(2.0, abs=0.1)
+        assert dressed == pytest.approx(1.0, abs=0.1)
+        assert less < 0.6 * min(error, climate)
+
+
+def test_scores_of_dressed_forecasts(site: Path) -> None:
+    """They are an archive of ten members, scored by lead like any other."""
+    done = command(
+        site, "verify", "archive.csv", "--dressed", "dressed.csv", "--weather", "gauge.csv",
+        "--horizon", "24", "-o", "scores.csv",
+    )
+    assert done.returncode == 0, done.stderr
+    assert "dressed by dressed.csv): 400 issues" in " ".join(done.stdout.split())
+    with (site / "scores.csv").open() as stream:
+        day = list(csv.DictReader(stream))[-1]
+    assert day["sum_hours"] == "24"
+    assert float(day["bias"]) == pytest.approx(1.0, abs=0.25)  # of one member
+
+
+def test_a_run_with_dressed_forecasts(site: Path) -> None:
+    """The controller has all members; the run keeps the file, and says that it was dressed."""
+    done = command(
+        site, "simulate", "--controller", "scenario_mpc", "--horizon", "24",
+        "--weather", "gauge.csv", "--start", "2024-04-10T00:00+00:00", "--hours", "0.5",
+        "--forecast", "archive.csv", "--dressed", "dressed.csv", "--json",
+    )
+    assert done.returncode == 0, done.stderr
+    assert json.loads(done.stdout)["forecast"] == {
+        "model": "file", "file": "archive.csv", "dressed": "dressed.csv",
+    }
+
+
+DRESS = ["verify", "--dress", "archive.csv", "--weather", "gauge.csv"]
+SCORE = ["verify", "archive.csv", "--weather", "gauge.csv"]
+WRONG = {
+    "model": (
+        ["verify", "--dress", "errors", "--weather", "gauge.csv", "-o", "new.csv"],
+        "FORECASTS = 'errors': must be an archive with --dress: a model's forecasts are made of ",
+    ),
+    "nowhere": (DRESS, "--output: must be given once with --dress: FILE.csv, for --dressed"),
+    "page": ([*DRESS, "-o", "new.html"], "--output = 'new.html': must end in .csv"),
+    "exists": ([*DRESS, "-o", "gauge.csv"], "--output = 'gauge.csv': exists; name another file"),
+    "fit": ([*DRESS, "-o", "new.csv", "--fit", "x.yaml"], "--fit: is for scores; --dress makes a"),
+    "again": (
+        [*DRESS, "-o", "new.csv", "--dressed", "dressed.csv"], "--dressed: is for scores; --dress",
+    ),
+    "of a model": (
+        ["simulate", "--forecast", "errors", "--dressed", "dressed.csv"],
+        "--dressed = 'dressed.csv': is an option of a file; the forecast is errors",
+    ),
+    "absent": ([*SCORE, "--dressed", "no.csv"], "no.csv: cannot be read: No such file or"),
+    "other": (
+        [*SCORE, "--dressed", "gauge.csv"],
+        "gauge.csv, line 1: 'time': the column must be 'issued': a file for --dressed is made by ",
+    ),
+}
+
+
+@pytest.mark.parametrize("name", WRONG)
+def test_wrong_use(site: Path, name: str) -> None:
+    """One line that says what would be right, exit code 2, and nothing written."""
+    before = sorted(site.iterdir())
+    arguments, reason = WRONG[name]
+    done = command(site, *arguments)
+    assert (done.returncode, done.stdout) == (2, "")
+    assert done.stderr.startswith(f"error: {reason}")
+    assert sorted(site.iterdir()) == before
