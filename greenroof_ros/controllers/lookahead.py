@@ -1,0 +1,302 @@
+"""The controller that looks ahead: it fills the roof to the level that the coming rain leaves it."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Mapping, Sequence
+from typing import Any, ClassVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from greenroof_ros.common.errors import ConfigurationError
+from greenroof_ros.common.parameter import Parameter
+from greenroof_ros.controllers.after_forecast import DAYS_AFTER, AfterForecast
+from greenroof_ros.controllers.order_up_to import OrderUpTo, Policy
+from greenroof_ros.controllers.protocol import solver_statistics
+from greenroof_ros.controllers.regret_budget import WAITING_BUDGET, WAITING_SHARE, RegretBudget
+from greenroof_ros.controllers.roof_observer import OBSERVER_TIME_CONSTANT, RoofObserver
+from greenroof_ros.controllers.scenario_tree import halved_by_rain
+from greenroof_ros.controllers.tick_times import TickTimes
+from greenroof_ros.model.look_ahead import LONGEST_HORIZON, MOST_MEMBERS
+from greenroof_ros.model.plant import maximum_pump_flow
+from greenroof_ros.model.site import Site
+from greenroof_ros.model.soil import kept_share, water_stress
+
+_HOUR_S = 3600.0
+# A plan is followed for so long at most (s).
+_LONGEST_PLAN_S = 600.0
+# So often it looks (s) whether the forecast of what comes to the roof has changed by more than this
+# (m); a smaller change waits for the next plan.
+_LOOK_S = 60.0
+_CHANGED_M = 5e-4
+# So far below the target the roof is held (m3): at the target the plant cuts the pumps, Eq. (3a).
+_BELOW_M3 = 1e-6
+# Less is not pumped (share of the maximum flow).
+_LEAST_COMMAND = 1e-5
+
+MAX_COMMAND = Parameter(
+    "max_command", 1.0, "1", _LEAST_COMMAND, math.inf,
+    "largest command; 1 is the most of a real pump",
+)
+
+Array = NDArray[np.float64]
+
+# What is published in place of a plan: none was made, or the controller did not decide.
+_NO_NEW_PLAN: Array = np.empty((0, 3))
+_UNDECIDED: Array = np.full((1, 3), np.nan)
+
+
+class Lookahead:
+    """Fills the roof to the level that is best for the rain to come, and holds it there.
+
+    The level is that of :class:`~greenroof_ros.controllers.order_up_to.OrderUpTo`, for all members
+    of an ensemble of forecasts or for a single one, over steps that grow, and the days after the
+    forecast (:class:`~greenroof_ros.controllers.after_forecast.AfterForecast`). What is known of
+    the members' future is that of
+    :func:`~greenroof_ros.controllers.scenario_tree.halved_by_rain`. Without a forecast it fills the
+    roof to its target and holds it there, which is best if no rain comes.
+
+    It plans again when the plan is 600 s old, or when the forecast has changed, which it looks for
+    once a minute. Between plans it follows the levels of the last one, which it has for whatever
+    the roof holds.
+
+    From one start of the pumps to the next it waits 3600 s / ``starts_per_hour`` of the site. At
+    the level it follows evapotranspiration with a small flow, which needs no starts.
+
+    The roof's level is not taken as read, and forecasts of rain not for ever: see
+    :class:`~greenroof_ros.controllers.roof_observer.RoofObserver` and
+    :class:`~greenroof_ros.controllers.regret_budget.RegretBudget`.
+
+    Attributes:
+        fill_to: level of the roof (m) to which it is filled, or at which it is held, in this tick;
+            NaN where it is left alone, and where the controller did not decide.
+        plan: a plan that was made in this tick, a row for each step, shape (steps, 3): the step's
+            end (s from this tick), the mean flow of the pumps in it (m3/s), and the level of the
+            roof that is expected at its end (m); both are means over the members. Shape (0, 3)
+            where the last plan is followed on; one row of NaN where the controller did not decide.
+        planned_deviation: mean deviation over the horizon and the days after it, of all members,
+            that the last plan expects (m3); NaN before the first.
+        solves: how many plans were made.
+        solve_seconds: wall time of each :meth:`command` (s), most of which plan nothing.
+    """
+
+    parameters: ClassVar[tuple[Parameter, ...]] = (
+        Parameter(
+            "horizon", 120.0, "h", 0.1, LONGEST_HORIZON,
+            "how far it looks ahead; the weather node needs the same",
+        ),
+        DAYS_AFTER,
+        MAX_COMMAND,
+        Parameter(
+            "recourse", 48.0, "h", 1.0, LONGEST_HORIZON, "until then one level serves all members; "
+            "each time it has passed, newer forecasts tell which half of them was wrong",
+        ),
+        Parameter(
+            "cvar_level", 0.0, "1", 0.0, 0.99, "share of the members, those with the least "
+            "deviation, that do not count: 0 for the mean of all, 0.8 for the worst fifth",
+        ),
+        OBSERVER_TIME_CONSTANT,
+        WAITING_BUDGET,
+        WAITING_SHARE,
+    )
+    ensemble: ClassVar[bool] = True
+    needs_forecast: ClassVar[bool] = False
+    outputs: ClassVar[Mapping[str, str]] = {
+        "/controller/plan": "plan",
+        "/controller/planned_deviation": "planned_deviation",
+    }
+
+    def __init__(
+        self,
+        site: Site,
+        horizon: float,
+        days_after: float,
+        max_command: float,
+        recourse: float,
+        cvar_level: float,
+        observer_time_constant: float,
+        waiting_budget: float,
+        waiting_share: float,
+    ) -> None:
+        """Take the site and the parameters; :attr:`parameters` has their units and meanings."""
+        self._site = site
+        self._max_command = max_command
+        self._recourse = recourse * _HOUR_S
+        self._after = AfterForecast(site, horizon, days_after)
+        self._lengths = np.diff(self._after.edges)
+        self._longest = min(_LONGEST_PLAN_S, float(self._after.edges[-2]))
+        self._program = OrderUpTo(site, self._after.edges, cvar_level)
+        self._observer = RoofObserver(site, observer_time_constant)
+        self._regret_budget = RegretBudget(site, waiting_budget, waiting_share)
+        self._policy: Policy | None = None
+        self._age = 0.0  # of the policy (s)
+        self._rain_counts = True  # for the policy
+        self._inflow: Array | None = None  # to the roof, of the forecast looked at last
+        self._unlooked = math.inf  # since then (s)
+        self._flow = 0.0  # commanded in the last tick (m3/s)
+        self._since_start = math.inf  # (s)
+        self.fill_to = math.nan
+        self.plan = _UNDECIDED
+        self.planned_deviation = math.nan
+        self.solves = 0
+        self.solve_seconds = TickTimes()
+
+    def command(
+        self,
+        cistern_level: float,
+        roof_level: float,
+        precipitation: Sequence[Any],
+        evapotranspiration: Sequence[float],
+    ) -> float:
+        """Follow the levels of the last plan, or plan again.
+
+        See :class:`greenroof_ros.controllers.protocol.Controller`.
+
+        The forecasts are means over the steps of
+        :func:`greenroof_ros.model.look_ahead.growing_steps`; of the rain, shape (members, steps).
+        """
+        started = time.perf_counter()
+        site = self._site
+        rain, evaporated = self._checked(precipitation, evapotranspiration)
+        x1 = site.cistern_volume(cistern_level)
+        if not math.isfinite(x1 + roof_level + float(rain.sum() + evaporated.sum())):
+            self.skip()
+            return 0.0
+        self.plan = _NO_NEW_PLAN
+        x2 = self._observer.correct(roof_level)
+        fraction = min(self._max_command, 1.0)
+        rain_counts = not self._regret_budget.judge(x1, x2, fraction)
+        if evaporated.size:
+            self._after.pass_tick(evaporated)
+            if self._must_plan(rain, evaporated, rain_counts):
+                self._rain_counts = rain_counts
+                if not rain_counts:
+                    rain[:, 1:] = 0.0
+                self._plan(x1, x2, *self._after.lengthen(rain, evaporated))
+        else:
+            self._policy = None
+        now = (float(rain[0, 0]), float(evaporated[0])) if evaporated.size else (0.0, 0.0)
+        level = self._level(x1, x2)
+        share = 0.0
+        if level >= x2 and cistern_level >= site.suction_level:
+            share = self._share(x1, x2, level, *now)
+        self.fill_to = site.roof_level(level) if level >= x2 else math.nan
+        self._flow = share * maximum_pump_flow(site, x1) if share else 0.0
+        self._regret_budget.move(x1, x2, fraction, self._flow, *now)
+        self._observer.predict(x2, *now, self._flow)
+        self._pass_tick()
+        self.solve_seconds.append(time.perf_counter() - started)
+        return share
+
+    def skip(self) -> None:
+        """Wait for the next reading."""
+        self._observer.skip()
+        self._regret_budget.skip()
+        self.plan, self.fill_to = _UNDECIDED, math.nan
+        self._flow = 0.0
+        self._pass_tick()
+
+    def statistics(self) -> dict[str, float]:
+        """Return how many plans were made, and the time of a tick.
+
+        See :class:`greenroof_ros.controllers.protocol.Controller`.
+        """
+        return solver_statistics(self.solves, 0, self.solve_seconds)
+
+    def _checked(
+        self, precipitation: Sequence[Any], evapotranspiration: Sequence[float]
+    ) -> tuple[Array, Array]:
+        """Return the forecasts, the members in an order that does not depend on the caller's.
+
+        Raises:
+            ConfigurationError: they are neither empty nor of the right shape.
+        """
+        rain = np.array(precipitation, dtype=float, order="C", ndmin=2)
+        evaporated = np.array(evapotranspiration, dtype=float)
+        if not rain.size and not evaporated.size:
+            return rain, evaporated
+        steps = self._after.steps
+        if rain.shape[1] != steps or evaporated.shape != (steps,) or len(rain) > MOST_MEMBERS:
+            raise ConfigurationError(
+                f"the forecasts of rain have {len(rain)} members of {rain.shape[1]} entries, that "
+                f"of evapotranspiration {len(evaporated)}; the plan has {steps} steps, and at most "
+                f"{MOST_MEMBERS} members; give weather and controller the same horizon"
+            )
+        return np.ascontiguousarray(rain[np.lexsort(rain.T[::-1])]), evaporated
+
+    def _must_plan(self, rain: Array, evaporated: Array, rain_counts: bool) -> bool:
+        """Whether the plan is old, or the forecast another than it was."""
+        changed = self._unlooked >= _LOOK_S and self._forecast_changed(rain, evaporated)
+        if changed or self._policy is None or self._age >= self._longest:
+            return True
+        return rain_counts != self._rain_counts
+
+    def _forecast_changed(self, rain: Array, evaporated: Array) -> bool:
+        """Look at the forecast, and return whether it is another than at the last look."""
+        before, lengths = self._inflow, self._lengths[: self._after.steps]
+        self._inflow = np.cumsum((rain * self._site.a2 - evaporated) * lengths, axis=1)
+        self._unlooked = 0.0
+        if before is None or before.shape != self._inflow.shape:
+            return True
+        return bool(np.abs(self._inflow - before).max() > _CHANGED_M * self._site.a2)
+
+    def _plan(self, x1: float, x2: float, rain: Array, evaporated: Array) -> None:
+        """Find the levels for the forecast, and what they lead to."""
+        site, edges = self._site, self._after.edges
+        flow = np.full(len(self._lengths), self._max_command * maximum_pump_flow(site, x1))
+        groups = halved_by_rain(rain, edges, self._recourse)
+        self._policy = self._program.solve(x1, x2, rain, evaporated, flow, groups)
+        self._age = 0.0
+        self.solves += 1
+        self.planned_deviation = self._policy.cost
+        flows, roofs = self._program.follow(self._policy, x1, x2, rain, evaporated, flow)
+        self.plan = np.column_stack(
+            (edges[1:], flows.mean(axis=0), roofs.mean(axis=0) / site.a2)
+        )[: self._after.steps]
+
+    def _level(self, x1: float, x2: float) -> float:
+        """Return the volume (m3) to fill the roof to, or to hold; -1 where it is left alone."""
+        site, policy = self._site, self._policy
+        if policy is None:
+            return site.x2_star if x2 < site.x2_star else -1.0
+        step = int(np.searchsorted(policy.edges, self._age, side="right")) - 1
+        step = min(step, len(policy.fill_to) - 1)
+        return float(policy.level(step, 0, x2, self._program.stored(x1, x2)))
+
+    def _share(
+        self, x1: float, x2: float, level: float, rain: float, evaporated: float
+    ) -> float:
+        """Return the command that leads to a level, and not beyond it.
+
+        Args:
+            x1: in the cistern (m3).
+            x2: on the roof (m3).
+            level: to which it is filled (m3).
+            rain: in the present tick (m/s).
+            evaporated: in the present tick (m3/s).
+        """
+        site = self._site
+        kept = kept_share(site, x2)
+        stays = kept * maximum_pump_flow(site, x1)
+        if stays <= 0:
+            return 0.0
+        inflow = rain * site.a2 * kept - evaporated * water_stress(site, x2)
+        share = ((level - _BELOW_M3 - x2) / site.tau - inflow) / stays
+        share = min(share, self._max_command) if share >= _LEAST_COMMAND else 0.0
+        return share if self._flow else self._start(share)
+
+    def _start(self, share: float) -> float:
+        """Return the command of pumps that stand still: 0 while it is too early for a start."""
+        # Half a tick less: the sum of the ticks is rounded.
+        if self._since_start < _HOUR_S / self._site.starts_per_hour - self._site.tau / 2:
+            return 0.0
+        if share:
+            self._since_start = 0.0
+        return share
+
+    def _pass_tick(self) -> None:
+        self._age += self._site.tau
+        self._unlooked += self._site.tau
+        self._since_start += self._site.tau
