@@ -1,10 +1,11 @@
-"""The controller that looks ahead: it fills the roof to the level that the coming rain leaves it."""
+"""The controller that looks ahead: it fills the roof as far as the coming rain lets it."""
 
 from __future__ import annotations
 
+import functools
 import math
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any, ClassVar
 
 import numpy as np
@@ -25,12 +26,16 @@ from greenroof_ros.model.site import Site
 from greenroof_ros.model.soil import kept_share, water_stress
 
 _HOUR_S = 3600.0
-# A plan is followed for so long at most (s).
-_LONGEST_PLAN_S = 600.0
+# A plan is followed for this share of the horizon, and for so long (s), at most: its levels are for
+# whatever the roof holds by then, but not for rain that comes after its horizon.
+_LONGEST_SHARE = 0.05
+_LONGEST_PLAN_S = 21_600.0
 # So often it looks (s) whether the forecast of what comes to the roof has changed by more than this
-# (m); a smaller change waits for the next plan.
+# (m), and more than what time alone changes, if a step's rain falls in a sixth of it; a smaller
+# change waits for the next plan.
 _LOOK_S = 60.0
-_CHANGED_M = 5e-4
+_CHANGED_M = 2e-3
+_PEAK = 6.0
 # So far below the target the roof is held (m3): at the target the plant cuts the pumps, Eq. (3a).
 _BELOW_M3 = 1e-6
 # Less is not pumped (share of the maximum flow).
@@ -58,9 +63,9 @@ class Lookahead:
     :func:`~greenroof_ros.controllers.scenario_tree.halved_by_rain`. Without a forecast it fills the
     roof to its target and holds it there, which is best if no rain comes.
 
-    It plans again when the plan is 600 s old, or when the forecast has changed, which it looks for
-    once a minute. Between plans it follows the levels of the last one, which it has for whatever
-    the roof holds.
+    It plans again when the plan is a twentieth of the horizon old, or six hours, or when the
+    forecast has changed, which it looks for once a minute. Between plans it follows the levels of
+    the last one, which it has for whatever the roof holds.
 
     From one start of the pumps to the next it waits 3600 s / ``starts_per_hour`` of the site. At
     the level it follows evapotranspiration with a small flow, which needs no starts.
@@ -104,6 +109,7 @@ class Lookahead:
     ensemble: ClassVar[bool] = True
     needs_forecast: ClassVar[bool] = False
     outputs: ClassVar[Mapping[str, str]] = {
+        "/controller/fill_to": "fill_to",
         "/controller/plan": "plan",
         "/controller/planned_deviation": "planned_deviation",
     }
@@ -126,7 +132,7 @@ class Lookahead:
         self._recourse = recourse * _HOUR_S
         self._after = AfterForecast(site, horizon, days_after)
         self._lengths = np.diff(self._after.edges)
-        self._longest = min(_LONGEST_PLAN_S, float(self._after.edges[-2]))
+        self._longest = min(_LONGEST_PLAN_S, _LONGEST_SHARE * horizon * _HOUR_S)
         self._program = OrderUpTo(site, self._after.edges, cvar_level)
         self._observer = RoofObserver(site, observer_time_constant)
         self._regret_budget = RegretBudget(site, waiting_budget, waiting_share)
@@ -138,10 +144,17 @@ class Lookahead:
         self._flow = 0.0  # commanded in the last tick (m3/s)
         self._since_start = math.inf  # (s)
         self.fill_to = math.nan
-        self.plan = _UNDECIDED
+        self._rows: Array | Callable[[], Array] = _UNDECIDED
         self.planned_deviation = math.nan
         self.solves = 0
         self.solve_seconds = TickTimes()
+
+    @property
+    def plan(self) -> Array:
+        """The plan, which is worked out when it is asked for: few do."""
+        if not isinstance(self._rows, np.ndarray):
+            self._rows = self._rows()
+        return self._rows
 
     def command(
         self,
@@ -164,7 +177,7 @@ class Lookahead:
         if not math.isfinite(x1 + roof_level + float(rain.sum() + evaporated.sum())):
             self.skip()
             return 0.0
-        self.plan = _NO_NEW_PLAN
+        self._rows = _NO_NEW_PLAN
         x2 = self._observer.correct(roof_level)
         fraction = min(self._max_command, 1.0)
         rain_counts = not self._regret_budget.judge(x1, x2, fraction)
@@ -194,7 +207,7 @@ class Lookahead:
         """Wait for the next reading."""
         self._observer.skip()
         self._regret_budget.skip()
-        self.plan, self.fill_to = _UNDECIDED, math.nan
+        self._rows, self.fill_to = _UNDECIDED, math.nan
         self._flow = 0.0
         self._pass_tick()
 
@@ -237,10 +250,12 @@ class Lookahead:
         """Look at the forecast, and return whether it is another than at the last look."""
         before, lengths = self._inflow, self._lengths[: self._after.steps]
         self._inflow = np.cumsum((rain * self._site.a2 - evaporated) * lengths, axis=1)
-        self._unlooked = 0.0
+        elapsed, self._unlooked = self._unlooked, 0.0
         if before is None or before.shape != self._inflow.shape:
             return True
-        return bool(np.abs(self._inflow - before).max() > _CHANGED_M * self._site.a2)
+        passes = np.maximum(rain, np.roll(rain, -1, axis=1)) + rain[:, :1]
+        least = self._site.a2 * (_CHANGED_M + _PEAK * elapsed * passes)
+        return bool((np.abs(self._inflow - before) > least).any())
 
     def _plan(self, x1: float, x2: float, rain: Array, evaporated: Array) -> None:
         """Find the levels for the forecast, and what they lead to."""
@@ -251,10 +266,14 @@ class Lookahead:
         self._age = 0.0
         self.solves += 1
         self.planned_deviation = self._policy.cost
-        flows, roofs = self._program.follow(self._policy, x1, x2, rain, evaporated, flow)
-        self.plan = np.column_stack(
-            (edges[1:], flows.mean(axis=0), roofs.mean(axis=0) / site.a2)
-        )[: self._after.steps]
+        weather = rain, evaporated, flow
+        self._rows = functools.partial(self._plan_of, self._policy, x1, x2, *weather)
+
+    def _plan_of(self, policy: Policy, *inputs: Any) -> Array:
+        """Return the rows of :attr:`plan`; the inputs are those that the policy was found for."""
+        flows, roofs = self._program.follow(policy, *inputs)
+        rows = policy.edges[1:], flows.mean(axis=0), roofs.mean(axis=0) / self._site.a2
+        return np.column_stack(rows)[: self._after.steps]
 
     def _level(self, x1: float, x2: float) -> float:
         """Return the volume (m3) to fill the roof to, or to hold; -1 where it is left alone."""

@@ -113,9 +113,9 @@ class Cistern:
 class OrderUpTo:
     r"""The least mean of \|x2 - x2*\| over the steps, from the last one backwards.
 
-    With pumps that fill a roof in minutes a plan is a level: fill the roof to y, hold it there while
-    it dries, or leave it alone. Of each member of an ensemble V_i(x) is the least that the deviation
-    will cost from step i on, if the roof holds x (m3 s):
+    With pumps that fill a roof in minutes a plan is a level: fill the roof to y and hold it there
+    while it dries, or leave it alone. Of each member of an ensemble V_i(x) is the least that the
+    deviation will cost from step i on, if the roof holds x (m3 s):
 
         F(x) = h mean|path - x*| + V_{i+1}(z),  z = what the soil makes of x in the step,
         H(y) = the same, but held at y where it would dry, as far as the pumps can,
@@ -163,12 +163,12 @@ class OrderUpTo:
         if site.field_capacity is not None:
             most = site.z_cap - site.x2_star
         self._below = below
-        self._densities = below / np.sqrt(self._target), above / np.sqrt(most)
         self._nodes = np.concatenate((
             self._target * (1 - (np.arange(below, 0, -1) / below) ** 2),
             self._target + most * (np.arange(above + 1) / above) ** 2,
         ))
         self._widths = np.diff(self._nodes)
+        self._contents = self._content(self._nodes)
 
     def stored(self, x1: float, x2: Any) -> Any:
         """Return s (m3) of a cistern with x1 and a roof with x2 (m3)."""
@@ -194,7 +194,9 @@ class OrderUpTo:
         demand = full + float((evapotranspiration * self._lengths).sum())
         scarce = self._cistern.scarce(x1, demand, float(self._edges[-1]))
         self._place(*(_FINE if members == 1 and not scarce else _COARSE))
-        self._water = np.linspace(0.0, full + scarce, _WATER_NODES if scarce else 1)
+        self._water = np.zeros(1)
+        if scarce:
+            self._water = (full + scarce) * np.linspace(0.0, 1.0, _WATER_NODES) ** 2
         # Steps after the last rain are the same for all members.
         wet = int(np.flatnonzero(rain.any(axis=0)).max(initial=-1)) + 1
         value = np.zeros((1, len(self._water), len(self._nodes)))
@@ -203,14 +205,18 @@ class OrderUpTo:
         for step in reversed(range(steps)):
             if step < wet and len(value) < members:
                 value = np.repeat(value, members, axis=0)
-            labels, of_members = np.unique(groups[: len(value), step], return_inverse=True)
+            labels = groups[: len(value), step]
+            together = [np.flatnonzero(labels == label) for label in dict.fromkeys(labels.tolist())]
             value, levels = self._before(
                 value, rain[: len(value), step, None, None],
                 float(evapotranspiration[step]), float(flow[step]), float(self._lengths[step]),
-                [np.flatnonzero(of_members == index) for index in range(len(labels))],
+                together if len(together) > 1 else [slice(None)],
             )
             fill_to.append(levels)
-            group_of.append(np.resize(of_members, members))
+            of_members = np.zeros(members, dtype=np.intp)
+            for index, alike in enumerate(together):
+                of_members[alike] = index
+            group_of.append(of_members)
         now = self._at(value, np.full((1, 1, 1), x2), np.full((1, 1, 1), self.stored(x1, x2)))
         return Policy(
             self._edges, self._nodes, self._water, fill_to[::-1], group_of[::-1],
@@ -224,7 +230,12 @@ class OrderUpTo:
         """Return what a policy pumps in each step (m3/s) and the roof at its end (m3).
 
         Args:
-            policy: that :meth:`solve` found for the same; so are the other arguments.
+            policy: that :meth:`solve` found for the others.
+            x1: in the cistern (m3).
+            x2: on the roof (m3).
+            rain: in each step (m/s), shape (members, n).
+            evapotranspiration: off the whole bed (m3/s), shape (n,).
+            flow: most that is pumped in each step (m3/s), shape (n,).
 
         Returns:
             Two arrays of shape (members, n).
@@ -256,7 +267,7 @@ class OrderUpTo:
 
     def _before(
         self, value: Array, rain: Array, evapotranspiration: float, flow: float, seconds: float,
-        groups: list[Indices],
+        groups: list[Any],
     ) -> tuple[Array, Array]:
         """Go back by one step.
 
@@ -266,7 +277,7 @@ class OrderUpTo:
             evapotranspiration: off the whole bed (m3/s).
             flow: of the pumps (m3/s).
             seconds: its length.
-            groups: indices of the members of each group.
+            groups: index of the members of each group.
 
         Returns:
             V before it, and the levels of :class:`Policy`, shape (groups, S, nodes to the target).
@@ -277,11 +288,10 @@ class OrderUpTo:
         reach = soil.after(roof, flow * seconds, asked, seconds)
         # Left alone.
         alone = soil.after(nodes, rain * (self._area * seconds), asked, seconds)
-        there = self._water[:, None] - self._content(nodes)
-        there = np.maximum(there, 0.0)
         scarce = len(self._water) > 1
-        stored = self._water
+        stored = there = self._water
         if scarce:
+            there = np.maximum(self._water[:, None] - self._contents, 0.0)
             stored = cistern.after(there, rain, seconds) + self._content(alone)
         free = seconds * self._deviation(nodes, alone) + self._at(value, alone, stored)
         # Held.
@@ -312,11 +322,12 @@ class OrderUpTo:
             level = roof[best]
             filled = np.minimum(level, within)
             if (level <= within).all():
-                costs = np.take_along_axis(ours, best[None], axis=-1)
+                flat = best + np.arange(len(best))[:, None] * len(roof)
+                costs = ours.reshape(len(ours), -1).take(flat, axis=1)
             else:
                 costs = self._at(ours, filled[None], self._water[:, None])
             if flow > 0:
-                pumped = self._content(filled) - self._content(roof)
+                pumped = self._content(filled) - self._contents[dry]
                 costs = costs + (filled - roof) * pumped / (2 * flow)
             others = free[members][..., dry]
             fills = self._over(costs) < self._over(others)
@@ -327,7 +338,7 @@ class OrderUpTo:
     def _over(self, values: Array) -> Array:
         """Return the mean over members, of the worst of them where ``risk`` is above 0."""
         if len(values) == 1:
-            return values[0]
+            return np.asarray(values[0])
         if not self._risk:
             return np.asarray(values.sum(axis=0) / len(values))
         counted = len(values) * (1 - self._risk)
@@ -352,21 +363,16 @@ class OrderUpTo:
             water: the same, not used where there is one node.
         """
         members, rows, count = value.shape
-        off = x2 - self._target
-        below, above = self._densities
-        place = self._below + np.where(
-            off < 0, -below * np.sqrt(np.maximum(-off, 0.0)), above * np.sqrt(np.maximum(off, 0.0))
-        )
-        node = np.clip(place.astype(np.intp), 0, count - 2)
-        share = np.clip((x2 - self._nodes[node]) / self._widths[node], 0.0, 1.0)
+        node = self._nodes[1 : count - 1].searchsorted(x2, side="right")
+        share = np.minimum((x2 - self._nodes[node]) / self._widths[node], 1.0)
         flat = value.reshape(-1)
         start = np.arange(members)[:, None, None] * (rows * count) + node
         if rows == 1:
             low = flat.take(start)
             return np.asarray(low + share * (flat.take(start + 1) - low))
-        place = np.clip(water / self._water[1], 0.0, rows - 1)
-        row = np.minimum(place.astype(np.intp), rows - 2)
-        part = place - row
+        row = self._water[1:-1].searchsorted(water, side="right")
+        part = (water - self._water[row]) / np.diff(self._water)[row]
+        part = np.clip(part, 0.0, 1.0)
         start = start + row * count
         low = flat.take(start)
         low = low + share * (flat.take(start + 1) - low)

@@ -85,7 +85,7 @@ class MeasuredSoil:
         easy = np.clip(held - (wilting + self._drying), 0.0, asked)
         held = held - easy
         lost = np.expm1((easy - asked) / self._drying)
-        return held + np.maximum(held - wilting, 0.0) * lost
+        return np.asarray(held + np.maximum(held - wilting, 0.0) * lost)
 
     def pumped(self, x2: Array) -> Array:
         """Return w of :func:`greenroof_ros.model.soil.water_to_fill`."""
