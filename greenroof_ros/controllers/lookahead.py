@@ -28,7 +28,7 @@ from greenroof_ros.model.soil import kept_share, water_stress
 _HOUR_S = 3600.0
 # A plan is followed for this share of the horizon, and for so long (s), at most: its levels are for
 # whatever the roof holds by then, but not for rain that comes after its horizon.
-_LONGEST_SHARE = 0.05
+_LONGEST_SHARE = 0.125
 _LONGEST_PLAN_S = 21_600.0
 # So often it looks (s) whether the forecast of what comes to the roof has changed by more than this
 # (m), and more than what time alone changes, if a step's rain falls in a sixth of it; a smaller
@@ -63,7 +63,7 @@ class Lookahead:
     :func:`~greenroof_ros.controllers.scenario_tree.halved_by_rain`. Without a forecast it fills the
     roof to its target and holds it there, which is best if no rain comes.
 
-    It plans again when the plan is a twentieth of the horizon old, or six hours, or when the
+    It plans again when the plan is an eighth of the horizon old, or six hours, or when the
     forecast has changed, which it looks for once a minute. Between plans it follows the levels of
     the last one, which it has for whatever the roof holds.
 
@@ -276,13 +276,13 @@ class Lookahead:
         return np.column_stack(rows)[: self._after.steps]
 
     def _level(self, x1: float, x2: float) -> float:
-        """Return the volume (m3) to fill the roof to, or to hold; -1 where it is left alone."""
-        site, policy = self._site, self._policy
+        """Return the volume (m3) to fill the roof to, or to hold; a fuller roof is left alone."""
+        policy = self._policy
         if policy is None:
-            return site.x2_star if x2 < site.x2_star else -1.0
-        step = int(np.searchsorted(policy.edges, self._age, side="right")) - 1
-        step = min(step, len(policy.fill_to) - 1)
-        return float(policy.level(step, 0, x2, self._program.stored(x1, x2)))
+            return self._site.x2_star
+        step = int(policy.edges[1:-1].searchsorted(self._age, side="right"))
+        water = self._program.stored(x1, x2) if len(policy.water) > 1 else 0.0
+        return float(policy.level(step, 0, x2, water))
 
     def _share(
         self, x1: float, x2: float, level: float, rain: float, evaporated: float

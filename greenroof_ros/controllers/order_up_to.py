@@ -46,9 +46,9 @@ class Policy:
     cost: float
 
     def level(self, step: int, group: Any, x2: Any, water: Any) -> Any:
-        """Return what the roof is to be filled to or held at (m3), -1 where it is left alone.
+        """Return what the roof is to be filled to or held at (m3); a fuller roof is left alone.
 
-        Between two nodes it is what is best at the lower one, if that is not below the roof.
+        Between two nodes it is what is best at the lower one.
 
         Args:
             step: index of a step.
@@ -57,10 +57,11 @@ class Policy:
             water: s (m3).
         """
         table = self.fill_to[step]
-        node = np.searchsorted(self.nodes, x2, side="right") - 1
-        row = np.abs(np.subtract.outer(water, self.water)).argmin(axis=-1)
-        level = table[group, row, np.minimum(node, table.shape[2] - 1)]
-        return np.where(level >= x2, level, -1.0)
+        node = self.nodes[1 : table.shape[2]].searchsorted(x2, side="right")
+        row = 0
+        if len(self.water) > 1:
+            row = np.abs(np.subtract.outer(water, self.water)).argmin(axis=-1)
+        return table[group, row, node]
 
 
 class Cistern:
@@ -252,7 +253,7 @@ class OrderUpTo:
             filled = np.maximum(roof, np.minimum(level, soil.after(roof, most, asked, seconds)))
             alone = soil.after(filled, rain[:, step] * self._area * seconds, asked, seconds)
             held = np.minimum(filled, soil.after(filled, most, asked, seconds))
-            held = np.where(level > 0, np.maximum(alone, held), alone)
+            held = np.where(level >= filled, np.maximum(alone, held), alone)
             took = self._content(filled) - self._content(roof)
             took += self._content(held) - self._content(alone)
             took = np.minimum(np.minimum(took, most), water)
