@@ -27,9 +27,11 @@ from greenroof_ros.model.soil import kept_share, water_stress
 
 _HOUR_S = 3600.0
 # A plan is followed for this share of the horizon, and for so long (s), at most: its levels are for
-# whatever the roof holds by then, but not for rain that comes after its horizon.
-_LONGEST_SHARE = 0.125
+# whatever the roof holds by then, but not for rain that comes after its horizon. Where the pumps
+# take more than an hour to fill the roof (s), the moment counts, and steps that begin now.
+_LONGEST_SHARE = 1 / 48
 _LONGEST_PLAN_S = 21_600.0
+_WEAK_S, _WEAK_PLAN_S = 3600.0, 600.0
 # So often it looks (s) whether the forecast of what comes to the roof has changed by more than this
 # (m), and more than what time alone changes, if a step's rain falls in a sixth of it; a smaller
 # change waits for the next plan.
@@ -63,9 +65,9 @@ class Lookahead:
     :func:`~greenroof_ros.controllers.scenario_tree.halved_by_rain`. Without a forecast it fills the
     roof to its target and holds it there, which is best if no rain comes.
 
-    It plans again when the plan is an eighth of the horizon old, or six hours, or when the
-    forecast has changed, which it looks for once a minute. Between plans it follows the levels of
-    the last one, which it has for whatever the roof holds.
+    It plans again when the plan is a 48th of the horizon old, or ten minutes if the pumps are weak,
+    or when the forecast has changed, which it looks for once a minute. Between plans it follows the
+    levels of the last one, which it has for whatever the roof holds.
 
     From one start of the pumps to the next it waits 3600 s / ``starts_per_hour`` of the site. At
     the level it follows evapotranspiration with a small flow, which needs no starts.
@@ -133,6 +135,9 @@ class Lookahead:
         self._after = AfterForecast(site, horizon, days_after)
         self._lengths = np.diff(self._after.edges)
         self._longest = min(_LONGEST_PLAN_S, _LONGEST_SHARE * horizon * _HOUR_S)
+        full = max_command * maximum_pump_flow(site, site.cistern_volume(site.z_o))
+        if site.x2_star > _WEAK_S * full:
+            self._longest = min(_WEAK_PLAN_S, self._longest)
         self._program = OrderUpTo(site, self._after.edges, cvar_level)
         self._observer = RoofObserver(site, observer_time_constant)
         self._regret_budget = RegretBudget(site, waiting_budget, waiting_share)
@@ -260,7 +265,9 @@ class Lookahead:
     def _plan(self, x1: float, x2: float, rain: Array, evaporated: Array) -> None:
         """Find the levels for the forecast, and what they lead to."""
         site, edges = self._site, self._after.edges
-        flow = np.full(len(self._lengths), self._max_command * maximum_pump_flow(site, x1))
+        # Without a bound of the commands: pumps that fill the whole soil in a second.
+        most = min(self._max_command * maximum_pump_flow(site, x1), site.z_cap)
+        flow = np.full(len(self._lengths), most)
         groups = halved_by_rain(rain, edges, self._recourse)
         self._policy = self._program.solve(x1, x2, rain, evaporated, flow, groups)
         self._age = 0.0
