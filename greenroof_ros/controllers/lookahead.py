@@ -27,11 +27,9 @@ from greenroof_ros.model.soil import kept_share, water_stress
 
 _HOUR_S = 3600.0
 # A plan is followed for this share of the horizon, and for so long (s), at most: its levels are for
-# whatever the roof holds by then, but not for rain that comes after its horizon. Where the pumps
-# take more than an hour to fill the roof (s), the moment counts, and steps that begin now.
-_LONGEST_SHARE = 1 / 48
+# whatever the roof holds by then.
+_LONGEST_SHARE = 1 / 8
 _LONGEST_PLAN_S = 21_600.0
-_WEAK_S, _WEAK_PLAN_S = 3600.0, 600.0
 # So often it looks (s) whether the forecast of what comes to the roof has changed by more than this
 # (m), and more than what time alone changes, if a step's rain falls in a sixth of it; a smaller
 # change waits for the next plan.
@@ -65,9 +63,9 @@ class Lookahead:
     :func:`~greenroof_ros.controllers.scenario_tree.halved_by_rain`. Without a forecast it fills the
     roof to its target and holds it there, which is best if no rain comes.
 
-    It plans again when the plan is a 48th of the horizon old, or ten minutes if the pumps are weak,
-    or when the forecast has changed, which it looks for once a minute. Between plans it follows the
-    levels of the last one, which it has for whatever the roof holds.
+    It plans again when the plan is an eighth of the horizon old, or six hours, or when the
+    forecast has changed or more rain has come into its horizon, which it looks for once a minute.
+    Between plans it follows the levels of the last one, which it has for whatever the roof holds.
 
     From one start of the pumps to the next it waits 3600 s / ``starts_per_hour`` of the site. At
     the level it follows evapotranspiration with a small flow, which needs no starts.
@@ -135,9 +133,6 @@ class Lookahead:
         self._after = AfterForecast(site, horizon, days_after)
         self._lengths = np.diff(self._after.edges)
         self._longest = min(_LONGEST_PLAN_S, _LONGEST_SHARE * horizon * _HOUR_S)
-        full = max_command * maximum_pump_flow(site, site.cistern_volume(site.z_o))
-        if site.x2_star > _WEAK_S * full:
-            self._longest = min(_WEAK_PLAN_S, self._longest)
         self._program = OrderUpTo(site, self._after.edges, cvar_level)
         self._observer = RoofObserver(site, observer_time_constant)
         self._regret_budget = RegretBudget(site, waiting_budget, waiting_share)
@@ -146,6 +141,8 @@ class Lookahead:
         self._rain_counts = True  # for the policy
         self._inflow: Array | None = None  # to the roof, of the forecast looked at last
         self._unlooked = math.inf  # since then (s)
+        self._planned_rain: Array = np.zeros(0)  # all that the policy knows of, by member (m)
+        self._fallen = 0.0  # of it (m)
         self._flow = 0.0  # commanded in the last tick (m3/s)
         self._since_start = math.inf  # (s)
         self.fill_to = math.nan
@@ -190,12 +187,14 @@ class Lookahead:
             self._after.pass_tick(evaporated)
             if self._must_plan(rain, evaporated, rain_counts):
                 self._rain_counts = rain_counts
+                self._planned_rain = (rain * self._lengths[: self._after.steps]).sum(axis=1)
                 if not rain_counts:
                     rain[:, 1:] = 0.0
                 self._plan(x1, x2, *self._after.lengthen(rain, evaporated))
         else:
             self._policy = None
         now = (float(rain[0, 0]), float(evaporated[0])) if evaporated.size else (0.0, 0.0)
+        self._fallen += now[0] * site.tau
         level = self._level(x1, x2)
         share = 0.0
         if level >= x2 and cistern_level >= site.suction_level:
@@ -260,7 +259,11 @@ class Lookahead:
             return True
         passes = np.maximum(rain, np.roll(rain, -1, axis=1)) + rain[:, :1]
         least = self._site.a2 * (_CHANGED_M + _PEAK * elapsed * passes)
-        return bool((np.abs(self._inflow - before) > least).any())
+        if (np.abs(self._inflow - before) > least).any():
+            return True
+        # What has come into the horizon since the plan was made.
+        known = (rain * lengths).sum(axis=1) + self._fallen
+        return bool((np.abs(known - self._planned_rain) > _CHANGED_M).any())
 
     def _plan(self, x1: float, x2: float, rain: Array, evaporated: Array) -> None:
         """Find the levels for the forecast, and what they lead to."""
@@ -270,7 +273,7 @@ class Lookahead:
         flow = np.full(len(self._lengths), most)
         groups = halved_by_rain(rain, edges, self._recourse)
         self._policy = self._program.solve(x1, x2, rain, evaporated, flow, groups)
-        self._age = 0.0
+        self._age = self._fallen = 0.0
         self.solves += 1
         self.planned_deviation = self._policy.cost
         weather = rain, evaporated, flow
