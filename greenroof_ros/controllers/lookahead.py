@@ -225,7 +225,7 @@ class Lookahead:
     def _checked(
         self, precipitation: Sequence[Any], evapotranspiration: Sequence[float]
     ) -> tuple[Array, Array]:
-        """Return the forecasts, the members in an order that does not depend on the caller's.
+        """Return the forecasts as arrays, rain of shape (members, steps).
 
         Raises:
             ConfigurationError: they are neither empty nor of the right shape.
@@ -241,7 +241,7 @@ class Lookahead:
                 f"of evapotranspiration {len(evaporated)}; the plan has {steps} steps, and at most "
                 f"{MOST_MEMBERS} members; give weather and controller the same horizon"
             )
-        return np.ascontiguousarray(rain[np.lexsort(rain.T[::-1])]), evaporated
+        return rain, evaporated
 
     def _must_plan(self, rain: Array, evaporated: Array, rain_counts: bool) -> bool:
         """Whether the plan is old, or the forecast another than it was."""
@@ -266,8 +266,9 @@ class Lookahead:
         return bool((np.abs(known - self._planned_rain) > _CHANGED_M).any())
 
     def _plan(self, x1: float, x2: float, rain: Array, evaporated: Array) -> None:
-        """Find the levels for the forecast, and what they lead to."""
+        """Find the levels for the forecast, whose members' order changes no bit of them."""
         site, edges = self._site, self._after.edges
+        rain = np.ascontiguousarray(rain[np.lexsort(rain.T[::-1])])
         # Without a bound of the commands: pumps that fill the whole soil in a second.
         most = min(self._max_command * maximum_pump_flow(site, x1), site.z_cap)
         flow = np.full(len(self._lengths), most)
