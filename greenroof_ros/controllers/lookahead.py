@@ -28,13 +28,13 @@ from greenroof_ros.model.soil import kept_share, water_stress
 _HOUR_S = 3600.0
 # A plan is followed for this share of the horizon, and for so long (s), at most: its levels are for
 # whatever the roof holds by then.
-_LONGEST_SHARE = 1 / 8
+_LONGEST_SHARE = 1 / 24
 _LONGEST_PLAN_S = 21_600.0
 # So often it looks (s) whether the forecast of what comes to the roof has changed by more than this
 # (m), and more than what time alone changes, if a step's rain falls in a sixth of it; a smaller
 # change waits for the next plan.
 _LOOK_S = 60.0
-_CHANGED_M = 2e-3
+_CHANGED_M = 1e-3
 _PEAK = 6.0
 # So far below the target the roof is held (m3): at the target the plant cuts the pumps, Eq. (3a).
 _BELOW_M3 = 1e-6
@@ -63,7 +63,7 @@ class Lookahead:
     :func:`~greenroof_ros.controllers.scenario_tree.halved_by_rain`. Without a forecast it fills the
     roof to its target and holds it there, which is best if no rain comes.
 
-    It plans again when the plan is an eighth of the horizon old, or six hours, or when the
+    It plans again when the plan is a 24th of the horizon old, or six hours, or when the
     forecast has changed or more rain has come into its horizon, which it looks for once a minute.
     Between plans it follows the levels of the last one, which it has for whatever the roof holds.
 
