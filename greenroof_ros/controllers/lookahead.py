@@ -133,7 +133,8 @@ class Lookahead:
         self._after = AfterForecast(site, horizon, days_after)
         self._lengths = np.diff(self._after.edges)
         self._longest = min(_LONGEST_PLAN_S, _LONGEST_SHARE * horizon * _HOUR_S)
-        self._program = OrderUpTo(site, self._after.edges, cvar_level)
+        self._first = _of_steps(self._after.edges, site.tau)
+        self._program = OrderUpTo(site, self._after.edges[self._first], cvar_level)
         self._observer = RoofObserver(site, observer_time_constant)
         self._regret_budget = RegretBudget(site, waiting_budget, waiting_share)
         self._policy: Policy | None = None
@@ -267,11 +268,12 @@ class Lookahead:
 
     def _plan(self, x1: float, x2: float, rain: Array, evaporated: Array) -> None:
         """Find the levels for the forecast, whose members' order changes no bit of them."""
-        site, edges = self._site, self._after.edges
-        rain = np.ascontiguousarray(rain[np.lexsort(rain.T[::-1])])
+        site, edges = self._site, self._after.edges[self._first]
+        rain = self._means(rain[np.lexsort(rain.T[::-1])])
+        evaporated = self._means(evaporated)
         # Without a bound of the commands: pumps that fill the whole soil in a second.
         most = min(self._max_command * maximum_pump_flow(site, x1), site.z_cap)
-        flow = np.full(len(self._lengths), most)
+        flow = np.full(len(edges) - 1, most)
         groups = halved_by_rain(rain, edges, self._recourse)
         self._policy = self._program.solve(x1, x2, rain, evaporated, flow, groups)
         self._age = self._fallen = 0.0
@@ -284,7 +286,13 @@ class Lookahead:
         """Return the rows of :attr:`plan`; the inputs are those that the policy was found for."""
         flows, roofs = self._program.follow(policy, *inputs)
         rows = policy.edges[1:], flows.mean(axis=0), roofs.mean(axis=0) / self._site.a2
-        return np.column_stack(rows)[: self._after.steps]
+        return np.column_stack(rows)[: np.searchsorted(self._first, self._after.steps)]
+
+    def _means(self, rates: Array) -> Array:
+        """Return the means in the plan's steps, of those in the forecast's; the last axis is time.
+        """
+        amounts = np.add.reduceat(rates * self._lengths, self._first[:-1], axis=-1)
+        return np.asarray(amounts / np.diff(self._after.edges[self._first]))
 
     def _level(self, x1: float, x2: float) -> float:
         """Return the volume (m3) to fill the roof to, or to hold; a fuller roof is left alone."""
@@ -330,3 +338,13 @@ class Lookahead:
         self._age += self._site.tau
         self._unlooked += self._site.tau
         self._since_start += self._site.tau
+
+
+def _of_steps(edges: Array, shortest: float) -> list[int]:
+    """Return which ends of steps remain where shorter ones (s) are put together, 0 and the last."""
+    kept = [0]
+    for index, edge in enumerate(edges):
+        if edge - edges[kept[-1]] >= shortest:
+            kept.append(index)
+    kept[-1] = len(edges) - 1
+    return kept

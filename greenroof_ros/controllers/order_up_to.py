@@ -20,6 +20,8 @@ Indices = NDArray[np.intp]
 _FINE, _COARSE = (900, 300), (110, 50)
 # No rain raises the roof further above its target (m); a measured roof holds field capacity.
 _ABOVE_M = 0.15
+# Greater than 0 (m3), for a quotient.
+_LEAST = 1e-300
 # Nodes of the water that there is, where it may not be enough.
 _WATER_NODES = 12
 
@@ -169,6 +171,7 @@ class OrderUpTo:
             self._target + most * (np.arange(above + 1) / above) ** 2,
         ))
         self._widths = np.diff(self._nodes)
+        self._per_node = below**2 / self._target, above**2 / most
         self._contents = self._content(self._nodes)
 
     def stored(self, x1: float, x2: Any) -> Any:
@@ -286,10 +289,14 @@ class OrderUpTo:
         soil, cistern, dry = self._soil, self._cistern, slice(self._below + 1)
         nodes, roof = self._nodes, self._nodes[dry]
         asked = evapotranspiration * seconds
-        reach = soil.after(roof, flow * seconds, asked, seconds)
-        # Left alone.
-        alone = soil.after(nodes, rain * (self._area * seconds), asked, seconds)
         scarce = len(self._water) > 1
+        # Pumps and water that are never the limit: the driest roof can be filled in the step.
+        strong = not scarce and soil.after(roof[:1], flow * seconds, asked, seconds) >= self._target
+        reach = roof if strong else soil.after(roof, flow * seconds, asked, seconds)
+        # Left alone: what is the same for all members is worked out once.
+        if not rain.any():
+            rain = rain[:1]
+        alone = soil.after(nodes, rain * (self._area * seconds), asked, seconds)
         stored = there = self._water
         if scarce:
             there = np.maximum(self._water[:, None] - self._contents, 0.0)
@@ -297,7 +304,7 @@ class OrderUpTo:
         free = seconds * self._deviation(nodes, alone) + self._at(value, alone, stored)
         # Held.
         alone = alone[..., dry]
-        if not scarce and (reach >= roof).all():
+        if strong:
             held = seconds * (self._target - roof) + value[..., dry]
             held = np.where(alone < roof, held, free[..., dry])
         else:
@@ -318,18 +325,16 @@ class OrderUpTo:
         result = free
         for index, members in enumerate(groups):
             ours = held[members]
-            least = self._over(ours)
-            best = _lowest_from_here_up(least)
-            level = roof[best]
-            filled = np.minimum(level, within)
-            if (level <= within).all():
-                flat = best + np.arange(len(best))[:, None] * len(roof)
-                costs = ours.reshape(len(ours), -1).take(flat, axis=1)
+            best = _lowest_from_here_up(self._over(ours))
+            filled = level = roof[best]
+            if strong:
+                costs, contents = ours[..., best[0]], self._contents[best]
             else:
+                filled = np.minimum(level, within)
                 costs = self._at(ours, filled[None], self._water[:, None])
+                contents = self._content(filled)
             if flow > 0:
-                pumped = self._content(filled) - self._contents[dry]
-                costs = costs + (filled - roof) * pumped / (2 * flow)
+                costs = costs + (filled - roof) * (contents - self._contents[dry]) / (2 * flow)
             others = free[members][..., dry]
             fills = self._over(costs) < self._over(others)
             levels[index] = np.where(fills, level, -1.0)
@@ -349,11 +354,10 @@ class OrderUpTo:
     def _deviation(self, before: Array, after: Array) -> Array:
         r"""Return the mean of \|x - x*\| on a straight path between two volumes (m3)."""
         first, last = before - self._target, after - self._target
-        middle = np.abs(first + last) / 2
-        crosses = first * last < 0
-        # Two triangles.
-        apart = np.where(crosses, np.abs(first - last), 1.0)
-        return np.where(crosses, (first * first + last * last) / (2 * apart), middle)
+        both = np.abs(first) + np.abs(last)
+        # Where it crosses x* there are two triangles.
+        crossing = np.minimum(first * last, 0.0)
+        return np.asarray(both / 2 + crossing / np.maximum(both, _LEAST))
 
     def _at(self, value: Array, x2: Array, water: Array) -> Array:
         """Return V at volumes on the roof and at s (m3); beyond the nodes it is as at the last.
@@ -364,22 +368,24 @@ class OrderUpTo:
             water: the same, not used where there is one node.
         """
         members, rows, count = value.shape
-        node = self._nodes[1 : count - 1].searchsorted(x2, side="right")
-        share = np.minimum((x2 - self._nodes[node]) / self._widths[node], 1.0)
-        flat = value.reshape(-1)
-        start = np.arange(members)[:, None, None] * (rows * count) + node
+        above = x2 - self._target
+        place = np.sqrt(np.abs(above) * np.where(above < 0, *self._per_node))
+        node = (np.copysign(place, above) + self._below).astype(np.intp)
+        node = np.minimum(node, count - 2)
+        x2 = np.minimum(x2, self._nodes[count - 1])
+        # V = base + slope x from a node to the next.
+        slope = np.diff(value) / self._widths[: count - 1]
+        base = value[..., :-1] - slope * self._nodes[: count - 1]
+        start = np.arange(members)[:, None, None] * (rows * (count - 1)) + node
         if rows == 1:
-            low = flat.take(start)
-            return np.asarray(low + share * (flat.take(start + 1) - low))
+            return np.asarray(base.take(start) + slope.take(start) * x2)
         row = self._water[1:-1].searchsorted(water, side="right")
         part = (water - self._water[row]) / np.diff(self._water)[row]
         part = np.clip(part, 0.0, 1.0)
-        start = start + row * count
-        low = flat.take(start)
-        low = low + share * (flat.take(start + 1) - low)
-        start = start + count
-        high = flat.take(start)
-        high = high + share * (flat.take(start + 1) - high)
+        start = start + row * (count - 1)
+        low = base.take(start) + slope.take(start) * x2
+        start = start + (count - 1)
+        high = base.take(start) + slope.take(start) * x2
         return np.asarray(low + part * (high - low))
 
 

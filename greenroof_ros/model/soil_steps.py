@@ -54,8 +54,8 @@ class PaperSoil:
         """See :meth:`Soil.after`; what stands above ``z_cap`` drains at the end of the step."""
         left = x2 + (arriving - asked)
         drained = self._conductance * (left + self._bottom) * seconds
-        dry = np.maximum(left - drained, self._capacity)
-        return np.maximum(np.where(left > self._capacity, dry, left), 0.0)
+        left = np.minimum(left, np.maximum(left - drained, self._capacity))
+        return np.maximum(left, 0.0)
 
     def pumped(self, x2: Array) -> Array:
         """All stays."""
@@ -76,13 +76,14 @@ class MeasuredSoil:
     def after(self, x2: Array, arriving: Array | float, asked: float, seconds: float) -> Array:
         """See :meth:`Soil.after`: dS/dt = (1 - S^2) i / TAW, and then decay below the stress."""
         wilting, available = self._wilting, self._available
-        first = np.minimum(arriving, np.maximum(wilting - x2, 0.0))
-        held = x2 + first
-        share = np.clip((held - wilting) / available, 0.0, 1.0)
-        gained = np.tanh((arriving - first) / available)
-        wet = wilting + available * (share + gained) / (1 + share * gained)
-        held = np.where(held < wilting, held, wet)
-        easy = np.clip(held - (wilting + self._drying), 0.0, asked)
+        held = x2
+        if np.any(arriving):
+            first = np.minimum(arriving, np.maximum(wilting - x2, 0.0))
+            share = np.minimum(np.maximum((x2 - wilting) / available, 0.0), 1.0)
+            gained = np.tanh((arriving - first) / available)
+            wet = (share + gained) / (1 + share * gained)
+            held = np.minimum(x2, wilting) + first + available * wet
+        easy = np.minimum(np.maximum(held - (wilting + self._drying), 0.0), asked)
         held = held - easy
         lost = np.expm1((easy - asked) / self._drying)
         return np.asarray(held + np.maximum(held - wilting, 0.0) * lost)
