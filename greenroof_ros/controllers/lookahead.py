@@ -26,16 +26,17 @@ from greenroof_ros.model.site import Site
 from greenroof_ros.model.soil import kept_share, water_stress
 
 _HOUR_S = 3600.0
-# A plan is followed for this share of the horizon, and for so long (s), at most: its levels are for
-# whatever the roof holds by then.
-_LONGEST_SHARE = 1 / 24
-_LONGEST_PLAN_S = 21_600.0
-# So often it looks (s) whether the forecast of what comes to the roof has changed by more than this
-# (m), and more than what time alone changes, if a step's rain falls in a sixth of it; a smaller
-# change waits for the next plan.
+# A plan is followed for so long (s), and this share of the horizon, at most.
+_LONGEST_PLAN_S = 3600.0
+_LONGEST_SHARE = 1 / 48
+# So often it looks (s) whether the rain of a member's forecast, with what has fallen since the
+# plan, is another by more than this (m); what comes at another time waits for the next plan.
 _LOOK_S = 60.0
 _CHANGED_M = 1e-3
-_PEAK = 6.0
+# In a plan for an ensemble a step is at least so long (s), and at least this share of the time
+# until then: the forecasts are out by more.
+_LEAST_STEP_S = 3600.0
+_LEAST_SHARE = 1 / 8
 # So far below the target the roof is held (m3): at the target the plant cuts the pumps, Eq. (3a).
 _BELOW_M3 = 1e-6
 # Less is not pumped (share of the maximum flow).
@@ -63,9 +64,9 @@ class Lookahead:
     :func:`~greenroof_ros.controllers.scenario_tree.halved_by_rain`. Without a forecast it fills the
     roof to its target and holds it there, which is best if no rain comes.
 
-    It plans again when the plan is a 24th of the horizon old, or six hours, or when the
-    forecast has changed or more rain has come into its horizon, which it looks for once a minute.
-    Between plans it follows the levels of the last one, which it has for whatever the roof holds.
+    It plans again when the plan is an hour old, or a 48th of the horizon, and when a member's rain
+    has become more or less. Between plans it follows the levels of the last one, which it has for
+    whatever the roof holds. The steps of a plan for an ensemble are longer than its forecasts'.
 
     From one start of the pumps to the next it waits 3600 s / ``starts_per_hour`` of the site. At
     the level it follows evapotranspiration with a small flow, which needs no starts.
@@ -133,17 +134,21 @@ class Lookahead:
         self._after = AfterForecast(site, horizon, days_after)
         self._lengths = np.diff(self._after.edges)
         self._longest = min(_LONGEST_PLAN_S, _LONGEST_SHARE * horizon * _HOUR_S)
-        self._first = _of_steps(self._after.edges, site.tau)
-        self._program = OrderUpTo(site, self._after.edges[self._first], cvar_level)
+        edges = self._after.edges
+        self._kept = [
+            _put_together(edges, site.tau, 0.0),
+            _put_together(edges, max(site.tau, _LEAST_STEP_S), _LEAST_SHARE),
+        ]
+        self._programs = [OrderUpTo(site, edges[kept], cvar_level) for kept in self._kept]
+        self._program = self._programs[0]  # of the policy
         self._observer = RoofObserver(site, observer_time_constant)
         self._regret_budget = RegretBudget(site, waiting_budget, waiting_share)
         self._policy: Policy | None = None
         self._age = 0.0  # of the policy (s)
         self._rain_counts = True  # for the policy
-        self._inflow: Array | None = None  # to the roof, of the forecast looked at last
-        self._unlooked = math.inf  # since then (s)
-        self._planned_rain: Array = np.zeros(0)  # all that the policy knows of, by member (m)
-        self._fallen = 0.0  # of it (m)
+        self._unlooked = 0.0  # at the forecast (s)
+        self._planned_rain: Array = np.zeros(0)  # in its horizon, by member (m)
+        self._fallen = 0.0  # since then (m)
         self._flow = 0.0  # commanded in the last tick (m3/s)
         self._since_start = math.inf  # (s)
         self.fill_to = math.nan
@@ -186,9 +191,9 @@ class Lookahead:
         rain_counts = not self._regret_budget.judge(x1, x2, fraction)
         if evaporated.size:
             self._after.pass_tick(evaporated)
-            if self._must_plan(rain, evaporated, rain_counts):
+            if self._must_plan(rain, rain_counts):
                 self._rain_counts = rain_counts
-                self._planned_rain = (rain * self._lengths[: self._after.steps]).sum(axis=1)
+                self._planned_rain = self._total(rain)
                 if not rain_counts:
                     rain[:, 1:] = 0.0
                 self._plan(x1, x2, *self._after.lengthen(rain, evaporated))
@@ -244,37 +249,34 @@ class Lookahead:
             )
         return rain, evaporated
 
-    def _must_plan(self, rain: Array, evaporated: Array, rain_counts: bool) -> bool:
+    def _must_plan(self, rain: Array, rain_counts: bool) -> bool:
         """Whether the plan is old, or the forecast another than it was."""
-        changed = self._unlooked >= _LOOK_S and self._forecast_changed(rain, evaporated)
-        if changed or self._policy is None or self._age >= self._longest:
+        if self._policy is None or self._age >= self._longest:
             return True
-        return rain_counts != self._rain_counts
-
-    def _forecast_changed(self, rain: Array, evaporated: Array) -> bool:
-        """Look at the forecast, and return whether it is another than at the last look."""
-        before, lengths = self._inflow, self._lengths[: self._after.steps]
-        self._inflow = np.cumsum((rain * self._site.a2 - evaporated) * lengths, axis=1)
-        elapsed, self._unlooked = self._unlooked, 0.0
-        if before is None or before.shape != self._inflow.shape:
+        if rain_counts != self._rain_counts or len(rain) != len(self._planned_rain):
             return True
-        passes = np.maximum(rain, np.roll(rain, -1, axis=1)) + rain[:, :1]
-        least = self._site.a2 * (_CHANGED_M + _PEAK * elapsed * passes)
-        if (np.abs(self._inflow - before) > least).any():
-            return True
-        # What has come into the horizon since the plan was made.
-        known = (rain * lengths).sum(axis=1) + self._fallen
+        if self._unlooked < _LOOK_S:
+            return False
+        self._unlooked = 0.0
+        known = self._total(rain) + self._fallen
         return bool((np.abs(known - self._planned_rain) > _CHANGED_M).any())
+
+    def _total(self, rain: Array) -> Array:
+        """Return what rain is forecast in all (m), shape (members,)."""
+        return np.asarray((rain * self._lengths[: self._after.steps]).sum(axis=1))
 
     def _plan(self, x1: float, x2: float, rain: Array, evaporated: Array) -> None:
         """Find the levels for the forecast, whose members' order changes no bit of them."""
-        site, edges = self._site, self._after.edges[self._first]
-        rain = self._means(rain[np.lexsort(rain.T[::-1])])
-        evaporated = self._means(evaporated)
+        site, several = self._site, len(rain) > 1
+        kept = self._kept[several]
+        edges = self._after.edges[kept]
+        rain = self._means(rain[np.lexsort(rain.T[::-1])], kept)
+        evaporated = self._means(evaporated, kept)
         # Without a bound of the commands: pumps that fill the whole soil in a second.
         most = min(self._max_command * maximum_pump_flow(site, x1), site.z_cap)
         flow = np.full(len(edges) - 1, most)
         groups = halved_by_rain(rain, edges, self._recourse)
+        self._program = self._programs[several]
         self._policy = self._program.solve(x1, x2, rain, evaporated, flow, groups)
         self._age = self._fallen = 0.0
         self.solves += 1
@@ -286,13 +288,13 @@ class Lookahead:
         """Return the rows of :attr:`plan`; the inputs are those that the policy was found for."""
         flows, roofs = self._program.follow(policy, *inputs)
         rows = policy.edges[1:], flows.mean(axis=0), roofs.mean(axis=0) / self._site.a2
-        return np.column_stack(rows)[: np.searchsorted(self._first, self._after.steps)]
+        horizon = self._after.edges[self._after.steps]
+        return np.asarray(np.column_stack(rows)[policy.edges[1:] <= horizon])
 
-    def _means(self, rates: Array) -> Array:
-        """Return the means in the plan's steps, of those in the forecast's; the last axis is time.
-        """
-        amounts = np.add.reduceat(rates * self._lengths, self._first[:-1], axis=-1)
-        return np.asarray(amounts / np.diff(self._after.edges[self._first]))
+    def _means(self, rates: Array, kept: list[int]) -> Array:
+        """Return means over a plan's steps of means over the forecast's, both on the last axis."""
+        amounts = np.add.reduceat(rates * self._lengths, kept[:-1], axis=-1)
+        return np.asarray(amounts / np.diff(self._after.edges[kept]))
 
     def _level(self, x1: float, x2: float) -> float:
         """Return the volume (m3) to fill the roof to, or to hold; a fuller roof is left alone."""
@@ -340,11 +342,18 @@ class Lookahead:
         self._since_start += self._site.tau
 
 
-def _of_steps(edges: Array, shortest: float) -> list[int]:
-    """Return which ends of steps remain where shorter ones (s) are put together, 0 and the last."""
+def _put_together(edges: Array, shortest: float, share: float) -> list[int]:
+    """Return which ends of steps stay, the first and the last too, where steps are put together.
+
+    Args:
+        edges: of all steps (s from now).
+        shortest: length of a step (s), at least.
+        share: of the time until it begins, likewise (1).
+    """
     kept = [0]
     for index, edge in enumerate(edges):
-        if edge - edges[kept[-1]] >= shortest:
+        begin = edges[kept[-1]]
+        if edge - begin >= max(shortest, share * begin):
             kept.append(index)
     kept[-1] = len(edges) - 1
     return kept

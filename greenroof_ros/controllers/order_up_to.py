@@ -17,7 +17,7 @@ Indices = NDArray[np.intp]
 
 # Nodes below and above the target: of a single forecast, and of each member of an ensemble, whose
 # forecasts err by more than the nodes are apart.
-_FINE, _COARSE = (900, 300), (110, 50)
+_FINE, _COARSE = (900, 300), (60, 30)
 # No rain raises the roof further above its target (m); a measured roof holds field capacity.
 _ABOVE_M = 0.15
 # Greater than 0 (m3), for a quotient.
