@@ -135,9 +135,10 @@ class Lookahead:
         self._lengths = np.diff(self._after.edges)
         self._longest = min(_LONGEST_PLAN_S, _LONGEST_SHARE * horizon * _HOUR_S)
         edges = self._after.edges
+        own, days = edges[: self._after.steps + 1], range(self._after.steps + 1, len(edges))
         self._kept = [
-            _put_together(edges, site.tau, 0.0),
-            _put_together(edges, max(site.tau, _LEAST_STEP_S), _LEAST_SHARE),
+            [*_put_together(own, site.tau, 0.0), *days],
+            [*_put_together(own, max(site.tau, _LEAST_STEP_S), _LEAST_SHARE), *days],
         ]
         self._programs = [OrderUpTo(site, edges[kept], cvar_level) for kept in self._kept]
         self._program = self._programs[0]  # of the policy
@@ -350,10 +351,9 @@ def _put_together(edges: Array, shortest: float, share: float) -> list[int]:
         shortest: length of a step (s), at least.
         share: of the time until it begins, likewise (1).
     """
-    kept = [0]
+    kept, last = [0], len(edges) - 1
     for index, edge in enumerate(edges):
         begin = edges[kept[-1]]
         if edge - begin >= max(shortest, share * begin):
             kept.append(index)
-    kept[-1] = len(edges) - 1
-    return kept
+    return [*(kept[:-1] or kept), last]

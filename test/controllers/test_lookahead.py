@@ -350,6 +350,21 @@ def test_forecasts_of_another_shape_are_refused() -> None:
     assert math.isnan(controller.fill_to)
 
 
+@pytest.mark.parametrize("horizon", [0.5, 2.0, 12.0, 48.0, 120.0])
+def test_an_ensembles_plan_has_longer_steps(horizon: float) -> None:
+    """Of an hour and more where the horizon has it, up to the horizon; a single forecast's do."""
+    steps = len(growing_steps(horizon)) - 1
+    ends = []
+    for members in (1, 3):
+        controller = lookahead(horizon=horizon)
+        controller.command(2.3, 0.03, [[0.0] * steps] * members, [0.0] * steps)
+        ends.append(controller.plan[:, 0])
+    assert ends[0].tolist() == growing_steps(horizon)[1:].tolist()
+    assert ends[1][-1] == 3600 * horizon
+    assert np.diff(ends[1], prepend=0.0).min() >= min(3600, 3600 * horizon)
+    assert set(ends[1]) <= set(ends[0])
+
+
 def test_the_order_of_members_does_not_matter() -> None:
     """Bit for bit."""
     storms = [rain_in((5, 7), depth) for depth in (0.0, 0.004, 0.006, 0.01)]
