@@ -23,7 +23,7 @@ import greenroof_ros
 
 NODES = (
     "plant", "weather", "controller", "mpc", "onoff", "planning_mpc", "anticipating_onoff",
-    "scenario_mpc", "recorder", "live_recorder", "pump", "level_sensor",
+    "scenario_mpc", "lookahead", "recorder", "live_recorder", "pump", "level_sensor",
 )
 COMMANDS = (
     "bringup", "simulate", "bound", "recover", "topics", "check_controller", "check_pump",

@@ -33,6 +33,7 @@ BUILT_IN = {
     "planning_mpc": f"{_HERE}.planning_mpc:PlanningMpc",
     "anticipating_onoff": f"{_HERE}.anticipating_onoff:AnticipatingOnOff",
     "scenario_mpc": f"{_HERE}.scenario_mpc:ScenarioMpc",
+    "lookahead": f"{_HERE}.lookahead:Lookahead",
 }
 # The one that runs unless another is asked for.
 DEFAULT = "mpc"

@@ -295,6 +295,7 @@ onoff = command(partial(_run, "onoff"))
 planning_mpc = command(partial(_run, "planning_mpc"))
 anticipating_onoff = command(partial(_run, "anticipating_onoff"))
 scenario_mpc = command(partial(_run, "scenario_mpc"))
+lookahead = command(partial(_run, "lookahead"))
 
 
 if __name__ == "__main__":

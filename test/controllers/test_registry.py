@@ -137,7 +137,8 @@ def test_the_node_is_named_after_the_class(class_name: str, node: str) -> None:
 @pytest.mark.parametrize(
     ("reference", "message"),
     [
-        ("onof", "must be one of mpc, onoff, planning_mpc, anticipating_onoff, scenario_mpc, or"),
+        ("onof", "must be one of mpc, onoff, planning_mpc, anticipating_onoff, scenario_mpc, "
+         "lookahead, or"),
         ("a b:C", "must be of the form package.module:Class"),
         ("package:Plant", "its node would be named plant, as another one is"),
         ("package:Mpc", "its node would be named mpc"),

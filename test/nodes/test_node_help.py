@@ -84,7 +84,9 @@ def check_topics(watcher: Observer, node: str, text: str) -> None:
     # Some are subscribed to only where they are needed.
     needed = subscribes.keys() - {
         "plant": {"/weather/frost", "/pump/flow", "/recorder/written"},
-        "recorder": {"/controller/planned_deviation", "/controller/plan"},
+        "recorder": {
+            "/controller/planned_deviation", "/controller/plan", "/controller/fill_to",
+        },
     }.get(node, set())
     watcher.until(
         lambda: needed <= found(own.get_subscriber_names_and_types_by_node) <= subscribes.keys(),

@@ -1,0 +1,396 @@
+"""How far to fill the roof, at every volume and in every step: a dynamic program."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from greenroof_ros.controllers.scenario_tree import Groups
+from greenroof_ros.model.site import Site
+from greenroof_ros.model.soil_steps import make_soil
+
+Array = NDArray[np.float64]
+Indices = NDArray[np.intp]
+
+# Nodes below and above the target: of a single forecast, and of each member of an ensemble, whose
+# forecasts err by more than the nodes are apart.
+_FINE, _COARSE = (900, 300), (60, 30)
+# No rain raises the roof further above its target (m); a measured roof holds field capacity.
+_ABOVE_M = 0.15
+# Greater than 0 (m3), for a quotient.
+_LEAST = 1e-300
+# Nodes of the water that there is, where it may not be enough.
+_WATER_NODES = 12
+
+
+@dataclass(frozen=True, eq=False)
+class Policy:
+    """What to do in each step, whatever the roof holds then; :class:`OrderUpTo` finds it.
+
+    Attributes:
+        edges: ends of the steps (s from when it was made), the first 0, shape (n + 1,).
+        nodes: volumes on the roof (m3), shape (N,).
+        water: s of :class:`OrderUpTo` (m3), shape (S,).
+        fill_to: for each step what the roof is to be filled to, and held at (m3), -1 where it is
+            left alone; shape (groups of the step, S, nodes up to the target).
+        group_of: for each step the index of each member's group, shape (members,).
+        cost: least mean deviation over all steps and members (m3).
+    """
+
+    edges: Array
+    nodes: Array
+    water: Array
+    fill_to: list[Array]
+    group_of: list[Indices]
+    cost: float
+
+    def level(self, step: int, group: Any, x2: Any, water: Any) -> Any:
+        """Return what the roof is to be filled to or held at (m3); a fuller roof is left alone.
+
+        Between two nodes it is what is best at the lower one.
+
+        Args:
+            step: index of a step.
+            group: index of a group in it.
+            x2: on the roof (m3).
+            water: s (m3).
+        """
+        table = self.fill_to[step]
+        node = self.nodes[1 : table.shape[2]].searchsorted(x2, side="right")
+        row = 0
+        if len(self.water) > 1:
+            row = np.abs(np.subtract.outer(water, self.water)).argmin(axis=-1)
+        return table[group, row, node]
+
+
+class Cistern:
+    """The usable water of a cistern, what lies above the suction level (m3), over steps."""
+
+    def __init__(self, site: Site) -> None:
+        self._site = site
+        suction = site.cistern_volume(site.suction_level)
+        self._most = site.cistern_volume(site.z_o) - suction
+        self._low = site.cistern_volume(site.lowest_outlet) - suction
+        self._mains = site.cistern_volume(site.mains_level or 0.0) - suction
+        self._suction = suction
+
+    def usable(self, x1: float) -> float:
+        """Return what can be pumped of x1 (m3): not what is above the outlet, and soon gone."""
+        return min(max(x1 - self._suction, 0.0), self._most)
+
+    def scarce(self, x1: float, demand: float, seconds: float) -> float:
+        """Return up to where the water counts (m3); 0 where all that is asked for will be there.
+
+        Args:
+            x1: what the cistern holds (m3).
+            demand: what may be asked of it (m3).
+            seconds: in which.
+        """
+        given = (self._site.mains_flow or 0.0) * seconds
+        if min(self.usable(x1), self._low) + given >= demand:
+            return 0.0
+        return self._most if self._low < self._most else min(demand, self._most)
+
+    def after(self, water: Array, rain: Array, seconds: float) -> Array:
+        """Return the usable water (m3) after a step of rain (m/s), Eq. (2) without pumping.
+
+        What rain and mains bring comes first; then the low outlet takes its flow, whose root falls
+        linearly.
+        """
+        site = self._site
+        water = water + rain * (site.effective_catchment * seconds)
+        if site.mains_flow is not None:
+            given = np.minimum(water + site.mains_flow * seconds, self._mains)
+            water = np.maximum(water, given)
+        water = np.minimum(water, self._most)
+        if site.low_outlet_level is None:
+            return water
+        root = np.sqrt(np.maximum(water - self._low, 0.0) / site.a1)
+        root = np.maximum(root - site.c_low * seconds / (2 * site.a1), 0.0)
+        return np.minimum(water, self._low + site.a1 * root**2)
+
+
+class OrderUpTo:
+    r"""The least mean of \|x2 - x2*\| over the steps, from the last one backwards.
+
+    With pumps that fill a roof in minutes a plan is a level: fill the roof to y and hold it there
+    while it dries, or leave it alone. Of each member of an ensemble V_i(x) is the least that the
+    deviation will cost from step i on, if the roof holds x (m3 s):
+
+        F(x) = h mean|path - x*| + V_{i+1}(z),  z = what the soil makes of x in the step,
+        H(y) = the same, but held at y where it would dry, as far as the pumps can,
+        V_i(x) = min(F(x), H(y) + filling),  x <= y <= x*, and y within the pumps' reach.
+
+    The path of a step is taken as straight. Filling from x to y takes t seconds, in which (y - x)/2
+    is missing that H counts as there: it costs t (y - x)/2.
+
+    What is decided, y or to leave it, is the same for all members of a group, by the mean over
+    them; V is each member's own. If V were averaged as well, each step would draw a new member, and
+    the sums of storms would be lost. With ``risk`` the worst members count alone: the conditional
+    value at risk of V over a group.
+
+    V is kept at nodes of the volume that are dense about the target, one of them at it, and is a
+    straight line between them.
+
+    **Water.** Where the cistern may not have all that is asked for, V depends on a second number:
+    s, the usable water and what the roof would take to be as full as it is. Filling leaves s as it
+    is. Where there is enough, s has one node.
+    """
+
+    def __init__(self, site: Site, edges: Array, risk: float = 0.0) -> None:
+        """Take the site, and the steps.
+
+        Args:
+            site: its parameters.
+            edges: ends of the steps (s from now), the first 0, shape (n + 1,).
+            risk: share of the members, the better ones, that do not count (1), below 1.
+        """
+        self._target = site.x2_star
+        self._site = site
+        self._edges = edges
+        self._lengths = np.diff(edges)
+        self._risk = risk
+        self._soil = make_soil(site)
+        self._cistern = Cistern(site)
+        self._area = site.a2
+        self._place(*_COARSE)
+        self._water = np.zeros(1)
+
+    def _place(self, below: int, above: int) -> None:
+        """Place the nodes: x* -+ (k / n)^2 of the range."""
+        site = self._site
+        most = site.a2 * _ABOVE_M
+        if site.field_capacity is not None:
+            most = site.z_cap - site.x2_star
+        self._below = below
+        self._nodes = np.concatenate((
+            self._target * (1 - (np.arange(below, 0, -1) / below) ** 2),
+            self._target + most * (np.arange(above + 1) / above) ** 2,
+        ))
+        self._widths = np.diff(self._nodes)
+        self._per_node = below**2 / self._target, above**2 / most
+        self._contents = self._content(self._nodes)
+
+    def stored(self, x1: float, x2: Any) -> Any:
+        """Return s (m3) of a cistern with x1 and a roof with x2 (m3)."""
+        return self._cistern.usable(x1) + self._content(x2)
+
+    def solve(
+        self, x1: float, x2: float, rain: Array, evapotranspiration: Array, flow: Array,
+        groups: Groups,
+    ) -> Policy:
+        """Find the least cost, and what to do for it.
+
+        Args:
+            x1: in the cistern (m3).
+            x2: on the roof (m3).
+            rain: in each step (m/s), shape (members, n).
+            evapotranspiration: off the whole bed (m3/s), shape (n,).
+            flow: most that is pumped in each step (m3/s), may be 0, shape (n,).
+            groups: of the members that are told apart by nothing yet, by the least index in it; a
+                group is part of one of the step before; shape (members, n).
+        """
+        members, steps = rain.shape
+        full = float(self._content(self._target))
+        demand = full + float((evapotranspiration * self._lengths).sum())
+        scarce = self._cistern.scarce(x1, demand, float(self._edges[-1]))
+        self._place(*(_FINE if members == 1 and not scarce else _COARSE))
+        self._water = np.zeros(1)
+        if scarce:
+            self._water = (full + scarce) * np.linspace(0.0, 1.0, _WATER_NODES) ** 2
+        # Steps after the last rain are the same for all members.
+        wet = int(np.flatnonzero(rain.any(axis=0)).max(initial=-1)) + 1
+        value = np.zeros((1, len(self._water), len(self._nodes)))
+        fill_to: list[Array] = []
+        group_of: list[Indices] = []
+        for step in reversed(range(steps)):
+            if step < wet and len(value) < members:
+                value = np.repeat(value, members, axis=0)
+            labels = groups[: len(value), step]
+            together = [np.flatnonzero(labels == label) for label in dict.fromkeys(labels.tolist())]
+            value, levels = self._before(
+                value, rain[: len(value), step, None, None],
+                float(evapotranspiration[step]), float(flow[step]), float(self._lengths[step]),
+                together if len(together) > 1 else [slice(None)],
+            )
+            fill_to.append(levels)
+            of_members = np.zeros(members, dtype=np.intp)
+            for index, alike in enumerate(together):
+                of_members[alike] = index
+            group_of.append(of_members)
+        now = self._at(value, np.full((1, 1, 1), x2), np.full((1, 1, 1), self.stored(x1, x2)))
+        return Policy(
+            self._edges, self._nodes, self._water, fill_to[::-1], group_of[::-1],
+            float(now.mean()) / float(self._edges[-1]),
+        )
+
+    def follow(
+        self, policy: Policy, x1: float, x2: float, rain: Array, evapotranspiration: Array,
+        flow: Array,
+    ) -> tuple[Array, Array]:
+        """Return what a policy pumps in each step (m3/s) and the roof at its end (m3).
+
+        Args:
+            policy: that :meth:`solve` found for the others.
+            x1: in the cistern (m3).
+            x2: on the roof (m3).
+            rain: in each step (m/s), shape (members, n).
+            evapotranspiration: off the whole bed (m3/s), shape (n,).
+            flow: most that is pumped in each step (m3/s), shape (n,).
+
+        Returns:
+            Two arrays of shape (members, n).
+        """
+        soil = self._soil
+        roof = np.full(len(rain), x2)
+        water = np.full(len(rain), self._cistern.usable(x1))
+        pumped, left = np.empty_like(rain), np.empty_like(rain)
+        for step, seconds in enumerate(self._lengths.tolist()):
+            most, asked = flow[step] * seconds, evapotranspiration[step] * seconds
+            level = policy.level(
+                step, policy.group_of[step], roof, water + self._content(roof)
+            )
+            filled = np.maximum(roof, np.minimum(level, soil.after(roof, most, asked, seconds)))
+            alone = soil.after(filled, rain[:, step] * self._area * seconds, asked, seconds)
+            held = np.minimum(filled, soil.after(filled, most, asked, seconds))
+            held = np.where(level >= filled, np.maximum(alone, held), alone)
+            took = self._content(filled) - self._content(roof)
+            took += self._content(held) - self._content(alone)
+            took = np.minimum(np.minimum(took, most), water)
+            water = self._cistern.after(water - took, rain[:, step], seconds)
+            roof = held
+            pumped[:, step], left[:, step] = took / seconds, held
+        return pumped, left
+
+    def _content(self, x2: Any) -> Any:
+        """Return what must be pumped onto an empty roof for so much (m3), no more than for x*."""
+        return self._soil.pumped(np.minimum(x2, self._target))
+
+    def _before(
+        self, value: Array, rain: Array, evapotranspiration: float, flow: float, seconds: float,
+        groups: list[Any],
+    ) -> tuple[Array, Array]:
+        """Go back by one step.
+
+        Args:
+            value: V after it, shape (members, S, N).
+            rain: in it (m/s), shape (members, 1, 1).
+            evapotranspiration: off the whole bed (m3/s).
+            flow: of the pumps (m3/s).
+            seconds: its length.
+            groups: index of the members of each group.
+
+        Returns:
+            V before it, and the levels of :class:`Policy`, shape (groups, S, nodes to the target).
+        """
+        soil, cistern, dry = self._soil, self._cistern, slice(self._below + 1)
+        nodes, roof = self._nodes, self._nodes[dry]
+        asked = evapotranspiration * seconds
+        scarce = len(self._water) > 1
+        # Pumps and water that are never the limit: the driest roof can be filled in the step.
+        strong = not scarce and soil.after(roof[:1], flow * seconds, asked, seconds) >= self._target
+        reach = roof if strong else soil.after(roof, flow * seconds, asked, seconds)
+        # Left alone: what is the same for all members is worked out once.
+        if not rain.any():
+            rain = rain[:1]
+        alone = soil.after(nodes, rain * (self._area * seconds), asked, seconds)
+        stored = there = self._water
+        if scarce:
+            there = np.maximum(self._water[:, None] - self._contents, 0.0)
+            stored = cistern.after(there, rain, seconds) + self._content(alone)
+        free = seconds * self._deviation(nodes, alone) + self._at(value, alone, stored)
+        # Held.
+        alone = alone[..., dry]
+        if strong:
+            held = seconds * (self._target - roof) + value[..., dry]
+            held = np.where(alone < roof, held, free[..., dry])
+        else:
+            kept = np.maximum(alone, np.minimum(roof, reach))
+            if scarce:
+                first = self._content(alone)
+                took = np.minimum(self._content(kept) - first, there[..., dry])
+                took = np.maximum(took, 0.0)
+                kept = np.where(took > 0, soil.filled(first + took), alone)
+                stored = cistern.after(there[..., dry] - took, rain, seconds) + first + took
+            held = seconds * self._deviation(roof, kept) + self._at(value, kept, stored)
+        # Filled.
+        within = np.maximum(reach, roof)[None]
+        if scarce:
+            within = np.minimum(within, soil.filled(self._water)[:, None])
+            within = np.maximum(within, roof)
+        levels = np.empty((len(groups), len(self._water), len(roof)))
+        result = free
+        for index, members in enumerate(groups):
+            ours = held[members]
+            best = _lowest_from_here_up(self._over(ours))
+            filled = level = roof[best]
+            if strong:
+                costs, contents = ours[..., best[0]], self._contents[best]
+            else:
+                filled = np.minimum(level, within)
+                costs = self._at(ours, filled[None], self._water[:, None])
+                contents = self._content(filled)
+            if flow > 0:
+                costs = costs + (filled - roof) * (contents - self._contents[dry]) / (2 * flow)
+            others = free[members][..., dry]
+            fills = self._over(costs) < self._over(others)
+            levels[index] = np.where(fills, level, -1.0)
+            result[members, :, dry] = np.where(fills, costs, others)
+        return result, levels
+
+    def _over(self, values: Array) -> Array:
+        """Return the mean over members, of the worst of them where ``risk`` is above 0."""
+        if len(values) == 1:
+            return np.asarray(values[0])
+        if not self._risk:
+            return np.asarray(values.sum(axis=0) / len(values))
+        counted = len(values) * (1 - self._risk)
+        weights = np.clip(counted - np.arange(len(values)), 0.0, 1.0) / counted
+        return np.asarray((np.sort(values, axis=0)[::-1] * weights[:, None, None]).sum(axis=0))
+
+    def _deviation(self, before: Array, after: Array) -> Array:
+        r"""Return the mean of \|x - x*\| on a straight path between two volumes (m3)."""
+        first, last = before - self._target, after - self._target
+        both = np.abs(first) + np.abs(last)
+        # Where it crosses x* there are two triangles.
+        crossing = np.minimum(first * last, 0.0)
+        return np.asarray(both / 2 + crossing / np.maximum(both, _LEAST))
+
+    def _at(self, value: Array, x2: Array, water: Array) -> Array:
+        """Return V at volumes on the roof and at s (m3); beyond the nodes it is as at the last.
+
+        Args:
+            value: shape (members, S, nodes).
+            x2: shape (members or 1, S or 1, any).
+            water: the same, not used where there is one node.
+        """
+        members, rows, count = value.shape
+        above = x2 - self._target
+        place = np.sqrt(np.abs(above) * np.where(above < 0, *self._per_node))
+        node = (np.copysign(place, above) + self._below).astype(np.intp)
+        node = np.minimum(node, count - 2)
+        x2 = np.minimum(x2, self._nodes[count - 1])
+        # V = base + slope x from a node to the next.
+        slope = np.diff(value) / self._widths[: count - 1]
+        base = value[..., :-1] - slope * self._nodes[: count - 1]
+        start = np.arange(members)[:, None, None] * (rows * (count - 1)) + node
+        if rows == 1:
+            return np.asarray(base.take(start) + slope.take(start) * x2)
+        row = self._water[1:-1].searchsorted(water, side="right")
+        part = (water - self._water[row]) / np.diff(self._water)[row]
+        part = np.clip(part, 0.0, 1.0)
+        start = start + row * (count - 1)
+        low = base.take(start) + slope.take(start) * x2
+        start = start + (count - 1)
+        high = base.take(start) + slope.take(start) * x2
+        return np.asarray(low + part * (high - low))
+
+
+def _lowest_from_here_up(values: Array) -> Indices:
+    """Return where the least of the values from each place on is, and of several the first."""
+    least = np.minimum.accumulate(values[..., ::-1], axis=-1)[..., ::-1]
+    places = np.where(values == least, np.arange(values.shape[-1]), values.shape[-1])
+    return np.asarray(np.minimum.accumulate(places[..., ::-1], axis=-1)[..., ::-1])
