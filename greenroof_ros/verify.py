@@ -37,7 +37,7 @@ event among them. FORECASTS are an archive, a file or a directory of files as --
 takes them, or a model of this package, whose forecasts of the records are made and scored.
 
 With --dress, make of an archive and a record the file by which --dressed of simulate and run gives
-a controller, instead of each forecast, ten courses of rain that were observed after similar ones.
+a controller, instead of each forecast, the rain that was observed after ten similar ones.
 """
 _EPILOG = f"""\
 A model is one of {', '.join(MODELS)}.

@@ -12,12 +12,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from greenroof_ros.common.errors import ConfigurationError
-from greenroof_ros.common.parameter import Parameter
 from greenroof_ros.controllers.after_forecast import AfterForecast
 from greenroof_ros.controllers.cistern_ahead import cistern_ahead
 from greenroof_ros.controllers.exact_program import ExactProgram
 from greenroof_ros.controllers.objective import NO_PRICES, Prices, Program
-from greenroof_ros.controllers.protocol import solver_statistics
+from greenroof_ros.controllers.protocol import (
+    LEAST_COMMAND,
+    NO_NEW_PLAN,
+    UNDECIDED,
+    solver_statistics,
+)
 from greenroof_ros.controllers.regret_budget import RegretBudget
 from greenroof_ros.controllers.roof_observer import RoofObserver
 from greenroof_ros.controllers.scenario_tree import halved_by_rain
@@ -40,20 +44,7 @@ _CHANGED_M = 5e-4
 _BEYOND_S = 60.0
 # So far below the target it follows evapotranspiration (m3), where nothing cuts the pumps.
 _BELOW_TARGET_M3 = 1e-6
-# Less is the solver's tolerance (share of the maximum flow).
-_LEAST_COMMAND = 1e-5
-
-# A planner pumps nothing at commands below _LEAST_COMMAND, so that no smaller bound is useful.
-MAX_COMMAND = Parameter(
-    "max_command", 1.0, "1", _LEAST_COMMAND, math.inf,
-    "largest command; 1 is the most of a real pump",
-)
-
 Array = NDArray[np.float64]
-
-# What is published in place of a plan: none was made, or the controller did not decide.
-_NO_NEW_PLAN: Array = np.empty((0, 3))
-_UNDECIDED: Array = np.full((1, 3), np.nan)
 
 
 class Planner:
@@ -182,7 +173,7 @@ class Planner:
         self._unlooked = math.inf  # since then (s)
         self._observer = RoofObserver(site, observer_time_constant)
         self._regret_budget = RegretBudget(site, waiting_budget, waiting_share)
-        self.plan = _UNDECIDED
+        self.plan = UNDECIDED
         self.solves = 0
         self.fallbacks = 0
         self.solve_seconds = TickTimes()
@@ -255,7 +246,7 @@ class Planner:
             # Nothing can be planned on it, and OSQP would not refuse it.
             self.skip()
             return 0.0
-        self.plan = _NO_NEW_PLAN
+        self.plan = NO_NEW_PLAN
         self._after.pass_tick(evaporated)
         x2 = self._observer.correct(roof_level)
         self._off_plan += x2 - self._expected
@@ -306,14 +297,14 @@ class Planner:
                 return 0.0
             inflow = rain * site.a2 * kept - evaporated * water_stress(site, x2)
             share = min(share, ((missing - _BELOW_TARGET_M3) / site.tau - inflow) / stays)
-        share = min(share, self._max_command) if share >= _LEAST_COMMAND else 0.0
+        share = min(share, self._max_command) if share >= LEAST_COMMAND else 0.0
         return share if self._flow else self._start(share)
 
     def skip(self) -> None:
         """Wait for the next reading; what the plan expected of this tick has not happened."""
         self._observer.skip()
         self._regret_budget.skip()
-        self.plan = _UNDECIDED
+        self.plan = UNDECIDED
         self._flow, self._expected = 0.0, math.nan
         self._pass_tick()
 

@@ -6,8 +6,8 @@ from typing import ClassVar
 
 from greenroof_ros.common.parameter import Parameter
 from greenroof_ros.controllers.after_forecast import DAYS_AFTER
-from greenroof_ros.controllers.planner import MAX_COMMAND, Planner
-from greenroof_ros.controllers.protocol import HORIZON
+from greenroof_ros.controllers.planner import Planner
+from greenroof_ros.controllers.protocol import HORIZON, MAX_COMMAND
 from greenroof_ros.controllers.regret_budget import WAITING_BUDGET, WAITING_SHARE
 from greenroof_ros.controllers.roof_observer import OBSERVER_TIME_CONSTANT
 from greenroof_ros.model.look_ahead import LONGEST_HORIZON

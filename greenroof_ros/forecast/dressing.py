@@ -12,10 +12,10 @@ of the record, so that their hours and days belong together without a Schaake sh
 of the rain that was forecast for it, f (mm, the mean of the issue's members): m = a + b f, fitted
 to the past issues by least squares, with a >= 0 and b >= 0 and the mean rain of both alike.
 
-**Likeness.** The distance of two issues is the sum over blocks of (log m - log m')^2. So likeness
-is what it means for the rain, whatever the unit or the bias of the forecast, and a block counts by
-what the service knows of it: where it knows nothing, b is 0, all issues are alike, and the analogs
-are a draw from the record, its climatology. Issues that are equally like are drawn by lot.
+**Similarity.** The distance of two issues is the sum over blocks of (log m - log m')^2. So they are
+compared by the rain that they mean, whatever the unit or the bias of the forecast, and a block
+counts by the skill of the service in it: without skill b is 0, all issues are alike, and the
+analogs are a draw from the record, its climatology. Issues at equal distance are drawn at random.
 
 **Members.** The ten most similar issues that are two days or more apart, so that no storm counts
 twice. Rain is skewed: in reach of a wet issue most analogs are drier than it is. So the rain of
@@ -84,7 +84,7 @@ class Dressing:
     """Past issues and what fell after each; issues are a row each.
 
     Attributes:
-        source: the file, or that which they are made of.
+        source: the file, or the files that they were made from.
         edges: of the blocks (h of lead), the first 0, shape (blocks + 1,).
         issued: hours since 1970, shape (issues,).
         forecast: rain in each block (mm), shape (issues, blocks).
@@ -125,7 +125,7 @@ class Dressing:
         Raises:
             ConfigurationError: there are too few issues far enough from it.
         """
-        # By lot where issues are equally like; the same lot for the same issue.
+        # At random where issues are equally far; the same draw for the same issue.
         usable = np.random.default_rng(abs(issued)).permutation(self.usable(issued))
         whole = [end for end in self.edges if end <= rain.shape[1]]
         blocks = len(whole) - 1
@@ -142,7 +142,7 @@ class Dressing:
                 time = from_epoch_ns(issued * 3600 * 10**9)
                 raise ConfigurationError(
                     f"has {len(chosen)} issues two days or more apart from each other and "
-                    f"{(self.hours + _BETWEEN) / 24:g} from that of {to_minutes(time)}, which is "
+                    f"{(self.hours + _BETWEEN) / 24:g} from {to_minutes(time)}, which is "
                     f"not dressed by its own weather; {MEMBERS} are needed: take more months",
                     file=self.source,
                 )

@@ -12,7 +12,6 @@ costs a tick is in doc/performance.md.
 from __future__ import annotations
 
 import os
-import signal
 import time
 from collections.abc import Callable, Collection, Iterator
 from contextlib import contextmanager
@@ -26,7 +25,7 @@ from greenroof_ros.common.lock import LockedError, take_lock
 _RANGE = "ROS_AUTOMATIC_DISCOVERY_RANGE"
 # Names the file of profiles; Fast DDS 3 (ROS 2 Kilted) has another name, and warns of the old one.
 _PROFILES, _PROFILES_3 = "FASTRTPS_DEFAULT_PROFILES_FILE", "FASTDDS_DEFAULT_PROFILES_FILE"
-# In both files of profiles: how long a process that was killed is known to the others (s). In
+# In all files of profiles: how long a process that was killed is known to the others (s). In
 # lockstep a node that was only stopped for as long would be met again, and all that it said lately
 # would come twice.
 LEASE, _LEASE_S = "GREENROOF_ROS_LEASE_S", "20"
@@ -82,15 +81,6 @@ def choose_transport() -> None:
     else:
         os.environ.setdefault("FASTDDS_BUILTIN_TRANSPORTS", "UDPv4")
     os.environ[variable] = str(shared_directory() / "config" / f"{name}.xml")
-
-
-def end_soon() -> None:
-    """Have the kernel end this process if the middleware locks up; to be called when all is said.
-
-    From then on the process has :data:`TAKING_DOWN_S` to end.
-    """
-    signal.signal(signal.SIGALRM, signal.SIG_DFL)
-    signal.alarm(TAKING_DOWN_S)
 
 
 def join() -> Any:

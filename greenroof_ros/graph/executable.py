@@ -28,9 +28,9 @@ from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.interface import read_topics
 from greenroof_ros.common.parameter import Parameter
 from greenroof_ros.graph.domain import (
+    TAKING_DOWN_S,
     begin_to_listen,
     choose_transport,
-    end_soon,
     make_executor,
 )
 from greenroof_ros.graph.link import LinkedNode
@@ -216,7 +216,8 @@ def run_node(make: Callable[[], LinkedNode]) -> int:
                 code, failure = _failed(node, error)
             node.flush(failure)
         # All is said and written.
-        end_soon()
+        signal.signal(signal.SIGALRM, signal.SIG_DFL)
+        signal.alarm(TAKING_DOWN_S)
         if node is not None:
             node.destroy_node()
         rclpy.try_shutdown()

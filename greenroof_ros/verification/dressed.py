@@ -40,7 +40,7 @@ class Worth(NamedTuple):
 def worth(
     archive: Archive, dressing: Dressing, weather: Weather, done: Callable[[int], None]
 ) -> list[Worth]:
-    """Hold an archive's issues against a record: as issued, dressed, and by climatology.
+    """Score an archive's issues by a record: as issued, dressed, and by climatology.
 
     Climatology is all that fell after all issues of the dressing that the issue's analogs may be
     taken from. Sums are over 12, 48 and 120 h, and none is longer than the forecasts; one with an

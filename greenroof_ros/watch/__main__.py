@@ -13,7 +13,6 @@ from greenroof_ros.common.command_line import EXIT_DONE, command, within
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.namespace import namespace
 from greenroof_ros.common.signals import InterruptedRun, Signals
-from greenroof_ros.graph.domain import end_soon
 from greenroof_ros.model.site import read_site
 from greenroof_ros.watch.feed import Feed
 from greenroof_ros.watch.listening import LOOPBACK, PORTS, is_loopback
@@ -130,7 +129,6 @@ def main() -> int:
 
         with Feed(watched, arguments.namespace, **what) as feed:
             run(watched)
-        end_soon()
         return EXIT_DONE
     try:
         from greenroof_ros.watch.server import serve
@@ -149,7 +147,6 @@ def main() -> int:
             watched, feed, host=host, port=port, token=token, signals=signals,
             on_ready=lambda url: _say_address(url, host, port),
         )
-    end_soon()
     return EXIT_DONE
 
 

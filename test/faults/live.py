@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import random
+import re
 import subprocess
 import time
 from dataclasses import dataclass
@@ -243,7 +244,8 @@ def _ends(rig: Rig, case: Case, outcome: Outcome) -> None:
         outcome.fail(f"bringup did not end within {_END_S:.0f} s")
         return
     # A live site ends with 1 where it had incidents, which may be those of the cases before.
-    asked = int("\ndone, with " in rig.main.stderr()) if isinstance(rig, SiteRig) else 130
+    said = re.search(r"^incident \d", rig.main.stderr(), re.MULTILINE) is not None
+    asked = int(said) if isinstance(rig, SiteRig) else 130
     expected = {"kill": -9, "term": asked}.get(
         case.fault if case.target == "bringup" else "", 1)
     if case.fault in ("kill both", "power cycle, then kill"):
