@@ -12,7 +12,7 @@ SHARE = Path("share") / NAME
 # What ``ros2 run greenroof_ros NAME`` starts in a workspace: the nodes ...
 NODES = ("plant", "weather", "controller", "recorder", "live_recorder", "pump", "level_sensor")
 # ... the node of one of this package's controllers, without ``--controller`` ...
-CONTROLLERS = ("mpc", "onoff", "planning_mpc", "anticipating_onoff", "scenario_mpc", "lookahead")
+CONTROLLERS = ("mpc", "onoff", "anticipating_onoff", "lookahead")
 # ... and the commands, each by the name of its module. ``greenroof`` has them all, everywhere.
 COMMANDS = (
     "bringup.__main__", "simulate", "bound", "recover", "topics", "check_controller", "check_pump",

@@ -52,7 +52,7 @@ def make_parser() -> argparse.ArgumentParser:
         epilog="examples:\n"
         "  greenroof simulate --controller planning_mpc --trajectory run.csv\n"
         "  greenroof simulate --start 2021-07-08T05:00 --hours 6\n"
-        "  greenroof simulate --controller planning_mpc --horizon 24 \\\n"
+        "  greenroof simulate --controller lookahead --horizon 24 \\\n"
         "      --forecast errors --forecast-skill real --forecast-seed 3\n"
         "  greenroof simulate --weather 'hourly_*.csv' --start 2021-07-01\n\n"
         "exit codes: 0 done, 2 bad usage or configuration, 130 interrupted",

@@ -248,7 +248,7 @@ def measure_all() -> None:
             again = measure_echo(domain)
             (step, mpc), peer = simulated(), measure_do_mpc()
             roof, _ = simulated(*roof_site)
-            _, planner = simulated("--controller", "planning_mpc")
+            _, lookahead = simulated("--controller", "lookahead", "--horizon", "12")
             yardstick = (trip + again) / 2
             rows["tick"].append(recorded / yardstick)
             rows["bare"].append(bare / yardstick)
@@ -256,15 +256,15 @@ def measure_all() -> None:
             rows["roof_tick"].append(roof_tick / recorded)
             rows["do_mpc"].append(peer / step)
             rows["roof"].append(roof / step)
-            rows["mean"].append(planner["mean_s"] / mpc["mean_s"])
-            rows["p99"].append(planner["p99_s"] / mpc["p99_s"])
+            rows["mean"].append(lookahead["mean_s"] / mpc["mean_s"])
+            rows["p99"].append(lookahead["p99_s"] / mpc["p99_s"])
             rows["study"].append(measure_study())
             print(
                 f"round {number + 1} of {ROUNDS}: echo {yardstick * 1e6:.0f} us, "
                 f"tick {recorded * 1e6:.0f} us, without recorder {bare * 1e6:.0f} us, "
                 f"MPC step {step * 1e6:.0f} us, do-mpc {peer * 1e6:.0f} us; decisions (mean, 99 %) "
                 f"of mpc {mpc['mean_s'] * 1e6:.0f}, {mpc['p99_s'] * 1e6:.0f} us, "
-                f"of planning_mpc {planner['mean_s'] * 1e6:.0f}, {planner['p99_s'] * 1e6:.0f} us",
+                f"of lookahead {lookahead['mean_s'] * 1e6:.0f}, {lookahead['p99_s'] * 1e6:.0f} us",
                 file=sys.stderr, flush=True,
             )
     print("| measured beside each other | median | rounds |\n|---|---|---|")
@@ -275,7 +275,7 @@ def measure_all() -> None:
         ("roof_tick", "tick of the whole graph, measured roof / the paper's"),
         ("do_mpc", "do-mpc step / MPC step of `simulate`"),
         ("roof", "MPC step of `simulate`, measured roof / the paper's"),
-        ("mean", "a tick's decision, planning_mpc / mpc, over 12 h: mean"),
+        ("mean", "a tick's decision, lookahead / mpc, over 12 h: mean"),
         ("p99", "the same: what 99 % of the ticks stay below"),
         ("study", "study of 30 runs / (one MPC run alone x 15 / cores)"),
     ):

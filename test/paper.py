@@ -16,9 +16,12 @@ import numpy as np
 from hypothesis import strategies as st
 from places import CONFIG
 
-from greenroof_ros.controllers.planner import Planner
+from greenroof_ros.controllers.lookahead import Lookahead
+from greenroof_ros.controllers.registry import find_controller
+from greenroof_ros.experiment.closed_loop import closed_loop
 from greenroof_ros.experiment.options import add_run_arguments, run_from_arguments
 from greenroof_ros.experiment.run import Run
+from greenroof_ros.model.metrics import Metrics
 from greenroof_ros.model.site import Site
 
 TABLE_I: dict[str, float] = {
@@ -58,13 +61,28 @@ def site_file(directory: Path, *, base: str = "site.yaml", **changes: float) -> 
     return path
 
 
-def planner(site: Site = PAPER_SITE, **changes: Any) -> Planner:
-    """Return a planner of 12 h that takes readings as they are and waits for rain without limit."""
+def lookahead(site: Site = PAPER_SITE, **changes: float) -> Lookahead:
+    """Return one of 12 h that takes readings as they are, and waits for rain without limit."""
     given = {
-        "horizon": 12, "days_after": 10, "max_command": 1.0, "observer_time_constant": 0.0,
-        "waiting_budget": math.inf, "waiting_share": 0.0, **changes,
+        "horizon": 12.0, "observer_time_constant": 0.0, "waiting_budget": math.inf, **changes,
     }
-    return Planner(site, **given)
+    choice = find_controller("lookahead")
+    made = choice.make(site, {**choice.defaults(), **given})
+    assert isinstance(made, Lookahead)
+    return made
+
+
+def metrics_of(run: Run, controller: Any = None) -> Metrics:
+    """Return the metrics of a run, with its own controller unless another is given."""
+    metrics = Metrics()
+    for _ in closed_loop(run, controller or run.make_controller(), metrics):
+        pass
+    return metrics
+
+
+def deviation_of(run: Run, controller: Any = None) -> float:
+    """Return the total deviation of a run, likewise (m3 s)."""
+    return metrics_of(run, controller)["total_deviation_m3"] * run.site.tau
 
 
 @st.composite

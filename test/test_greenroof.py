@@ -131,7 +131,7 @@ def test_a_command_imports_what_it_needs(tmp_path: Path) -> None:
 @pytest.mark.parametrize(("typed", "completed"), [
     ("greenroof s", {"simulate", "simulators", "study"}),
     ("greenroof simulators ", {"drive", "site", "-h", "--help"}),
-    ("greenroof simulate --controller planning_mpc --hor", {"--horizon"}),
+    ("greenroof simulate --controller lookahead --hor", {"--horizon"}),
     ("greenroof simulate --initial high", {"high-low", "high-high"}),
     ("greenroof simulators drive --ram", {"--ramp"}),
 ])

@@ -22,8 +22,8 @@ from places import CHECKOUT
 import greenroof_ros
 
 NODES = (
-    "plant", "weather", "controller", "mpc", "onoff", "planning_mpc", "anticipating_onoff",
-    "scenario_mpc", "lookahead", "recorder", "live_recorder", "pump", "level_sensor",
+    "plant", "weather", "controller", "mpc", "onoff", "anticipating_onoff", "lookahead",
+    "recorder", "live_recorder", "pump", "level_sensor",
 )
 COMMANDS = (
     "bringup", "simulate", "bound", "recover", "topics", "check_controller", "check_pump",

@@ -44,7 +44,7 @@ def make_parser() -> argparse.ArgumentParser:
         "  live                  live: a site with sensors, nothing is simulated\n\n"
         "python -m greenroof_ros.bringup is both, by its option --plant.",
         epilog="examples:\n"
-        "  greenroof run --controller planning_mpc --initial high-low\n"
+        "  greenroof run --controller lookahead --initial high-low\n"
         "  greenroof run --weather mine.csv --start 2024-06-01 --hours 24\n"
         "  greenroof run --namespace site1 --site site1.yaml\n"
         "  greenroof run --speed 60 --no-record\n"

@@ -13,9 +13,9 @@ from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.parameter import Parameter
 from greenroof_ros.controllers.after_forecast import DAYS_AFTER, AfterForecast
 from greenroof_ros.controllers.onoff import FRACTION
-from greenroof_ros.controllers.protocol import HORIZON
 from greenroof_ros.controllers.regret_budget import WAITING_BUDGET, WAITING_SHARE, RegretBudget
 from greenroof_ros.controllers.roof_observer import OBSERVER_TIME_CONSTANT, RoofObserver
+from greenroof_ros.model.look_ahead import LONGEST_HORIZON
 from greenroof_ros.model.plant import pump_flow
 from greenroof_ros.model.site import Site
 from greenroof_ros.model.soil import free_changes, lasting_share
@@ -52,8 +52,8 @@ class AnticipatingOnOff:
 
     It looks once a minute, and while it pumps in each tick.
 
-    One thing this leaves out, and a planner does not: that pumping takes time (a minute and a half
-    at full flow for the paper's site). Of a dry forecast it makes the paper's controller.
+    One thing this leaves out: that pumping takes time (a minute and a half at full flow for the
+    paper's site). Of a dry forecast it makes the paper's controller.
 
     For a microcontroller: once a minute go through the hours of the forecast, adding up rain times
     the bed's area less evapotranspiration to what is on the roof. Add up the hours with too little,
@@ -68,7 +68,11 @@ class AnticipatingOnOff:
     """
 
     parameters: ClassVar[tuple[Parameter, ...]] = (
-        HORIZON, DAYS_AFTER, FRACTION, OBSERVER_TIME_CONSTANT, WAITING_BUDGET, WAITING_SHARE,
+        Parameter(
+            "horizon", 12.0, "h", 0.1, LONGEST_HORIZON,
+            "how far it looks ahead; the weather node needs the same",
+        ),
+        DAYS_AFTER, FRACTION, OBSERVER_TIME_CONSTANT, WAITING_BUDGET, WAITING_SHARE,
     )
 
     def __init__(
@@ -119,7 +123,7 @@ class AnticipatingOnOff:
             raise ConfigurationError(
                 f"the forecasts have {len(precipitation)} and {len(evapotranspiration)} entries, "
                 f"but there are {steps} steps to the horizon; give weather and "
-                "controller the same horizon, and only scenario_mpc all members"
+                "controller the same horizon, and only lookahead all members"
             )
         rain, evaporated = np.asarray(precipitation), np.asarray(evapotranspiration)
         x1 = site.cistern_volume(cistern_level)

@@ -15,13 +15,7 @@ from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.parameter import Parameter
 from greenroof_ros.controllers.after_forecast import DAYS_AFTER, AfterForecast
 from greenroof_ros.controllers.order_up_to import OrderUpTo, Policy
-from greenroof_ros.controllers.protocol import (
-    LEAST_COMMAND,
-    MAX_COMMAND,
-    NO_NEW_PLAN,
-    UNDECIDED,
-    solver_statistics,
-)
+from greenroof_ros.controllers.protocol import solver_statistics
 from greenroof_ros.controllers.regret_budget import WAITING_BUDGET, WAITING_SHARE, RegretBudget
 from greenroof_ros.controllers.roof_observer import OBSERVER_TIME_CONSTANT, RoofObserver
 from greenroof_ros.controllers.scenario_tree import halved_by_rain
@@ -45,7 +39,12 @@ _LEAST_STEP_S = 3600.0
 _LEAST_SHARE = 1 / 8
 # So far below the target the roof is held (m3): at the target the plant cuts the pumps, Eq. (3a).
 _BELOW_M3 = 1e-6
+# It pumps nothing at commands below it (1), so that no smaller bound is useful.
+_LEAST_COMMAND = 1e-5
 Array = NDArray[np.float64]
+
+# In place of a plan: where the last one is followed on, and where the controller did not decide.
+_NO_NEW_PLAN, _UNDECIDED = np.empty((0, 3)), np.full((1, 3), np.nan)
 
 
 class Lookahead:
@@ -88,7 +87,10 @@ class Lookahead:
             "how far it looks ahead; the weather node needs the same",
         ),
         DAYS_AFTER,
-        MAX_COMMAND,
+        Parameter(
+            "max_command", 1.0, "1", _LEAST_COMMAND, math.inf,
+            "largest command; 1 is the most of a real pump",
+        ),
         Parameter(
             "recourse", 48.0, "h", 1.0, LONGEST_HORIZON, "until then one level serves all members; "
             "each time it has passed, newer forecasts tell which half of them was wrong",
@@ -147,7 +149,7 @@ class Lookahead:
         self._flow = 0.0  # commanded in the last tick (m3/s)
         self._since_start = math.inf  # (s)
         self.fill_to = math.nan
-        self._rows: Array | Callable[[], Array] = UNDECIDED
+        self._rows: Array | Callable[[], Array] = _UNDECIDED
         self.planned_deviation = math.nan
         self.solves = 0
         self.solve_seconds = TickTimes()
@@ -180,7 +182,7 @@ class Lookahead:
         if not math.isfinite(x1 + roof_level + float(rain.sum() + evaporated.sum())):
             self.skip()
             return 0.0
-        self._rows = NO_NEW_PLAN
+        self._rows = _NO_NEW_PLAN
         x2 = self._observer.correct(roof_level)
         fraction = min(self._max_command, 1.0)
         rain_counts = not self._regret_budget.judge(x1, x2, fraction)
@@ -212,7 +214,7 @@ class Lookahead:
         """Wait for the next reading."""
         self._observer.skip()
         self._regret_budget.skip()
-        self._rows, self.fill_to = UNDECIDED, math.nan
+        self._rows, self.fill_to = _UNDECIDED, math.nan
         self._flow = 0.0
         self._pass_tick()
 
@@ -319,7 +321,7 @@ class Lookahead:
             return 0.0
         inflow = rain * site.a2 * kept - evaporated * water_stress(site, x2)
         share = ((level - _BELOW_M3 - x2) / site.tau - inflow) / stays
-        share = min(share, self._max_command) if share >= LEAST_COMMAND else 0.0
+        share = min(share, self._max_command) if share >= _LEAST_COMMAND else 0.0
         return share if self._flow else self._start(share)
 
     def _start(self, share: float) -> float:

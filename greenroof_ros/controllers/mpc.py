@@ -144,7 +144,7 @@ class Mpc:
             raise ConfigurationError(
                 f"the forecasts have {len(precipitation)} and {len(evapotranspiration)} entries, "
                 f"but the controller looks M = {site.M} ticks ahead; give weather and controller "
-                "the same site file, and only scenario_mpc all members"
+                "the same site file, and only lookahead all members"
             )
         # Step 6: the operating point. The first disturbance average is the paper's zero; f is
         # affine in w, so the average cancels from the prediction and sets only where b is taken.

@@ -2,34 +2,11 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping, Sequence
 from typing import Any, ClassVar, Protocol
 
-import numpy as np
-
 from greenroof_ros.common.parameter import Parameter
 from greenroof_ros.controllers.tick_times import TickTimes
-from greenroof_ros.model.look_ahead import LONGEST_HORIZON
-
-HORIZON = Parameter(
-    "horizon", 12.0, "h", 0.1, LONGEST_HORIZON,
-    "how far it looks ahead; the weather node needs the same",
-)
-
-LEAST_COMMAND = 1e-5
-"""A planner pumps nothing at commands below it (1), so that no smaller bound is useful."""
-
-MAX_COMMAND = Parameter(
-    "max_command", 1.0, "1", LEAST_COMMAND, math.inf,
-    "largest command; 1 is the most of a real pump",
-)
-
-NO_NEW_PLAN = np.empty((0, 3))
-"""What is published in place of a plan where none was made."""
-
-UNDECIDED = np.full((1, 3), np.nan)
-"""The same, where the controller did not decide."""
 
 
 class Controller(Protocol):

@@ -30,11 +30,11 @@ _HERE = "greenroof_ros.controllers"
 BUILT_IN = {
     "mpc": f"{_HERE}.mpc:Mpc",
     "onoff": f"{_HERE}.onoff:OnOff",
-    "planning_mpc": f"{_HERE}.planning_mpc:PlanningMpc",
     "anticipating_onoff": f"{_HERE}.anticipating_onoff:AnticipatingOnOff",
-    "scenario_mpc": f"{_HERE}.scenario_mpc:ScenarioMpc",
     "lookahead": f"{_HERE}.lookahead:Lookahead",
 }
+# Names that are no more.
+_REPLACED_BY_LOOKAHEAD = ("planning_mpc", "scenario_mpc")
 # The one that runs unless another is asked for.
 DEFAULT = "mpc"
 # Parameters that rclpy declares in every node.
@@ -212,10 +212,10 @@ def find_controller(reference: str) -> ControllerChoice:
     if ":" not in reference:
         path = BUILT_IN.get(reference) or _of_other_packages().get(reference)
         if path is None:
-            raise ConfigurationError(
-                f"must be one of {', '.join(controller_names())}, or package.module:Class",
-                key="controller", value=reference,
-            )
+            expected = f"must be one of {', '.join(controller_names())}, or package.module:Class"
+            if reference in _REPLACED_BY_LOOKAHEAD:
+                expected = "was replaced by lookahead; CHANGELOG.rst says how"
+            raise ConfigurationError(expected, key="controller", value=reference)
         return ControllerChoice(reference, reference, path)
     if not re.fullmatch(r"[A-Za-z_][\w.]*:[A-Za-z_]\w*", reference):
         raise ConfigurationError(

@@ -102,23 +102,20 @@ class RegretBudget:
         self.onoff_cost = 0.0
         self.exhausted = False
 
-    def judge(self, x1: float, x2: float, fraction: float, *, counts: bool = True) -> bool:
+    def judge(self, x1: float, x2: float, fraction: float) -> bool:
         """Count the present tick and return whether forecasts of rain do not count in it.
 
         Args:
             x1: in the cistern (m3).
             x2: on the roof (m3).
             fraction: v, the command of on/off when it pumps (share of the maximum flow).
-            counts: whether a loss in this tick is for waiting, and for no other reason such as a
-                price of energy; a gain always counts.
         """
         site = self._site
         theirs = abs(x2 + self._more - site.x2_star)
         lost = abs(x2 - site.x2_star) - theirs
         seconds, self._unseen = (1 + self._unseen) * site.tau, 0
         self.onoff_cost += seconds * theirs
-        if counts or lost < 0:
-            self.loss += seconds * lost
+        self.loss += seconds * lost
         # What has to be pumped to be where on/off is, or at the target.
         behind = max(0.0, min(self._more, site.x2_star - x2))
         flow = fraction * maximum_pump_flow(site, x1)

@@ -18,11 +18,11 @@ def halved_by_rain(rain: Array, edges: Array, recourse: float) -> Groups:
     number the wetter half has one more. So the groups of a step are the groups of the step before,
     or parts of them, and in the end each member is alone.
 
-    That each may be answered on its own at once is what no forecast gives: a planner that believes
-    it waits, since soon it will know all. A tree from scenarios that are alike until each stage is
-    that of Heitsch and Roemisch (2009, Scenario tree modeling for multistage stochastic programs,
-    doi:10.1007/s10107-007-0197-2); here the members part by rank, so that it is as large whatever
-    the rain. In which order the members are given does not matter.
+    That each may be answered on its own at once is what no forecast gives: a controller that
+    believes it waits, since soon it will know all. A tree from scenarios that are alike until each
+    stage is that of Heitsch and Roemisch (2009, Scenario tree modeling for multistage stochastic
+    programs, doi:10.1007/s10107-007-0197-2); here the members part by rank, so that it is as large
+    whatever the rain. In which order the members are given does not matter.
 
     Args:
         rain: forecast (m/s), shape (members, n).
@@ -46,30 +46,3 @@ def halved_by_rain(rain: Array, edges: Array, recourse: float) -> Groups:
             for half in np.split(together, [len(together) // 2]):
                 groups[half, step:] = half.min(initial=members)
     return groups
-
-
-def least_of_groups(values: Array, groups: Groups) -> Array:
-    """Return for each member the least of its group in each step, shape (members, n)."""
-    if len(values) == 1:
-        return values
-    steps = np.arange(groups.shape[1])
-    least = np.full_like(values, np.inf)
-    np.minimum.at(least, (groups, steps), values)
-    return np.asarray(least[groups, steps])
-
-
-def means_of_groups(values: Array, groups: Groups) -> Array:
-    """Return for each member the mean over its group in each step, shape (members, n).
-
-    In which order the members are given changes no bit of it, and that of equal values is theirs.
-    """
-    if len(values) == 1:
-        return values
-    steps = np.arange(groups.shape[1])
-    least = least_of_groups(values, groups)
-    over, size = np.zeros_like(values), np.zeros_like(values)
-    order = np.lexsort((values, groups), axis=0)
-    sorted_groups = np.take_along_axis(groups, order, axis=0)
-    np.add.at(over, (sorted_groups, steps), np.take_along_axis(values - least, order, axis=0))
-    np.add.at(size, (groups, steps), 1.0)
-    return np.asarray(least + over[groups, steps] / size[groups, steps])

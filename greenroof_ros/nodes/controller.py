@@ -292,9 +292,7 @@ main = command(partial(_run, None))
 # The executables of this package's controllers.
 mpc = command(partial(_run, "mpc"))
 onoff = command(partial(_run, "onoff"))
-planning_mpc = command(partial(_run, "planning_mpc"))
 anticipating_onoff = command(partial(_run, "anticipating_onoff"))
-scenario_mpc = command(partial(_run, "scenario_mpc"))
 lookahead = command(partial(_run, "lookahead"))
 
 

@@ -21,7 +21,6 @@ from greenroof_ros.common.times import (
     read_start,
     to_people,
 )
-from greenroof_ros.controllers.protocol import HORIZON
 from greenroof_ros.forecast.choice import (
     MODELS,
     NUMBERS,
@@ -47,6 +46,7 @@ from greenroof_ros.graph.lockstep import CLOCK
 from greenroof_ros.graph.messages import LockstepError
 from greenroof_ros.graph.parameters import LIVE, declare, site_file
 from greenroof_ros.graph.reports import ERROR, OK, WARN
+from greenroof_ros.model.look_ahead import LONGEST_HORIZON
 from greenroof_ros.model.site import Site
 from greenroof_ros.weather.filling import GAPS, REFUSE
 from greenroof_ros.weather.joining import find_files
@@ -78,11 +78,11 @@ def parameters(site: Site) -> list[Parameter]:
             among=GAPS,
         ),
         Parameter(
-            "horizon", 0.0, "", 0.0, HORIZON.high, "h that the forecasts reach, in steps that "
+            "horizon", 0.0, "", 0.0, LONGEST_HORIZON, "h that the forecasts reach, in steps that "
             "grow; 0: the M ticks that come",
         ),
         Parameter(
-            "all_members", False, meaning="of an ensemble: for scenario_mpc; otherwise the first",
+            "all_members", False, meaning="of an ensemble: for lookahead; otherwise the first",
         ),
         Parameter(
             "forecast", str(forecast),

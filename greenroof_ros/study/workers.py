@@ -23,7 +23,7 @@ from greenroof_ros.common.versions import versions
 # What each worker would otherwise import.
 _PRELOADED = [
     "greenroof_ros.study.case_run", "greenroof_ros.controllers.mpc",
-    "greenroof_ros.controllers.planner", "osqp", "polars", "scipy.optimize",
+    "greenroof_ros.controllers.lookahead", "osqp", "polars", "scipy.optimize",
 ]
 # How long a worker may take to be ready.
 _START_S = 60

@@ -25,9 +25,9 @@ _PUMPS = 1e-7
 def step_ends(site: Site, steps: int) -> Values | None:
     """Return the ends of a forecast's steps (s from now, shape (steps,)); None where unknown.
 
-    The message has no times: M entries are ticks, others the growing steps of a planner, which
-    looks ahead for whole hours where these are an hour each, and for whole six hours where they are
-    six; of another horizon the last step is taken as longer than it is.
+    The message has no times: M entries are ticks, others growing steps, which reach whole hours
+    ahead where they are an hour each, and whole six hours where they are six; of another horizon
+    the last step is taken as longer than it is.
     """
     if steps == site.M:
         return site.tau * np.arange(1, steps + 1, dtype=np.float64)

@@ -13,7 +13,7 @@ from greenroof_ros.watch.outlook import Amount, Forecast, Plan
 
 PUMP_STATES = ("off", "starting", "running", "stopping", "held", "fault", "unknown")
 
-# A planner looks hours ahead; a forecast of less says nothing of the rain to come (s).
+# Most controllers look hours ahead; a forecast of less says nothing of the rain to come (s).
 _SOON_S = 600.0
 # Weather services renew their forecasts hourly, and begin each from a run that comes every 6 h:
 # an older one has missed such a run (s).

@@ -1,11 +1,11 @@
 """What forecasts that were made to do harm cost in a season: ``python test/adversaries RECORDS``.
 
-Each controller that plans, with its default budget, from May to October, is told each of seven
-such forecasts, ten days long; scenario_mpc also all of them at once, as an ensemble. Printed is
+Each controller that looks ahead, with its default budget, from May to October, is told each of
+seven such forecasts, ten days long; lookahead also all of them at once, as an ensemble. Printed is
 its deviation over that of plain on/off, and the stated bound likewise, for Table I's roof and for
 a measured one with a catchment. RECORDS has the hourly bulk files of Toronto City Centre. Ticks
-are of a minute, and the pumps have a twentieth of their flow, or on/off would lift 7 mm in one. A
-quarter of an hour on two cores. Exits with 1 where a bound does not hold.
+are of a minute, and the pumps have a twentieth of their flow, or on/off would lift 7 mm in one.
+Exits with 1 where a bound does not hold.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ from greenroof_ros.experiment.run import Run  # noqa: E402
 from greenroof_ros.model.metrics import Metrics  # noqa: E402
 
 SITES = ("site.yaml", "site_catchment.yaml")
-PLANNERS = ("anticipating_onoff", "planning_mpc", "scenario_mpc")
+CONTROLLERS = ("anticipating_onoff", "lookahead")
 HORIZON_H, TICK_S, STRENGTH = 240, 60.0, 0.05
 BUDGET_H, SHARE = 72.0, 0.05  # the defaults
 
@@ -60,7 +60,7 @@ class Season(NamedTuple):
 
 def run_of(case: Case, records: Path, directory: Path) -> Run:
     """Build a run with its true forecast."""
-    strength = "--max-command" if "mpc" in case.controller else "--fraction"
+    strength = "--max-command" if case.controller == "lookahead" else "--fraction"
     look = () if case.controller == "onoff" else ("--horizon", str(HORIZON_H))
     run = paper_run(
         "--site", str(site_file(directory, base=case.site, tau=TICK_S, M=1)),
@@ -96,8 +96,8 @@ def main() -> int:
         Case(site, arguments.year, controller, forecast)
         for site in arguments.site
         for controller, forecasts in
-        (("onoff", ("",)), *((planner, ADVERSARIES) for planner in PLANNERS),
-         ("scenario_mpc", (TOGETHER,)))
+        (("onoff", ("",)), *((controller, ADVERSARIES) for controller in CONTROLLERS),
+         ("lookahead", (TOGETHER,)))
         for forecast in forecasts
     ]
     with ProcessPoolExecutor() as pool:
@@ -110,11 +110,12 @@ def main() -> int:
         bound = (1 + SHARE) * plain.deviation + BUDGET_H * plain.empty_roof
         print(f"\n{site}, {arguments.year}: onoff {plain.deviation:.0f} m3 s, the bound "
               f"{bound / plain.deviation:.3f} of it\n")
-        print("| forecast | " + " | ".join(PLANNERS) + " |\n|---" + "|---" * len(PLANNERS) + "|")
+        print("| forecast | " + " | ".join(CONTROLLERS) + " |")
+        print("|---" * (1 + len(CONTROLLERS)) + "|")
         for forecast in (*ADVERSARIES, TOGETHER):
             cells = []
-            for planner in PLANNERS:
-                one = found.get(Case(site, arguments.year, planner, forecast))
+            for controller in CONTROLLERS:
+                one = found.get(Case(site, arguments.year, controller, forecast))
                 if one is None:
                     cells.append("")
                     continue

@@ -67,18 +67,12 @@ def test_no_solver_is_imported_for_what_a_class_says() -> None:
     assert imported == "set()"
 
 
-@pytest.mark.parametrize(("name", "changes"), [("mpc", {}), ("planning_mpc", {"power": 2})])
-def test_without_its_solver(
-    name: str, changes: dict[str, float], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_without_its_solver(monkeypatch: pytest.MonkeyPatch) -> None:
     """Where pip's part of the installation was left out, that is said instead of a traceback."""
     monkeypatch.setitem(sys.modules, "osqp", None)
-    monkeypatch.delitem(
-        sys.modules, "greenroof_ros.controllers.planning_program", raising=False
-    )
-    choice = find_controller(name)
-    with pytest.raises(ConfigurationError, match=f"'{name}': cannot be imported: .*osqp"):
-        choice.make(PAPER_SITE, {**choice.defaults(), **changes})
+    choice = find_controller("mpc")
+    with pytest.raises(ConfigurationError, match="'mpc': cannot be imported: .*osqp"):
+        choice.make(PAPER_SITE, choice.defaults())
 
 
 def test_a_file_for_all_nodes(tmp_path: Path) -> None:
@@ -91,8 +85,8 @@ def test_a_file_for_all_nodes(tmp_path: Path) -> None:
 
 def test_a_file_may_leave_parameters_out(tmp_path: Path) -> None:
     """As a node does, it takes the defaults; a plain name is a key, too."""
-    (tmp_path / "mine.yaml").write_text("planning_mpc: {ros__parameters: {horizon: 6}}\n")
-    given = find_controller("planning_mpc").read_parameters(tmp_path / "mine.yaml")
+    (tmp_path / "mine.yaml").write_text("lookahead: {ros__parameters: {horizon: 6}}\n")
+    given = find_controller("lookahead").read_parameters(tmp_path / "mine.yaml")
     assert given["horizon"] == 6
     assert given["waiting_budget"] == 72.0
 
@@ -137,8 +131,7 @@ def test_the_node_is_named_after_the_class(class_name: str, node: str) -> None:
 @pytest.mark.parametrize(
     ("reference", "message"),
     [
-        ("onof", "must be one of mpc, onoff, planning_mpc, anticipating_onoff, scenario_mpc, "
-         "lookahead, or"),
+        ("onof", "must be one of mpc, onoff, anticipating_onoff, lookahead, or"),
         ("a b:C", "must be of the form package.module:Class"),
         ("package:Plant", "its node would be named plant, as another one is"),
         ("package:Mpc", "its node would be named mpc"),
@@ -208,6 +201,14 @@ def test_a_controller_that_a_package_registers(tmp_path: Path) -> None:
     assert "gentle" not in controller_names()  # of this process, which does not see the package
 
 
+@pytest.mark.parametrize("name", ["planning_mpc", "scenario_mpc"])
+def test_controllers_that_were_replaced(name: str, tmp_path: Path) -> None:
+    """One line with what is there now, exit code 2."""
+    result = simulate(tmp_path, "--controller", name)
+    assert result.returncode == 2
+    assert f"error: controller = '{name}': was replaced by lookahead" in result.stderr
+
+
 def test_an_option_of_another_controller(tmp_path: Path) -> None:
     """Refused, with what this one has."""
     result = simulate(tmp_path, "--controller", "onoff", "--weight", "0.1")
@@ -215,9 +216,14 @@ def test_an_option_of_another_controller(tmp_path: Path) -> None:
     assert "--weight 0.1 (the parameters of onoff are --fraction, --level)" in result.stderr
 
 
-@pytest.mark.parametrize("value", ["1.5", "0", "3", "x"])
-def test_a_whole_parameter_on_the_command_line(tmp_path: Path, value: str) -> None:
-    """A power is 1 or 2."""
-    result = simulate(tmp_path, "--controller", "planning_mpc", "--power", value)
-    assert result.returncode == 2
-    assert f"argument --power: must be a whole number from 1 to 2, is {value}" in result.stderr
+def test_a_whole_parameter(tmp_path: Path) -> None:
+    """Nothing between is accepted on the command line, nor in a file of parameters."""
+    expected = "must be a whole number from 0 to 10"
+    for value in ("1.5", "11", "x"):
+        result = simulate(tmp_path, "--controller", "lookahead", "--days-after", value)
+        assert result.returncode == 2
+        assert f"argument --days-after: {expected}, is {value}" in result.stderr
+    text = (CONFIG / "lookahead.yaml").read_text()
+    (tmp_path / "half.yaml").write_text(text.replace("days_after: 10 ", "days_after: 1.5 "))
+    with pytest.raises(ConfigurationError, match=rf"days_after = 1\.5: {expected}"):
+        find_controller("lookahead").read_parameters(tmp_path / "half.yaml")

@@ -22,7 +22,7 @@ from graphs import own_domain  # noqa: E402
 from live import LiveRun, Plan  # noqa: E402
 from loop import HEAD, in_the_loop  # noqa: E402
 
-CONTROLLERS = ("mpc", "planning_mpc", "anticipating_onoff", "onoff")
+CONTROLLERS = ("mpc", "lookahead", "anticipating_onoff", "onoff")
 
 
 def _parser() -> argparse.ArgumentParser:
@@ -31,7 +31,7 @@ def _parser() -> argparse.ArgumentParser:
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     parser.add_argument("way", choices=("loop", "live"))
-    parser.add_argument("--controller", nargs="+", help="loop: mpc and planning_mpc; live: four")
+    parser.add_argument("--controller", nargs="+", help="loop: mpc and lookahead; live: four")
     parser.add_argument("--minutes", type=float, default=60.0, help="default: %(default)s")
     parser.add_argument("--speed", type=float, default=1.0, help="loop: simulated per real time")
     parser.add_argument("--drive", default="danfoss_fc202", help="default: %(default)s")
@@ -54,7 +54,7 @@ def main() -> int:
     with own_domain() as domain, ExitStack() as stack:
         if arguments.way == "loop":
             print(HEAD, flush=True)
-            for controller in arguments.controller or ("mpc", "planning_mpc"):
+            for controller in arguments.controller or ("mpc", "lookahead"):
                 place = directory / controller
                 place.mkdir()
                 print(in_the_loop(

@@ -10,7 +10,8 @@ from commands import run_command
 
 
 @pytest.mark.parametrize(
-    ("controller", "warned"), [(("onoff", "--fraction", "0.01"), True), (("planning_mpc",), False)]
+    ("controller", "warned"),
+    [(("onoff", "--fraction", "0.01"), True), (("lookahead", "--horizon", "12"), False)],
 )
 def test_too_many_starts(controller: tuple[str, ...], warned: bool, tmp_path: Path) -> None:
     """A dry afternoon: with a hundredth of the flow plain on/off starts the pumps every minute."""

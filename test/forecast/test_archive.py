@@ -148,9 +148,9 @@ def test_choices(tmp_path: Path) -> None:
 def test_a_run_by_an_archive(tmp_path: Path) -> None:
     """A directory of runs is carried into the run's own, where the graph reads it again."""
     source = write_runs(tmp_path / "runs")
-    options = ("--controller", "planning_mpc", "--hours", "2", "--forecast", str(source))
+    options = ("--controller", "anticipating_onoff", "--hours", "2", "--forecast", str(source))
     run = paper_run(*options, "--forecast-delay", "0.5")
-    directory = make_run_directory(tmp_path / "run", "planning_mpc")
+    directory = make_run_directory(tmp_path / "run", "anticipating_onoff")
     parameters = yaml.safe_load(write_configuration(directory, run, {}).read_text())
     of_weather = parameters["/**/weather"]["ros__parameters"]
     assert of_weather["forecast"] == str(tmp_path / "run" / "configuration" / "forecast" / "runs")
@@ -172,7 +172,7 @@ def test_a_study_by_an_archive(tmp_path: Path) -> None:
     grid.write_text(
         "site: site.yaml\nweather:\n"
         "  - {file: weather/toronto_2021-07.csv, start: 2021-07-07T02:00-05:00, hours: 1}\n"
-        "initial: low-low\ncontrollers: {planning_mpc: {}}\n"
+        "initial: low-low\ncontrollers: {anticipating_onoff: {}}\n"
         "forecast: [runs/, {model: runs/, delay: 2.0}]\n"
     )
     usual, early = read_grid(grid)

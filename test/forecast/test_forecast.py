@@ -113,7 +113,7 @@ def test_means_are_those_of_every_second(
         assert list(forecast.evapotranspiration(tick)) == pytest.approx(means, rel=1e-9)
 
 
-@pytest.mark.parametrize("options", [(), ("--controller", "planning_mpc")])
+@pytest.mark.parametrize("options", [(), ("--controller", "anticipating_onoff")])
 def test_forecasts_of_nothing_are_nothing(options: tuple[str, ...]) -> None:
     """No step is below 0 by rounding, which the nodes would refuse."""
     run = paper_run("--forecast", "errors", "--forecast-skill", "worse", "--hours", "60", *options)
@@ -259,17 +259,17 @@ def test_rain_that_is_missing_after_the_run() -> None:
 def test_same_seed_same_forecast_in_any_run() -> None:
     """Whatever the start, the length, the controller's parameters, the order of the calls."""
     common = ("--forecast", "errors", "--forecast-seed", "7", "--forecast-skill", "worse")
-    planner = ("--controller", "planning_mpc", *common)
-    long = paper_run(*planner, "--start", "2021-07-07T02:00", "--hours", "40").forecast
-    onoff = ("--controller", "anticipating_onoff", *common)
-    short = paper_run(*onoff, "--start", "2021-07-07T09:15", "--hours", "5").forecast
+    ahead = ("--controller", "anticipating_onoff", *common)
+    long = paper_run(*ahead, "--start", "2021-07-07T02:00", "--hours", "40").forecast
+    weak = ("--fraction", "0.1", *ahead)
+    short = paper_run(*weak, "--start", "2021-07-07T09:15", "--hours", "5").forecast
     for tick in (17999, 0, 9000, 2700, 12345):
         for one, other in (
             (short.precipitation(tick), long.precipitation(tick + 26_100)),
             (short.evapotranspiration(tick), long.evapotranspiration(tick + 26_100)),
         ):
             assert one.tobytes() == other.tobytes()
-    other_seed = paper_run(*planner[:-3], "8", *planner[-2:]).forecast
+    other_seed = paper_run(*ahead[:-3], "8", *ahead[-2:]).forecast
     assert other_seed.precipitation(0).tobytes() != long.precipitation(0).tobytes()
 
 
@@ -291,9 +291,9 @@ def test_member_zero_is_the_single_forecast() -> None:
 
 def test_who_gets_which_members() -> None:
     """Member 0 alone, flat, or all of them as rows."""
-    run = paper_run("--controller", "planning_mpc", "--forecast", "ensemble",
+    run = paper_run("--controller", "anticipating_onoff", "--forecast", "ensemble",
                     "--forecast-members", "4", "--forecast-seed", "9")
-    single = paper_run("--controller", "planning_mpc", "--forecast", "errors",
+    single = paper_run("--controller", "anticipating_onoff", "--forecast", "errors",
                        "--forecast-seed", "9")
     everything = make_forecast(
         run.weather, run.series, run.site, run.start, 12.0, run.forecast_choice, all_members=True
@@ -404,7 +404,7 @@ def archive(directory: Path, first: str = "2021-07-07T00:00-05:00", hours: int =
 
 def test_a_true_file_is_as_good_as_perfect(tmp_path: Path) -> None:
     """The records as a file of forecasts: the same numbers, bit for bit, and nothing repeated."""
-    options = ("--controller", "planning_mpc", "--hours", "24")
+    options = ("--controller", "anticipating_onoff", "--hours", "24")
     perfect = paper_run(*options)
     filed = paper_run(*options, "--forecast", str(archive(tmp_path)))
     for tick in range(0, perfect.steps + 1, 311):
@@ -422,7 +422,7 @@ def test_a_true_file_is_as_good_as_perfect(tmp_path: Path) -> None:
 
 def test_end_of_the_records(tmp_path: Path) -> None:
     """Perfect forecasts and errors repeat the last record then; persistence needs none of them."""
-    options = ("--start", "2021-07-09T00:00", "--hours", "13", "--controller", "planning_mpc")
+    options = ("--start", "2021-07-09T00:00", "--hours", "13", "--controller", "anticipating_onoff")
     end = "2021-07-10 00:00:00-05:00"
     for model in ("perfect", "errors", "ensemble"):
         assert str(paper_run(*options, "--forecast", model).forecast.repeats_from) == end
@@ -459,10 +459,10 @@ def arrays_of(run: Path, topic: str, length: int) -> list[bytes]:
 @pytest.mark.parametrize(
     "options",
     [
-        "--controller planning_mpc --forecast errors --forecast-seed 4 --forecast-skill mine.yaml",
-        "--controller planning_mpc --forecast ensemble --forecast-members 3",
+        "--controller anticipating_onoff --forecast errors --forecast-seed 4 --forecast-skill mine.yaml",
+        "--controller anticipating_onoff --forecast ensemble --forecast-members 3",
         "--controller mpc --forecast archive.csv",
-        "--controller planning_mpc --forecast runs --forecast-delay 0",
+        "--controller anticipating_onoff --forecast runs --forecast-delay 0",
         "--controller onoff --forecast persistence",
     ],
 )

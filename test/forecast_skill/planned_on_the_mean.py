@@ -2,7 +2,7 @@
 
 ``python test/forecast_skill/planned_on_the_mean.py DIR``: each season of the grid beside this file
 twice, with member 0 and with the mean of the members, which tells more (``--ensembles`` says how
-much). ``scenario_mpc`` has that from its five members, too, and is held against controllers with
+much). ``lookahead`` has that from its five members, too, and is held against controllers with
 one. DIR: as for config/study_seasons.yaml. 44 runs, seven minutes on one core.
 """
 

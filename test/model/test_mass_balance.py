@@ -185,7 +185,8 @@ def test_a_cistern_with_a_low_outlet_balances(tmp_path: Path) -> None:
         tmp_path, a_in=500.0, runoff_coefficient=0.9, low_outlet_level=1.5, low_outlet_radius=0.03
     )
     metrics = assert_balance(paper_run(
-        "--controller", "planning_mpc", "--site", str(file), "--start", "2021-07-08T00:00",
+        "--controller", "lookahead", "--horizon", "12", "--site", str(file),
+        "--start", "2021-07-08T00:00",
     ))
     assert metrics["limited_steps"] == 0
     assert metrics["rain_cistern_m3"] > 5

@@ -342,7 +342,7 @@ def test_what_is_not_heard_counts_at_worst() -> None:
 
 
 @pytest.mark.parametrize(
-    ("controller", "drive_ramp"), [("mpc", 0.2), ("planning_mpc", 1.0), ("onoff", 1.0)]
+    ("controller", "drive_ramp"), [("mpc", 0.2), ("lookahead", 1.0), ("onoff", 1.0)]
 )
 def test_the_simulated_site_is_followed(controller: str, drive_ramp: float) -> None:
     """Ten minutes in the loop: within 1 % of the pure simulation's volume or a least pulse."""

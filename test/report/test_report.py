@@ -399,23 +399,23 @@ def test_any_controller_with_any_parameters(tmp_path: Path, simulated: list[Simu
     header += [f"parameter:{name}" for name in ("horizon", "forecast", "threshold")]
     rows = []
     for name, parameters in (
-        ("planning_mpc", {"horizon": "10", "forecast": "perfect"}),
-        ("planning_mpc", {"horizon": "60", "forecast": "hourly"}),
+        ("lookahead", {"horizon": "10", "forecast": "perfect"}),
+        ("lookahead", {"horizon": "60", "forecast": "hourly"}),
         ("anticipating_onoff", {"threshold": "0.5"}),
         ("anticipating_onoff", {"threshold": "inf"}),
-        ("scenario_mpc", {}),
-        ("scenario_mpc", {}),
+        ("proportional", {}),
+        ("proportional", {}),
     ):
         row = {key: value for key, value in simulated[0].row.items() if key in header}
         given = {f"parameter:{key}": value for key, value in parameters.items()}
         rows.append(({**row, "controller": name, **given}, simulated[0].trajectory))
     report = report_of(write_study(tmp_path / "study", rows, header))
-    assert report.controllers == ["planning_mpc", "anticipating_onoff", "scenario_mpc"]
-    assert report.settings["planning_mpc"].labels == [
+    assert report.controllers == ["lookahead", "anticipating_onoff", "proportional"]
+    assert report.settings["lookahead"].labels == [
         "horizon 10, forecast perfect", "horizon 60, forecast hourly"
     ]
     assert report.settings["anticipating_onoff"].labels == ["0.5", "none"]
-    assert report.settings["scenario_mpc"].labels == ["005", "006"]
+    assert report.settings["proportional"].labels == ["005", "006"]
     for make in make_figures(report, None):
         make().save(tmp_path)
     assert len(list(tmp_path.glob("*.png"))) == len(make_figures(report, None))

@@ -232,10 +232,10 @@ def test_settings_in_the_order_of_their_values(tmp_path: Path) -> None:
 
 def test_a_panel_for_each_kind_of_forecasts(tmp_path: Path) -> None:
     """One that has been given perfect ones alone stands in each; one with real ones, in its own."""
-    real = [{**row, "forecast": "ensemble"} for row in rows("scenario_mpc", 1, ONOFF)]
-    planning = [{**row, "forecast": "ensemble"} for row in rows("planning_mpc", 1, ONOFF)]
+    real = [{**row, "forecast": "ensemble"} for row in rows("anticipating_onoff", 1, ONOFF)]
+    looking = [{**row, "forecast": "ensemble"} for row in rows("lookahead", 1, ONOFF)]
     report = report_of(
-        tmp_path, *rows("onoff", None, ONOFF), *real, *planning, *rows("planning_mpc", None, ONOFF),
+        tmp_path, *rows("onoff", None, ONOFF), *real, *looking, *rows("lookahead", None, ONOFF),
     )
     figure = by_year(seasons(report))
     shown = {
@@ -243,8 +243,8 @@ def test_a_panel_for_each_kind_of_forecasts(tmp_path: Path) -> None:
         for panel, name in zip(figure.panels, figure.data, strict=True)
     }
     assert shown == {
-        "forecasts: ensemble skill real": {"on/off", "planning MPC", "scenario MPC"},
-        "forecasts: perfect": {"on/off", "planning MPC"},
+        "forecasts: ensemble skill real": {"on/off", "lookahead", "anticipating on/off"},
+        "forecasts: perfect": {"on/off", "lookahead"},
     }
 
 
@@ -273,20 +273,20 @@ def test_seeds_of_the_other_widen_it_too(tmp_path: Path) -> None:
     apart = [{year: total + each for year, total in ONOFF.items()} for each in (-40, 40)]
     runs = [row for seed, totals in enumerate(apart, 1) for row in rows("mpc", seed, totals)]
     for totals in apart:
-        runs += rows("planning_mpc", apart.index(totals) + 1, totals)
+        runs += rows("lookahead", apart.index(totals) + 1, totals)
     for seed in (1, 2, 3, 4):
-        runs += rows("scenario_mpc", seed, apart[seed % 2])
+        runs += rows("anticipating_onoff", seed, apart[seed % 2])
     found = seasons(report_of(tmp_path, *rows("onoff", None, ONOFF), *runs))
     reference = next(one for one in found if one.controller == "mpc")
     less = {
         one.of.controller: one.mean
         for one in comparisons(found, {reference.place: reference})
     }
-    assert less["planning_mpc"] == pytest.approx((1, 1, 1))
+    assert less["lookahead"] == pytest.approx((1, 1, 1))
     # As above for two seeds; for four half its variance, and the two together.
     end = WIDER * 1.96 * 40 / 150 * np.sqrt(1 / (2 * 11) + 1 / (4 * 11))
-    assert less["scenario_mpc"].value == pytest.approx(1)
-    assert np.subtract(less["scenario_mpc"][1:], 1) == pytest.approx((-end, end), rel=0.15)
+    assert less["anticipating_onoff"].value == pytest.approx(1)
+    assert np.subtract(less["anticipating_onoff"][1:], 1) == pytest.approx((-end, end), rel=0.15)
     assert less["onoff"].high - 1 == pytest.approx(
         WIDER * 1.96 * 40 / 150 / np.sqrt(2 * 11), rel=0.15
     )
@@ -299,10 +299,10 @@ def test_the_least_that_a_site_could_have(tmp_path: Path) -> None:
     )
     report = report_of(
         tmp_path / "a", *rows("onoff", None, ONOFF), *rows("mpc", None, ONOFF),
-        *rows("planning_mpc", 1, lower), *rows("planning_mpc", None, lowest),
+        *rows("lookahead", 1, lower), *rows("lookahead", None, lowest),
     )
     ((_, least),) = least_deviation(seasons(report)).items()
-    assert (least.controller, least.forecast) == ("planning_mpc", "errors skill real")
+    assert (least.controller, least.forecast) == ("lookahead", "errors skill real")
     (*_, table) = season_tables(report)
     assert table.name.startswith("Deviation over that of the controller with the least deviation")
     texts = [[cell.text for cell in row] for row in table.rows]
@@ -310,13 +310,13 @@ def test_the_least_that_a_site_could_have(tmp_path: Path) -> None:
     assert [(row[0], row[2], *row[at - 1 : at + 2]) for row in texts] == [
         ("MPC", "perfect", "+20", "worse", "1.154"),
         ("on/off", "perfect", "+20", "worse", "1.154"),
-        ("planning MPC", "perfect", "-10", "better", "0.923"),
+        ("lookahead", "perfect", "-10", "better", "0.923"),
     ]
-    assert all("planning MPC" in row[3] and "skill real" in row[3] for row in texts)
+    assert all("lookahead" in row[3] and "skill real" in row[3] for row in texts)
     # One that has no forecasts with errors beside it is known by its horizon.
     report = report_of(
         tmp_path / "d", *rows("onoff", None, ONOFF), *rows("mpc", None, lowest),
-        *rows("planning_mpc", 1, lower),
+        *rows("lookahead", 1, lower),
     )
     found = seasons(report)
     ((_, least),) = least_deviation(found).items()
@@ -326,7 +326,7 @@ def test_the_least_that_a_site_could_have(tmp_path: Path) -> None:
         for one in found
     ]
     ((_, least),) = least_deviation(found).items()
-    assert least.controller == "planning_mpc"
+    assert least.controller == "lookahead"
     # All perfect: the least of all; and where it is plain on/off itself no table says it again.
     report = report_of(tmp_path / "b", *rows("onoff", None, ONOFF), *rows("mpc", None, lower))
     ((_, least),) = least_deviation(seasons(report)).items()
@@ -345,7 +345,7 @@ forecast: {model: errors, skill: real, seed: [1, 2]}
 initial: low-low
 controllers:
   onoff: {forecast: perfect}
-  planning_mpc: {horizon: 48}
+  lookahead: {horizon: 48}
 """
 SIZES = """
 site: {file: site_catchment.yaml, tau: 300.0, a1: [2.0, 8.0]}

@@ -83,7 +83,7 @@ def test_scores_of_dressed_forecasts(site: Path) -> None:
 def test_a_run_with_dressed_forecasts(site: Path) -> None:
     """The controller has all members; the run keeps the file, and says that it was dressed."""
     done = command(
-        site, "simulate", "--controller", "scenario_mpc", "--horizon", "24",
+        site, "simulate", "--controller", "lookahead", "--horizon", "24",
         "--weather", "gauge.csv", "--start", "2024-04-10T00:00+00:00", "--hours", "0.5",
         "--forecast", "archive.csv", "--dressed", "dressed.csv", "--json",
     )

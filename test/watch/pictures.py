@@ -50,8 +50,8 @@ def full_speed(domain: int, place: Path) -> Iterator[tuple[str, ...]]:
 def storm(domain: int, place: Path) -> Iterator[tuple[str, ...]]:
     """A storm that an ensemble of forecasts sees coming."""
     run = Process(
-        domain, "bringup", "--controller", "scenario_mpc", "--hours", "12", "--start",
-        _BEFORE_STORM, "--forecast", "ensemble", "--speed", "60", "--initial", "low-low",
+        domain, "bringup", "--controller", "lookahead", "--horizon", "12", "--hours", "12",
+        "--start", _BEFORE_STORM, "--forecast", "ensemble", "--speed", "60", "--initial", "low-low",
         "--output", "run", cwd=place,
     )
     run.wait_for_ticks()
@@ -96,8 +96,8 @@ def stale(domain: int, place: Path) -> Any:
 @contextmanager
 def ended(domain: int, place: Path) -> Iterator[tuple[str, ...]]:
     """A run that has ended."""
-    bring_up(domain, place, "--controller", "planning_mpc", "--hours", "24", "--start",
-             "2021-07-08")
+    bring_up(domain, place, "--controller", "lookahead", "--horizon", "12", "--hours", "24",
+             "--start", "2021-07-08")
     yield ("--bag", "run/bag")
 
 

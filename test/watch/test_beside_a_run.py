@@ -71,7 +71,7 @@ def test_alarms_come_and_go_and_stop_holds(domain: int, tmp_path: Path) -> None:
 def test_runs_end_and_begin_under_the_eyes_of_three(domain: int, tmp_path: Path) -> None:
     """A page follows without a reload; it, one that never reads and one that is slow do no harm."""
     port = free_ports(1)[0]
-    options = ("--controller", "planning_mpc", "--hours", "0.1")
+    options = ("--controller", "lookahead", "--horizon", "12", "--hours", "0.1")
     watch = Process(domain, "watch", "--port", str(port), cwd=tmp_path)
     wait_for(watch.stdout, 60, "an address")
     request = b"GET /events?hours=12 HTTP/1.1\r\nHost: localhost\r\n\r\n"

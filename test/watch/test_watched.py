@@ -281,11 +281,11 @@ def test_other_devices_are_counted_as_they_are_judged() -> None:
 def test_the_plan_in_words() -> None:
     """1e-3 m3/s from 01:20 to 02:00 are 2.4 m3."""
     one = watched()
-    one.add_statuses(100.0, [node("controller", "scenario_mpc")])
+    one.add_statuses(100.0, [node("controller", "lookahead")])
     plan = np.array([[4740.0, 0, 0.045], [7140.0, 1e-3, 0.047], [43200.0, 0, 0.046]])
     one.add_plan(START + 60 * SECOND, plan)
     tile = shown(one)["tiles"]["controller"]
-    assert tile["value"] == "scenario_mpc"
+    assert tile["value"] == "lookahead"
     assert tile["state"] == "good"
     assert tile["sentence"] == "will pump 2.40 m3 in the next 12 h, from 01:20 on"
     one.add_plan(START + 61 * SECOND, plan * [1, 0, 1])

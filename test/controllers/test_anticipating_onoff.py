@@ -1,0 +1,96 @@
+"""The on/off controller that anticipates the weather: one sum, and what it decides."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+from paper import PAPER_SITE, metrics_of, paper_run
+
+from greenroof_ros.common.errors import ConfigurationError
+from greenroof_ros.controllers.after_forecast import AfterForecast
+from greenroof_ros.controllers.anticipating_onoff import AnticipatingOnOff
+from greenroof_ros.experiment.clairvoyant import clairvoyant_bound
+from greenroof_ros.model.look_ahead import growing_steps
+
+LENGTHS = np.diff(growing_steps(12))
+STEPS = len(LENGTHS)
+DRY = [0.0] * STEPS
+Array = NDArray[np.float64]
+
+
+def anticipating(fraction: float = 1.0) -> AnticipatingOnOff:
+    """Return one that takes each reading as it is and never stops waiting for rain."""
+    return AnticipatingOnOff(PAPER_SITE, 12, 10, fraction, 0.0, math.inf, 0.0)
+
+
+def medians(values: Array, weights: Array) -> list[float]:
+    """Return the lower median until each step, by its definition."""
+    found = []
+    for k in range(1, len(values) + 1):
+        order = np.argsort(values[:k], kind="stable")
+        reached = np.cumsum(weights[:k][order])
+        found.append(float(values[:k][order][np.searchsorted(reached, reached[-1] / 2)]))
+    return found
+
+
+@given(
+    st.lists(st.floats(-5, 5), min_size=STEPS, max_size=STEPS), st.floats(0.0, 0.05)
+)
+def test_it_pumps_the_first_volume_of_the_isotonic_regression(
+    rates: list[float], roof: float
+) -> None:
+    """It pumps while the least of the medians of what is missing, until each step, is above 0."""
+    rain = [max(0.0, rate) / 3.6e6 for rate in rates]
+    evaporated = [max(0.0, -rate) / 3.6e6 * PAPER_SITE.a2 for rate in rates]
+    controller = anticipating(0.8)
+    command = controller.command(2.3, roof, rain, evaporated)
+    after = AfterForecast(PAPER_SITE, 12, 10)
+    after.pass_tick(np.array(evaporated))
+    (all_rain,), drying = after.lengthen(np.array([rain]), np.array(evaporated))
+    lengths = np.diff(after.edges)
+    ends = np.concatenate([[0.0], np.cumsum((all_rain * PAPER_SITE.a2 - drying) * lengths)])
+    course = roof * PAPER_SITE.a2 + (ends[1:] + ends[:-1]) / 2
+    first = min(medians(PAPER_SITE.x2_star - course, lengths))
+    if abs(first) > 1e-9:
+        assert command == (0.8 if first > 0 and roof < PAPER_SITE.z_veg else 0.0)
+
+
+def test_it_waits() -> None:
+    """Rain at the end of the forecast that is worth it for the days after it, and one that is not.
+
+    1.08 m3 are missing. 30 mm would be 2.06 m3: then nearly as much too much as is missing now, but
+    for days. 8 mm, 0.55 m3, leave room for what is pumped now.
+    """
+    for depth, command in ((0.030, 0.0), (0.008, 1.0)):
+        rain = [*DRY[:-1], depth / LENGTHS[-1]]
+        assert anticipating().command(2.3, 0.03, rain, DRY) == command
+
+
+@pytest.mark.parametrize("window", ["low-low", "high-low"])
+def test_it_comes_near_the_bound(window: str) -> None:
+    """Within 2 % of the least possible on the paper's window, whose end is the end of all."""
+    run = paper_run("--controller", "anticipating_onoff", "--days-after", "0", "--initial", window)
+    reached = metrics_of(run)["total_deviation_m3"]
+    least_possible = clairvoyant_bound(run).bound_m3
+    assert least_possible <= reached <= 1.02 * least_possible
+
+
+@pytest.mark.parametrize(
+    "levels", [(0.7, 0.0), (2.3, 0.0457), (2.3, 0.06), (math.nan, 0.0), (2.3, math.nan)]
+)
+def test_pumps_that_do_not_work_are_not_asked_to(levels: tuple[float, float]) -> None:
+    """Below the suction level, at and above the target, and on levels that are no numbers."""
+    controller = anticipating()
+    assert controller.command(*levels, DRY, DRY) == 0.0
+    assert controller.command(2.3, 0.02, DRY, DRY) == 1.0
+
+
+def test_a_forecast_of_another_horizon() -> None:
+    """It is refused, with what must be the same."""
+    with pytest.raises(ConfigurationError, match="weather and controller the same"):
+        anticipating().command(2.3, 0.03, [0.0] * 10, [0.0] * 10)
