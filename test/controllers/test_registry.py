@@ -71,7 +71,7 @@ def test_without_its_solver(monkeypatch: pytest.MonkeyPatch) -> None:
     """Where pip's part of the installation was left out, that is said instead of a traceback."""
     monkeypatch.setitem(sys.modules, "osqp", None)
     choice = find_controller("mpc")
-    with pytest.raises(ConfigurationError, match="'mpc': cannot be imported: .*osqp"):
+    with pytest.raises(ConfigurationError, match=r"'mpc': cannot be imported: .*osqp"):
         choice.make(PAPER_SITE, choice.defaults())
 
 

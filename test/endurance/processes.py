@@ -57,12 +57,12 @@ def write_weather(path: Path, start: datetime) -> None:
 
 
 def write_forecast(path: Path, issued: datetime) -> None:
-    """Put a forecast of two days of the constant weather in place, whole."""
+    """Put a forecast of six days of the constant weather in place, whole."""
     lines = ["issued,time,precipitation [mm/h],evapotranspiration [mm/day],temperature [degC]"]
     lines += [
         f"{issued.isoformat()},{(issued + timedelta(hours=hour)).isoformat()},"
         f"{RAIN},{EVAPOTRANSPIRATION},{TEMPERATURE}"
-        for hour in range(48)
+        for hour in range(144)
     ]
     draft = path.with_suffix(".new")
     draft.write_text("\n".join(lines) + "\n")

@@ -459,7 +459,8 @@ def arrays_of(run: Path, topic: str, length: int) -> list[bytes]:
 @pytest.mark.parametrize(
     "options",
     [
-        "--controller anticipating_onoff --forecast errors --forecast-seed 4 --forecast-skill mine.yaml",
+        "--controller anticipating_onoff --forecast errors --forecast-seed 4 "
+        "--forecast-skill mine.yaml",
         "--controller anticipating_onoff --forecast ensemble --forecast-members 3",
         "--controller mpc --forecast archive.csv",
         "--controller anticipating_onoff --forecast runs --forecast-delay 0",

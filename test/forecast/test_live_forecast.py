@@ -67,7 +67,7 @@ def test_the_gauge_stands_for_the_present_hour(tmp_path: Path) -> None:
 
 
 def test_growing_steps(tmp_path: Path) -> None:
-    """For a planner: steps of 1800 s from 4800 s on; three hours end 600 s after the third."""
+    """For who looks hours ahead: 1800 s from 4800 s on; three hours end 600 s after the third."""
     file = tmp_path / "forecast.csv"
     write(file, SIX, [0.0, 0.0, 0.0, 3.6])
     outlook = live(file, horizon=3.0).at(SIX + timedelta(minutes=45))
