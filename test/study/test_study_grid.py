@@ -219,10 +219,10 @@ def test_grids_that_come_with_it(tmp_path: Path, file: str) -> None:
 
 
 @pytest.mark.parametrize(("file", "sites", "tick", "forecasts"), [
-    # Of each year: mpc and 4 on/off that look at none, 2 that do at 10 + 1, one with 10, and two
-    # more planners with 3. On the measured roof these are 3 + 1, 1 + 1, 10 and twice 1.
-    ("study_seasons.yaml", 1, 10, 5 + 2 * 11 + 10 + 2 * 3),
-    ("study_seasons_measured.yaml", 1, 10, 5 + (3 + 1) + (1 + 1) + 10 + 2),
+    # Of each year: mpc and 4 on/off that look at none, 2 that do at 10 + 1, and one of them at 3
+    # more. On the measured roof these are 3 + 1, 10 + 1 and 1.
+    ("study_seasons.yaml", 1, 10, 5 + 2 * 11 + 3),
+    ("study_seasons_measured.yaml", 1, 10, 5 + (3 + 1) + (10 + 1) + 1),
     ("study_horizons.yaml", 1, 10, 5),
     ("study_horizons_real.yaml", 2, 60, 1 + 5 * (3 + 1)),
     ("study_sizing.yaml", 18, 60, 2),
