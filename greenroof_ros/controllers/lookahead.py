@@ -270,7 +270,8 @@ class Lookahead:
         rain = self._means(rain[np.lexsort(rain.T[::-1])], kept)
         evaporated = self._means(evaporated, kept)
         # Without a bound of the commands: pumps that fill the whole soil in a second.
-        most = min(self._max_command * maximum_pump_flow(site, x1), site.z_cap)
+        full = maximum_pump_flow(site, x1)
+        most = min(self._max_command * full, site.z_cap) if full else 0.0
         flow = np.full(len(edges) - 1, most)
         groups = halved_by_rain(rain, edges, self._recourse)
         self._program = self._programs[several]
