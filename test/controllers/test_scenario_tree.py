@@ -48,16 +48,16 @@ def test_members_part_and_never_meet_again(members: int, recourse: float, seed: 
 
 
 def test_it_waits_for_what_will_be_known_in_time() -> None:
-    """Rain in six hours that one member of three has, and that fills the roof for days.
+    """Rain in six hours that one member of eight has, and that fills the roof for a day.
 
-    Known apart from the others after an hour it is worth the hour. Not known apart before its end
-    the roof is filled: two of three lack water.
+    Known apart from most of the others after an hour it is worth the hour. Not known apart before
+    it falls the roof is filled: seven of eight lack water.
     """
     edges = growing_steps(12)
     storm = np.where((edges[:-1] >= 21_600) & (edges[:-1] < 32_400), 3e-6, 0.0)
-    rain = np.stack([0 * storm, 0 * storm, storm])
+    rain = np.stack([*[0 * storm] * 7, storm])
     commands = [
-        lookahead(recourse=hours).command(2.3, 0.04, rain, [0.0] * len(storm))
+        lookahead(recourse=hours, days_after=1).command(2.3, 0.04, rain, [0.0] * len(storm))
         for hours in (1.0, 240.0)
     ]
     assert commands[0] == 0.0
