@@ -342,11 +342,14 @@ def test_what_is_not_heard_counts_at_worst() -> None:
 
 
 @pytest.mark.parametrize(
-    ("controller", "drive_ramp"), [("mpc", 0.2), ("lookahead", 1.0), ("onoff", 1.0)]
+    ("controller", "drive_ramp"),
+    [("mpc", 0.2), ("lookahead --horizon 12", 1.0), ("onoff", 1.0)],
 )
 def test_the_simulated_site_is_followed(controller: str, drive_ramp: float) -> None:
     """Ten minutes in the loop: within 1 % of the pure simulation's volume or a least pulse."""
-    run = paper_run("--controller", controller, "--hours", str(1 / 6), "--initial", "low-low")
+    run = paper_run(
+        "--controller", *controller.split(), "--hours", str(1 / 6), "--initial", "low-low"
+    )
     simulated = sum(
         tick.flows.pump for tick in closed_loop(run, run.make_controller(), Metrics())
     )
