@@ -103,7 +103,7 @@ def assert_same_plans(directory: Path, options: Sequence[str]) -> list[int]:
 
 
 def test_same_bits_and_plans_of_an_ensemble(domain: int, tmp_path: Path) -> None:
-    """Of lookahead, over a new issue; the noise of the sensor is in the small commands at the level."""
+    """Of lookahead, over a new issue, with noise of the sensor in its small commands."""
     options = (
         "--controller", "lookahead", "--horizon", "12", "--forecast", "ensemble",
         "--forecast-seed", "3", "--forecast-members", "30", "--start", "2021-07-07T18:58",
