@@ -17,12 +17,19 @@ import numpy as np
 import pytest
 from hypothesis import assume, example, given, settings
 from hypothesis import strategies as st
-from paper import PAPER_SITE, exact_flows, measured_sites, paper_run, site_with, sites
+from paper import (
+    PAPER_SITE,
+    exact_flows,
+    measured_sites,
+    metrics_of,
+    paper_run,
+    site_with,
+    sites,
+)
 from places import CONFIG
 
 from greenroof_ros import bound as module
 from greenroof_ros.bound import main
-from greenroof_ros.controllers.protocol import Controller
 from greenroof_ros.controllers.registry import find_controller
 from greenroof_ros.experiment.clairvoyant import NoBoundError, clairvoyant_bound
 from greenroof_ros.experiment.closed_loop import closed_loop
@@ -54,14 +61,6 @@ def run_of(
         weather.files[0], site, weather, series, PerfectForecast(series, site.M), first, steps,
         find_controller("onoff"), {"fraction": 1.0}, "custom", x1, x2,
     )
-
-
-def cost_of(run: Run, controller: Controller) -> Metrics:
-    """Do a run and return its sums."""
-    metrics = Metrics()
-    for _ in closed_loop(run, controller, metrics):
-        pass
-    return metrics
 
 
 class Given:
@@ -160,7 +159,7 @@ def test_the_papers_other_windows(initial: str, method: str) -> None:
 def test_the_papers_controllers_are_above(options: tuple[str, ...]) -> None:
     """Up to the command that they give; the paper's controllers know no limit of it."""
     run = paper_run("--controller", *options, "--hours", "1")
-    metrics = cost_of(run, run.make_controller())
+    metrics = metrics_of(run, run.make_controller())
     bound = clairvoyant_bound(run, max(1.0, metrics["max_command"]))
     assert 0 < bound.bound_m3 <= metrics["total_deviation_m3"]
 
@@ -203,9 +202,9 @@ def test_no_run_is_below(
     for cost in (
         fine.plan_m3,
         coarse.plan_m3,
-        cost_of(run, Given([max_command * share for share in shares]))["total_deviation_m3"],
-        cost_of(run, Given([max_command]))["total_deviation_m3"],
-        cost_of(run, Given([0.0]))["total_deviation_m3"],
+        metrics_of(run, Given([max_command * share for share in shares]))["total_deviation_m3"],
+        metrics_of(run, Given([max_command]))["total_deviation_m3"],
+        metrics_of(run, Given([0.0]))["total_deviation_m3"],
     ):
         assert fine.bound_m3 <= cost + slack
 
@@ -231,7 +230,7 @@ def test_no_schedule_is_below(
     # In frost no command is asked for.
     asked = sum(not frost for _, _, frost in hours)
     best = min(
-        cost_of(run, Given([*commands, 0.0]))["total_deviation_m3"]
+        metrics_of(run, Given([*commands, 0.0]))["total_deviation_m3"]
         for commands in itertools.product(levels, repeat=asked)
     )
     for block in (1, 2, 5):
@@ -269,7 +268,7 @@ def test_in_frost_the_bound_is_the_run_of_a_measured_roof(
     frozen = [(rain, evapotranspiration, True) for rain, evapotranspiration, _ in hours]
     run = run_of(frozen, cistern * site.a1, roof * site.z_cap, site)
     bound = clairvoyant_bound(run, block=1)
-    only = cost_of(run, Given([1.0]))["total_deviation_m3"]
+    only = metrics_of(run, Given([1.0]))["total_deviation_m3"]
     assert bound.plan_m3 == only
     assert bound.bound_m3 == pytest.approx(only, rel=1e-6, abs=1e-6 * site.x2_star)
 
@@ -381,7 +380,7 @@ def test_mains_are_there_to_be_pumped() -> None:
     run = run_of(DRY_HOUR * 3, 19.0, 0.0, site)
     bound = clairvoyant_bound(run, block=1)
     for command in (0.5, 1.0):
-        cost = cost_of(run, Given([command]))["total_deviation_m3"]
+        cost = metrics_of(run, Given([command]))["total_deviation_m3"]
         assert bound.bound_m3 <= cost
     assert bound.bound_m3 == pytest.approx(4 * 91.4 - 23 - 27 - 31, rel=1e-6)
 
@@ -400,7 +399,7 @@ def test_outlets_are_left_out_of_the_bound() -> None:
     assert with_it.bound_m3 == without.bound_m3 > 0
     assert with_it.bound_m3 <= with_it.plan_m3
     for command in (0.05, 0.5, 1.0):
-        cost = cost_of(run_of(hours, 22.0, 0.5, low), Given([command]))["total_deviation_m3"]
+        cost = metrics_of(run_of(hours, 22.0, 0.5, low), Given([command]))["total_deviation_m3"]
         assert with_it.bound_m3 <= cost
 
 
