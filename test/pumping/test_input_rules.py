@@ -148,6 +148,24 @@ def test_jump() -> None:
     )
 
 
+def test_what_jumps_have_moved_the_readings_by() -> None:
+    """A spike that comes back has moved nothing; what stays has, however it came there."""
+    for values, moved in (
+        ({0.0: 1.5, 1.0: 2.0}, 0.5),
+        ({0.0: 1.5, 1.0: 2.0, 2.0: 1.5}, 0.0),
+        ({0.0: 1.5, 1.0: 2.0, 2.0: 1.495}, 0.0),
+        ({0.0: 1.5, 1.0: 2.0, 2.0: 1.4}, -0.1),
+        ({0.0: 1.5, 1.0: 2.0, 2.0: 2.5}, 1.0),
+        ({0.0: 1.5, 1.0: 2.0, 2.0: 1.5, 3.0: 2.0}, 0.5),
+        # After five minutes it may be anywhere: what comes back is water.
+        ({0.0: 1.5, 1.0: 2.0, 301.0: 1.3}, -0.2),
+    ):
+        level = level_rule()
+        for now, value in values.items():
+            level.came(now, value)
+        assert level.displacement == pytest.approx(moved), values
+
+
 def test_many_small_steps_are_a_jump_too() -> None:
     """1 mm every 10 ms is 10 cm/s; each step alone is within the tolerance."""
     rules = InputRules(0.0, 60.0, 0.0, level=level_rule())

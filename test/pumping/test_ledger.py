@@ -84,16 +84,16 @@ def read(file: Path, clock: Callable[[], float]) -> Record:
 def test_a_missing_file_is_a_fresh_record_and_is_made(
     text: str, kept: str, tmp_path: Path, clock: Clock
 ) -> None:
-    """With its directory, at the size that it keeps; nothing but the lock is left beside.
+    """With its directories, at the size that it keeps; nothing but the lock is left beside.
 
-    Whatever is in a text has room in it, beside a hundred starts in the third year.
+    Whatever is in a text has room in it, beside the last hundred starts in the third year.
     """
-    file = tmp_path / "state" / "pump.json"
+    file = tmp_path / "greenroof" / "state" / "pump.json"
     ledger = Ledger(file, clock)
     assert (ledger.record.held, ledger.record.fault, ledger.why_not_kept(20.0)) == ("", "", "")
     assert file.stat().st_size == 8192
     ledger.count(1e8 + 0.5, 0.0, 0.0)
-    for _ in range(100):
+    for _ in range(101):
         ledger.switch(True)
     ledger.fault(text, "delivery")
     ledger.stop(text)
