@@ -20,6 +20,7 @@ from greenroof_ros.controllers.regret_budget import WAITING_BUDGET, WAITING_SHAR
 from greenroof_ros.controllers.roof_observer import OBSERVER_TIME_CONSTANT, RoofObserver
 from greenroof_ros.controllers.scenario_tree import halved_by_rain
 from greenroof_ros.controllers.tick_times import TickTimes
+from greenroof_ros.controllers.trust import TRUST_MEMORY, Trust, leave
 from greenroof_ros.model.look_ahead import LONGEST_HORIZON, MOST_MEMBERS
 from greenroof_ros.model.plant import maximum_pump_flow
 from greenroof_ros.model.site import Site
@@ -64,13 +65,15 @@ class Lookahead:
     From one start of the pumps to the next it waits 3600 s / ``starts_per_hour`` of the site. At
     the level it follows evapotranspiration with a small flow, which needs no starts.
 
-    The roof's level is not taken as read, and forecasts of rain not for ever: see
-    :class:`~greenroof_ros.controllers.roof_observer.RoofObserver` and
+    The roof's level is not taken as read, and forecasts of rain are trusted as far as that paid of
+    late, and not for ever: see :class:`~greenroof_ros.controllers.roof_observer.RoofObserver`,
+    :class:`~greenroof_ros.controllers.trust.Trust` and
     :class:`~greenroof_ros.controllers.regret_budget.RegretBudget`.
 
     Attributes:
         fill_to: level of the roof (m) to which it is filled, or at which it is held, in this tick;
             NaN where it is left alone, and where the controller did not decide.
+        trust: share of the room for forecast rain that is left (1).
         plan: a plan that was made in this tick, a row for each step, shape (steps, 3): the step's
             end (s from this tick), the mean flow of the pumps in it (m3/s), and the level of the
             roof that is expected at its end (m); both are means over the members. Shape (0, 3)
@@ -100,6 +103,7 @@ class Lookahead:
             "deviation, that do not count: 0 for the mean of all, 0.8 for the worst fifth",
         ),
         OBSERVER_TIME_CONSTANT,
+        TRUST_MEMORY,
         WAITING_BUDGET,
         WAITING_SHARE,
     )
@@ -108,6 +112,7 @@ class Lookahead:
     outputs: ClassVar[Mapping[str, str]] = {
         "/controller/fill_to": "fill_to",
         "/controller/plan": "plan",
+        "/controller/trust": "trust",
         "/controller/planned_deviation": "planned_deviation",
     }
 
@@ -120,6 +125,7 @@ class Lookahead:
         recourse: float,
         cvar_level: float,
         observer_time_constant: float,
+        trust_memory: float,
         waiting_budget: float,
         waiting_share: float,
     ) -> None:
@@ -139,6 +145,7 @@ class Lookahead:
         self._programs = [OrderUpTo(site, edges[kept], cvar_level) for kept in self._kept]
         self._program = self._programs[0]  # of the policy
         self._observer = RoofObserver(site, observer_time_constant)
+        self._trust = Trust(site, self._program, trust_memory)
         self._regret_budget = RegretBudget(site, waiting_budget, waiting_share)
         self._policy: Policy | None = None
         self._age = 0.0  # of the policy (s)
@@ -153,6 +160,11 @@ class Lookahead:
         self.planned_deviation = math.nan
         self.solves = 0
         self.solve_seconds = TickTimes()
+
+    @property
+    def trust(self) -> float:
+        """Share of the room for forecast rain that is left (1)."""
+        return self._trust.share
 
     @property
     def plan(self) -> Array:
@@ -198,7 +210,9 @@ class Lookahead:
             self._policy = None
         now = (float(rain[0, 0]), float(evaporated[0])) if evaporated.size else (0.0, 0.0)
         self._fallen += now[0] * site.tau
-        level = self._level(x1, x2)
+        most = self._most_flow(x1) if cistern_level >= site.suction_level else 0.0
+        self._trust.pass_tick(x2, *now, most, functools.partial(self._levels, x1))
+        level = float(self._levels(x1, x2, self._trust.share))
         share = 0.0
         if level >= x2 and cistern_level >= site.suction_level:
             share = self._share(x1, x2, level, *now)
@@ -264,15 +278,12 @@ class Lookahead:
 
     def _plan(self, x1: float, x2: float, rain: Array, evaporated: Array) -> None:
         """Find the levels for the forecast, whose members' order changes no bit of them."""
-        site, several = self._site, len(rain) > 1
+        several = len(rain) > 1
         kept = self._kept[several]
         edges = self._after.edges[kept]
         rain = self._means(rain[np.lexsort(rain.T[::-1])], kept)
         evaporated = self._means(evaporated, kept)
-        # Without a bound of the commands: pumps that fill the whole soil in a second.
-        full = maximum_pump_flow(site, x1)
-        most = min(self._max_command * full, site.z_cap) if full else 0.0
-        flow = np.full(len(edges) - 1, most)
+        flow = np.full(len(edges) - 1, self._most_flow(x1))
         groups = halved_by_rain(rain, edges, self._recourse)
         self._program = self._programs[several]
         self._policy = self._program.solve(x1, x2, rain, evaporated, flow, groups)
@@ -294,14 +305,32 @@ class Lookahead:
         amounts = np.add.reduceat(rates * self._lengths, kept[:-1], axis=-1)
         return np.asarray(amounts / np.diff(self._after.edges[kept]))
 
-    def _level(self, x1: float, x2: float) -> float:
-        """Return the volume (m3) to fill the roof to, or to hold; a fuller roof is left alone."""
-        policy = self._policy
+    def _most_flow(self, x1: float) -> float:
+        """Return the most that is pumped (m3/s) from a cistern of x1 (m3)."""
+        # Without a bound of the commands: pumps that fill the whole soil in a second.
+        full = maximum_pump_flow(self._site, x1)
+        return min(self._max_command * full, self._site.z_cap) if full else 0.0
+
+    def _levels(self, x1: float, x2: Any, trusted: Any) -> Any:
+        """Return what roofs are filled to, or held at (m3); a fuller roof is left alone.
+
+        Args:
+            x1: in the cistern (m3).
+            x2: on each roof (m3).
+            trusted: share of the room for forecast rain that each leaves (1).
+        """
+        policy, target = self._policy, self._site.x2_star
         if policy is None:
-            return self._site.x2_star
+            return target + 0.0 * x2
         step = int(policy.edges[1:-1].searchsorted(self._age, side="right"))
-        water = self._program.stored(x1, x2) if len(policy.water) > 1 else 0.0
-        return float(policy.level(step, 0, x2, water))
+
+        def planned(x2: Any) -> Any:
+            water = self._program.stored(x1, x2) if len(policy.water) > 1 else 0.0
+            return policy.level(step, 0, x2, water)
+
+        if isinstance(trusted, float) and trusted == 1:
+            return planned(x2)
+        return leave(trusted, planned(x2), float(planned(0.0)), target)
 
     def _share(
         self, x1: float, x2: float, level: float, rain: float, evaporated: float

@@ -244,26 +244,47 @@ class OrderUpTo:
         Returns:
             Two arrays of shape (members, n).
         """
-        soil = self._soil
         roof = np.full(len(rain), x2)
         water = np.full(len(rain), self._cistern.usable(x1))
         pumped, left = np.empty_like(rain), np.empty_like(rain)
         for step, seconds in enumerate(self._lengths.tolist()):
-            most, asked = flow[step] * seconds, evapotranspiration[step] * seconds
             level = policy.level(
                 step, policy.group_of[step], roof, water + self._content(roof)
             )
-            filled = np.maximum(roof, np.minimum(level, soil.after(roof, most, asked, seconds)))
-            alone = soil.after(filled, rain[:, step] * self._area * seconds, asked, seconds)
-            held = np.minimum(filled, soil.after(filled, most, asked, seconds))
-            held = np.where(level >= filled, np.maximum(alone, held), alone)
-            took = self._content(filled) - self._content(roof)
-            took += self._content(held) - self._content(alone)
-            took = np.minimum(np.minimum(took, most), water)
+            roof, took = self.move(
+                level, roof, rain[:, step], float(evapotranspiration[step]), float(flow[step]),
+                seconds,
+            )
+            took = np.minimum(took, water)
             water = self._cistern.after(water - took, rain[:, step], seconds)
-            roof = held
-            pumped[:, step], left[:, step] = took / seconds, held
+            pumped[:, step], left[:, step] = took / seconds, roof
         return pumped, left
+
+    def move(
+        self, level: Array, roof: Array, rain: Any, evapotranspiration: float, flow: float,
+        seconds: float,
+    ) -> tuple[Array, Array]:
+        """Move roofs on by a step in which each is filled to a level and held there.
+
+        Args:
+            level: of each (m3), -1 where it is left alone.
+            roof: what it holds (m3).
+            rain: in the step (m/s), for each or for all.
+            evapotranspiration: off the whole bed (m3/s).
+            flow: most that is pumped (m3/s).
+            seconds: the step's length.
+
+        Returns:
+            What each holds at the end, and what was pumped onto it (m3).
+        """
+        soil, most, asked = self._soil, flow * seconds, evapotranspiration * seconds
+        filled = np.maximum(roof, np.minimum(level, soil.after(roof, most, asked, seconds)))
+        alone = soil.after(filled, rain * self._area * seconds, asked, seconds)
+        held = np.minimum(filled, soil.after(filled, most, asked, seconds))
+        held = np.where(level >= filled, np.maximum(alone, held), alone)
+        took = self._content(filled) - self._content(roof)
+        took += self._content(held) - self._content(alone)
+        return held, np.minimum(took, most)
 
     def _content(self, x2: Any) -> Any:
         """Return what must be pumped onto an empty roof for so much (m3), no more than for x*."""

@@ -1,0 +1,126 @@
+"""How far a forecast of rain is trusted: as far as roofs that trusted it did well of late."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+
+import numpy as np
+from numpy.typing import NDArray
+
+from greenroof_ros.common.parameter import Parameter
+from greenroof_ros.controllers.order_up_to import OrderUpTo
+from greenroof_ros.model.site import Site
+
+Array = NDArray[np.float64]
+
+_DAY_S = 86_400.0
+# The shadow roofs are moved on so often (s).
+_STEP_S = 600.0
+# Two roofs hold the same when they are as near as this to each other (share of the target).
+_ALIKE = 1e-3
+# By how much less another must have cost to be followed (days of an empty roof): where the roofs
+# hold the same, and at any time, since the wait for rain is then too long.
+_LESS, _TOO_LONG = 0.01, 0.5
+
+TRUST_MEMORY = Parameter(
+    "trust_memory", 30.0, "days", 0.0, 3650.0,
+    "how long it remembers what trust in the forecast gained or lost; 0: it always trusts it",
+)
+
+SHARES: Array = np.arange(4) / 3
+"""Shares of the room for forecast rain that the shadow roofs leave; 0 is for none."""
+
+
+class Trust:
+    r"""Shadow roofs that trust the forecast by degrees; the real one follows the best of them.
+
+    A plan fills the roof to a level y below the target x*, and leaves x* - y for the rain to come.
+    Beside the real roof four are followed by the model alone, in the rain that really falls. One is
+    filled to the target, as without a forecast; the others leave a third, two thirds, and all of
+    the room that the plan asks for. What each has cost, in days of an empty roof, is
+
+        L <- exp(-d / ``trust_memory``) L + d |x2 - x2*| / x2*,   d the step (days).
+
+    The real roof is filled as the shadow that it follows, at first that of all trust. It changes to
+    the shadow with the least L when both hold the same and are to be filled to the same. Then no
+    wait for rain is under way, whose end is not known, and to change costs nothing; who judged each
+    hour by itself would give up a wait in the middle, and lose twice. Where rain is promised for
+    ever and never comes, that never is: then it changes when L is more by half a day. What
+    forecasts that are right and wrong in turns could cost is limited by
+    :class:`~greenroof_ros.controllers.regret_budget.RegretBudget`.
+
+    All shadows have the real cistern. Ticks in which nothing is decided do not count.
+
+    Attributes:
+        roofs: what each shadow holds (m3), shape (shadows,).
+        losses: L (days of an empty roof), likewise.
+        share: of the room for forecast rain that is left (1).
+    """
+
+    def __init__(self, site: Site, program: OrderUpTo, memory: float) -> None:
+        """Take the site, what moves a roof on, and the memory (days); 0 for trust without end."""
+        self._target = site.x2_star
+        self._program = program
+        self._tau = site.tau
+        self._memory = memory
+        self._since = np.zeros(3)  # s, rain (m) and evapotranspiration (m3) since the last step
+        self._followed = len(SHARES) - 1
+        self.roofs: Array = np.full(len(SHARES), math.nan)
+        self.losses: Array = np.zeros(len(SHARES))
+
+    @property
+    def share(self) -> float:
+        """Share of the room for forecast rain that is left (1)."""
+        return float(SHARES[self._followed])
+
+    def pass_tick(
+        self, x2: float, rain: float, evapotranspiration: float, flow: float,
+        levels: Callable[[Array, Array], Array],
+    ) -> None:
+        """Count a tick, and move the shadows on when a step is over.
+
+        Args:
+            x2: on the real roof (m3).
+            rain: in the tick (m/s).
+            evapotranspiration: off the whole bed (m3/s).
+            flow: most that can be pumped (m3/s).
+            levels: returns what roofs of these volumes (m3) are filled to or held at (m3) where
+                they leave these shares of the room, as :func:`leave`; an array of their shape.
+        """
+        if not self._memory:
+            return
+        tau = self._tau
+        self._since += (tau, rain * tau, evapotranspiration * tau)
+        if math.isnan(self.roofs[0]):
+            self.roofs = np.full(len(SHARES), x2)
+        seconds = float(self._since[0])
+        if seconds < _STEP_S - tau / 2:
+            return
+        _, depth, evaporated = self._since.tolist()
+        wanted = levels(self.roofs, SHARES)
+        self.roofs, _ = self._program.move(
+            wanted, self.roofs, depth / seconds, evaporated / seconds, flow, seconds
+        )
+        days = seconds / _DAY_S
+        self.losses *= math.exp(-days / self._memory)
+        self.losses += days * np.abs(self.roofs - self._target) / self._target
+        best, followed = int(self.losses.argmin()), self._followed
+        more = self.losses[followed] - self.losses[best]
+        apart = max(abs(each[best] - each[followed]) for each in (self.roofs, wanted))
+        if more > _TOO_LONG or (more > _LESS and apart < _ALIKE * self._target):
+            self._followed = best
+        self._since[:] = 0.0
+
+
+def leave(share: Array | float, level: Array | float, lowest: float, target: float) -> Array:
+    """Return what a roof is filled to, or held at, that leaves a share of a plan's room (m3).
+
+    Args:
+        share: of the room (1).
+        level: that the plan has for what the roof holds (m3), -1 where it is left alone.
+        lowest: that the plan has for an empty roof (m3), likewise.
+        target: x2* (m3).
+    """
+    there = np.where(np.asarray(level) >= 0, level, max(lowest, 0.0))
+    return np.where(np.asarray(share) == 1, level, target - share * (target - there))

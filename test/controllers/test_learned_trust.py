@@ -1,0 +1,134 @@
+"""Trust that is learned from shadow roofs: what it ends at, and what it costs on the way."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from paper import site_with
+from places import CONFIG
+
+from greenroof_ros.controllers.lookahead import Lookahead
+from greenroof_ros.controllers.registry import find_controller
+from greenroof_ros.controllers.trust import SHARES, leave
+from greenroof_ros.model.look_ahead import growing_steps
+from greenroof_ros.model.plant import Plant
+from greenroof_ros.model.site import read_site
+
+Array = NDArray[np.float64]
+
+HOUR_S, DAY_S = 3600.0, 86_400.0
+HORIZON = 24.0
+ENDS = growing_steps(HORIZON)
+EVAPORATES = 4e-3 / DAY_S  # m/s
+STORM = 0.008 / (2 * HOUR_S)  # m/s, for two hours each third day
+# Ticks of half an hour, and a cistern that is not empty in weeks.
+SITES = {
+    "paper": site_with(tau=1800.0, M=1, mains_level=0.85, mains_flow=5e-4),
+    "measured": replace(read_site(CONFIG / "site_catchment.yaml"), tau=1800.0, M=1),
+}
+
+
+def fallen(time: Array) -> Array:
+    """Return the rain until a time (m)."""
+    whole, since = np.divmod(time, 3 * DAY_S)
+    rained = np.clip(since - 2 * DAY_S, 0.0, 2 * HOUR_S)
+    return np.asarray(STORM * (2 * HOUR_S * whole + rained))
+
+
+def truth(time: float) -> Array:
+    """Return what will fall in each step (m/s)."""
+    return np.asarray(np.diff(fallen(time + ENDS)) / np.diff(ENDS))
+
+
+def dry(time: float) -> Array:
+    """Return no rain."""
+    return np.zeros(len(ENDS) - 1)
+
+
+def always(time: float) -> Array:
+    """Return 10 mm that are six to twelve hours ahead, for ever."""
+    ahead = (ENDS[:-1] >= 6 * HOUR_S) & (ENDS[1:] <= 12 * HOUR_S)
+    return ahead * 0.01 / (6 * HOUR_S)
+
+
+def season(
+    site: str, forecasts: list[Callable[[float], Array]], memory: float = 30.0,
+    falls: Callable[[Array], Array] = fallen,
+) -> tuple[Lookahead, Array, Array]:
+    """Run two weeks with each kind of forecasts, one kind after the other.
+
+    Returns the controller, the deviation in days of an empty roof, and the share that is left, of
+    each tick.
+    """
+    of = SITES[site]
+    choice = find_controller("lookahead")
+    controller = choice.make(of, {**choice.defaults(), "horizon": HORIZON, "trust_memory": memory})
+    assert isinstance(controller, Lookahead)
+    plant, off, trust = Plant(of, 57.0, of.x2_star), [], []
+    losses = np.full(len(ENDS) - 1, EVAPORATES * of.a2)
+    for tick in range(round(14 * len(forecasts) * DAY_S / of.tau)):
+        time = tick * of.tau
+        coming = forecasts[int(time / (14 * DAY_S))](time)
+        coming[0] = rain = float(np.diff(falls(np.array([time, time + of.tau])))[0]) / of.tau
+        command = controller.command(*plant.levels(), [coming], losses)
+        off.append(abs(plant.x2 / of.x2_star - 1) * of.tau / DAY_S)
+        trust.append(controller.trust)
+        plant.step(rain, plant.flows(rain, losses[0], plant.pump_flow(command)))
+    return controller, np.array(off), np.array(trust)
+
+
+def test_a_worthless_forecast_is_given_up() -> None:
+    """Rain that never comes costs half a day of an empty roof, and a little more."""
+    _, trusting, alike = season("paper", [always], memory=0.0, falls=np.zeros_like)
+    _, learned, trust = season("paper", [always], falls=np.zeros_like)
+    assert alike.tolist() == [1.0] * len(alike)
+    assert (trust[0], trust[-1]) == (1.0, 0.0)
+    assert trusting.sum() > 1.0
+    assert 0.5 < learned.sum() < 0.6
+
+
+@pytest.mark.parametrize("site", SITES)
+def test_a_good_forecast_is_trusted_to_the_last_bit(site: str) -> None:
+    """And gains."""
+    _, plain, _ = season(site, [dry])
+    _, trusting, _ = season(site, [truth], memory=0.0)
+    _, learned, trust = season(site, [truth])
+    assert trust.tolist() == [1.0] * len(trust)
+    assert learned.tolist() == trusting.tolist()
+    assert learned.sum() < plain.sum()
+
+
+def test_trust_comes_back() -> None:
+    """Of a service that promises rain in a drought, and is right as it ends."""
+    dry_for = 14 * DAY_S
+
+    def falls(time: Array) -> Array:
+        return np.asarray(fallen(np.maximum(time - dry_for, 0.0)))
+
+    def right(time: float) -> Array:
+        return np.asarray(np.diff(falls(time + ENDS)) / np.diff(ENDS))
+
+    _, _, trust = season("paper", [always, right, right, right], falls=falls)
+    assert trust[: len(trust) // 4].min() == 0.0
+    assert trust[-1] > 0.0
+
+
+@pytest.mark.parametrize("site", SITES)
+def test_the_shadows_are_the_roofs_that_would_be(site: str) -> None:
+    """The one of no trust is the roof without a forecast, that of all trust the one with it."""
+    controller, _, _ = season(site, [always], memory=30.0)
+    kept = np.exp(-np.arange(len(season(site, [dry])[1]))[::-1] * 1800 / DAY_S / 30)
+    for shadow, forecast in ((0, dry), (-1, always)):
+        _, off, _ = season(site, [forecast], memory=0.0)
+        assert controller._trust.losses[shadow] == pytest.approx((off * kept).sum(), rel=0.05)
+
+
+def test_what_is_left_for_rain() -> None:
+    """All, none and half of the room; where the plan leaves a roof alone, that for an empty one."""
+    assert leave(SHARES, 1.0, 0.5, 4.0).tolist() == [4.0, 3.0, 2.0, 1.0]
+    assert leave(0.5, -1.0, 1.0, 4.0) == 2.5
+    assert leave(np.array([0.5, 1.0]), -1.0, -1.0, 4.0).tolist() == [2.0, -1.0]
