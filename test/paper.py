@@ -67,7 +67,7 @@ def lookahead(site: Site = PAPER_SITE, **changes: float) -> Lookahead:
         "horizon": 12.0, "observer_time_constant": 0.0, "waiting_budget": math.inf, **changes,
     }
     choice = find_controller("lookahead")
-    made = choice.make(site, {**choice.defaults(), **given})
+    made = choice.make(site, {**choice.defaults(site), **given})
     assert isinstance(made, Lookahead)
     return made
 

@@ -252,9 +252,8 @@ def live_site(parser: argparse.ArgumentParser, arguments: argparse.Namespace) ->
         ConfigurationError: an option, or a file that it names, is wrong, or one is missing.
     """
     refuse_options("live", parser, arguments)
-    controller, parameters = controller_from_arguments(arguments)
     site_file: Path = arguments.site or shared_directory() / "config" / "site.yaml"
-    read_site(site_file)
+    controller, parameters = controller_from_arguments(arguments, read_site(site_file))
     drive = chosen_drive(arguments)
     others_weather = arguments.weather == [EXTERNAL]
     has_forecast = arguments.forecast != parser.get_default("forecast")

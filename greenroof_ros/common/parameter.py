@@ -25,6 +25,7 @@ class Parameter:
         may_change: whether it may change during a run; a controller then has an attribute of
             that name, which is set between two ticks.
         among: the texts that it may be, where they are few.
+        measured: its default on a roof with a measured soil, where that is another.
     """
 
     name: str
@@ -35,6 +36,7 @@ class Parameter:
     meaning: str = ""
     may_change: bool = False
     among: tuple[str, ...] = ()
+    measured: Any = None
 
     @property
     def whole(self) -> bool:

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from greenroof_ros.common.parameter import Parameter
-from greenroof_ros.model.look_ahead import growing_steps
+from greenroof_ros.model.look_ahead import LONGEST_HORIZON, growing_steps
 from greenroof_ros.model.site import Site
 
 _DAY_S = 86_400.0
@@ -16,6 +16,13 @@ _DAY_S = 86_400.0
 # is 0.31 in the mean over Toronto's seasons of 2015 to 2025, May to October, and 0.04 to 0.55 each.
 _NET_DRYING = 0.3
 
+# As far as forecasts of a service pay: doc/running/seasons.md.
+_PAYS, _PAYS_MEASURED = 120.0, 48.0
+HORIZON = Parameter(
+    "horizon", _PAYS, "h", 0.1, LONGEST_HORIZON,
+    f"how far it looks ahead; on a roof with a measured soil {_PAYS_MEASURED:g} unless given; the "
+    "weather node needs the same", measured=_PAYS_MEASURED,
+)
 # By default as many days as the longest forecast has.
 DAYS_AFTER = Parameter(
     "days_after", 10, "days", 0, 10,

@@ -11,11 +11,10 @@ from numpy.typing import NDArray
 
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.parameter import Parameter
-from greenroof_ros.controllers.after_forecast import DAYS_AFTER, AfterForecast
+from greenroof_ros.controllers.after_forecast import DAYS_AFTER, HORIZON, AfterForecast
 from greenroof_ros.controllers.onoff import FRACTION
 from greenroof_ros.controllers.regret_budget import WAITING_BUDGET, WAITING_SHARE, RegretBudget
 from greenroof_ros.controllers.roof_observer import OBSERVER_TIME_CONSTANT, RoofObserver
-from greenroof_ros.model.look_ahead import LONGEST_HORIZON
 from greenroof_ros.model.plant import pump_flow
 from greenroof_ros.model.site import Site
 from greenroof_ros.model.soil import free_changes, lasting_share
@@ -68,11 +67,7 @@ class AnticipatingOnOff:
     """
 
     parameters: ClassVar[tuple[Parameter, ...]] = (
-        Parameter(
-            "horizon", 12.0, "h", 0.1, LONGEST_HORIZON,
-            "how far it looks ahead; the weather node needs the same",
-        ),
-        DAYS_AFTER, FRACTION, OBSERVER_TIME_CONSTANT, WAITING_BUDGET, WAITING_SHARE,
+        HORIZON, DAYS_AFTER, FRACTION, OBSERVER_TIME_CONSTANT, WAITING_BUDGET, WAITING_SHARE,
     )
 
     def __init__(

@@ -77,7 +77,7 @@ def _inputs(choice: ControllerChoice, site: Site) -> Iterator[tuple[float, float
 
 def _steps(choice: ControllerChoice, site: Site) -> int:
     """Return how many entries a forecast has."""
-    horizon = choice.defaults().get("horizon")
+    horizon = choice.defaults(site).get("horizon")
     return site.M if horizon is None else len(growing_steps(horizon)) - 1
 
 
@@ -89,7 +89,7 @@ def _forecast(choice: ControllerChoice, site: Site, rate: float, members: int = 
 
 
 def _made(choice: ControllerChoice, site: Site, **changes: float) -> Controller:
-    return choice.make(site, {**choice.defaults(), **changes})
+    return choice.make(site, {**choice.defaults(site), **changes})
 
 
 def _asked(controller: Controller, *inputs: Any) -> float:
@@ -201,7 +201,7 @@ def _may_change(choice: ControllerChoice, site: Site) -> None:
         if not parameter.may_change:
             continue
         controller = _made(choice, site)
-        if getattr(controller, parameter.name, None) != choice.defaults()[parameter.name]:
+        if getattr(controller, parameter.name, None) != choice.defaults(site)[parameter.name]:
             raise _ProblemError(f"it has no attribute {parameter.name} with the parameter's value")
         for value in (parameter.low, parameter.high):
             setattr(controller, parameter.name, value)

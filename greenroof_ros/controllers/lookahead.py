@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.parameter import Parameter
-from greenroof_ros.controllers.after_forecast import DAYS_AFTER, AfterForecast
+from greenroof_ros.controllers.after_forecast import DAYS_AFTER, HORIZON, AfterForecast
 from greenroof_ros.controllers.order_up_to import OrderUpTo, Policy
 from greenroof_ros.controllers.protocol import solver_statistics
 from greenroof_ros.controllers.regret_budget import WAITING_BUDGET, WAITING_SHARE, RegretBudget
@@ -85,10 +85,7 @@ class Lookahead:
     """
 
     parameters: ClassVar[tuple[Parameter, ...]] = (
-        Parameter(
-            "horizon", 120.0, "h", 0.1, LONGEST_HORIZON,
-            "how far it looks ahead; the weather node needs the same",
-        ),
+        HORIZON,
         DAYS_AFTER,
         Parameter(
             "max_command", 1.0, "1", _LEAST_COMMAND, math.inf,

@@ -8,7 +8,7 @@ import importlib
 import inspect
 import re
 import sys
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import cast
 
@@ -140,17 +140,25 @@ class ControllerChoice:
             key="controller", value=self.reference,
         )
 
-    def defaults(self) -> dict[str, float]:
-        """Return the value of each parameter unless a user gives another.
+    def parameters_on(self, site: Site) -> list[Parameter]:
+        """Return its parameters, each with the default that it has on a site's roof."""
+        measured = site.field_capacity is not None
+        return [
+            replace(one, default=one.measured) if measured and one.measured is not None else one
+            for one in self.kind.parameters
+        ]
+
+    def defaults(self, site: Site) -> dict[str, float]:
+        """Return the value of each parameter on a site unless a user gives another.
 
         They are those of ``config/NAME.yaml``, which a user edits, where there is one.
         """
         file = shared_directory() / "config" / f"{self.name}.yaml"
         if self.reference in BUILT_IN and file.is_file():
-            return self.read_parameters(file)
-        return {name: parameter.default for name, parameter in self.parameters.items()}
+            return self.read_parameters(file, site)
+        return {one.name: one.default for one in self.parameters_on(site)}
 
-    def read_parameters(self, path: Path) -> dict[str, float]:
+    def read_parameters(self, path: Path, site: Site) -> dict[str, float]:
         """Read its parameters from a ROS 2 parameter file; those that are not there are default.
 
         The section is named ``/**/NAME``, which holds in any namespace, ``NAME``, or ``/**``, which
@@ -168,7 +176,7 @@ class ControllerChoice:
             raise ConfigurationError(
                 f"must hold '/**/{self.name}:' and in it 'ros__parameters:'", file=path
             )
-        values = {name: parameter.default for name, parameter in self.parameters.items()}
+        values = {one.name: one.default for one in self.parameters_on(site)}
         for key, line in given.lines.items():
             if keys[0] == "/**" and key.partition(".")[0] in OF_EVERY_NODE:
                 continue

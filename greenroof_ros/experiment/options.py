@@ -38,7 +38,7 @@ from greenroof_ros.model.initial_state import (
     initial_state,
 )
 from greenroof_ros.model.sensor_pump_errors import RANGES, SensorPumpErrors
-from greenroof_ros.model.site import read_site
+from greenroof_ros.model.site import Site, read_site
 from greenroof_ros.weather.filling import GAPS, REFUSE
 from greenroof_ros.weather.joining import find_files
 from greenroof_ros.weather.reading import default_weather, read_weather
@@ -91,14 +91,13 @@ def _add_parameter_arguments(
         "--parameters", type=Path, metavar="FILE",
         help="ROS 2 parameter file of the controller (default: config/ and its name, .yaml)",
     )
-    defaults = controller.defaults()
     for parameter in controller.kind.parameters:
         low, high = parameter.low, parameter.high
         unit = "" if parameter.unit == "1" else f"{parameter.unit}, "
         group.add_argument(
             _option(parameter.name), dest=f"{_PARAMETER}{parameter.name}", metavar="X",
             type=within(int(low), int(high), int) if parameter.whole else within(low, high),
-            help=f"{parameter.meaning} ({unit}default: {defaults[parameter.name]:g})",
+            help=f"{parameter.meaning} ({unit}default: {parameter.default:g})",
         )
 
 
@@ -286,17 +285,17 @@ def parse_run_arguments(
 
 
 def controller_from_arguments(
-    arguments: argparse.Namespace,
+    arguments: argparse.Namespace, site: Site
 ) -> tuple[ControllerChoice, dict[str, float]]:
-    """Return the controller that a command line asks for, and all of its parameters.
+    """Return the controller that a command line asks for, and all of its parameters on a site.
 
     Raises:
         ConfigurationError: an option, or a file that it names, is wrong.
     """
     controller = find_controller(arguments.controller)
-    parameters = controller.defaults()
+    parameters = controller.defaults(site)
     if arguments.parameters is not None:
-        parameters = controller.read_parameters(arguments.parameters)
+        parameters = controller.read_parameters(arguments.parameters, site)
     for name in parameters:
         value = getattr(arguments, f"{_PARAMETER}{name}")
         if value is not None:
@@ -310,9 +309,10 @@ def run_from_arguments(arguments: argparse.Namespace) -> Run:
     Raises:
         ConfigurationError: an option, or a file that it names, is wrong.
     """
-    controller, parameters = controller_from_arguments(arguments)
+    site_file, site = _site(arguments)
+    controller, parameters = controller_from_arguments(arguments, site)
     return _run(
-        arguments, controller, parameters,
+        arguments, site_file, site, controller, parameters,
         forecast_from_arguments(arguments, arguments.forecast, "--forecast"),
         SensorPumpErrors(**{name: getattr(arguments, name) for name in RANGES}),
     )
@@ -324,22 +324,30 @@ def inputs_from_arguments(arguments: argparse.Namespace) -> Run:
     Raises:
         ConfigurationError: an option, or a file that it names, is wrong.
     """
+    site_file, site = _site(arguments)
     controller = find_controller("onoff")
     return _run(
-        arguments, controller, controller.defaults(), ForecastChoice(), SensorPumpErrors()
+        arguments, site_file, site, controller, controller.defaults(site), ForecastChoice(),
+        SensorPumpErrors(),
     )
+
+
+def _site(arguments: argparse.Namespace) -> tuple[Path, Site]:
+    """Return the site file that a command line asks for, and what is in it."""
+    site_file: Path = arguments.site or shared_directory() / "config" / "site.yaml"
+    return site_file, read_site(site_file)
 
 
 def _run(
     arguments: argparse.Namespace,
+    site_file: Path,
+    site: Site,
     controller: ControllerChoice,
     parameters: dict[str, float],
     choice: ForecastChoice,
     sensor_pump_errors: SensorPumpErrors,
 ) -> Run:
     """Build a run in the place and time that a command line asks for."""
-    site_file: Path = arguments.site or shared_directory() / "config" / "site.yaml"
-    site = read_site(site_file)
     if (arguments.cistern is None) != (arguments.roof is None):
         raise ConfigurationError("must be given together", key="--cistern and --roof")
     if arguments.cistern is not None:

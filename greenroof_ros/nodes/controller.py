@@ -68,7 +68,7 @@ class ControllerNode(LinkedNode):
         self._site = site = self.declare_site()
         self.act_every(site.tau)
         self._choice = choice
-        self._values = declare(self, choice.kind.parameters)
+        self._values = declare(self, choice.parameters_on(site))
         live = declare(self, LIVE_PARAMETERS)
         self._controller = choice.make(site, self._values)
         self._tick = 0

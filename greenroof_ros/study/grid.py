@@ -169,9 +169,14 @@ class _Setting(NamedTuple):
 
     controller: ControllerChoice
     parameters: dict[str, float]
-    """all of them"""
+    """all of them on a site; of the grid those that are given"""
     forecasts: list[ForecastChoice] | None
     """instead of the grid's, for a controller that looks at none or at one kind; None for those"""
+
+    def on(self, site: Site) -> _Setting:
+        """Return it with all parameters, those that are not given as they are on a site."""
+        defaults = self.controller.defaults(site)
+        return self._replace(parameters={**defaults, **self.parameters})
 
 
 def read_grid(path: Path, weather: Path | None = None) -> list[Case]:
@@ -225,13 +230,14 @@ class _Grid:
         controllers = list(self._controllers())
         for path in self._sites():
             site = read_site(path)
+            settings = [one.on(site) for one in controllers]
             for window in self._windows():
                 for start, hours, method in itertools.product(
                     self._list(window, "start", str),
                     self._list(window, "hours", float, [None]),
                     self._list(window, "evapotranspiration", str, [None]),
                 ):
-                    yield from self._runs(path, site, window, start, hours, method, controllers)
+                    yield from self._runs(path, site, window, start, hours, method, settings)
 
     def _sites(self) -> Iterator[Path]:
         """Yield each site file, those with other values as they are with these."""
@@ -584,7 +590,6 @@ class _Grid:
         for reference in section:
             with self._at(section, reference):
                 controller = find_controller(reference)
-                defaults = controller.defaults()
             if controller.name in references:
                 raise self._refuse(
                     section, reference,
@@ -598,12 +603,12 @@ class _Grid:
                     raise self._refuse(
                         section, reference, "must hold parameters, a list of such, or nothing"
                     )
-                yield from self._settings(controller, defaults, one)
+                yield from self._settings(controller, one)
 
     def _settings(
-        self, controller: ControllerChoice, defaults: dict[str, float], given: YamlMapping
+        self, controller: ControllerChoice, given: YamlMapping
     ) -> Iterator[_Setting]:
-        """Yield a controller with each combination of its parameters, the others by default."""
+        """Yield a controller with each combination of the parameters that are given."""
         forecasts = list(self._forecasts(given)) if "forecast" in given else None
         keys = [key for key in given if key != "forecast"]
         choices = []
@@ -616,8 +621,7 @@ class _Grid:
                     raise self._refuse(given, key, f"{value:g} {parameter.expected}")
             choices.append([int(value) if parameter.whole else value for value in values])
         for combination in itertools.product(*choices):
-            parameters = {**defaults, **dict(zip(keys, combination, strict=True))}
-            yield _Setting(controller, parameters, forecasts)
+            yield _Setting(controller, dict(zip(keys, combination, strict=True)), forecasts)
 
     @contextmanager
     def _at(self, mapping: YamlMapping, key: str) -> Iterator[None]:

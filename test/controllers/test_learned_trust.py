@@ -66,7 +66,8 @@ def season(
     """
     of = SITES[site]
     choice = find_controller("lookahead")
-    controller = choice.make(of, {**choice.defaults(), "horizon": HORIZON, "trust_memory": memory})
+    given = {"horizon": HORIZON, "trust_memory": memory}
+    controller = choice.make(of, {**choice.defaults(of), **given})
     assert isinstance(controller, Lookahead)
     plant, off, trust = Plant(of, 57.0, of.x2_star), [], []
     losses = np.full(len(ENDS) - 1, EVAPORATES * of.a2)

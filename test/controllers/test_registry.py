@@ -15,6 +15,7 @@ from places import CHECKOUT, CONFIG
 
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.controllers.registry import BUILT_IN, controller_names, find_controller
+from greenroof_ros.model.site import read_site
 
 EXAMPLE = "examples.proportional:Proportional"
 OPTIONS = ("--hours", "0.02", "--json")
@@ -35,11 +36,17 @@ def simulate(
 
 @pytest.mark.parametrize("name", BUILT_IN)
 def test_the_file_a_user_edits_has_the_defaults(name: str) -> None:
-    """Names, values, kinds and order; and a key that holds in any namespace."""
+    """Names, values, kinds and order; and a key that holds in any namespace.
+
+    What depends on the roof is left out.
+    """
     content = yaml.safe_load((CONFIG / f"{name}.yaml").read_text())
     assert list(content) == [f"/**/{name}"]
     given = content[f"/**/{name}"]["ros__parameters"]
-    defaults = {one.name: one.default for one in find_controller(name).kind.parameters}
+    defaults = {
+        one.name: one.default for one in find_controller(name).kind.parameters
+        if one.measured is None
+    }
     assert list(given.items()) == list(defaults.items())
     assert [type(value) for value in given.values()] == [type(value) for value in defaults.values()]
 
@@ -50,7 +57,7 @@ from greenroof_ros import bringup
 from greenroof_ros.controllers.registry import BUILT_IN, find_controller
 from greenroof_ros.study import __main__
 choices = [find_controller(name) for name in BUILT_IN]
-print([list(choice.defaults()) + list(choice.outputs) + [choice.ensemble] for choice in choices])
+print([list(choice.parameters) + list(choice.outputs) + [choice.ensemble] for choice in choices])
 print({"scipy", "osqp"} & set(sys.modules))
 """
 
@@ -72,7 +79,7 @@ def test_without_its_solver(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "osqp", None)
     choice = find_controller("mpc")
     with pytest.raises(ConfigurationError, match=r"'mpc': cannot be imported: .*osqp"):
-        choice.make(PAPER_SITE, choice.defaults())
+        choice.make(PAPER_SITE, choice.defaults(PAPER_SITE))
 
 
 def test_a_file_for_all_nodes(tmp_path: Path) -> None:
@@ -80,13 +87,14 @@ def test_a_file_for_all_nodes(tmp_path: Path) -> None:
     (tmp_path / "mine.yaml").write_text(
         "/**:\n  ros__parameters:\n    use_sim_time: true\n    weight: 5\n"
     )
-    assert find_controller("mpc").read_parameters(tmp_path / "mine.yaml")["weight"] == 5.0
+    given = find_controller("mpc").read_parameters(tmp_path / "mine.yaml", PAPER_SITE)
+    assert given["weight"] == 5.0
 
 
 def test_a_file_may_leave_parameters_out(tmp_path: Path) -> None:
     """As a node does, it takes the defaults; a plain name is a key, too."""
     (tmp_path / "mine.yaml").write_text("lookahead: {ros__parameters: {horizon: 6}}\n")
-    given = find_controller("lookahead").read_parameters(tmp_path / "mine.yaml")
+    given = find_controller("lookahead").read_parameters(tmp_path / "mine.yaml", PAPER_SITE)
     assert given["horizon"] == 6
     assert given["waiting_budget"] == 72.0
 
@@ -113,7 +121,7 @@ def test_wrong_files(tmp_path: Path, text: str, message: str) -> None:
     """Each is refused with file, line, key and value."""
     (tmp_path / "mine.yaml").write_text(text)
     with pytest.raises(ConfigurationError, match=message):
-        find_controller("onoff").read_parameters(tmp_path / "mine.yaml")
+        find_controller("onoff").read_parameters(tmp_path / "mine.yaml", PAPER_SITE)
 
 
 @pytest.mark.parametrize(
@@ -226,4 +234,16 @@ def test_a_whole_parameter(tmp_path: Path) -> None:
     text = (CONFIG / "lookahead.yaml").read_text()
     (tmp_path / "half.yaml").write_text(text.replace("days_after: 10 ", "days_after: 1.5 "))
     with pytest.raises(ConfigurationError, match=rf"days_after = 1\.5: {expected}"):
-        find_controller("lookahead").read_parameters(tmp_path / "half.yaml")
+        find_controller("lookahead").read_parameters(tmp_path / "half.yaml", PAPER_SITE)
+
+
+@pytest.mark.parametrize("name", ["lookahead", "anticipating_onoff"])
+def test_how_far_a_controller_looks_ahead_follows_from_the_roof(name: str, tmp_path: Path) -> None:
+    """Five days; on a roof with a measured soil two; and what a file says on both."""
+    choice = find_controller(name)
+    measured = read_site(CONFIG / "site_catchment.yaml")
+    assert choice.defaults(PAPER_SITE)["horizon"] == 120.0
+    assert choice.defaults(measured)["horizon"] == 48.0
+    file = tmp_path / "mine.yaml"
+    file.write_text(f"{name}: {{ros__parameters: {{horizon: 24.0}}}}")
+    assert choice.read_parameters(file, measured)["horizon"] == 24.0
