@@ -9,7 +9,7 @@ import numpy as np
 
 from greenroof_ros.calibration.record import Record, Values
 from greenroof_ros.model.site import Site
-from greenroof_ros.model.soil import layer_outflow, mean_percolation, water_stress
+from greenroof_ros.model.soil import MeasuredSoil
 
 # Less in the drainage layer does not count: its outflow falls with the square (m3 per m2).
 _EMPTY = 1e-9
@@ -49,7 +49,7 @@ def simulate(site: Site, record: Record, filled: float) -> Simulated:
     durations = np.repeat(record.step_s / parts, parts)
     arriving = np.repeat(came * volume_flow, parts)
     asked = np.repeat(record.reference * site.crop_coefficient * volume_flow, parts)
-    capacity, empty = site.z_cap, _EMPTY * site.a2
+    soil, capacity, empty = MeasuredSoil(site), site.z_cap, _EMPTY * site.a2
     x2, layer = site.wilting_volume + filled * site.available_volume, 0.0
     volumes = np.empty(len(durations))
     flows = np.zeros(len(durations))
@@ -59,13 +59,13 @@ def simulate(site: Site, record: Record, filled: float) -> Simulated:
         volumes[part] = x2
         percolated = 0.0
         if comes > 0 or x2 > capacity:
-            percolated = mean_percolation(site, x2, comes, seconds)
+            percolated = soil.mean_percolation(x2, comes, seconds)
         evaporated = 0.0
         if wanted > 0:
             left = x2 / seconds + comes - percolated
-            evaporated = max(0.0, min(wanted * water_stress(site, x2), left))
+            evaporated = max(0.0, min(wanted * soil.water_stress(x2), left))
         if percolated > 0 or layer > empty:
-            drained = layer_outflow(site, layer, percolated, seconds)
+            drained = soil.layer_outflow(layer, percolated, seconds)
             flows[part] = drained
             layer = max(0.0, layer + seconds * (percolated - drained))
         x2 = max(0.0, x2 + seconds * (comes - percolated - evaporated))

@@ -17,7 +17,7 @@ from greenroof_ros.controllers.regret_budget import WAITING_BUDGET, WAITING_SHAR
 from greenroof_ros.controllers.roof_observer import OBSERVER_TIME_CONSTANT, RoofObserver
 from greenroof_ros.model.plant import pump_flow
 from greenroof_ros.model.site import Site
-from greenroof_ros.model.soil import free_changes, lasting_share
+from greenroof_ros.model.soil import soil_of
 
 Array = NDArray[np.float64]
 
@@ -91,7 +91,7 @@ class AnticipatingOnOff:
             waiting_budget: what waiting for rain may cost (h of an empty roof).
             waiting_share: and besides, as a share of what plain on/off costs.
         """
-        self._site = site
+        self._site, self._soil = site, soil_of(site)
         self.fraction = fraction
         self._after = AfterForecast(site, horizon, days_after)
         self._lengths = np.diff(self._after.edges)
@@ -152,14 +152,12 @@ class AnticipatingOnOff:
         """
         rain, evaporated = self._after.lengthen(rain[None], evaporated)
         weather = rain, evaporated, self._lengths
-        changes = free_changes(self._site, x2, *weather)
+        changes = self._soil.free_changes(x2, *weather)
         (inflow,) = changes
         # Half-way through each step, since there the sum is the step's mean.
         course = x2 + np.cumsum(inflow) - inflow / 2
         dry_s = np.where(course < self._site.x2_star, self._lengths, -self._lengths)
-        lasting = lasting_share(self._site, x2, changes, *weather)
-        if lasting is not None:
-            dry_s = dry_s * lasting[0]
+        dry_s = dry_s * self._soil.lasting_share(x2, changes, *weather)[0]
         if np.cumsum(dry_s).min() > 0:
             return True
         self._waited = 0.0

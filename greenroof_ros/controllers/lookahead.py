@@ -24,7 +24,7 @@ from greenroof_ros.controllers.trust import TRUST_MEMORY, Trust, leave
 from greenroof_ros.model.look_ahead import LONGEST_HORIZON, MOST_MEMBERS
 from greenroof_ros.model.plant import maximum_pump_flow
 from greenroof_ros.model.site import Site
-from greenroof_ros.model.soil import kept_share, water_stress
+from greenroof_ros.model.soil import soil_of
 
 _HOUR_S = 3600.0
 # A plan is followed for so long (s), and this share of the horizon, at most.
@@ -127,7 +127,7 @@ class Lookahead:
         waiting_share: float,
     ) -> None:
         """Take the site and the parameters; :attr:`parameters` has their units and meanings."""
-        self._site = site
+        self._site, self._soil = site, soil_of(site)
         self._max_command = max_command
         self._recourse = recourse * _HOUR_S
         self._after = AfterForecast(site, horizon, days_after)
@@ -342,11 +342,11 @@ class Lookahead:
             evaporated: in the present tick (m3/s).
         """
         site = self._site
-        kept = kept_share(site, x2)
+        kept = self._soil.kept_share(x2)
         stays = kept * maximum_pump_flow(site, x1)
         if stays <= 0:
             return 0.0
-        inflow = rain * site.a2 * kept - evaporated * water_stress(site, x2)
+        inflow = rain * site.a2 * kept - evaporated * self._soil.water_stress(x2)
         share = ((level - _BELOW_M3 - x2) / site.tau - inflow) / stays
         share = min(share, self._max_command) if share >= _LEAST_COMMAND else 0.0
         return share if self._flow else self._start(share)

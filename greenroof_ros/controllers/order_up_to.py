@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from greenroof_ros.controllers.scenario_tree import Groups
 from greenroof_ros.model.site import Site
-from greenroof_ros.model.soil_steps import make_soil
+from greenroof_ros.model.soil import soil_of
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.intp]
@@ -18,8 +18,6 @@ Indices = NDArray[np.intp]
 # Nodes below and above the target: of a single forecast, and of each member of an ensemble, whose
 # forecasts err by more than the nodes are apart.
 _FINE, _COARSE = (900, 300), (60, 30)
-# No rain raises the roof further above its target (m); a measured roof holds field capacity.
-_ABOVE_M = 0.15
 # Greater than 0 (m3), for a quotient.
 _LEAST = 1e-300
 # Nodes of the water that there is, where it may not be enough.
@@ -153,7 +151,7 @@ class OrderUpTo:
         self._edges = edges
         self._lengths = np.diff(edges)
         self._risk = risk
-        self._soil = make_soil(site)
+        self._soil = soil_of(site)
         self._cistern = Cistern(site)
         self._area = site.a2
         self._place(*_COARSE)
@@ -161,10 +159,7 @@ class OrderUpTo:
 
     def _place(self, below: int, above: int) -> None:
         """Place the nodes: x* -+ (k / n)^2 of the range."""
-        site = self._site
-        most = site.a2 * _ABOVE_M
-        if site.field_capacity is not None:
-            most = site.z_cap - site.x2_star
+        most = self._soil.above_target
         self._below = below
         self._nodes = np.concatenate((
             self._target * (1 - (np.arange(below, 0, -1) / below) ** 2),
@@ -288,7 +283,7 @@ class OrderUpTo:
 
     def _content(self, x2: Any) -> Any:
         """Return what must be pumped onto an empty roof for so much (m3), no more than for x*."""
-        return self._soil.pumped(np.minimum(x2, self._target))
+        return self._soil.water_to_fill(np.minimum(x2, self._target))
 
     def _before(
         self, value: Array, rain: Array, evapotranspiration: float, flow: float, seconds: float,
@@ -334,13 +329,13 @@ class OrderUpTo:
                 first = self._content(alone)
                 took = np.minimum(self._content(kept) - first, there[..., dry])
                 took = np.maximum(took, 0.0)
-                kept = np.where(took > 0, soil.filled(first + took), alone)
+                kept = np.where(took > 0, soil.filled_by(first + took), alone)
                 stored = cistern.after(there[..., dry] - took, rain, seconds) + first + took
             held = seconds * self._deviation(roof, kept) + self._at(value, kept, stored)
         # Filled.
         within = np.maximum(reach, roof)[None]
         if scarce:
-            within = np.minimum(within, soil.filled(self._water)[:, None])
+            within = np.minimum(within, soil.filled_by(self._water)[:, None])
             within = np.maximum(within, roof)
         levels = np.empty((len(groups), len(self._water), len(roof)))
         result = free

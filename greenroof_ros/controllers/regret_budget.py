@@ -5,15 +5,9 @@ from __future__ import annotations
 import logging
 
 from greenroof_ros.common.parameter import Parameter
-from greenroof_ros.model.plant import (
-    mains_flow,
-    maximum_pump_flow,
-    outlet_flow,
-    pump_flow,
-    soil_losses,
-)
+from greenroof_ros.model.plant import mains_flow, maximum_pump_flow, outlet_flow, pump_flow
 from greenroof_ros.model.site import Site
-from greenroof_ros.model.soil import kept_share
+from greenroof_ros.model.soil import soil_of
 
 _log = logging.getLogger(__name__)
 
@@ -91,7 +85,7 @@ class RegretBudget:
             waiting_budget: time (h) with an empty roof that costs as much.
             waiting_share: share of what on/off costs (1).
         """
-        self._site = site
+        self._site, self._soil = site, soil_of(site)
         self._budget = waiting_budget * 3600 * site.x2_star  # m3 s
         self._share = waiting_share
         self._more = 0.0  # what on/off would have on the roof beside what is there (m3)
@@ -165,13 +159,13 @@ class RegretBudget:
 
     def _left(self, x2: float, arriving: float, evapotranspiration: float) -> float:
         """Return what a roof of x2 (m3) has at the end of a tick; flows are in m3/s."""
-        losses = soil_losses(self._site, x2, arriving, evapotranspiration)
-        lost = losses.drained + losses.evaporated
-        return max(0.0, x2 + self._site.tau * (arriving - lost))
+        tau, soil = self._site.tau, self._soil
+        lost = soil.drained(x2, arriving, tau) + evapotranspiration * soil.water_stress(x2)
+        return max(0.0, x2 + tau * (arriving - lost))
 
     def _filling(self, x2: float, behind: float, flow: float) -> float:
         """Return what it costs (m3 s) to follow on/off to the target, behind it all the way."""
-        stays = kept_share(self._site, x2) * flow
+        stays = self._soil.kept_share(x2) * flow
         if behind <= 0 or stays <= 0:
             return 0.0
         missing = max(0.0, self._site.x2_star - x2 - self._more)  # to on/off
@@ -184,4 +178,4 @@ class RegretBudget:
             return 0.0
         stays = min(x1, site.cistern_volume(site.low_outlet_level))
         usable = max(0.0, stays - site.cistern_volume(site.suction_level))
-        return max(0.0, self._more - kept_share(site, x2) * usable) * _GONE_S
+        return max(0.0, self._more - self._soil.kept_share(x2) * usable) * _GONE_S

@@ -6,8 +6,8 @@ from collections import deque
 from statistics import fmean
 
 from greenroof_ros.common.parameter import Parameter
-from greenroof_ros.model.plant import soil_losses
 from greenroof_ros.model.site import Site
+from greenroof_ros.model.soil import soil_of
 
 # Where all readings of so long (s), and so many at least, are further (m) off what was predicted,
 # and to the same side, that is no noise but something that the model does not know of: pumps of
@@ -43,7 +43,7 @@ class RoofObserver:
 
     def __init__(self, site: Site, observer_time_constant: float) -> None:
         """Take the site, and over how long (s) readings are averaged; 0 takes each as it is."""
-        self._site = site
+        self._site, self._soil = site, soil_of(site)
         self._gain = 1.0
         if observer_time_constant > 0:
             self._gain = min(1.0, site.tau / observer_time_constant)
@@ -99,8 +99,9 @@ class RoofObserver:
         Returns:
             The volume that is expected then (m3).
         """
-        site = self._site
+        site, soil = self._site, self._soil
         into = precipitation * site.a2 + pumped
-        drained, evaporated = soil_losses(site, x2, into, evapotranspiration)
+        evaporated = evapotranspiration * soil.water_stress(x2)
+        drained = soil.drained(x2, into, site.tau)
         self._predicted = x2 + site.tau * (into - evaporated - drained)
         return self._predicted

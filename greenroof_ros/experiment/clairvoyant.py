@@ -18,7 +18,7 @@ from greenroof_ros.forecast.resampling import PerfectForecast
 from greenroof_ros.model.metrics import Metrics
 from greenroof_ros.model.plant import maximum_pump_flow
 from greenroof_ros.model.sensor_pump_errors import SensorPumpErrors
-from greenroof_ros.model.soil import kept_share, water_stress
+from greenroof_ros.model.soil import soil_of
 
 Values = NDArray[np.float64]
 
@@ -345,7 +345,7 @@ class _Plan:
     def __init__(self, run: Run, targets: Values, max_command: float) -> None:
         """Take the volumes aimed at in each tick (m3), shape (N+1,), and the largest command."""
         self.tick = 0
-        self._site = run.site
+        self._site, self._soil = run.site, soil_of(run.site)
         self._targets = array("d", np.append(targets, targets[-1]))
         self._max_command = max_command
 
@@ -357,12 +357,12 @@ class _Plan:
         evapotranspiration: Sequence[float],
     ) -> float:
         """Decide from the levels (m) and the present weather, the first of the forecast."""
-        site = self._site
+        site, soil = self._site, self._soil
         x2 = site.roof_volume(roof_level)
-        kept = kept_share(site, x2)
+        kept = soil.kept_share(x2)
         missing = self._targets[self.tick + 1] - x2
         gain = (
-            kept * precipitation[0] * site.a2 - water_stress(site, x2) * evapotranspiration[0]
+            kept * precipitation[0] * site.a2 - soil.water_stress(x2) * evapotranspiration[0]
         )
         flow: float = missing / site.tau - gain
         full = kept * maximum_pump_flow(site, site.cistern_volume(cistern_level))

@@ -8,8 +8,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from greenroof_ros.model.plant import drainage_flow, soil_losses
 from greenroof_ros.model.site import Site
+from greenroof_ros.model.soil import MeasuredSoil, PaperSoil, soil_of
 
 Values = NDArray[np.float64]
 
@@ -46,69 +46,67 @@ def roof_range(
         evapotranspiration: in each tick (m3/s), shape (N,).
         pumped: the most that the pumps can lift in each tick (m3), shape (N,).
     """
-    if site.field_capacity is not None:
-        return _of_measured(site, x2, rain, evapotranspiration, pumped)
-    still = site.tau * (rain * site.a2 - evapotranspiration)
-    low, high, drained_least, drained_most = _reach(site, x2, still, pumped)
-    pumped = _while_dry(site, low, pumped)
-    # A roof that runs dry loses what it held, low at the least.
-    return RoofRange(
-        low, high, still - drained_most,
-        np.maximum(still - drained_least + pumped, -low[:-1]),
-        np.maximum(still - drained_least, -low[:-1]),
-    )
+    soil = soil_of(site)
+    target = (1 + ROUNDING) * site.a2 * site.z_veg
+    low = high = x2
+    ticks = array("d")
+    for fell, asked, most in zip(
+        array("d", rain * site.a2), array("d", evapotranspiration), array("d", pumped), strict=True
+    ):
+        # Nothing is pumped where the roof is above its target even at the least.
+        tick = low, high, fell, asked, most if low <= target else 0.0
+        if isinstance(soil, PaperSoil):
+            found = _of_paper(site, soil, *tick)
+        else:
+            found = _of_measured(site, soil, *tick)
+        low, high = found[:2]
+        ticks.extend(found)
+    lows, highs, *others = np.ascontiguousarray(np.reshape(ticks, (len(rain), -1)).T)
+    return RoofRange(np.append(x2, lows), np.append(x2, highs), *others)
 
 
-def _while_dry(site: Site, low: Values, pumped: Values) -> Values:
-    """Return what can be pumped: nothing where the roof is above its target even at the least."""
-    return np.where(low[:-1] > (1 + ROUNDING) * site.a2 * site.z_veg, 0.0, pumped)
-
-
-def _reach(
-    site: Site, x2: float, still: Values, pumped: Values
-) -> tuple[Values, Values, Values, Values]:
-    """Follow the range of the roof's volume under all that the pumps can do.
+def _of_paper(
+    site: Site, soil: PaperSoil, low: float, high: float, rain: float, asked: float, most: float
+) -> tuple[float, ...]:
+    """Follow the range of the volume on the paper's roof through a tick.
 
     Args:
         site: its parameters.
-        x2: initial volume (m3).
-        still: change in each tick without pumping and drainage (m3), shape (N,).
-        pumped: the most that the pumps can lift in each tick (m3), shape (N,).
+        soil: of the site.
+        low: least volume before the tick (m3).
+        high: largest volume before it (m3).
+        rain: on the roof (m3/s).
+        asked: evapotranspiration of plants that do not lack water (m3/s).
+        most: the most that the pumps can lift in the tick (m3).
 
     Returns:
-        The least and the largest volume (m3), shape (N+1,); the least and the largest volume that
-        drains in each tick (m3), shape (N,).
+        The fields of :class:`RoofRange`; without the slope, which is always 1.
     """
-    low = high = x2
-    lows, highs = array("d", [low]), array("d", [high])
-    drained_least, drained_most = array("d"), array("d")
-    target = (1 + ROUNDING) * site.a2 * site.z_veg
-    for change, most in zip(array("d", still), array("d", pumped), strict=True):
-        drained = (0.0, 0.0)
-        driest, wettest = low, high
-        if high >= (1 - ROUNDING) * site.z_cap:
-            driest, wettest, drained = _drain(site, low, high)
-        if low <= target:
-            wettest = max(wettest, min(high, target) + most)
-        low, high = max(0.0, driest + change), max(0.0, wettest + change)
-        lows.append(low)
-        highs.append(high)
-        drained_least.append(drained[0])
-        drained_most.append(drained[1])
+    change = site.tau * (rain - asked)
+    left, drained = [low, high], [0.0]
+    if high >= (1 - ROUNDING) * site.z_cap:
+        left, drained = _drain(site, soil, low, high)
+    wettest = max(left)
+    if most > 0:
+        wettest = max(wettest, min(high, (1 + ROUNDING) * site.a2 * site.z_veg) + most)
+    unpumped = change - min(drained)
+    # A roof that runs dry loses what it held, low at the least.
     return (
-        np.frombuffer(lows), np.frombuffer(highs),
-        np.frombuffer(drained_least), np.frombuffer(drained_most),
+        max(0.0, min(left) + change), max(0.0, wettest + change), change - max(drained),
+        max(unpumped + most, -low), max(unpumped, -low),
     )
 
 
-def _drain(site: Site, low: float, high: float) -> tuple[float, float, tuple[float, float]]:
+def _drain(
+    site: Site, soil: PaperSoil, low: float, high: float
+) -> tuple[list[float], list[float]]:
     """Drain a roof for a tick that holds from low to high (m3), and high about z_cap or more.
 
     Drainage sets in at z_cap with a jump and grows linearly from there, so the extremes are at the
     ends of the range and on both sides of z_cap.
 
     Returns:
-        The least and the largest volume left (m3); the least and the largest drained (m3).
+        The volumes left and those drained (m3) that may be the least or the largest.
     """
     left: list[float] = []
     drained: list[float] = []
@@ -117,71 +115,57 @@ def _drain(site: Site, low: float, high: float) -> tuple[float, float, tuple[flo
             left.append(x2)
             drained.append(0.0)
         if x2 >= (1 - ROUNDING) * site.z_cap:
-            drained.append(site.tau * drainage_flow(site, max(x2, site.z_cap)))
+            drained.append(site.tau * soil.drained(max(x2, site.z_cap), 0.0, site.tau))
             left.append(x2 - drained[-1])
-    return min(left), max(left), (min(drained), max(drained))
+    return left, drained
 
 
 def _of_measured(
-    site: Site, x2: float, rain: Values, evapotranspiration: Values, pumped: Values
-) -> RoofRange:
-    """Follow the range of the volume in the substrate of a measured roof.
+    site: Site, soil: MeasuredSoil, low: float, high: float, rain: float, asked: float, most: float
+) -> tuple[float, ...]:
+    """Follow the range of the volume in the substrate of a measured roof, as :func:`_of_paper`.
 
     Of what arrives the share that stays falls with the volume, what evaporates and what leaves
     above field capacity rise with it. So the change without pumping is largest at the least volume.
     The volume after a tick rises with that before by about the slope of the chord over the range:
     less that, what is left to choose is little.
     """
-    low = high = x2
-    lows, highs = array("d", [low]), array("d", [high])
-    least, greatest, unpumped = array("d"), array("d"), array("d")
-    slopes = array("d")
-    target = site.a2 * site.z_veg
-    for fell, asked, most in zip(
-        array("d", rain * site.a2), array("d", evapotranspiration), array("d", pumped), strict=True
-    ):
-        if low > (1 + ROUNDING) * target:
-            most = 0.0
-        ends = [x2 + _change(site, x2, fell, asked) for x2 in (low, high)]
-        unpumped.append(max(ends[0] - low, -low))
-        slope = 1.0
-        if high - low > ROUNDING * site.z_cap:
-            slope = min(1.0, max(0.0, (ends[1] - ends[0]) / (high - low)))
-        reached = {}
-        for line in (0.0, slope):
-            found = _ends(site, low, high, fell, asked, line)
-            reached[line] = min(found), max(found)
-            if most > 0:
-                end = max(low, min(high, target))
-                pumped_to = _ends(site, low, end, fell + most / site.tau, asked, line)
-                reached[line] = reached[line][0], max(reached[line][1], *pumped_to)
-        least.append(reached[slope][0])
-        # A roof that runs dry ends at 0, and not below.
-        greatest.append(max(reached[slope][1], -slope * low))
-        slopes.append(slope)
-        low, high = (max(0.0, volume) for volume in reached[0.0])
-        lows.append(low)
-        highs.append(high)
-    return RoofRange(*(
-        np.frombuffer(part) for part in (lows, highs, least, greatest, unpumped, slopes)
-    ))
+    ends = [x2 + _change(site, soil, x2, rain, asked) for x2 in (low, high)]
+    slope = 1.0
+    if high - low > ROUNDING * site.z_cap:
+        slope = min(1.0, max(0.0, (ends[1] - ends[0]) / (high - low)))
+    reached = {}
+    for line in (0.0, slope):
+        found = _ends(site, soil, low, high, rain, asked, line)
+        reached[line] = min(found), max(found)
+        if most > 0:
+            end = max(low, min(high, site.a2 * site.z_veg))
+            pumped_to = _ends(site, soil, low, end, rain + most / site.tau, asked, line)
+            reached[line] = reached[line][0], max(reached[line][1], *pumped_to)
+    # A roof that runs dry ends at 0, and not below.
+    return (
+        max(0.0, reached[0.0][0]), max(0.0, reached[0.0][1]), reached[slope][0],
+        max(reached[slope][1], -slope * low), max(ends[0] - low, -low), slope,
+    )
 
 
-def _change(site: Site, x2: float, arriving: float, asked: float) -> float:
+def _change(site: Site, soil: MeasuredSoil, x2: float, arriving: float, asked: float) -> float:
     """Return by how much a measured roof holding x2 (m3) changes in a tick (m3).
 
     Args:
         site: its parameters.
+        soil: of the site.
         x2: volume in the substrate (m3).
         arriving: rain and pumped water (m3/s).
         asked: evapotranspiration of plants that do not lack water (m3/s).
     """
-    drained, evaporated = soil_losses(site, x2, arriving, asked)
-    return site.tau * (arriving - drained - evaporated)
+    drained = soil.drained(x2, arriving, site.tau)
+    return site.tau * (arriving - drained - asked * soil.water_stress(x2))
 
 
 def _ends(
-    site: Site, low: float, high: float, arriving: float, asked: float, line: float
+    site: Site, soil: MeasuredSoil, low: float, high: float, arriving: float, asked: float,
+    line: float,
 ) -> list[float]:
     """Return what may be the least and largest over a range of volumes (m3) after a tick.
 
@@ -191,6 +175,7 @@ def _ends(
 
     Args:
         site: of a measured roof.
+        soil: of the site.
         low: least volume before the tick (m3).
         high: largest volume before the tick (m3).
         arriving: rain and pumped water (m3/s).
@@ -207,4 +192,4 @@ def _ends(
             vertex = dry + most * (slope * most / (2 * site.tau * arriving))
             if low < vertex < min(high, site.z_cap):
                 found.append(vertex)
-    return [x2 + _change(site, x2, arriving, asked) - line * x2 for x2 in found]
+    return [x2 + _change(site, soil, x2, arriving, asked) - line * x2 for x2 in found]

@@ -7,6 +7,7 @@ import logging
 
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.model.site import Site, unheld
+from greenroof_ros.model.soil import soil_of
 
 _log = logging.getLogger(__name__)
 
@@ -73,5 +74,5 @@ def check_volumes(site: Site, cistern: float, roof: float, keys: tuple[str, str]
             "warning: %s = %r: more than the %g m3 (a level of %g m) that the soil holds: %.3g m "
             "%s. It is a volume in m3",
             keys[1], roof, site.z_cap, full, site.roof_level(roof) - full,
-            "stand on it" if site.field_capacity is None else "drain at once",
+            soil_of(site).excess,
         )

@@ -56,7 +56,7 @@ class Samples:
         pump: from the cistern to the roof (m3/s).
         drainage: off the roof (m3/s).
         evapotranspiration: off the roof, at most what it held (m3/s).
-        layer: water volume in the drainage layer of a measured roof (m3); None where unknown.
+        layer: water volume in the drainage layer of a measured roof (m3); of others 0.
         mains: from the mains into the cistern (m3/s); None where there is no valve.
         limited: 1 where a tank held less than was asked of it, else 0; None where that is unknown.
         pumping_before: whether something was pumped in the sample before the first.
@@ -72,7 +72,7 @@ class Samples:
     pump: Values
     drainage: Values
     evapotranspiration: Values
-    layer: Values | None = None
+    layer: Values
     mains: Values | None = None
     limited: Values | None = None
     pumping_before: bool = False

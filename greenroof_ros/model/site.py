@@ -280,13 +280,6 @@ class Site:
         """Volume of the full drainage layer (m3); 0 where there is none."""
         return self.a2 * (self.drainage_storage or 0.0)
 
-    @cached_property
-    def layer_coefficient(self) -> float:
-        """k of the drainage layer's outflow k V^2 (1/(m3 s)); 0 where there is no layer."""
-        if self.drainage_time is None:
-            return 0.0
-        return 1 / (self.layer_storage * self.drainage_time)
-
     @property
     def highest_cistern_level(self) -> float:
         """Three times the outlet's level (m): a reading above is no level in metres."""

@@ -1,8 +1,11 @@
 """The smooth plant, Eqs. (5)-(9), and its linear model, Eq. (10). It serves only to linearise.
 
+Each equation is a function: :func:`f` is Eq. (5), :func:`psi` (6), :func:`q_out` (7),
+:func:`q_pump` (8) and :func:`q_drain` (9). The last four also give the derivatives that Eq. (10)
+needs.
+
 The soil of a measured roof, in place of Eq. (9), is taken as it is: continuous, and between its
-wilting point, the onset of stress and field capacity as smooth as can be. At these three points
-the slopes are those of one side.
+wilting point, the onset of stress and field capacity as smooth as can be.
 """
 from __future__ import annotations
 
@@ -11,29 +14,78 @@ from typing import NamedTuple
 
 from greenroof_ros.model.plant import mains_flow
 from greenroof_ros.model.site import Site
-from greenroof_ros.model.soil import filled_share, kept_share, water_stress
+from greenroof_ros.model.soil import SoilSlopes, soil_of
 
 
-def smooth_sqrt(y: float, epsilon: float) -> float:
-    """psi(y): the differentiable square root of Duan and Lian (2016, Eq. 3), Eq. (6)."""
+def f(
+    site: Site, x1: float, w_r: float, w_e: float, out: float, pumped: float, soil: SoilSlopes
+) -> tuple[float, float]:
+    """f^epsilon: how fast the volumes in cistern and roof change (m3/s), Eq. (5).
+
+    Args:
+        site: the parameters of Table I.
+        x1: water volume in the cistern (m3).
+        w_r: precipitation (m/s).
+        w_e: evapotranspiration (m3/s).
+        out: q_out, Eq. (7) (m3/s).
+        pumped: q_pump, Eq. (8) (m3/s).
+        soil: with q_drain, Eq. (9).
+    """
+    f1 = w_r * site.effective_catchment + mains_flow(site, x1) - out - pumped
+    return f1, (w_r * site.a2 + pumped) * soil.kept - w_e * soil.stress - soil.drained
+
+
+def psi(y: float, epsilon: float) -> tuple[float, float]:
+    """psi^epsilon: a smooth square root, and its slope, Eq. (6); Duan and Lian (2016, Eq. 3)."""
     if y > epsilon:
-        return math.sqrt(y)
+        root = math.sqrt(y)
+        return root, 0.5 / root
     least = 2 / 3 * math.sqrt(epsilon)
-    return least + y**1.5 / (3 * epsilon) if y > 0 else least
+    if y > 0:
+        return least + y**1.5 / (3 * epsilon), math.sqrt(y) / (2 * epsilon)
+    return least, 0.0
 
 
-def smooth_sqrt_slope(y: float, epsilon: float) -> float:
-    """d psi / d y."""
-    if y > epsilon:
-        return 0.5 / math.sqrt(y)
-    return math.sqrt(y) / (2 * epsilon) if y > 0 else 0.0
+def q_out(site: Site, x1: float) -> tuple[float, float]:
+    """q_out^epsilon: what leaves for the sewer (m3/s), and its slope by x1 (1/s), Eq. (7)."""
+    root, slope = psi(x1 / site.a1 - site.z_o, site.epsilon)
+    flow, flow_1 = site.c_out * root, site.c_out * slope / site.a1
+    if site.low_outlet_level is not None:
+        root, slope = psi(x1 / site.a1 - site.low_outlet_level, site.epsilon)
+        flow += site.c_low * root
+        flow_1 += site.c_low * slope / site.a1
+    return flow, flow_1
 
 
-def sigmoid(y: float) -> float:
-    """1 / (1 + exp(-y)), for any y without overflow."""
+def q_pump(site: Site, x1: float, x2: float, u: float) -> tuple[float, float, float, float]:
+    """q_pump^epsilon: what the pumps lift at a command u (m3/s), Eq. (8).
+
+    Its slopes by x1 and x2 (1/s) and by u (m3/s) come after it.
+    """
+    epsilon = site.epsilon
+    root, slope = psi(x1 / site.a1 + site.c_hat - site.d, epsilon)
+    full, full_1 = site.b * root, site.b * slope / site.a1  # eta at u = 1
+    sigma_1 = sigma(x1 - site.a1 * site.suction_level, epsilon)
+    sigma_2 = sigma(site.a2 * site.z_veg - x2, epsilon)
+    sigma_1_1 = sigma_1 * (1 - sigma_1) / epsilon
+    sigma_2_2 = -sigma_2 * (1 - sigma_2) / epsilon
+    by_u = full * sigma_1 * sigma_2
+    by_x1 = u * sigma_2 * (full_1 * sigma_1 + full * sigma_1_1)
+    return u * by_u, by_x1, u * full * sigma_1 * sigma_2_2, by_u
+
+
+def q_drain(site: Site, x2: float) -> tuple[float, float]:
+    """q_drain^epsilon: what drains off (m3/s), and its slope by x2 (1/s), Eq. (9)."""
+    sigma_3 = sigma(x2 - site.z_cap, site.epsilon)
+    flow = site.K * site.a2 * (x2 / site.a2 + site.z_soil) / site.z_soil * sigma_3
+    return flow, site.K / site.z_soil * sigma_3 + flow * (1 - sigma_3) / site.epsilon
+
+
+def sigma(y: float, epsilon: float) -> float:
+    """1 / (1 + exp(-y / epsilon)), without overflow: 1 above 0 and 0 below, Eqs. (8) and (9)."""
     if y >= 0:
-        return 1 / (1 + math.exp(-y))
-    growth = math.exp(y)
+        return 1 / (1 + math.exp(-y / epsilon))
+    growth = math.exp(y / epsilon)
     return growth / (1 + growth)
 
 
@@ -54,92 +106,30 @@ class Linearisation(NamedTuple):
 
 
 def linearise(
-    site: Site,
-    x1: float,
-    x2: float,
-    command: float,
-    precipitation: float,
-    evapotranspiration: float,
+    site: Site, x1: float, x2: float, u: float, w_r: float, w_e: float
 ) -> Linearisation:
-    """Linearise the smooth plant about p = (x, u, w), Eqs. (5)-(10).
+    """Linearise the smooth plant about p = (x, u, w), Eq. (10).
 
     Args:
         site: the parameters of Table I.
         x1: water volume in the cistern (m3).
         x2: water volume in the roof (m3).
-        command: share of the maximum flow (1).
-        precipitation: w_r (m/s).
-        evapotranspiration: w_e (m3/s).
+        u: command, share of the maximum flow (1).
+        w_r: precipitation (m/s).
+        w_e: evapotranspiration (m3/s).
     """
-    epsilon, tau = site.epsilon, site.tau
-
-    # q_out, Eq. (7)
-    nu = x1 / site.a1 - site.z_o
-    q_out = site.c_out * smooth_sqrt(nu, epsilon)
-    q_out_1 = site.c_out * smooth_sqrt_slope(nu, epsilon) / site.a1
-    if site.low_outlet_level is not None:
-        nu = x1 / site.a1 - site.low_outlet_level
-        q_out += site.c_low * smooth_sqrt(nu, epsilon)
-        q_out_1 += site.c_low * smooth_sqrt_slope(nu, epsilon) / site.a1
-
-    # q_pump, Eq. (8), per unit of command first, because B needs it so
-    rho = x1 / site.a1 + site.c_hat - site.d
-    full = site.b * smooth_sqrt(rho, epsilon)
-    full_1 = site.b * smooth_sqrt_slope(rho, epsilon) / site.a1
-    sigma_1 = sigmoid((x1 - site.a1 * site.suction_level) / epsilon)
-    sigma_2 = sigmoid((site.a2 * site.z_veg - x2) / epsilon)
-    sigma_1_1 = sigma_1 * (1 - sigma_1) / epsilon
-    sigma_2_2 = -sigma_2 * (1 - sigma_2) / epsilon
-    q_pump_u = full * sigma_1 * sigma_2
-    q_pump = command * q_pump_u
-    q_pump_1 = command * sigma_2 * (full_1 * sigma_1 + full * sigma_1_1)
-    q_pump_2 = command * full * sigma_1 * sigma_2_2
-
-    soil = _soil(site, x2)
-    into_roof = precipitation * site.a2 + q_pump
-    f1 = precipitation * site.effective_catchment + mains_flow(site, x1) - q_out - q_pump
-    f2 = into_roof * soil.kept - evapotranspiration * soil.stress - soil.drain
-    f2_2 = (
-        q_pump_2 * soil.kept + into_roof * soil.kept_2 - evapotranspiration * soil.stress_2
-        - soil.drain_2
-    )
+    tau, soil = site.tau, soil_of(site).linear(x2, q_drain)
+    out, out_1 = q_out(site, x1)
+    pumped, pumped_1, pumped_2, pumped_u = q_pump(site, x1, x2, u)
+    f1, f2 = f(site, x1, w_r, w_e, out, pumped, soil)
+    into_roof = w_r * site.a2 + pumped
+    f2_2 = pumped_2 * soil.kept + into_roof * soil.kept_2 - w_e * soil.stress_2 - soil.drained_2
     return Linearisation(
         A=(
-            (1 + tau * (-q_out_1 - q_pump_1), tau * -q_pump_2),
-            (tau * q_pump_1 * soil.kept, 1 + tau * f2_2),
+            (1 + tau * (-out_1 - pumped_1), tau * -pumped_2),
+            (tau * pumped_1 * soil.kept, 1 + tau * f2_2),
         ),
-        B=(tau * -q_pump_u, tau * q_pump_u * soil.kept),
+        B=(tau * -pumped_u, tau * pumped_u * soil.kept),
         C=((tau * site.effective_catchment, 0.0), (tau * site.a2 * soil.kept, -tau * soil.stress)),
         b=(tau * f1, tau * f2),
-    )
-
-
-class _Soil(NamedTuple):
-    """What the soil makes of water, at a volume x2, and the derivatives by x2 (1/m3)."""
-
-    kept: float
-    """share of the arriving water that stays"""
-    kept_2: float
-    stress: float
-    """share of the evapotranspiration that it gives"""
-    stress_2: float
-    drain: float
-    """what drains beside the share that does not stay (m3/s)"""
-    drain_2: float
-
-
-def _soil(site: Site, x2: float) -> _Soil:
-    """Return Eq. (9) of the paper's soil, and the soil of a measured roof."""
-    if site.field_capacity is None:
-        darcy = site.K * site.a2 * (x2 / site.a2 + site.z_soil) / site.z_soil
-        sigma_3 = sigmoid((x2 - site.z_cap) / site.epsilon)
-        slope = site.K / site.z_soil * sigma_3 + darcy * sigma_3 * (1 - sigma_3) / site.epsilon
-        return _Soil(1.0, 0.0, 1.0, 0.0, darcy * sigma_3, slope)
-    stress = water_stress(site, x2)
-    excess = max(0.0, x2 - site.z_cap)
-    filled_2 = 1 / site.available_volume if site.wilting_volume <= x2 < site.z_cap else 0.0
-    return _Soil(
-        kept_share(site, x2), -2 * filled_share(site, x2) * filled_2,
-        stress, filled_2 / site.stress_onset if stress < 1 else 0.0,
-        excess / site.tau, 1 / site.tau if excess else 0.0,
     )

@@ -1,16 +1,14 @@
-"""A measured roof: what its substrate keeps, what evaporates, and how its drainage layer empties.
+"""The soil of a roof: the paper's, Eq. (4), or a measured one. Both have the same methods.
 
-Only roofs with a ``field_capacity`` in their site file have it; the paper's soil, Eq. (4), has not.
-The substrate is the soil routine of HBV (Bergstrom 1976, SMHI Reports RHO No. 7; Seibert and Vis
-2012, doi:10.5194/hess-16-3315-2012, soil moisture routine) with its exponent beta = 2. The
-drainage layer is a reservoir whose outflow goes with the square of what it holds.
+:func:`soil_of` gives the one that a site has; :class:`PaperSoil` says what each method returns.
 """
 
 from __future__ import annotations
 
 import math
 from array import array
-from typing import NamedTuple
+from collections.abc import Callable
+from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,7 +16,13 @@ from numpy.typing import NDArray
 from greenroof_ros.model.site import Site
 
 Values = NDArray[np.float64]
+Losses = tuple[float, float, bool]  # drainage, evapotranspiration; whether they are limited
+Drainage = Callable[[Site, float], tuple[float, float]]  # at a volume; and its slope
 
+# No rain raises the paper's roof further above its target (m).
+_ABOVE_M = 0.15
+# Where an infinite volume must arrive to reach field capacity, so much (of TAW) is counted.
+_ALMOST_FULL = 1 - 1e-9
 # lasting_share follows at least that much, of the water that plants can take (1): differences of
 # less would be of rounding.
 _LEAST_ADDED = 0.005
@@ -26,235 +30,405 @@ _LEAST_ADDED = 0.005
 _LEAST_LASTING = 1e-3
 
 
-def filled_share(site: Site, x2: float) -> float:
-    """S: how full of water that plants can take a substrate holding x2 (m3) is, from 0 to 1.
+class SoilSlopes(NamedTuple):
+    """What the soil makes of water, at a volume x2, and the derivatives by x2 (1/m3 of each)."""
 
-    0 at the wilting point and below, 1 at field capacity and above.
-    """
-    if x2 >= site.z_cap:
-        return 1.0
-    return max(0.0, (x2 - site.wilting_volume) / site.available_volume)
-
-
-def kept_share(site: Site, x2: float) -> float:
-    """Share of the arriving water that stays in a substrate holding x2 (m3): 1 - S^2.
-
-    The rest finds its way past the soil to the drainage layer. The paper's soil keeps all.
-    """
-    if site.field_capacity is None:
-        return 1.0
-    filled = filled_share(site, x2)
-    return 1 - filled * filled
-
-
-def water_to_fill(site: Site, x2: float) -> float:
-    """What must arrive until an empty soil holds x2 (m3), below field capacity of a measured roof.
-
-    Up to the wilting point all of it stays; from there dS/dt = (1 - S^2) i / TAW, solved.
-    """
-    if site.field_capacity is None or x2 <= site.wilting_volume:
-        return x2
-    return site.wilting_volume + site.available_volume * math.atanh(filled_share(site, x2))
-
-
-def percolation(site: Site, x2: float, arriving: float, seconds: float) -> float:
-    """What leaves the substrate for the drainage layer (m3/s): S^2 of what arrives, and the excess.
-
-    The excess is what is held above field capacity; it leaves within the tick.
-
-    Args:
-        site: of a measured roof.
-        x2: water in the substrate (m3).
-        arriving: rain and pumped water (m3/s).
-        seconds: duration of the tick (s).
-    """
-    filled = filled_share(site, x2)
-    return filled * filled * arriving + max(0.0, x2 - site.z_cap) / seconds
-
-
-def mean_percolation(site: Site, x2: float, arriving: float, seconds: float) -> float:
-    """:func:`percolation` on average over a step that may be long (m3/s).
-
-    The share that passes grows as the substrate fills: dS/dt = (1 - S^2) i / TAW, solved for a
-    constant i, is
-
-        S(t) = (S + g) / (1 + S g),  g = tanh(i t / TAW).
-
-    Up to the wilting point all stays.
-
-    Args:
-        site: of a measured roof.
-        x2: water in the substrate at the beginning (m3).
-        arriving: rain and pumped water (m3/s).
-        seconds: duration of the step (s).
-    """
-    if x2 >= site.z_cap:
-        return arriving + (x2 - site.z_cap) / seconds
-    came, most, filled = arriving * seconds, site.available_volume, filled_share(site, x2)
-    first = min(came, max(0.0, site.wilting_volume - x2))
-    g = math.tanh((came - first) / most)
-    kept = first + most * g * (1 - filled * filled) / (1 + filled * g)
-    return max(0.0, arriving - kept / seconds)
-
-
-def water_stress(site: Site, x2: float) -> float:
-    """K_s: share of the evapotranspiration that a substrate holding x2 (m3) gives.
-
-    FAO-56, Eq. 84: K_s = (TAW - D_r) / ((1 - p) TAW), at most 1, where TAW is what plants can
-    take at field capacity, and D_r what is missing of it. The paper's soil always gives all.
-    """
-    if site.field_capacity is None:
-        return 1.0
-    return min(1.0, filled_share(site, x2) / site.stress_onset)
-
-
-def layer_outflow(site: Site, layer: float, inflow: float, seconds: float) -> float:
-    """Mean flow out of the drainage layer, off the roof, during a tick (m3/s).
-
-    The layer's volume V follows dV/dt = i - k V^2 with k = 1 / (a2 drainage_storage
-    drainage_time), solved exactly for a constant inflow i, so that any tick is stable:
-
-        V(t) = (V + i g) / (1 + k V g),  g = tanh(t sqrt(i k)) / sqrt(i k), or t where i = 0.
-
-    What is then above its storage has flown off as well. Without a layer the inflow leaves at once.
-
-    Args:
-        site: of a measured roof.
-        layer: what it holds (m3).
-        inflow: percolation during the tick (m3/s).
-        seconds: duration of the tick (s).
-    """
-    if site.drainage_storage is None:
-        return inflow
-    k = site.layer_coefficient
-    rate = math.sqrt(inflow * k)
-    g = math.tanh(rate * seconds) / rate if rate > 0 else seconds
-    left = min((layer + inflow * g) / (1 + k * layer * g), site.layer_storage)
-    return max(0.0, inflow + (layer - left) / seconds)
+    kept: float
+    """share of the arriving water that stays (1)"""
+    kept_2: float
+    stress: float
+    """share of the evapotranspiration that it gives (1)"""
+    stress_2: float
+    drained: float
+    """what drains beside the share that does not stay (m3/s)"""
+    drained_2: float
 
 
 class Followed(NamedTuple):
-    """What left a measured roof, and what its drainage layer held, sample by sample."""
+    """What left a roof, and what its drainage layer held, sample by sample."""
 
     evaporated: Values
     """m3/s, shape (n,)"""
     drained: Values
-    """out of the drainage layer, off the roof (m3/s), shape (n,)"""
+    """off the roof (m3/s), shape (n,)"""
     layer: Values
     """at the beginning of each sample (m3), shape (n,)"""
     left: float
     """in the layer at the end (m3)"""
 
 
-def follow(
-    site: Site, layer: float, x2: Values, arriving: Values, evapotranspiration: Values,
-    durations: Values,
-) -> Followed:
-    """Compute what nobody measures on a measured roof whose substrate's volume is known.
+class PaperSoil:
+    """Table I's soil: it keeps all water below its capacity, and drains above it by Eq. (4).
 
-    Args:
-        site: of a measured roof.
-        layer: what its drainage layer holds at first (m3).
-        x2: in the substrate at the beginning of each sample (m3), shape (n,).
-        arriving: rain and pumped water (m3/s), shape (n,).
-        evapotranspiration: off the whole bed, of plants that do not lack water (m3/s), shape (n,).
-        durations: of the samples (s), shape (n,).
+    Attributes:
+        above_target: by how much rain can raise it above its target (m3).
+        keeps_all_below: volume below which all that arrives stays and all that is asked for
+            evaporates, if it is there (m3); 0 where there is none.
+        excess: what water above its capacity does, in words.
     """
-    evaporated, drained, layers = array("d"), array("d"), array("d")
-    for volume, comes, asked, seconds in zip(
-        *(array("d", one) for one in (x2, arriving, evapotranspiration, durations)), strict=True
-    ):
-        percolated = percolation(site, volume, comes, seconds)
-        left = volume / seconds + comes - percolated
-        evaporated.append(max(0.0, min(asked * water_stress(site, volume), left)))
-        drained.append(layer_outflow(site, layer, percolated, seconds))
-        layers.append(layer)
-        layer = max(0.0, layer + seconds * (percolated - drained[-1]))
-    return Followed(
-        np.frombuffer(evaporated), np.frombuffer(drained), np.frombuffer(layers), layer
-    )
+
+    excess = "stand on it"
+
+    def __init__(self, site: Site) -> None:
+        self._site, self.keeps_all_below = site, site.z_cap
+        self.above_target = site.a2 * _ABOVE_M
+
+    def drained(self, x2: float, arriving: float, seconds: float) -> float:
+        """Return what leaves the soil in a tick, if it is there (m3/s): q_drain, Eq. (4).
+
+        Args:
+            x2: what the soil holds (m3).
+            arriving: rain and pumped water (m3/s).
+            seconds: duration of the tick (s).
+        """
+        return self._darcy(x2) if x2 >= self.keeps_all_below else 0.0
+
+    def kept_share(self, x2: float) -> float:
+        """Return the share of the arriving water that stays (1) in a soil holding x2 (m3)."""
+        return 1.0
+
+    def water_stress(self, x2: float) -> float:
+        """Return the share of the evapotranspiration that a soil holding x2 (m3) gives (1)."""
+        return 1.0
+
+    def tick(self, x2: float, layer: float, most: float, arriving: float, asked: float) -> Losses:
+        """Return what leaves the roof in a tick: no more than it holds and gets.
+
+        Where that is less than Eqs. (1) and (4) ask for, both are scaled down to it.
+
+        Args:
+            x2: what the soil holds (m3).
+            layer: what the drainage layer holds (m3).
+            most: that can leave the soil, what it holds and gets (m3/s).
+            arriving: rain and pumped water (m3/s).
+            asked: evapotranspiration off the whole bed (m3/s), of plants that do not lack water.
+
+        Returns:
+            Drainage and evapotranspiration (m3/s), and whether there was less than was asked for.
+        """
+        drainage = self._darcy(x2) if x2 >= self.keeps_all_below else 0.0
+        wanted = asked + drainage
+        if wanted > most:
+            share = most / wanted
+            return drainage * share, asked * share, True
+        return drainage, asked, False
+
+    def fastest_fall(self, level: float) -> float:
+        """Return the most by which drainage lowers a level (m) as time goes by (m/s).
+
+        It is Eq. (4), below the capacity as well.
+        """
+        return self._site.K * (level + self._site.z_soil) / self._site.z_soil
+
+    def linear(self, x2: float, q_drain: Drainage) -> SoilSlopes:
+        """Return what a linear model about x2 (m3) needs.
+
+        Args:
+            x2: what the soil holds (m3).
+            q_drain: Eq. (9) and its slope, in place of Eq. (4), whose drainage sets in with a jump.
+        """
+        return SoilSlopes(1.0, 0.0, 1.0, 0.0, *q_drain(self._site, x2))
+
+    def after(self, x2: Values, arriving: Values | float, asked: float, seconds: float) -> Values:
+        """Return what the roof holds after a step of any length (m3), in which rain comes first.
+
+        What stands above the capacity drains at the end of the step.
+
+        Args:
+            x2: what it holds before (m3).
+            arriving: rain and pumped water in the step (m3), of a shape that goes with x2.
+            asked: what would evaporate from plants that lack no water (m3).
+            seconds: the step's length.
+        """
+        site = self._site
+        left = x2 + (arriving - asked)
+        drained = site.K / site.z_soil * (left + site.a2 * site.z_soil) * seconds
+        left = np.minimum(left, np.maximum(left - drained, self.keeps_all_below))
+        return np.maximum(left, 0.0)
+
+    def water_to_fill(self, x2: Any) -> Any:
+        """Return what must arrive on an empty roof until it holds x2 (m3), of any shape."""
+        return x2
+
+    def filled_by(self, arrived: Values) -> Values:
+        """Return what an empty roof holds (m3) when so much has arrived (m3)."""
+        return arrived
+
+    def free_changes(self, x2: float, rain: Values, asked: Values, lengths: Values) -> Values:
+        """Predict by how much the roof's volume changes in steps without pumping (m3).
+
+        Args:
+            x2: volume on the roof at the beginning (m3).
+            rain: mean in each step (m/s), shape (members, n).
+            asked: evapotranspiration off the whole bed (m3/s), of plants that do not lack water,
+                shape (n,).
+            lengths: of the steps (s), shape (n,).
+
+        Returns:
+            Shape (members, n).
+        """
+        return np.asarray((rain * self._site.a2 - asked) * lengths)
+
+    def lasting_share(self, x2: float, changes: Values, *weather: Values) -> Values:
+        """Predict which share of what fills the roof now is still on it in later steps (1): all.
+
+        Args:
+            x2: volume on the roof at the beginning (m3).
+            changes: of the roof left alone, as :meth:`free_changes` returns them (m3).
+            weather: rain, evapotranspiration and lengths of the steps that gave them.
+
+        Returns:
+            The mean of each step, shape (members, n).
+        """
+        return np.ones_like(changes)
+
+    def follow(
+        self, layer: float, x2: Values, rain: Values, pump: Values, asked: Values,
+        drainage: Values | None, durations: Values,
+    ) -> Followed:
+        """Compute what nobody measures on a roof whose volume is known.
+
+        Args:
+            layer: what its drainage layer holds at first (m3).
+            x2: at the beginning of each sample (m3), NaN where it is unknown, shape (n,).
+            rain: precipitation (m/s), shape (n,).
+            pump: from the cistern (m3/s), shape (n,).
+            asked: evapotranspiration off the whole bed (m3/s), of plants that do not lack water,
+                shape (n,).
+            drainage: off the roof (m3/s), shape (n,); None where nobody says it.
+            durations: of the samples (s), shape (n,).
+        """
+        if drainage is None:
+            drainage = np.where(x2 >= self.keeps_all_below, self._darcy(x2), 0.0)
+        # As Plant.flows: what is not there does not evaporate.
+        left = x2 / durations + rain * self._site.a2 + pump - drainage
+        evaporated = np.fmin(asked, np.maximum(left, 0.0))
+        return Followed(evaporated, drainage, np.full_like(x2, layer), layer)
+
+    def _darcy(self, x2: Any) -> Any:
+        """Return what drains from a soil that holds x2 (m3), its capacity or more (m3/s)."""
+        site = self._site
+        return site.K * site.a2 * (x2 / site.a2 + site.z_soil) / site.z_soil
 
 
-def free_changes(
-    site: Site, x2: float, rain: Values, evapotranspiration: Values, lengths: Values
-) -> Values:
-    """Predict by how much the roof's volume changes in steps without pumping (m3).
+class MeasuredSoil:
+    """A substrate over a drainage layer, with the methods of :class:`PaperSoil`.
 
-    Of the paper's soil that is rain less evapotranspiration. Of a measured roof each step's rain
-    comes first, of which dS/dt = (1 - S^2) i / TAW keeps tanh's share, then its
-    evapotranspiration, which decays as the substrate dries. Both are solved exactly, so that steps
-    may be long.
-
-    Args:
-        site: its parameters.
-        x2: volume on the roof at the beginning (m3).
-        rain: mean in each step (m/s), shape (members, n).
-        evapotranspiration: asked for, off the whole bed (m3/s), shape (n,).
-        lengths: of the steps (s), shape (n,).
-
-    Returns:
-        Shape (members, n).
+    The substrate is the soil routine of HBV (Bergstrom 1976, SMHI Reports RHO No. 7; Seibert and
+    Vis 2012, doi:10.5194/hess-16-3315-2012, soil moisture routine) with its exponent beta = 2. The
+    drainage layer is a reservoir whose outflow goes with the square of what it holds. Only a site
+    with a ``field_capacity`` has it.
     """
-    if site.field_capacity is None:
-        return np.asarray((rain * site.a2 - evapotranspiration) * lengths)
-    dry, most = site.wilting_volume, site.available_volume
-    stressed = dry + site.stress_onset * most  # below it evapotranspiration decays
-    fallen, wanted = rain * site.a2 * lengths, evapotranspiration * lengths
-    drying = site.stress_onset * most
-    # Of most steps, all at once: those that begin above the wilting point, and end all stressed.
-    gains, losses = np.tanh(fallen / most), np.expm1(-wanted / drying).tolist()
-    volumes = []
-    for member, member_gains in zip(fallen.tolist(), gains.tolist(), strict=True):
-        volume = x2
-        volumes.append([volume])
-        for fell, gained, asked, lost in zip(
-            member, member_gains, wanted.tolist(), losses, strict=True
+
+    excess = "drain at once"
+    keeps_all_below = 0.0
+
+    def __init__(self, site: Site) -> None:
+        self._site, self._a2, self._tau, self._capacity = site, site.a2, site.tau, site.z_cap
+        self._wilting, self._available = site.wilting_volume, site.available_volume
+        self._onset, self._drying = site.stress_onset, site.stress_onset * site.available_volume
+        self.above_target = site.z_cap - site.x2_star
+
+    def filled_share(self, x2: float) -> float:
+        """Return S (1): how full of water that plants can take a substrate holding x2 (m3) is.
+
+        0 at the wilting point and below, 1 at field capacity and above.
+        """
+        if x2 >= self._capacity:
+            return 1.0
+        return max(0.0, (x2 - self._wilting) / self._available)
+
+    def drained(self, x2: float, arriving: float, seconds: float) -> float:
+        """Return what percolates (m3/s): S^2 of what arrives, and the excess.
+
+        The excess is what is held above field capacity; it leaves within the tick.
+        """
+        filled = self.filled_share(x2)
+        return filled * filled * arriving + max(0.0, x2 - self._capacity) / seconds
+
+    def mean_percolation(self, x2: float, arriving: float, seconds: float) -> float:
+        """Return what leaves the substrate on average over a step that may be long (m3/s).
+
+        The share that passes grows as the substrate fills: dS/dt = (1 - S^2) i / TAW, solved for a
+        constant i, is
+
+            S(t) = (S + g) / (1 + S g),  g = tanh(i t / TAW).
+
+        Up to the wilting point all stays.
+
+        Args:
+            x2: water in the substrate at the beginning (m3).
+            arriving: rain and pumped water (m3/s).
+            seconds: duration of the step (s).
+        """
+        if x2 >= self._capacity:
+            return arriving + (x2 - self._capacity) / seconds
+        came, most, filled = arriving * seconds, self._available, self.filled_share(x2)
+        first = min(came, max(0.0, self._wilting - x2))
+        g = math.tanh((came - first) / most)
+        kept = first + most * g * (1 - filled * filled) / (1 + filled * g)
+        return max(0.0, arriving - kept / seconds)
+
+    def kept_share(self, x2: float) -> float:
+        """Return 1 - S^2; the rest finds its way past the soil to the drainage layer."""
+        filled = self.filled_share(x2)
+        return 1 - filled * filled
+
+    def water_stress(self, x2: float) -> float:
+        """Return K_s = (TAW - D_r) / ((1 - p) TAW), at most 1: FAO-56, Eq. 84.
+
+        TAW is what plants can take at field capacity, and D_r what is missing of it.
+        """
+        return min(1.0, self.filled_share(x2) / self._onset)
+
+    def layer_outflow(self, layer: float, inflow: float, seconds: float) -> float:
+        """Return the mean flow out of the drainage layer, off the roof, during a tick (m3/s).
+
+        The layer's volume V follows dV/dt = i - k V^2 with k = 1 / (a2 drainage_storage
+        drainage_time), solved exactly for a constant inflow i, so that any tick is stable:
+
+            V(t) = (V + i g) / (1 + k V g),  g = tanh(t sqrt(i k)) / sqrt(i k), or t where i = 0.
+
+        What is then above its storage has flown off as well. Without a layer the inflow leaves at
+        once.
+
+        Args:
+            layer: what it holds (m3).
+            inflow: percolation during the tick (m3/s).
+            seconds: duration of the tick (s).
+        """
+        site = self._site
+        if site.drainage_time is None:
+            return inflow
+        k = 1 / (site.layer_storage * site.drainage_time)
+        rate = math.sqrt(inflow * k)
+        g = math.tanh(rate * seconds) / rate if rate > 0 else seconds
+        left = min((layer + inflow * g) / (1 + k * layer * g), site.layer_storage)
+        return max(0.0, inflow + (layer - left) / seconds)
+
+    def tick(self, x2: float, layer: float, most: float, arriving: float, asked: float) -> Losses:
+        """Return what leaves the layer and the plants: what percolates is always there."""
+        percolated = self.drained(x2, arriving, self._tau)
+        evaporated, left = asked * self.water_stress(x2), most - percolated
+        limited = evaporated > left
+        if limited:
+            evaporated = max(0.0, left)
+        return self.layer_outflow(layer, percolated, self._tau), evaporated, limited
+
+    def fastest_fall(self, level: float) -> float:
+        """Return what takes the excess off within a tick (m/s)."""
+        return max(0.0, level - self._site.roof_level(self._capacity)) / self._tau
+
+    def linear(self, x2: float, q_drain: Drainage) -> SoilSlopes:
+        """Return the soil as it is, since it is continuous.
+
+        At the wilting point, the onset of stress and field capacity the slopes are those of one
+        side.
+        """
+        filled, stress = self.filled_share(x2), self.water_stress(x2)
+        excess = max(0.0, x2 - self._capacity)
+        filled_2 = 1 / self._available if self._wilting <= x2 < self._capacity else 0.0
+        return SoilSlopes(
+            1 - filled * filled, -2 * filled * filled_2,
+            stress, filled_2 / self._onset if stress < 1 else 0.0,
+            excess / self._tau, 1 / self._tau if excess else 0.0,
+        )
+
+    def after(self, x2: Values, arriving: Values | float, asked: float, seconds: float) -> Values:
+        """Solve dS/dt = (1 - S^2) i, and then the decay below the onset of stress."""
+        wilting, available, drying = self._wilting, self._available, self._drying
+        held = x2
+        if np.any(arriving):
+            first = np.minimum(arriving, np.maximum(wilting - x2, 0.0))
+            share = np.minimum(np.maximum((x2 - wilting) / available, 0.0), 1.0)
+            gained = np.tanh((arriving - first) / available)
+            wet = (share + gained) / (1 + share * gained)
+            held = np.minimum(x2, wilting) + first + available * wet
+        easy = np.minimum(np.maximum(held - (wilting + drying), 0.0), asked)
+        held = held - easy
+        lost = np.expm1((easy - asked) / drying)
+        return np.asarray(held + np.maximum(held - wilting, 0.0) * lost)
+
+    def water_to_fill(self, x2: Any) -> Any:
+        """Solve dS/dt = (1 - S^2) i / TAW; up to the wilting point all of it stays."""
+        share = np.clip((x2 - self._wilting) / self._available, 0.0, _ALMOST_FULL)
+        return np.minimum(x2, self._wilting) + self._available * np.arctanh(share)
+
+    def filled_by(self, arrived: Values) -> Values:
+        """Return the inverse."""
+        more = np.maximum(arrived - self._wilting, 0.0) / self._available
+        return np.minimum(arrived, self._wilting) + self._available * np.tanh(more)
+
+    def free_changes(self, x2: float, rain: Values, asked: Values, lengths: Values) -> Values:
+        """Predict the change in steps as those of :meth:`after`, which may be long."""
+        dry, most, drying = self._wilting, self._available, self._drying
+        stressed = dry + drying  # below it evapotranspiration decays
+        fallen, wanted = rain * self._a2 * lengths, asked * lengths
+        # Of most steps, all at once: those that begin above the wilting point, and end all
+        # stressed.
+        gains, losses = np.tanh(fallen / most), np.expm1(-wanted / drying).tolist()
+        volumes = []
+        for member, member_gains in zip(fallen.tolist(), gains.tolist(), strict=True):
+            volume = x2
+            volumes.append([volume])
+            for fell, gained, dried, lost in zip(
+                member, member_gains, wanted.tolist(), losses, strict=True
+            ):
+                first = min(fell, max(dry - volume, 0.0))
+                if first > 0:
+                    gained = float(np.tanh((fell - first) / most))
+                if volume + first < dry:
+                    volume += first
+                else:
+                    filled = min(max((volume - dry) / most, 0.0), 1.0)
+                    volume = dry + most * ((filled + gained) / (1 + filled * gained))
+                easy = min(dried, max(volume - stressed, 0.0))
+                if easy == dried:
+                    lost = 0.0
+                elif easy > 0:
+                    lost = float(np.expm1((easy - dried) / drying))
+                volume = volume - easy
+                volume += max(volume - dry, 0.0) * lost
+                volumes[-1].append(volume)
+        return np.diff(volumes, axis=1)
+
+    def lasting_share(self, x2: float, changes: Values, *weather: Values) -> Values:
+        """Predict which share of what fills the roof now is still on it in later steps (1).
+
+        Two roofs are followed by :meth:`free_changes`: one left alone, and one filled to its target
+        now. What they differ by, over what they differed by at first, is the share, at least 0.001.
+        It falls: the fuller substrate lets more of each rain pass and, where plants lack water,
+        gives more to them. A storm that fills both leaves no difference.
+        """
+        added = max(self._site.x2_star - x2, _LEAST_ADDED * self._available)
+        fades = self.free_changes(x2 + added, *weather) - changes
+        ends = 1 + np.cumsum(fades, axis=1) / added
+        return np.asarray(np.maximum(ends - fades / added / 2, _LEAST_LASTING))
+
+    def follow(
+        self, layer: float, x2: Values, rain: Values, pump: Values, asked: Values,
+        drainage: Values | None, durations: Values,
+    ) -> Followed:
+        """Compute what the substrate lost, and the drainage whether or not anybody says it."""
+        samples = np.nan_to_num(x2), rain * self._a2 + pump, asked, durations
+        evaporated, drained, layers = array("d"), array("d"), array("d")
+        for volume, comes, wanted, seconds in zip(
+            *(array("d", one) for one in samples), strict=True
         ):
-            first = min(fell, max(dry - volume, 0.0))
-            if first > 0:
-                gained = float(np.tanh((fell - first) / most))
-            if volume + first < dry:
-                volume += first
-            else:
-                filled = min(max((volume - dry) / most, 0.0), 1.0)
-                volume = dry + most * ((filled + gained) / (1 + filled * gained))
-            easy = min(asked, max(volume - stressed, 0.0))
-            if easy == asked:
-                lost = 0.0
-            elif easy > 0:
-                lost = float(np.expm1((easy - asked) / drying))
-            volume = volume - easy
-            volume += max(volume - dry, 0.0) * lost
-            volumes[-1].append(volume)
-    return np.diff(volumes, axis=1)
+            percolated = self.drained(volume, comes, seconds)
+            left = volume / seconds + comes - percolated
+            evaporated.append(max(0.0, min(wanted * self.water_stress(volume), left)))
+            drained.append(self.layer_outflow(layer, percolated, seconds))
+            layers.append(layer)
+            layer = max(0.0, layer + seconds * (percolated - drained[-1]))
+        return Followed(
+            np.frombuffer(evaporated), np.frombuffer(drained), np.frombuffer(layers), layer
+        )
 
 
-def lasting_share(
-    site: Site, x2: float, changes: Values, rain: Values, evapotranspiration: Values,
-    lengths: Values,
-) -> Values | None:
-    """Predict which share of the water that fills the roof now is still on it in later steps (1).
+Soil: TypeAlias = PaperSoil | MeasuredSoil
 
-    Two roofs are followed by :func:`free_changes`: one left alone, and one filled to its target
-    now. What they differ by, over what they differed by at first, is the share. On a measured roof
-    it falls: the fuller substrate lets more of each rain pass and, where plants lack water, gives
-    more to them. A storm that fills both leaves no difference.
 
-    Args:
-        site: its parameters.
-        x2: volume on the roof at the beginning (m3).
-        changes: of the roof left alone, as :func:`free_changes` returns them (m3).
-        rain: mean in each step (m/s), shape (members, n).
-        evapotranspiration: asked for, off the whole bed (m3/s), shape (n,).
-        lengths: of the steps (s), shape (n,).
-
-    Returns:
-        The mean of each step, at least 0.001, shape (members, n); None of the paper's soil, in
-        which all of it stays.
-    """
-    if site.field_capacity is None:
-        return None
-    added = max(site.x2_star - x2, _LEAST_ADDED * site.available_volume)
-    fades = free_changes(site, x2 + added, rain, evapotranspiration, lengths) - changes
-    ends = 1 + np.cumsum(fades, axis=1) / added
-    return np.asarray(np.maximum(ends - fades / added / 2, _LEAST_LASTING))
+def soil_of(site: Site) -> Soil:
+    """Return the soil of a site: a measured one where its file has a ``field_capacity``."""
+    return PaperSoil(site) if site.field_capacity is None else MeasuredSoil(site)

@@ -58,7 +58,7 @@ from typing import NamedTuple
 
 from greenroof_ros.model.plant import low_outlet_flow
 from greenroof_ros.model.site import Site
-from greenroof_ros.model.soil import kept_share
+from greenroof_ros.model.soil import soil_of
 from greenroof_ros.pumping.limits import PumpSettings
 
 _M_PER_S = 1e-3 / 3600
@@ -120,10 +120,10 @@ class DeliveryCheck:
     """Keeps the balances, step by step."""
 
     def __init__(self, site: Site, settings: PumpSettings) -> None:
-        self._site = site
+        self._site, self._soil = site, soil_of(site)
         self._settings = settings
         self._loss = settings.greatest_loss * _M_PER_S
-        self._kept_share = kept_share(site, site.x2_star)
+        self._kept_share = self._soil.kept_share(site.x2_star)
         self._share_on_roof = settings.least_delivery * self._kept_share
         self._keeps = self._kept_share  # the soil, as wet as it was last known
         self._sums = _Sums()
@@ -163,7 +163,7 @@ class DeliveryCheck:
         """
         site, settings = self._site, self._settings
         if roof_level is not None:
-            self._keeps = kept_share(site, site.roof_volume(roof_level))
+            self._keeps = self._soil.kept_share(site.roof_volume(roof_level))
         mains = drained = 0.0
         if site.mains_level is not None and site.mains_flow is not None and (
             cistern_level is None or cistern_level < site.mains_level + settings.level_offset

@@ -16,7 +16,7 @@ from greenroof_ros.model.plant import (
     outlet_flow,
 )
 from greenroof_ros.model.site import Site
-from greenroof_ros.model.soil import kept_share
+from greenroof_ros.model.soil import soil_of
 from greenroof_ros.weather.records import EVAPOTRANSPIRATION, PRECIPITATION, QUANTITIES
 
 # For how long an input that has not come since the start is only awaited (s).
@@ -85,14 +85,10 @@ def cistern_reach(site: Site) -> Reach:
 
 def roof_reach(site: Site) -> Reach:
     """Return that of the roof: rain and full pumps, and evapotranspiration and drainage."""
-    pump = maximum_pump_flow(site, site.cistern_volume(site.z_o)) / site.a2
+    pump, soil = maximum_pump_flow(site, site.cistern_volume(site.z_o)) / site.a2, soil_of(site)
 
     def fall(level: float) -> float:
-        if site.field_capacity is None:
-            drainage = site.K * (level + site.z_soil) / site.z_soil  # Eq. (4), at any level
-        else:
-            drainage = max(0.0, level - site.roof_level(site.z_cap)) / site.tau
-        return _MARGIN * (_MOST_EVAPOTRANSPIRATION + drainage)
+        return _MARGIN * (_MOST_EVAPOTRANSPIRATION + soil.fastest_fall(level))
 
     return Reach(lambda level: _MARGIN * (_MOST_RAIN + pump), fall, site.highest_roof_level)
 
@@ -120,7 +116,7 @@ def expected_rise(
         water = max(0.0, water - _MARGIN * low_outlet_flow(site, volume))
     cistern = water / site.a1 if cistern_level < site.z_o else 0.0
     roof = rain + flow / site.a2 if roof_level < site.z_soil else 0.0
-    return cistern, roof * kept_share(site, site.roof_volume(roof_level))
+    return cistern, roof * soil_of(site).kept_share(site.roof_volume(roof_level))
 
 
 class LevelRule:

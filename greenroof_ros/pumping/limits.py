@@ -15,7 +15,7 @@ from greenroof_ros.common.parameter import Parameter
 from greenroof_ros.model.plant import maximum_pump_flow
 from greenroof_ros.model.pump_speed import flow_at, speed_for
 from greenroof_ros.model.site import Site
-from greenroof_ros.model.soil import kept_share, water_to_fill
+from greenroof_ros.model.soil import soil_of
 from greenroof_ros.pumping.ledger import DAY_S, Ledger
 
 _HOUR_S = 3600.0
@@ -34,8 +34,13 @@ def _volume_per_day(site: Site) -> float:
     Of a measured roof that is more: its soil keeps only a share of what is pumped.
     """
     evapotranspiration = _GREATEST_EVAPOTRANSPIRATION * site.crop_coefficient * site.a2
-    replaced = evapotranspiration / kept_share(site, site.x2_star)
-    return round(_MARGIN * (water_to_fill(site, site.x2_star) + replaced), 3)
+    replaced = evapotranspiration / soil_of(site).kept_share(site.x2_star)
+    return round(_MARGIN * (_filling(site) + replaced), 3)
+
+
+def _filling(site: Site) -> float:
+    """Return what fills an empty roof to its target (m3)."""
+    return float(soil_of(site).water_to_fill(site.x2_star))
 
 
 def _time_for(site: Site, volume: float) -> float:
@@ -78,7 +83,7 @@ class PumpSettings:
         "starts in any hour; by default the site's",
     )
     greatest_run: float = _setting(
-        lambda site: _time_for(site, water_to_fill(site, site.x2_star)), "s", 1.0, DAY_S,
+        lambda site: _time_for(site, _filling(site)), "s", 1.0, DAY_S,
         "time on without a break; by default in which a fifth of the flow fills an empty roof",
     )
     greatest_run_per_day: float = _setting(

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from greenroof_ros.model.metrics import NEAR_TARGET, Samples, Totals, totals_of
 from greenroof_ros.model.plant import mains_flows
 from greenroof_ros.model.site import Site
-from greenroof_ros.model.soil import follow
+from greenroof_ros.model.soil import soil_of
 from greenroof_ros.recording.trajectory import Trajectory
 
 
@@ -83,8 +83,7 @@ def assess(site: Site, trajectory: Trajectory, assumptions: Assumptions) -> Asse
     frost = trajectory.frost[now] > 0
     cistern_change = float(trajectory.cistern[-1] - trajectory.cistern[0])
     roof_change = float(trajectory.roof[-1] - trajectory.roof[0])
-    if samples.layer is not None:
-        roof_change += float(samples.layer[-1] - samples.layer[0])
+    roof_change += float(samples.layer[-1] - samples.layer[0])
     pumped = metrics["pumped_m3"]
     cistern_flows = metrics["rain_cistern_m3"] - pumped - metrics["outflow_m3"]
     cistern_flows += metrics.get("mains_m3", 0.0)
@@ -121,19 +120,13 @@ def _samples(site: Site, trajectory: Trajectory) -> Samples:
     rain = until_the_end(trajectory.precipitation)
     flow = until_the_end(trajectory.pump_flow)
     drainage = until_the_end(trajectory.drainage)
-    # As plant.Plant.flows: what the roof cannot give does not evaporate. The drainage is that
-    # after the limit, so that the rest of what is there is left to evaporate.
-    held = trajectory.roof / dt + rain * site.a2 + flow - drainage
-    asked = until_the_end(trajectory.evapotranspiration)
     mains = None
     if site.mains_level is not None:
         mains = until_the_end(mains_flows(site, trajectory.cistern))
-    evaporated, layer = np.minimum(asked, np.maximum(held, 0.0)), None
-    if site.field_capacity is not None:
-        followed = follow(
-            site, site.initial_layer, trajectory.roof, rain * site.a2 + flow, asked, dt
-        )
-        evaporated, layer = followed.evaporated, followed.layer
+    followed = soil_of(site).follow(
+        site.initial_layer, trajectory.roof, rain, flow,
+        until_the_end(trajectory.evapotranspiration), drainage, dt,
+    )
     return Samples(
         duration=dt,
         cistern=trajectory.cistern,
@@ -143,8 +136,8 @@ def _samples(site: Site, trajectory: Trajectory) -> Samples:
         outflow=until_the_end(trajectory.outflow),
         pump=flow,
         drainage=drainage,
-        evapotranspiration=evaporated,
-        layer=layer,
+        evapotranspiration=followed.evaporated,
+        layer=followed.layer,
         mains=mains,
     )
 

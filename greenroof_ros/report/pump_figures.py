@@ -15,7 +15,7 @@ from greenroof_ros.common.files import read_text
 from greenroof_ros.model.plant import head_loss, maximum_pump_flow, pump_flow
 from greenroof_ros.model.pump_curve import fit_pump_curve
 from greenroof_ros.model.site import Site
-from greenroof_ros.model.smooth_plant import linearise
+from greenroof_ros.model.smooth_plant import q_pump
 from greenroof_ros.report.drawing import Figure, Panel, Rows, distinct, pointed, short
 
 # No pump that waters a roof is believed to have more [assumed]; sheets in l/s, m3/h or mm have.
@@ -143,7 +143,7 @@ def pump_smoothing(site: Site, number: int, of: str) -> Figure:
         rows: Rows = []
         for value in grid[(grid >= low) & (grid <= high)].tolist():
             x1, x2 = (value, 0.0) if name == "x1" else (full, value)
-            smooth = command * linearise(site, x1, x2, command, 0.0, 0.0).B[1] / site.tau
+            smooth = q_pump(site, x1, x2, command)[0]
             for line, flow in zip(
                 names, (pump_flow(site, x1, x2, command), smooth), strict=True
             ):

@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 
 import numpy as np
 from numpy.typing import NDArray
 
 from greenroof_ros.model.metrics import METRICS, Samples
-from greenroof_ros.model.plant import drainage_flow, mains_flows, outlet_flow
+from greenroof_ros.model.plant import mains_flows, outlet_flow
 from greenroof_ros.model.site import Site
-from greenroof_ros.model.soil import follow
+from greenroof_ros.model.soil import soil_of
 
 Stamps = NDArray[np.int64]
 Values = NDArray[np.float64]
@@ -107,7 +107,7 @@ class Account:
         Args:
             site: with the areas, the outlets, the soil and the pump.
         """
-        self._site = site
+        self._site, self._soil = site, soil_of(site)
         self._topics: dict[str, _Pending] = {}
         self._totals: dict[str, float] = {}
         self._roofs: tuple[float, float] | None = None  # first and last volume (m3)
@@ -237,14 +237,11 @@ class Account:
                 self._roofs = (site.roof_volume(float(first[0])),) * 2
         roof, cistern = known[_ROOF] * site.a2, known[_CISTERN] * site.a1
         if not self.measured:
-            known[_DRAINAGE] = _flows(site, drainage_flow, roof, site.z_cap)
-            known[_OUTFLOW] = _flows(
-                site, outlet_flow, cistern, site.cistern_volume(site.lowest_outlet)
-            )
+            known[_DRAINAGE] = roof  # where it is known, the drainage can be computed
+            known[_OUTFLOW] = _outflow(site, cistern)
         unknown = np.any([np.isnan(one) for one in known.values()], axis=0)
         self.gap_s += float(duration[unknown].sum())
-        rain, drainage = np.nan_to_num(known[_RAIN]), np.nan_to_num(known[_DRAINAGE])
-        outflow = np.nan_to_num(known[_OUTFLOW])
+        rain, outflow = np.nan_to_num(known[_RAIN]), np.nan_to_num(known[_OUTFLOW])
         # As plant.Plant.flows: a tank gives no more than it holds. Drainage and outflow are those
         # after that limit, so that the rest of what is there is left for the others.
         flow = np.nan_to_num(known[_FLOW])
@@ -252,19 +249,11 @@ class Account:
             left = cistern / duration + rain * site.effective_catchment - outflow
             left = left + mains_flows(site, cistern)
             flow = np.fmin(flow, np.maximum(left, 0.0))
-        evaporated = known[_EVAPORATED]
-        if site.field_capacity is None:
-            left = np.maximum(roof / duration + rain * site.a2 + flow - drainage, 0.0)
-            evaporated = np.fmin(evaporated, left)
-        else:
-            followed = follow(
-                site, self._layer, np.nan_to_num(roof), rain * site.a2 + flow,
-                np.nan_to_num(evaporated), duration,
-            )
-            self._layer = followed.left
-            evaporated = np.where(np.isnan(evaporated), np.nan, followed.evaporated)
-            if not self.measured:
-                drainage = followed.drained
+        drainage = np.nan_to_num(known[_DRAINAGE]) if self.measured else None
+        followed = self._soil.follow(
+            self._layer, roof, rain, flow, np.nan_to_num(known[_EVAPORATED]), drainage, duration
+        )
+        self._layer = followed.left
         samples = Samples(
             duration=duration,
             cistern=np.nan_to_num(cistern),
@@ -273,8 +262,9 @@ class Account:
             precipitation=rain,
             outflow=outflow,
             pump=flow,
-            drainage=drainage,
-            evapotranspiration=np.nan_to_num(evaporated),
+            drainage=followed.drained if drainage is None else drainage,
+            evapotranspiration=followed.evaporated,
+            layer=followed.layer,
             mains=mains_flows(site, np.nan_to_num(cistern)),
         )
         for key, name in _METRICS.items():
@@ -299,14 +289,12 @@ class Account:
         return found[(found >= begin) & (found <= end)]
 
 
-def _flows(
-    site: Site, flow: Callable[[Site, float], float], volumes: Values, least: float
-) -> Values:
-    """Return what flows out of a tank at each volume (m3/s), nothing below the least; NaN at NaN.
+def _outflow(site: Site, x1: Values) -> Values:
+    """Return what the outlets take at each of these volumes (m3), in m3/s; NaN at NaN.
 
     Mostly it is nothing, which takes no time here.
     """
-    flows = np.where(np.isnan(volumes), np.nan, 0.0)
-    for place in np.flatnonzero(volumes >= least):
-        flows[place] = flow(site, float(volumes[place]))
+    flows = np.where(np.isnan(x1), np.nan, 0.0)
+    for place in np.flatnonzero(x1 >= site.cistern_volume(site.lowest_outlet)):
+        flows[place] = outlet_flow(site, float(x1[place]))
     return flows

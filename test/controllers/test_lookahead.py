@@ -34,7 +34,7 @@ from greenroof_ros.model.look_ahead import growing_steps
 from greenroof_ros.model.metrics import Metrics
 from greenroof_ros.model.plant import Plant, maximum_pump_flow
 from greenroof_ros.model.site import Site, read_site
-from greenroof_ros.model.soil_steps import make_soil
+from greenroof_ros.model.soil import soil_of
 from greenroof_ros.weather.series import WeatherSeries
 
 # --- the recursion, on whole numbers of a unit ----------------------------------------------------
@@ -355,7 +355,7 @@ def test_a_soils_long_step_is_the_plants_many(
     """An hour of rain, then an hour of evapotranspiration (of the bed, m/s); nothing is pumped."""
     site = replace(site, tau=2.0)
     plant = Plant(site, 0.0, filled * site.z_cap)
-    found = make_soil(site).after(
+    found = soil_of(site).after(
         np.array(plant.x2), rain * site.a2 * HOUR, asked * site.a2 * HOUR, HOUR
     )
     for falls, evaporates in [(rain, 0.0)] * 1800 + [(0.0, asked * site.a2)] * 1800:
@@ -370,9 +370,9 @@ def test_pumping_to_a_volume_is_what_was_pumped() -> None:
     while plant.x2 < 0.9 * MEASURED.x2_star:
         plant.step(0.0, plant.flows(0.0, 0.0, flow))
         pumped += flow
-    soil = make_soil(MEASURED)
-    assert float(soil.pumped(np.array(plant.x2))) == pytest.approx(pumped, rel=1e-3)
-    assert float(soil.filled(np.array(pumped))) == pytest.approx(plant.x2, rel=1e-3)
+    soil = soil_of(MEASURED)
+    assert float(soil.water_to_fill(np.array(plant.x2))) == pytest.approx(pumped, rel=1e-3)
+    assert float(soil.filled_by(np.array(pumped))) == pytest.approx(plant.x2, rel=1e-3)
 
 
 def test_what_a_low_outlet_would_take_is_on_the_roof_before_it_is_gone() -> None:

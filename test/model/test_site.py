@@ -241,17 +241,13 @@ def test_a_mistyped_key(tmp_path: Path) -> None:
 
 
 def test_a_measured_roof(tmp_path: Path) -> None:
-    """A soil of 34.4 m3 that holds 0.6 of it, of which 0.05 is not for plants; 10 mm in its layer.
-
-    Full, the layer loses 0.688 m3 in 600 s: k = 1 / (0.688 600).
-    """
+    """A soil of 34.4 m3 holds 0.6 of it, of which 0.05 is not for plants; 10 mm in its layer."""
     site = read_site(write(tmp_path, z_cap=20.64, **MEASURED))
     assert {key: getattr(site, key) for key in MEASURED} == MEASURED
     assert site.wilting_volume == pytest.approx(1.72, rel=1e-12)
     assert site.available_volume == pytest.approx(18.92, rel=1e-12)
     assert site.stress_onset == 0.5
     assert site.layer_storage == pytest.approx(0.688, rel=1e-12)
-    assert site.layer_coefficient == pytest.approx(1 / 412.8, rel=1e-12)
 
 
 @pytest.mark.parametrize(

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from paper import PAPER_SITE, linear_model, measured_sites, site_with, sites
 
 from greenroof_ros.model.site import Site
-from greenroof_ros.model.smooth_plant import linearise, sigmoid, smooth_sqrt, smooth_sqrt_slope
+from greenroof_ros.model.smooth_plant import linearise, psi, sigma
 
 # Every level and volume of a kink is a binary fraction, so that tests hit it to the bit:
 # nu = 0 at x1 = 32 and nu = epsilon at 40, rho = 0 at 16 and rho = epsilon at 24.
@@ -94,13 +94,16 @@ def test_sigmoids_far_out_do_not_overflow(x1: float, x2: float) -> None:
 def test_smooth_square_root_by_hand() -> None:
     """Eq. (6) with epsilon = 0.25, where 2/3 sqrt(epsilon) is 1/3."""
     third = 1 / 3
-    expected = {-1.0: third, 0.0: third, 0.0625: third + 1 / 48, 0.25: 0.5, 4.0: 2.0}
-    slopes = {-1.0: 0.0, 0.0: 0.0, 0.0625: 0.5, 0.25: 1.0, 4.0: 0.25}
-    assert {y: smooth_sqrt(y, 0.25) for y in expected} == pytest.approx(expected, rel=1e-15)
-    assert {y: smooth_sqrt_slope(y, 0.25) for y in slopes} == pytest.approx(slopes, rel=1e-15)
+    expected = {
+        -1.0: (third, 0.0), 0.0: (third, 0.0), 0.0625: (third + 1 / 48, 0.5), 0.25: (0.5, 1.0),
+        4.0: (2.0, 0.25),
+    }
+    for y, root_and_slope in expected.items():
+        assert psi(y, 0.25) == pytest.approx(root_and_slope, rel=1e-15)
 
 
 def test_sigmoid_by_hand() -> None:
-    """1 / (1 + exp(-y)): a half at 0, 3/4 at ln 3, and its limits where exp overflows."""
+    """1 / (1 + exp(-y)) of y over epsilon: 3/4 at ln 3, and its limits where exp overflows."""
     expected = {0.0: 0.5, math.log(3): 0.75, -math.log(3): 0.25, 1e4: 1.0, -1e4: 0.0}
-    assert {y: sigmoid(y) for y in expected} == pytest.approx(expected, rel=1e-15, abs=0)
+    found = {y: sigma(0.5 * y, 0.5) for y in expected}
+    assert found == pytest.approx(expected, rel=1e-15, abs=0)

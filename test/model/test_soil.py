@@ -14,18 +14,7 @@ from scipy.integrate import solve_ivp
 
 from greenroof_ros.model.plant import Plant
 from greenroof_ros.model.site import Site
-from greenroof_ros.model.soil import (
-    filled_share,
-    follow,
-    free_changes,
-    kept_share,
-    lasting_share,
-    layer_outflow,
-    mean_percolation,
-    percolation,
-    water_stress,
-    water_to_fill,
-)
+from greenroof_ros.model.soil import MeasuredSoil, soil_of
 
 # 100 m2 and 100 mm of substrate: 2 m3 at the wilting point, 6 m3 at field capacity, stress below
 # 4 m3. Its layer holds 1 m3 and then loses 1 m3 in 100 s.
@@ -34,6 +23,7 @@ ROOF = replace(
     field_capacity=0.6, wilting_point=0.2, depletion_fraction=0.5,
     drainage_storage=0.01, drainage_time=100.0,
 )
+SOIL, PAPER_SOIL = MeasuredSoil(ROOF), soil_of(PAPER_SITE)
 
 
 @pytest.mark.parametrize(
@@ -50,10 +40,17 @@ ROOF = replace(
 )
 def test_shares_by_hand(x2: float, filled: float, kept: float, stress: float) -> None:
     """S, 1 - S^2, and FAO-56's Eq. 84 with TAW = 4 m3: at D_r = 3 m3 it is (4 - 3) / 2."""
-    assert filled_share(ROOF, x2) == pytest.approx(filled, abs=1e-15)
-    assert kept_share(ROOF, x2) == pytest.approx(kept, abs=1e-15)
-    assert water_stress(ROOF, x2) == pytest.approx(stress, abs=1e-15)
-    assert (kept_share(PAPER_SITE, x2), water_stress(PAPER_SITE, x2)) == (1.0, 1.0)
+    assert SOIL.filled_share(x2) == pytest.approx(filled, abs=1e-15)
+    assert SOIL.kept_share(x2) == pytest.approx(kept, abs=1e-15)
+    assert SOIL.water_stress(x2) == pytest.approx(stress, abs=1e-15)
+    assert (PAPER_SOIL.kept_share(x2), PAPER_SOIL.water_stress(x2)) == (1.0, 1.0)
+
+
+def test_both_soils_have_the_same_methods() -> None:
+    """What the paper's has, a measured one has too; its parts are its own."""
+    public = [{name for name in dir(one) if name[0] != "_"} for one in (PAPER_SOIL, SOIL)]
+    assert public[1] - public[0] == {"filled_share", "layer_outflow", "mean_percolation"}
+    assert public[0] <= public[1]
 
 
 def test_water_stress_in_millimetres() -> None:
@@ -65,25 +62,25 @@ def test_water_stress_in_millimetres() -> None:
         site_with(a2=100.0, z_soil=1.0, z_veg=0.1), z_cap=22.0,
         field_capacity=0.22, wilting_point=0.14, depletion_fraction=0.4,
     )
-    assert water_stress(tomato, 22.0 - 6.0) == pytest.approx(20 / 48, rel=1e-12)
+    assert soil_of(tomato).water_stress(22.0 - 6.0) == pytest.approx(20 / 48, rel=1e-12)
 
 
 def test_percolation_by_hand() -> None:
     """At 5 m3 9/16 of what arrives; above field capacity all of it, and the excess in a tick."""
-    assert percolation(ROOF, 5.0, 0.01, 10.0) == pytest.approx(0.005625, rel=1e-12)
-    assert percolation(ROOF, 6.5, 0.01, 10.0) == pytest.approx(0.06, rel=1e-12)
+    assert SOIL.drained(5.0, 0.01, 10.0) == pytest.approx(0.005625, rel=1e-12)
+    assert SOIL.drained(6.5, 0.01, 10.0) == pytest.approx(0.06, rel=1e-12)
 
 
 @pytest.mark.parametrize("x2", [1.0, 2.0, 4.0, 5.9, 5.9999])
 def test_water_to_fill(x2: float) -> None:
     """What has arrived, m3 for m3, until the soil, solved by scipy, has come to x2."""
-    needed = water_to_fill(ROOF, x2)
+    needed = SOIL.water_to_fill(x2)
     came = solve_ivp(
-        lambda _, y: [1 - percolation(ROOF, y[0], 1.0, 1e-9)], (0, needed), [0.0],
+        lambda _, y: [1 - SOIL.drained(y[0], 1.0, 1e-9)], (0, needed), [0.0],
         rtol=1e-10, atol=1e-12, max_step=0.01,
     )
     assert came.y[0, -1] == pytest.approx(x2, rel=1e-5)
-    assert water_to_fill(PAPER_SITE, x2) == x2
+    assert PAPER_SOIL.water_to_fill(x2) == x2
 
 
 def test_a_step_by_hand() -> None:
@@ -99,21 +96,21 @@ def test_a_step_by_hand() -> None:
 
 def test_an_empty_layer_halves_by_its_time() -> None:
     """Without inflow V / (1 + k V t): what is full has half of it after the time constant."""
-    flow = layer_outflow(ROOF, 1.0, 0.0, 100.0)
+    flow = SOIL.layer_outflow(1.0, 0.0, 100.0)
     assert flow == pytest.approx(0.005, rel=1e-12)
-    assert layer_outflow(ROOF, 1.0, 0.0, 1e9) == pytest.approx(1e-9, rel=1e-6)
+    assert SOIL.layer_outflow(1.0, 0.0, 1e9) == pytest.approx(1e-9, rel=1e-6)
 
 
 def test_what_a_full_layer_cannot_hold_flows_off() -> None:
     """1 m3 at most: 10 m3 that arrive in a second are gone, but for it."""
-    assert layer_outflow(ROOF, 0.0, 10.0, 1.0) == pytest.approx(9.0, rel=1e-12)
-    assert layer_outflow(ROOF, 1.0, 10.0, 1.0) == pytest.approx(10.0, rel=1e-12)
+    assert SOIL.layer_outflow(0.0, 10.0, 1.0) == pytest.approx(9.0, rel=1e-12)
+    assert SOIL.layer_outflow(1.0, 10.0, 1.0) == pytest.approx(10.0, rel=1e-12)
 
 
 def test_no_layer_lets_all_through() -> None:
     """At once."""
     bare = replace(ROOF, drainage_storage=None, drainage_time=None)
-    assert layer_outflow(bare, 0.0, 0.125, 1.0) == 0.125
+    assert MeasuredSoil(bare).layer_outflow(0.0, 0.125, 1.0) == 0.125
     plant = Plant(bare, 50.0, 5.0)
     flows = plant.flows(1e-4, 0.0, 0.0)
     assert flows.drainage == pytest.approx(0.005625, rel=1e-12)
@@ -137,7 +134,7 @@ def test_the_layer_follows_its_equation(
         lambda _, v: inflow - k * v * v, (0, seconds), [layer], method="Radau",
         jac=lambda _, v: [[-2 * k * float(v[0])]], rtol=1e-10, atol=1e-13,
     )
-    flow = layer_outflow(site, layer, inflow, seconds)
+    flow = MeasuredSoil(site).layer_outflow(layer, inflow, seconds)
     left = layer + seconds * (inflow - flow)
     assert left == pytest.approx(solved.y[0, -1], rel=1e-6, abs=1e-9)
 
@@ -154,7 +151,7 @@ def test_free_changes_follow_their_equations(
 
     def rate(inflow: float, wanted: float) -> object:
         return lambda _, x: [
-            kept_share(ROOF, float(x[0])) * inflow - water_stress(ROOF, float(x[0])) * wanted
+            SOIL.kept_share(float(x[0])) * inflow - SOIL.water_stress(float(x[0])) * wanted
         ]
 
     volume = x2
@@ -164,8 +161,7 @@ def test_free_changes_follow_their_equations(
             max_step=seconds / 50,
         )
         volume = float(solved.y[0, -1])
-    found = free_changes(
-        ROOF, x2, np.array([[rain]]), np.array([asked]), np.array([seconds])
+    found = SOIL.free_changes(x2, np.array([[rain]]), np.array([asked]), np.array([seconds])
     )
     assert found.shape == (1, 1)
     assert x2 + found[0, 0] == pytest.approx(volume, rel=1e-6, abs=1e-6)
@@ -181,22 +177,22 @@ def test_what_percolates_in_a_long_step_follows_its_equation(
 ) -> None:
     """dx/dt = (1 - S^2) i, by scipy; what came and did not stay has percolated."""
     solved = solve_ivp(
-        lambda _, x: [kept_share(ROOF, float(x[0])) * arriving], (0, seconds), [x2], rtol=1e-9,
+        lambda _, x: [SOIL.kept_share(float(x[0])) * arriving], (0, seconds), [x2], rtol=1e-9,
         atol=1e-12, max_step=seconds / 50,
     )
-    passed = seconds * mean_percolation(ROOF, x2, arriving, seconds)
+    passed = seconds * SOIL.mean_percolation(x2, arriving, seconds)
     assert passed == pytest.approx(x2 + seconds * arriving - solved.y[0, -1], abs=1e-6)
 
 
 def test_above_field_capacity_all_percolates() -> None:
     """And the excess: 0.5 m3 in 10 s."""
-    assert mean_percolation(ROOF, 6.5, 0.01, 10.0) == pytest.approx(0.06, rel=1e-12)
+    assert SOIL.mean_percolation(6.5, 0.01, 10.0) == pytest.approx(0.06, rel=1e-12)
 
 
 def test_free_changes_of_the_papers_soil_are_the_weather() -> None:
     """Rain on the bed less evapotranspiration, of each member."""
     rain = np.array([[1e-6, 0.0], [0.0, 2e-6]])
-    found = free_changes(PAPER_SITE, 3.0, rain, np.array([1e-6, 2e-6]), np.array([10.0, 100.0]))
+    found = PAPER_SOIL.free_changes(3.0, rain, np.array([1e-6, 2e-6]), np.array([10.0, 100.0]))
     assert found == pytest.approx(
         np.array([[6.88e-4 - 1e-5, -2e-4], [-1e-5, 0.01376 - 2e-4]]), rel=1e-12
     )
@@ -207,8 +203,7 @@ def lasting(x2: float, rain_m3: list[float], asked_m3: list[float]) -> list[floa
     rain = np.array([rain_m3]) / 3600 / ROOF.a2
     hours = np.full(len(rain_m3), 3600.0)
     weather = rain, np.array(asked_m3) / 3600, hours
-    found = lasting_share(ROOF, x2, free_changes(ROOF, x2, *weather), *weather)
-    assert found is not None
+    found = SOIL.lasting_share(x2, SOIL.free_changes(x2, *weather), *weather)
     return list(found[0])
 
 
@@ -229,16 +224,17 @@ def test_what_lasts_of_water_on_a_roof_in_rain() -> None:
 def test_what_lasts_of_water_on_a_roof_that_dries() -> None:
     """All of it while plants lack nothing; below 4 m3 exp(-e/2) of it, e being asked for."""
     assert lasting(4.4, [0.0] * 2, [0.1] * 2) == pytest.approx([1.0, 1.0], rel=1e-9)
-    dry = replace(ROOF, z_veg=0.035, x2_star=3.5)
+    dry = MeasuredSoil(replace(ROOF, z_veg=0.035, x2_star=3.5))
     weather = np.zeros((1, 1)), np.array([2.0 / 3600]), np.array([3600.0])
-    found = lasting_share(dry, 2.5, free_changes(dry, 2.5, *weather), *weather)
+    found = dry.lasting_share(2.5, dry.free_changes(2.5, *weather), *weather)
     assert found == pytest.approx(np.array([[(1 + math.exp(-1)) / 2]]), rel=1e-9)
 
 
 def test_all_lasts_on_the_papers_soil() -> None:
-    """None stands for that."""
-    weather = np.ones((1, 1)), np.ones(1), np.ones(1)
-    assert lasting_share(PAPER_SITE, 2.0, np.ones((1, 1)), *weather) is None
+    """In every step, of each member."""
+    weather = np.zeros((2, 3)), np.ones(3), np.ones(3)
+    found = PAPER_SOIL.lasting_share(2.0, np.ones((2, 3)), *weather)
+    assert found.tolist() == [[1.0] * 3] * 2
 
 
 @given(
@@ -259,9 +255,10 @@ def test_what_is_followed_is_what_the_plant_did(
         flows.append(plant.flows(rain, asked, 0.0))
         plant.step(rain, flows[-1])
     volumes, layers = zip(*states, strict=True)
-    found = follow(
-        site, layers[0], np.array(volumes), np.array([rain for rain, _ in ticks]) * site.a2,
-        np.array([asked for _, asked in ticks]), np.full(len(ticks), site.tau),
+    rain, asked = np.array(ticks).T
+    found = soil_of(site).follow(
+        layers[0], np.array(volumes), rain, np.zeros_like(rain), asked, None,
+        np.full_like(rain, site.tau),
     )
     assert found.layer.tolist() == list(layers)
     assert found.left == plant.layer

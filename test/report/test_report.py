@@ -39,6 +39,7 @@ from greenroof_ros.report.drawing import Figure
 from greenroof_ros.report.entries import RunEntry
 from greenroof_ros.report.figures import make_figures
 from greenroof_ros.report.page import render
+from greenroof_ros.report.pump_figures import pump_smoothing
 from greenroof_ros.report.results import MOST_POINTS, Report, result, thin
 from greenroof_ros.report.runs import find_runs
 from greenroof_ros.report.seeds import split_by_seeds, spreads
@@ -282,6 +283,15 @@ def test_pump_smoothing(study: Path) -> None:
         steps = np.abs(np.diff(exact))
         places = [row["x"] for row in rows if row["model"].startswith("exact")]
         assert np.diff(places)[steps.argmax()] < 1e-12
+
+
+def test_the_soil_is_none_of_the_pumps_business() -> None:
+    """On a measured roof as many litres a second leave the pumps, whatever its soil keeps."""
+    measured = dataclasses.replace(
+        PAPER_SITE, field_capacity=0.2, wilting_point=0.01, depletion_fraction=0.5,
+        z_cap=PAPER_SITE.z_cap * 0.2,
+    )
+    assert pump_smoothing(measured, 1, "").data == pump_smoothing(PAPER_SITE, 1, "").data
 
 
 def test_weather(study: Path) -> None:
