@@ -72,11 +72,6 @@ def maximum_pump_flow(site: Site, x1: float) -> float:
     return site.b * math.sqrt(head) if head > 0 else 0.0
 
 
-def maximum_pump_flows(site: Site, x1: NDArray[np.float64]) -> NDArray[np.float64]:
-    """The same (m3/s) at each of these volumes (m3)."""
-    return site.b * np.sqrt(np.maximum(x1 / site.a1 + site.c_hat - site.d, 0.0))
-
-
 def pump_flow(site: Site, x1: float, x2: float, command: float) -> float:
     """q_pump (m3/s) at volumes x1, x2 (m3) and a command (share of the maximum flow), Eq. (3a)."""
     if x2 / site.a2 >= site.z_veg or x1 / site.a1 < site.suction_level:
