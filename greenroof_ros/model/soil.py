@@ -108,6 +108,13 @@ def water_stress(site: Site, x2: float) -> float:
     return min(1.0, filled_share(site, x2) / site.stress_onset)
 
 
+def stress_volume(site: Site) -> float:
+    """Return below which volume :func:`water_stress` is less than 1 (m3); 0 of the paper's soil."""
+    if site.field_capacity is None:
+        return 0.0
+    return site.wilting_volume + site.stress_onset * site.available_volume
+
+
 def layer_outflow(site: Site, layer: float, inflow: float, seconds: float) -> float:
     """Mean flow out of the drainage layer, off the roof, during a tick (m3/s).
 

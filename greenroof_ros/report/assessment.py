@@ -146,6 +146,8 @@ def _samples(site: Site, trajectory: Trajectory) -> Samples:
         evapotranspiration=evaporated,
         layer=layer,
         mains=mains,
+        potential=asked,
+        time=trajectory.time,
     )
 
 
