@@ -34,6 +34,8 @@ from greenroof_ros.model.soil import stress_volume
 
 _HOUR_S = 3600.0
 _WEEK_S = 7 * 24 * _HOUR_S
+# What a roof drains is of what came in so many hours; those without rain for as long end an event.
+_DRAINS_H = 6
 # Sums of rain are rounded: 20 mm are not more than 20 mm.
 _ROUNDING_MM = 1e-6
 
@@ -150,8 +152,8 @@ def _rolling(values: Values, hours: int) -> Values:
 def _kept(site: Site, by_hour: Values, above: float = -1.0, hours: int = 1) -> float | None:
     """Return which share of the rain on the roof did not drain off it in the same hours (1).
 
-    What drains in an hour is shared between rain and pumped water as they came in that hour and
-    the 23 before it. The rain's part counts in the hours that lie in a stretch of ``hours`` with
+    What drains in an hour is shared between rain and pumped water as they came in the six hours
+    that end with it. The rain's part counts in the hours that lie in a stretch of ``hours`` with
     more than ``above``, as does the rain.
 
     Args:
@@ -164,7 +166,7 @@ def _kept(site: Site, by_hour: Values, above: float = -1.0, hours: int = 1) -> f
         From 0 to 1; None where there was no such rain.
     """
     rain, pumped, drained = by_hour
-    came, watered = _rolling(rain, 24), _rolling(pumped, 24)
+    came, watered = _rolling(rain, _DRAINS_H), _rolling(pumped, _DRAINS_H)
     of_rain = np.divide(came, came + watered, out=np.zeros_like(came), where=came > 0)
     storm = _rolling(rain, hours) / site.a2 * 1000 > above + _ROUNDING_MM
     within = _rolling(storm[::-1].astype(float), hours)[::-1] > 0
@@ -413,11 +415,15 @@ def _finished(site: Site, totals: Mapping[str, Any]) -> Totals:
 
 def _add(totals: Mapping[str, Any], site: Site, samples: Samples) -> dict[str, Any]:
     """Return the combined numbers of a run, with further samples; none before its beginning."""
-    result = {}
+    result: dict[str, Any] = {}
+    combined: dict[Any, Any] = {}  # of which several metrics may be made
     for metric in METRICS:
-        values = metric.function(site, samples)
-        if values is not None:
-            result[metric.name] = metric.combine(totals.get(metric.name, 0.0), values)
+        what = metric.function, metric.combine
+        if what not in combined:
+            values, before = metric.function(site, samples), totals.get(metric.name, 0.0)
+            combined[what] = None if values is None else metric.combine(before, values)
+        if combined[what] is not None:
+            result[metric.name] = combined[what]
     return result
 
 
