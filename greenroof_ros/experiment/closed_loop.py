@@ -74,7 +74,7 @@ def closed_loop(run: Run, controller: Controller, metrics: Metrics) -> Iterator[
             precipitation, evapotranspiration, frost, command, flows,
         ))
         if k < steps:
-            add(command, precipitation, flows)
+            add(command, precipitation, evapotranspiration, flows)
             move(precipitation, flows)
 
 

@@ -1,9 +1,10 @@
 """What a run is judged by: one entry a metric, for every summary, table and report.
 
 A metric is a function of the samples of a run, which gives a number for each sample, and a way to
-combine those numbers: their sum, the largest, the last; hours are counted in ticks. The same
-function serves a run that is under way, block by block (:class:`Metrics`), and one that was
-recorded (:func:`totals_of`).
+combine those numbers: their sum, the largest, the last; hours are counted in ticks. A ratio is of
+two sums, and the rain that was kept is of those of each hour of the run. The same function serves a
+run that is under way, block by block (:class:`Metrics`), and one that was recorded
+(:func:`totals_of`).
 
 All sums are Euler's, and sequential: a value holds from its sample to the next, and what was
 added up before comes first. The bits of a sum do not depend on the blocks in which it was made.
@@ -15,6 +16,8 @@ import math
 import struct
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
+from functools import partial
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,9 +30,14 @@ from greenroof_ros.model.plant import (
     mains_flows,
 )
 from greenroof_ros.model.site import Site
+from greenroof_ros.model.soil import soil_of
 
 _HOUR_S = 3600.0
 _WEEK_S = 7 * 24 * _HOUR_S
+# What a roof drains is of what came in so many hours; those without rain for as long end an event.
+_DRAINS_H = 6
+# Sums of rain are rounded: 20 mm are not more than 20 mm.
+_ROUNDING_MM = 1e-6
 
 NEAR_TARGET = 0.05
 """Half width of the band about the roof's target in which its level is good, as share of it."""
@@ -59,6 +67,8 @@ class Samples:
         layer: water volume in the drainage layer of a measured roof (m3); of others 0.
         mains: from the mains into the cistern (m3/s); None where there is no valve.
         limited: 1 where a tank held less than was asked of it, else 0; None where that is unknown.
+        potential: evapotranspiration of plants that lack no water (m3/s); None where it is unknown.
+        time: at which each begins, since the run's start (s); None where it is unknown.
         pumping_before: whether something was pumped in the sample before the first.
         earlier_starts: when the pumps started in the hour before the first sample (s, so negative).
     """
@@ -75,6 +85,8 @@ class Samples:
     layer: Values
     mains: Values | None = None
     limited: Values | None = None
+    potential: Values | None = None
+    time: Values | None = None
     pumping_before: bool = False
     earlier_starts: Values = field(default_factory=lambda: np.empty(0))
 
@@ -99,6 +111,23 @@ def _last(before: float, values: Values) -> float:
     return float(values[-1])
 
 
+def _sums(before: Values | float, values: Values) -> Values:
+    """Add up each row."""
+    first = np.broadcast_to(before, len(values))
+    return np.asarray(np.cumsum(np.column_stack((first, values)), axis=1)[:, -1])
+
+
+def _hourly_sums(before: Values | float, values: Values) -> Values:
+    """Add up each row but the first, which is the hour in which each sample counts."""
+    hours = values[0].astype(np.intp)
+    known = before if isinstance(before, np.ndarray) else np.empty((len(values) - 1, 0))
+    sums = np.zeros((len(known), max(known.shape[1], int(hours.max()) + 1)))
+    sums[:, : known.shape[1]] = known
+    for row, amounts in zip(sums, values[1:], strict=True):
+        np.add.at(row, hours, amounts)  # one after the other, as _sum
+    return sums
+
+
 # --- what is made of the combined number ---------------------------------------------------------
 
 
@@ -108,6 +137,41 @@ def _as_it_is(site: Site, total: float) -> float:
 
 def _hours(site: Site, ticks: float) -> float:
     return ticks * site.tau / 3600
+
+
+def _ratio(site: Site, sums: Values) -> float | None:
+    return float(sums[0] / sums[1]) if sums[1] else None
+
+
+def _rolling(values: Values, hours: int) -> Values:
+    """Return the sum of each value and the last ones before it, so many in all."""
+    padded = np.concatenate((np.zeros(hours - 1), values))
+    return np.asarray(sum(padded[k : k + len(values)] for k in range(hours)))
+
+
+def _kept(site: Site, by_hour: Values, above: float = -1.0, hours: int = 1) -> float | None:
+    """Return which share of the rain on the roof did not drain off it in the same hours (1).
+
+    What drains in an hour is shared between rain and pumped water as they came in the six hours
+    that end with it. The rain's part counts in the hours that lie in a stretch of ``hours`` with
+    more than ``above``, as does the rain.
+
+    Args:
+        site: with the area of the roof.
+        by_hour: rain on the roof, pumped and drained water (m3), shape (3, n).
+        above: depth of rain (mm).
+        hours: of which the rain is added up.
+
+    Returns:
+        From 0 to 1; None where there was no such rain.
+    """
+    rain, pumped, drained = by_hour
+    came, watered = _rolling(rain, _DRAINS_H), _rolling(pumped, _DRAINS_H)
+    of_rain = np.divide(came, came + watered, out=np.zeros_like(came), where=came > 0)
+    storm = _rolling(rain, hours) / site.a2 * 1000 > above + _ROUNDING_MM
+    within = _rolling(storm[::-1].astype(float), hours)[::-1] > 0
+    fallen = _sum(0.0, rain[within])
+    return 1 - min(1.0, _sum(0.0, (of_rain * drained)[within]) / fallen) if fallen else None
 
 
 @dataclass(frozen=True)
@@ -124,6 +188,7 @@ class Metric:
         form: format of its number in tables.
         most: what is above it is shown as a warning.
         finish: makes the metric of what was combined: a sum of ticks is exact, one of hours is not.
+            None where the run has no such thing.
     """
 
     name: str
@@ -131,10 +196,10 @@ class Metric:
     label: str
     meaning: str
     function: Callable[[Site, Samples], Values | None]
-    combine: Callable[[float, Values], float] = _sum
+    combine: Callable[[Any, Values], Any] = _sum
     form: str = ".4g"
     most: float = math.inf
-    finish: Callable[[Site, float], float] = _as_it_is
+    finish: Callable[[Site, Any], float | None] = _as_it_is
 
     @property
     def description(self) -> str:
@@ -180,6 +245,23 @@ def _deviation(site: Site, one: Samples) -> Values:
     return np.abs(one.roof - site.x2_star) * (one.duration / site.tau)
 
 
+def _actual_and_potential(site: Site, one: Samples) -> Values | None:
+    if one.potential is None:
+        return None
+    return one.duration * np.stack((one.evapotranspiration, one.potential))
+
+
+def _roof_water(site: Site, one: Samples) -> Values | None:
+    """Return the hour of the run in which each begins; rain, pumped and drained water (m3)."""
+    if one.time is None:
+        return None
+    hour = (one.time + site.tau / 2) // _HOUR_S  # half a tick more: the times are rounded
+    return np.stack((
+        hour, one.duration * one.precipitation * site.a2, one.duration * one.pump,
+        one.duration * one.drainage,
+    ))
+
+
 METRICS = (
     Metric(
         "total_deviation_m3", "m3", "total deviation",
@@ -191,6 +273,45 @@ METRICS = (
         lambda site, one: one.duration / site.tau
         * (np.abs(one.roof - site.x2_star) <= NEAR_TARGET * site.x2_star),
         form=".2f", finish=_hours,
+    ),
+    Metric(
+        "mean_deviation_mm", "mm", "mean deviation",
+        "mean of |x2 - x2*| over the ticks, as a depth on the roof",
+        lambda site, one: np.stack((_deviation(site, one), one.duration / site.tau)),
+        _sums, ".2f", finish=lambda site, sums: 1000 * float(sums[0] / sums[1]) / site.a2,
+    ),
+    Metric(
+        "stress_hours", "h", "water stress",
+        "plants get less water than they ask for: K_s of FAO-56 below 1, or an empty roof",
+        lambda site, one: one.duration / site.tau
+        * ((one.roof < soil_of(site).stress_volume) | (one.roof <= 0)),
+        form=".2f", finish=_hours,
+    ),
+    Metric(
+        "evapotranspiration_ratio", "1", "evapotranspiration ratio",
+        "actual over potential", _actual_and_potential, _sums, ".1%", finish=_ratio,
+    ),
+    Metric(
+        "rain_kept_share", "1", "rain kept", "of the rain on the roof, what did not drain off it",
+        _roof_water, _hourly_sums, ".1%", finish=_kept,
+    ),
+    Metric(
+        "rain_kept_share_hour", "1", "rain kept above 20 mm/h",
+        "the same, of hours with more than 20 mm, within the hour",
+        _roof_water, _hourly_sums, ".1%", finish=partial(_kept, above=20.0),
+    ),
+    Metric(
+        "rain_kept_share_day", "1", "rain kept above 10 mm in 24 h",
+        "the same, of any 24 hours with more than 10 mm",
+        _roof_water, _hourly_sums, ".1%", finish=partial(_kept, above=10.0, hours=24),
+    ),
+    Metric(
+        "mains_m3", "m3", "mains water used", "into the cistern, where there is a top-up",
+        lambda site, one: None if one.mains is None else one.duration * one.mains,
+    ),
+    Metric(
+        "saved_m3", "m3", "mains water saved", "pumped, less what the mains gave",
+        lambda site, one: one.duration * (one.pump if one.mains is None else one.pump - one.mains),
     ),
     Metric(
         "final_cistern_m3", "m3", "cistern at the end", "the last x1",
@@ -207,14 +328,6 @@ METRICS = (
     Metric(
         "pumped_m3", "m3", "pumped", "from the cistern to the roof",
         lambda site, one: one.duration * one.pump,
-    ),
-    Metric(
-        "mains_m3", "m3", "mains water used", "into the cistern, where there is a top-up",
-        lambda site, one: None if one.mains is None else one.duration * one.mains,
-    ),
-    Metric(
-        "saved_m3", "m3", "mains water saved", "pumped, less what the mains gave",
-        lambda site, one: one.duration * (one.pump if one.mains is None else one.pump - one.mains),
     ),
     Metric(
         "outflow_m3", "m3", "outflow", "from the cistern to the sewer",
@@ -292,25 +405,30 @@ def totals_of(site: Site, samples: Samples) -> Totals:
     return _finished(site, _add({}, site, samples))
 
 
-def _finished(site: Site, totals: Mapping[str, float]) -> Totals:
-    return {
-        metric.name: metric.finish(site, totals[metric.name])
+def _finished(site: Site, totals: Mapping[str, Any]) -> Totals:
+    found = (
+        (metric.name, metric.finish(site, totals[metric.name]))
         for metric in METRICS if metric.name in totals
-    }
+    )
+    return {name: value for name, value in found if value is not None}
 
 
-def _add(totals: Mapping[str, float], site: Site, samples: Samples) -> Totals:
+def _add(totals: Mapping[str, Any], site: Site, samples: Samples) -> dict[str, Any]:
     """Return the combined numbers of a run, with further samples; none before its beginning."""
-    result = {}
+    result: dict[str, Any] = {}
+    combined: dict[Any, Any] = {}  # of which several metrics may be made
     for metric in METRICS:
-        values = metric.function(site, samples)
-        if values is not None:
-            result[metric.name] = metric.combine(totals.get(metric.name, 0.0), values)
+        what = metric.function, metric.combine
+        if what not in combined:
+            values, before = metric.function(site, samples), totals.get(metric.name, 0.0)
+            combined[what] = None if values is None else metric.combine(before, values)
+        if combined[what] is not None:
+            result[metric.name] = combined[what]
     return result
 
 
 # What a tick is made of: its state, then what happens until the next.
-_TICK = ("cistern", "roof", "layer", "command", "precipitation", *Flows._fields)
+_TICK = ("cistern", "roof", "layer", "command", "precipitation", "potential", *Flows._fields)
 _pack_tick = struct.Struct(f"{len(_TICK)}d").pack
 # Ticks that are added up together: less than half the time that a tick would take alone.
 _BLOCK_BYTES = 4096 * 8 * len(_TICK)
@@ -321,7 +439,7 @@ class Metrics:
 
     def __init__(self) -> None:
         """Begin with pumps that stand still."""
-        self._totals: Totals = {}
+        self._totals: dict[str, Any] = {}
         self._weeks: list[float] = []
         self._done = 0  # ticks that are in the totals
         self._ticks = bytearray()
@@ -335,15 +453,18 @@ class Metrics:
         self._site = site
         self._state = (x1, x2, layer)
 
-    def step(self, command: float, precipitation: float, flows: Flows) -> None:
+    def step(
+        self, command: float, precipitation: float, potential: float, flows: Flows
+    ) -> None:
         """Take what happens between a tick and the next, for each tick 0..N-1, once observed.
 
         Args:
             command: the command given (1).
             precipitation: rain (m/s).
+            potential: evapotranspiration of plants that lack no water (m3/s).
             flows: what moves (m3/s).
         """
-        self._ticks += _pack_tick(*self._state, command, precipitation, *flows)
+        self._ticks += _pack_tick(*self._state, command, precipitation, potential, *flows)
         if len(self._ticks) == _BLOCK_BYTES:
             self._add_ticks()
 
@@ -385,6 +506,7 @@ class Metrics:
         return Samples(
             duration=np.full(columns.shape[1], self._site.tau), pumping_before=self._pumping,
             earlier_starts=self._starts, mains=self._mains(columns),
+            time=self._site.tau * (self._done + np.arange(columns.shape[1], dtype=float)),
             **dict(zip(_TICK, columns, strict=True)),
         )
 

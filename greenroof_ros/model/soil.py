@@ -65,9 +65,11 @@ class PaperSoil:
         keeps_all_below: volume below which all that arrives stays and all that is asked for
             evaporates, if it is there (m3); 0 where there is none.
         excess: what water above its capacity does, in words.
+        stress_volume: below which :meth:`water_stress` is less than 1 (m3).
     """
 
     excess = "stand on it"
+    stress_volume = 0.0
 
     def __init__(self, site: Site) -> None:
         self._site, self.keeps_all_below = site, site.z_cap
@@ -228,6 +230,7 @@ class MeasuredSoil:
         self._wilting, self._available = site.wilting_volume, site.available_volume
         self._onset, self._drying = site.stress_onset, site.stress_onset * site.available_volume
         self.above_target = site.z_cap - site.x2_star
+        self.stress_volume = self._wilting + self._drying
 
     def filled_share(self, x2: float) -> float:
         """Return S (1): how full of water that plants can take a substrate holding x2 (m3) is.

@@ -188,7 +188,7 @@ class PlantNode(LinkedNode):
                 f"{deviation:.2f} m3"
             )
             return
-        self._metrics.step(command, rain, flows)
+        self._metrics.step(command, rain, self._evapotranspiration.value, flows)
         self._plant.step(rain, flows)
         self._tick += 1
         # The next tick first where it may go: the others start on it while this node still

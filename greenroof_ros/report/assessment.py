@@ -120,12 +120,12 @@ def _samples(site: Site, trajectory: Trajectory) -> Samples:
     rain = until_the_end(trajectory.precipitation)
     flow = until_the_end(trajectory.pump_flow)
     drainage = until_the_end(trajectory.drainage)
+    asked = until_the_end(trajectory.evapotranspiration)
     mains = None
     if site.mains_level is not None:
         mains = until_the_end(mains_flows(site, trajectory.cistern))
     followed = soil_of(site).follow(
-        site.initial_layer, trajectory.roof, rain, flow,
-        until_the_end(trajectory.evapotranspiration), drainage, dt,
+        site.initial_layer, trajectory.roof, rain, flow, asked, drainage, dt,
     )
     return Samples(
         duration=dt,
@@ -139,6 +139,8 @@ def _samples(site: Site, trajectory: Trajectory) -> Samples:
         evapotranspiration=followed.evaporated,
         layer=followed.layer,
         mains=mains,
+        potential=asked,
+        time=trajectory.time,
     )
 
 

@@ -15,6 +15,10 @@ class Cell(NamedTuple):
     warning: bool = False
 
 
+NONE = Cell("none", -1.0)
+"""of a quantity that a run has not: a storm's, or the mains'"""
+
+
 class Table(NamedTuple):
     """A table that a reader can sort; the first column names the row.
 
@@ -31,7 +35,7 @@ class Table(NamedTuple):
 def number(value: float, digits: str = ".4g", warning: bool = False) -> Cell:
     """Return the cell of a number."""
     text = f"{value:{digits}}"
-    return Cell("0" if float(text) == 0 else text, value, warning)
+    return Cell("0" if float(text.rstrip("%")) == 0 else text, value, warning)
 
 
 def word(text: str) -> Cell:

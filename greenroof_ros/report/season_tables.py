@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from greenroof_ros.recording.results_table import differing
-from greenroof_ros.report.cells import Cell, Table, number, share, word
+from greenroof_ros.report.cells import NONE, Cell, Table, number, share, word
 from greenroof_ros.report.results import Report, heading
 from greenroof_ros.report.seasons import (
     Comparison,
@@ -21,6 +21,12 @@ from greenroof_ros.report.sizing import is_sizing, size_of
 
 # Means of a season: header, metric and format.
 _MEANS = (
+    ("mean deviation (mm)", "mean_deviation_mm", ".2f"),
+    ("water stress (h)", "stress_hours", ".1f"),
+    ("evapotranspiration ratio", "evapotranspiration_ratio", ".1%"),
+    ("rain kept", "rain_kept_share", ".1%"),
+    ("rain kept above 20 mm/h", "rain_kept_share_hour", ".1%"),
+    ("rain kept above 10 mm in 24 h", "rain_kept_share_day", ".1%"),
     ("mains water saved (m³)", "saved_m3", ".2f"),
     ("mains water used (m³)", "mains_m3", ".2f"),
     ("pumped (m³)", "pumped_m3", ".2f"),
@@ -125,7 +131,10 @@ def _means(found: Sequence[Seasons], where: Sequence[str]) -> Table:
             number(one.worst_year, "d"),
             number(one.worst_weeks, ".0f"),
             number(100 * one.mean("near_target_hours") / one.place.hours, ".1f"),
-            *(number(one.mean(metric), form) for _, metric, form in means),
+            *(
+                number(one.mean(metric), form) if one.of_years(metric) else NONE
+                for _, metric, form in means
+            ),
         ]
 
     return Table(

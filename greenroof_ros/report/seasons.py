@@ -104,15 +104,16 @@ class Seasons:
     years: dict[int, tuple[Season, ...]]
 
     def of_years(self, metric: str) -> dict[int, float]:
-        """Return the mean of a metric over the seeds, by year."""
-        return {
-            year: float(np.mean([run.metrics.get(metric, 0.0) for run in runs]))
+        """Return the mean of a metric over the seeds, by year; of those that have it."""
+        known = {
+            year: [run.metrics[metric] for run in runs if metric in run.metrics]
             for year, runs in self.years.items()
         }
+        return {year: float(np.mean(values)) for year, values in known.items() if values}
 
     def mean(self, metric: str) -> float:
-        """Return the mean of a metric over the years."""
-        return float(np.mean(list(self.of_years(metric).values())))
+        """Return the mean of a metric over the years that have it; 0 where none has."""
+        return float(np.mean(list(self.of_years(metric).values()) or 0.0))
 
     @property
     def seeds(self) -> int:

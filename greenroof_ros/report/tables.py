@@ -14,7 +14,7 @@ from greenroof_ros.experiment import summary
 from greenroof_ros.model.metrics import METRICS, Metric
 from greenroof_ros.recording.results_table import differing
 from greenroof_ros.report.assessment import Assumptions
-from greenroof_ros.report.cells import Cell, Table, number, share, word
+from greenroof_ros.report.cells import NONE, Cell, Table, number, share, word
 from greenroof_ros.report.results import Best, Report, Result, best_runs
 from greenroof_ros.report.season_tables import season_tables
 from greenroof_ros.report.seeds import Spread, spreads
@@ -149,15 +149,15 @@ def _metric(metric: Metric) -> _Column:
     """Return the column of a metric."""
 
     def cell(one: Result) -> Cell:
-        value = one.assessment.metrics[metric.name]
-        return number(value, metric.form, value > metric.most)
+        value = one.assessment.metrics.get(metric.name)
+        return NONE if value is None else number(value, metric.form, value > metric.most)
 
     return _Column(header(metric), cell)
 
 
 def header(metric: Metric) -> str:
-    """Return a metric's label with its unit."""
-    return f"{metric.label} ({unit(metric)})"
+    """Return a metric's label with its unit, which the numbers of percentages have."""
+    return metric.label if metric.form.endswith("%") else f"{metric.label} ({unit(metric)})"
 
 
 def unit(metric: Metric) -> str:
@@ -166,11 +166,10 @@ def unit(metric: Metric) -> str:
 
 
 def shown_metrics(report: Report) -> list[Metric]:
-    """Return the metrics that all runs have; none where there is no run."""
+    """Return the metrics that any run has."""
     return [
         metric for metric in METRICS
-        if report.results
-        and all(metric.name in one.assessment.metrics for one in report.results)
+        if any(metric.name in one.assessment.metrics for one in report.results)
     ]
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,8 +30,14 @@ TOPICS = (_ROOF, _CISTERN, _RAIN, _EVAPORATED, _FLOW, *_OF_PLANT)
 # So many values are counted although nobody asks.
 _MOST_WAITING = 200_000
 
-# Each entry of the account that is a sum, and the metric that it is.
+# Each entry of the account that is a metric, and which.
 _METRICS = {
+    "stress": "stress_hours",
+    "evapotranspiration_ratio": "evapotranspiration_ratio",
+    "kept": "rain_kept_share",
+    "kept_hour": "rain_kept_share_hour",
+    "kept_day": "rain_kept_share_day",
+    "deviation": "mean_deviation_mm",
     "rain": "rain_roof_m3",
     "pumped": "pumped_m3",
     "drained": "drainage_m3",
@@ -42,6 +49,8 @@ _METRICS = {
 }
 # What must be known for each of them.
 _NEEDED = {
+    "stress": (_ROOF,), "evapotranspiration_ratio": (_EVAPORATED, _ROOF), "deviation": (_ROOF,),
+    **dict.fromkeys(("kept", "kept_hour", "kept_day"), (_RAIN, _FLOW, _DRAINAGE)),
     "rain": (_RAIN,), "pumped": (_FLOW,), "drained": (_DRAINAGE,),
     "evapotranspired": (_EVAPORATED,), "inflow": (_RAIN,), "overflow": (_OUTFLOW,),
     "mains": (_CISTERN,), "energy": (_FLOW, _CISTERN),
@@ -109,7 +118,7 @@ class Account:
         """
         self._site, self._soil = site, soil_of(site)
         self._topics: dict[str, _Pending] = {}
-        self._totals: dict[str, float] = {}
+        self._combined: dict[str, Any] = {}  # as metrics.Metric.combine has it
         self._roofs: tuple[float, float] | None = None  # first and last volume (m3)
         self._layer = site.initial_layer  # in the drainage layer of a measured roof (m3)
         self._adds = 0
@@ -148,13 +157,17 @@ class Account:
         self._ended = True
 
     def totals(self) -> Mapping[str, float]:
-        """Return the sums so far (m3; energy in kWh), those that are known at all.
+        """Return the metrics so far, in their units: those that are known at all.
 
         Their keys are those of the document's account; ``stored`` is the change of the roof, and
         ``unexplained`` what the flows do not explain of it.
         """
         self._count()
-        totals = dict(self._totals)
+        totals = {}
+        for key, combined in self._combined.items():
+            value = _BY_NAME[_METRICS[key]].finish(self._site, combined)
+            if value is not None:
+                totals[key] = value
         if self._roofs is not None:
             totals["stored"] = (
                 self._roofs[1] - self._roofs[0] + self._layer - self._site.initial_layer
@@ -225,7 +238,8 @@ class Account:
 
     def _add_up(self, begin: int, end: int) -> None:
         """Add what happened from one time to another (ns)."""
-        site = self._site
+        site, since = self._site, self.since
+        assert since is not None
         holds = round(site.tau * 1e9) if self.measured else HOLDS_NS
         edges = self._edges(begin, end, holds)
         times = edges[:-1]
@@ -266,6 +280,8 @@ class Account:
             evapotranspiration=followed.evaporated,
             layer=followed.layer,
             mains=mains_flows(site, np.nan_to_num(cistern)),
+            potential=np.nan_to_num(known[_EVAPORATED]),
+            time=(times - since) / 1e9,
         )
         for key, name in _METRICS.items():
             there = np.all([np.isfinite(known[topic]) for topic in _NEEDED[key]], axis=0)
@@ -273,7 +289,7 @@ class Account:
             values = metric.function(site, samples)
             if values is not None and there.any():
                 values = np.where(there, values, 0.0)
-                self._totals[key] = metric.combine(self._totals.get(key, 0.0), values)
+                self._combined[key] = metric.combine(self._combined.get(key, 0.0), values)
 
     def _edges(self, begin: int, end: int, holds: int) -> Stamps:
         """Return the times between which no value changes, or ceases to hold (ns)."""

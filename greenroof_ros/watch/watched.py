@@ -70,6 +70,12 @@ _WEEK_H, _MOST_POINTS = 168.0, 2000
 
 # Entries of the account, in order, with their labels.
 _ENTRIES = {
+    "stress": "Water stress of the plants",
+    "evapotranspiration_ratio": "Evapotranspired, of what plants ask for",
+    "kept": "Rain kept on the roof",
+    "kept_hour": "Rain kept of storms above 20 mm/h",
+    "kept_day": "Rain kept of storms above 10 mm in 24 h",
+    "deviation": "Mean deviation from the target",
     "rain": "Rain on the roof",
     "pumped": "Pumped onto the roof",
     "drained": "Drained off the roof",
@@ -81,6 +87,13 @@ _ENTRIES = {
     "mains": "Mains water into the cistern, computed from the level",
     "saved": "Potable water saved",
     "energy": "Energy of the pump",
+}
+# Without rain, or such storms, there is nothing to say of these.
+_OF_RAIN = ("kept", "kept_hour", "kept_day")
+# Unit, decimals and factor of those that are no volume.
+_UNITS = {
+    "stress": ("h", 1, 1.0), "deviation": ("mm", 1, 1.0), "energy": ("kWh", 3, 1.0),
+    **dict.fromkeys(("evapotranspiration_ratio", *_OF_RAIN), ("%", 0, 100.0)),
 }
 
 
@@ -819,6 +832,9 @@ class Watched:
         labels = dict(_ENTRIES)
         if self._site is None or self._site.mains_level is None:
             del labels["mains"]
+        for key in _OF_RAIN:
+            if key not in totals:
+                del labels[key]
         since, sentence = "", "not known yet"
         if account is not None and account.since is not None:
             since = f"since {words.date_and_time(account.since / 1e9, utc_offset)}"
@@ -836,8 +852,7 @@ class Watched:
                 {
                     "key": key, "label": label, "number": totals.get(key),
                     "value": words.UNKNOWN if key not in totals
-                    else words.quantity(totals[key], "kWh", 3) if key == "energy"
-                    else words.volume(totals[key]),
+                    else words.quantity(totals[key], *_UNITS.get(key, ("m3", 3, 1.0))),
                 }
                 for key, label in labels.items()
             ],

@@ -204,7 +204,7 @@ def test_energy_and_starts_by_hand() -> None:
     head = 55.2 - 5.78e5 * full**2
     for flow in (full, full, 0.0, full / 2, 0.0, 0.0, full):
         metrics.observe(PAPER_SITE, 75.0, 1.0)
-        metrics.step(1.0, 0.0, Flows(0.0, flow, 0.0, 0.0, False))
+        metrics.step(1.0, 0.0, 0.0, Flows(0.0, flow, 0.0, 0.0, False))
     joules = 9810 * (3 * full * head + full / 2 * (13 + (head - 13) / 4))
     assert metrics["hydraulic_energy_kwh"] == pytest.approx(joules / 3.6e6, rel=1e-9)
     assert metrics["pump_starts"] == 3

@@ -11,10 +11,13 @@ from paper import PAPER_SITE, site_with
 from places import CONFIG
 
 from greenroof_ros.common.errors import ConfigurationError
+from greenroof_ros.model import metrics as metrics_module
 from greenroof_ros.model.metrics import METRICS, Metrics
 from greenroof_ros.model.plant import Flows
 from greenroof_ros.model.site import Site, read_site, site_parameters
+from greenroof_ros.model.soil import water_stress
 
+KEPT = {"rain_kept_share", "rain_kept_share_hour", "rain_kept_share_day"}
 COUNTS = {"limited_steps", "pump_starts", "busiest_hour_starts", "excess_starts"}
 Ticks = list[tuple[float, float, float, float, Flows]]
 
@@ -37,11 +40,12 @@ def drawn(count: int, seed: int) -> Ticks:
 
 def sums(site: Site, ticks: Ticks) -> dict[str, float]:
     """Return the metrics of ticks, of which the last is the end of the run."""
-    # The paper's site has no drainage layer and no mains.
-    absent = {"final_layer_m3", "mains_m3"}
+    # The paper's site has no drainage layer and no mains; see below for the rain that was kept.
+    absent = {"final_layer_m3", "mains_m3", *KEPT, "evapotranspiration_ratio"}
     names = [metric.name for metric in METRICS if metric.name not in absent]
     found: dict[str, float] = {**dict.fromkeys(names, 0.0), **dict.fromkeys(COUNTS, 0)}
     pumping = False
+    actual = potential = 0.0
     in_hour: list[float] = []  # when the pumps started in the hour that ends now (s)
     for k, (x1, x2, command, rain, flows) in enumerate(ticks[:-1]):
         if flows.pump > 0 and not pumping:
@@ -70,6 +74,8 @@ def sums(site: Site, ticks: Ticks) -> dict[str, float]:
             ("electric_energy_kwh", energy / site.pump_efficiency),
         ):
             found[name] += value
+        actual += site.tau * flows.evapotranspiration
+        potential += site.tau * (rain + flows.evapotranspiration)
         found["max_command"] = max(found["max_command"], command)
         pumping = flows.pump > 0
     found["final_cistern_m3"], found["final_roof_m3"] = ticks[-1][:2]
@@ -78,7 +84,20 @@ def sums(site: Site, ticks: Ticks) -> dict[str, float]:
     # Exact, as a sum of 1 / 3600 is not.
     for name in ("beyond_hours", "pump_hours", "near_target_hours"):
         found[name] = found[name] * site.tau / 3600
+    found["mean_deviation_mm"] = 1000 * (found["total_deviation_m3"] / len(ticks)) / site.a2
+    if potential:
+        found["evapotranspiration_ratio"] = actual / potential
     return found
+
+
+def results(site: Site, ticks: Ticks) -> dict[str, float]:
+    """Return the metrics of ticks, of which the last is the end of the run."""
+    metrics = Metrics()
+    for x1, x2, command, rain, flows in ticks[:-1]:
+        metrics.observe(site, x1, x2)
+        metrics.step(command, rain, rain + flows.evapotranspiration, flows)
+    metrics.observe(site, *ticks[-1][:2])
+    return metrics.results()
 
 
 @pytest.mark.parametrize(("days", "weeks"), [(1, 1), (14, 2), (34, 5)])
@@ -89,7 +108,7 @@ def test_weeks(days: int, weeks: int) -> None:
     metrics = Metrics()
     for x1, x2, command, rain, flows in ticks[:-1]:
         metrics.observe(site, x1, x2)
-        metrics.step(command, rain, flows)
+        metrics.step(command, rain, rain + flows.evapotranspiration, flows)
     metrics.observe(site, *ticks[-1][:2])
     expected = [0.0] * weeks
     for k, tick in enumerate(ticks):
@@ -108,11 +127,12 @@ def test_every_bit_whatever_the_length(count: int) -> None:
     for tick, (x1, x2, command, rain, flows) in enumerate(ticks, start=1):
         metrics.observe(site, x1, x2)
         if tick == count // 2:
-            assert metrics.results() == sums(site, ticks[:tick])
+            half = metrics.results()
+            assert {name: half[name] for name in half.keys() - KEPT} == sums(site, ticks[:tick])
         if tick < count:
-            metrics.step(command, rain, flows)
+            metrics.step(command, rain, rain + flows.evapotranspiration, flows)
     found = metrics.results()
-    assert found == sums(site, ticks)
+    assert {name: found[name] for name in found.keys() - KEPT} == sums(site, ticks)
     assert found == metrics.results()
     assert {name for name, value in found.items() if type(value) is int} == COUNTS
 
@@ -126,7 +146,7 @@ def test_an_hour_holds_its_first_start_no_more(tau: float, gap: int, busiest: in
     metrics = Metrics()
     for tick in range(30 * gap):
         metrics.observe(site, 75.0, 1.0)
-        metrics.step(1.0, 0.0, Flows(0.0, 0.004 * (tick % gap == 0), 0.0, 0.0, False))
+        metrics.step(1.0, 0.0, 0.0, Flows(0.0, 0.004 * (tick % gap == 0), 0.0, 0.0, False))
     assert metrics["pump_starts"] == 30
     assert metrics["busiest_hour_starts"] == busiest
     assert metrics["excess_starts"] == (10 if busiest > 20 else 0)
@@ -142,7 +162,7 @@ def test_electric_energy_is_over_the_sites_efficiency(tmp_path: Path) -> None:
         metrics = Metrics()
         site = read_site(file)
         metrics.observe(site, 75.0, 1.0)
-        metrics.step(1.0, 0.0, Flows(0.0, 0.004, 0.0, 0.0, False))
+        metrics.step(1.0, 0.0, 0.0, Flows(0.0, 0.004, 0.0, 0.0, False))
         hydraulic = metrics["hydraulic_energy_kwh"]
         assert hydraulic > 0
         assert metrics["electric_energy_kwh"] == hydraulic / efficiency
@@ -161,9 +181,102 @@ def test_mains_water_by_hand() -> None:
     metrics = Metrics()
     for x1 in (24.0, 20.0, 24.999, 25.0, 60.0):
         metrics.observe(site, x1, 1.0)
-        metrics.step(0.0, 0.0, Flows(0.0, 0.0, 0.0, 0.0, False))
+        metrics.step(0.0, 0.0, 0.0, Flows(0.0, 0.0, 0.0, 0.0, False))
     metrics.observe(site, 24.0, 1.0)
     assert metrics["mains_m3"] == pytest.approx(0.006, rel=1e-12)
+
+
+def test_an_owners_metrics_by_hand() -> None:
+    """Ticks of 2 s: 0.1 m3 above the target, 0.3 below, empty twice, and 0.2 above at the end.
+
+    The mean of 0.1, 0.3, 3.14416, 3.14416 and 0.2 m3 is 1.377664 m3, 20.0242 mm on 68.8 m2.
+    """
+    site, target = site_with(tau=2.0), PAPER_SITE.x2_star
+    metrics = Metrics()
+    for x2, actual in ((target + 0.1, 4e-6), (target - 0.3, 2e-6), (0.0, 1e-6), (0.0, 0.0)):
+        metrics.observe(site, 50.0, x2)
+        metrics.step(0.0, 0.0, 4e-6, Flows(0.0, 0.0, 0.0, actual, False))
+    metrics.observe(site, 50.0, target + 0.2)
+    found = metrics.results()
+    assert found["mean_deviation_mm"] == pytest.approx(1377.664 / 68.8, rel=1e-12)
+    assert found["stress_hours"] == pytest.approx(4 / 3600, rel=1e-12)
+    assert found["evapotranspiration_ratio"] == pytest.approx(7 / 16, rel=1e-12)
+    assert not KEPT & found.keys()  # it did not rain
+
+
+def test_stress_is_that_of_the_soil() -> None:
+    """34.4 m3 of soil with 30 % at field capacity, 10 % at wilting: stress below 20 %, 6.88 m3."""
+    site = replace(
+        PAPER_SITE, tau=3600.0, z_cap=10.32, field_capacity=0.3, wilting_point=0.1,
+        depletion_fraction=0.5,
+    )
+    volumes = (12.0, 6.8801, 6.8799, 3.0, 0.0)
+    metrics = Metrics()
+    for x2 in volumes:
+        metrics.observe(site, 50.0, x2)
+        metrics.step(0.0, 0.0, 0.0, Flows(0.0, 0.0, 0.0, 0.0, False))
+    metrics.observe(site, 50.0, 12.0)
+    assert metrics["stress_hours"] == sum(water_stress(site, x2) < 1 for x2 in volumes) == 3
+    assert "evapotranspiration_ratio" not in metrics.results()  # nothing was asked for
+
+
+def hourly(site: Site, hours: int, **amounts: dict[int, float]) -> Ticks:
+    """Return ticks of hours in which so much rains, is pumped and drains (m3)."""
+    def rate(name: str, hour: int) -> float:
+        return amounts.get(name, {}).get(hour, 0.0) / 3600
+
+    each = round(3600 / site.tau)
+    return [
+        (50.0, 1.0, 0.0, rate("rain", hour) / site.a2, Flows(
+            0.0, rate("pumped", hour), rate("drained", hour), 0.0, False
+        ))
+        for hour in (k // each for k in range(hours * each + 1))
+    ]
+
+
+def test_rain_kept_by_hand() -> None:
+    """Three days on 100 m2: 30 mm in an hour, 4 mm a day later, and 6 and 5 mm the day after.
+
+    - Hour 10: 3 m3 fall, 0.6 drain in the hour and 0.9 in the next.
+    - Hour 35: what drains is of nothing that came in six hours.
+    - Hour 36: 0.4 m3 fall, 0.1 drain.
+    - Hour 41: 0.6 m3 are pumped, 0.5 drain: 0.4 of it, 0.2 m3, is of the rain of hour 36.
+    - Hour 60: 0.6 m3 fall, as much as was pumped in hour 55: half of the 0.2 that drain is of rain.
+    - Hour 61: 0.5 m3 fall.
+
+    Of 4.5 m3 of rain 1.9 drain. Hours 0 to 33 and 38 to 71 are in 24 with more than 10 mm: of
+    4.1 m3 in these 1.8 drain.
+    """
+    site = site_with(a2=100.0, tau=600.0)
+    found = results(site, hourly(
+        site, 72, rain={10: 3.0, 36: 0.4, 60: 0.6, 61: 0.5}, pumped={41: 0.6, 55: 0.6},
+        drained={10: 0.6, 11: 0.9, 35: 0.3, 36: 0.1, 41: 0.5, 60: 0.2},
+    ))
+    assert found["rain_kept_share"] == pytest.approx(1 - 1.9 / 4.5, rel=1e-9)
+    assert found["rain_kept_share_hour"] == pytest.approx(0.8, rel=1e-9)
+    assert found["rain_kept_share_day"] == pytest.approx(1 - 1.8 / 4.1, rel=1e-9)
+
+
+@pytest.mark.parametrize(("depth", "there"), [(20.0, False), (20.1, True)])
+def test_a_storm_has_more(depth: float, there: bool) -> None:
+    """An hour with 20 mm has not more; of one with more nothing is kept where more drains."""
+    site = site_with(a2=100.0, tau=0.1)
+    found = results(site, hourly(site, 2, rain={1: depth / 10}, drained={1: 5.0}))
+    assert found.get("rain_kept_share_hour") == (0.0 if there else None)
+
+
+def test_storms_over_blocks_have_the_same_bits(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Four days of 1 min with storms of ten hours; a tick, 7 and 4096 a block."""
+    site, found = site_with(tau=60.0), []
+    ticks = [
+        (x1, x2, command, 3 * rain * (k // 600 % 3 == 0), flows)
+        for k, (x1, x2, command, rain, flows) in enumerate(drawn(4 * 1440 + 1, seed=1))
+    ]
+    for size in (1, 7, 4096):
+        monkeypatch.setattr(metrics_module, "_BLOCK_BYTES", size * 8 * len(metrics_module._TICK))
+        found.append(results(site, ticks))
+    assert found[0] == found[1] == found[2]
+    assert all(0 < found[0][name] < 1 for name in KEPT)
 
 
 def test_each_has_its_words() -> None:

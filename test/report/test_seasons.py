@@ -105,6 +105,19 @@ def test_means_by_hand(tmp_path: Path) -> None:
         assert expected in text
 
 
+def test_years_without_a_storm_have_no_share_of_it(tmp_path: Path) -> None:
+    """The mean is of those with one; who has none, or no mains, has no number."""
+    wet, dry = rows("onoff", None, ONOFF), rows("mpc", 1, ONOFF)
+    wet[0]["rain_kept_share_day"], wet[1]["rain_kept_share_day"] = 0.5, 0.75
+    path = write_study(
+        tmp_path / "study", [(row, None) for row in (*wet, *dry)], [*HEADER, "rain_kept_share_day"]
+    )
+    report = Report([], [], split_by_years(find_runs([path], None).runs)[1])
+    table = season_tables(report)[0]
+    place = table.header.index("rain kept above 10 mm in 24 h")
+    assert [row[place].text for row in table.rows] == ["none", "62.5%"]  # mpc first
+
+
 def test_a_tenth_whatever_the_number_of_values() -> None:
     """Of 26 weeks 2.6, of 260 the same as 26; of five the largest."""
     weeks = np.arange(26.0)

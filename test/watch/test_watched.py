@@ -561,8 +561,8 @@ def test_the_account_of_a_run_in_words() -> None:
     account = shown(one)["account"]
     assert account["sentence"] == "0.000 m3 not accounted for"
     assert [row["key"] for row in account["rows"]] == [
-        "rain", "pumped", "drained", "evapotranspired", "stored", "unexplained", "inflow",
-        "overflow", "saved", "energy",
+        "stress", "evapotranspiration_ratio", "deviation", "rain", "pumped", "drained",
+        "evapotranspired", "stored", "unexplained", "inflow", "overflow", "saved", "energy",
     ]
     rows = {row["key"]: row for row in account["rows"]}
     results = metrics.results()
@@ -571,6 +571,8 @@ def test_the_account_of_a_run_in_words() -> None:
     assert rows["saved"]["number"] == rows["pumped"]["number"] > 0.1
     assert rows["energy"]["value"] == f"{results['electric_energy_kwh']:.3f} kWh"
     assert rows["unexplained"]["value"] == "0.000 m3"
+    assert rows["stress"]["value"] == "0.0 h"
+    assert rows["evapotranspiration_ratio"]["value"] == "100 %"
 
 
 def test_gaps_are_said() -> None:

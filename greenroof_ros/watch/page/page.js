@@ -183,7 +183,7 @@ const fillAlarm = (row, alarm) => {
 const fillAccount = (row, entry) => {
   setText(row.cells[0], entry.label);
   setText(row.cells[1], entry.value);
-  row.classList.toggle("first", ["inflow", "saved"].includes(entry.key));
+  row.classList.toggle("first", ["rain", "inflow", "saved"].includes(entry.key));
 };
 
 const makeAccount = () => {
