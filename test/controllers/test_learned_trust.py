@@ -125,7 +125,7 @@ def test_the_shadows_are_the_roofs_that_would_be(site: str) -> None:
     kept = np.exp(-np.arange(len(season(site, [dry])[1]))[::-1] * 1800 / DAY_S / 30)
     for shadow, forecast in ((0, dry), (-1, always)):
         _, off, _ = season(site, [forecast], memory=0.0)
-        assert controller._trust.losses[shadow] == pytest.approx((off * kept).sum(), rel=0.05)
+        assert controller._trust.losses[shadow] == pytest.approx((off * kept).sum(), rel=0.1)
 
 
 def test_what_is_left_for_rain() -> None:
