@@ -23,6 +23,9 @@ from greenroof_ros.report.entries import Change, Ending, Note, Parameters, param
 from greenroof_ros.weather.filling import REFUSE
 from greenroof_ros.weather.records import name_files
 
+LABELLED = (*OPTIONS, "dressed")
+"""What names forecasts beside their model or file, in this order."""
+
 _PARAMETERS = "configuration/parameters.yaml"
 
 # What a run did that is not done, as a sentence and in short, by the status of its summary.
@@ -156,6 +159,7 @@ def _node_parameters(file: Path) -> dict[str, Any]:
         "forecast": {
             "model": weather.get("forecast"),
             **{option: weather.get(f"forecast_{option}") for option in OPTIONS},
+            "dressed": weather.get("dressed"),
         },
         "sensor_pump_errors": {name: plant.get(name) for name in RANGES},
     }
@@ -301,8 +305,11 @@ def forecast_label(name: str | None, options: Mapping[str, object]) -> str:
     """Return a name for forecasts with those of their options that are there; none if perfect."""
     if not name or name == PERFECT:
         return ""
-    given = {option: options.get(option) for option in OPTIONS}
-    texts = [f"{option} {value}" for option, value in given.items() if value not in (None, "")]
+    given = {option: options.get(option) for option in LABELLED}
+    texts = [
+        f"{option} {Path(str(value)).name if option == 'dressed' else value}"
+        for option, value in given.items() if value not in (None, "")
+    ]
     return " ".join([Path(name).name, *texts])
 
 

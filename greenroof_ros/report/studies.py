@@ -14,7 +14,7 @@ import numpy as np
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.files import file_digest, read_text
 from greenroof_ros.common.times import to_people
-from greenroof_ros.forecast.choice import OPTIONS, PERFECT
+from greenroof_ros.forecast.choice import PERFECT
 from greenroof_ros.model.metrics import METRICS
 from greenroof_ros.model.sensor_pump_errors import RANGES
 from greenroof_ros.model.site import Site, read_site
@@ -22,6 +22,7 @@ from greenroof_ros.recording.bag_reader import Recorded
 from greenroof_ros.recording.results_table import row_parameters
 from greenroof_ros.recording.trajectory import read_parquet
 from greenroof_ros.report.about import (
+    LABELLED,
     forecast_label,
     initial_label,
     parameters,
@@ -75,7 +76,7 @@ def read_study(path: Path, source: str, prefix: str, sources: Sources) -> None:
         given = parameters(row_parameters(row))
         volumes = (_cell(file, line, row, "cistern_m3"), _cell(file, line, row, "roof_m3"))
         initial = initial_label(row["initial"], *volumes)
-        options = {option: row.get(f"forecast_{option}") for option in OPTIONS}
+        options = {option: row.get(f"forecast_{option}") for option in LABELLED}
         forecast = forecast_label(row.get("forecast"), options)
         sensor_pump_errors = sensor_pump_errors_label(
             {key: _cell(file, line, row, key) for key in RANGES if key in row}
@@ -136,6 +137,7 @@ def read_study(path: Path, source: str, prefix: str, sources: Sources) -> None:
                     "forecast": (
                         digest(configuration / row.get("forecast", "")),
                         digest(configuration / (options["skill"] or "")),
+                        digest(configuration / (options["dressed"] or "")),
                     ),
                     "initial": what_initial(row["initial"], *volumes),
                 },
@@ -162,7 +164,7 @@ def _season(
     whole = int(hours // _WEEK_H)
     if not whole or len(weeks) < whole:
         return None
-    options = {option: row.get(f"forecast_{option}") for option in OPTIONS if option != "seed"}
+    options = {option: row.get(f"forecast_{option}") for option in LABELLED if option != "seed"}
     return Season(
         year=start.year,
         begins=f"{start:%d %B %H:%M}",

@@ -115,6 +115,8 @@ def _choice(case: Case, directory: Path) -> ForecastChoice:
         choice = replace(choice, file=directory / case.forecast_file.name)
     if case.skill_file is not None:
         choice = replace(choice, skill=str(directory / case.skill_file.name))
+    if case.dressed_file is not None:
+        choice = replace(choice, dressed=directory / case.dressed_file.name)
     return choice
 
 
@@ -162,6 +164,8 @@ def _run_graph(case: Case, directory: Path, trajectory_every: float | None) -> O
         "--parameters", str(parameters), "--cistern", repr(case.cistern), "--roof", repr(case.roof),
         "--forecast", str(_choice(case, directory)),
     ]
+    if case.dressed_file is not None:
+        command += ["--dressed", str(directory / case.dressed_file.name)]
     for name, value in _choice(case, directory).options().items():
         command += [f"--forecast-{name}", str(value)]
     if case.sensor_pump_errors is not None:

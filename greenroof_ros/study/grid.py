@@ -88,6 +88,7 @@ class Case:
         forecast: which forecasts; a file of them by its name.
         forecast_file: that file; None where there is none.
         skill_file: of the forecasts' skill; None where that has a name.
+        dressed_file: that they are dressed by; None for forecasts as they were issued.
         controller: which.
         parameters: all of the controller's.
         initial: name of the initial state.
@@ -107,6 +108,7 @@ class Case:
     forecast: ForecastChoice
     forecast_file: InputFile | None
     skill_file: InputFile | None
+    dressed_file: InputFile | None
     controller: ControllerChoice
     parameters: dict[str, float]
     initial: str
@@ -119,7 +121,9 @@ class Case:
     @property
     def files(self) -> tuple[InputFile, ...]:
         """What it reads."""
-        files = (self.site, *self.weather, self.forecast_file, self.skill_file)
+        files = (
+            self.site, *self.weather, self.forecast_file, self.skill_file, self.dressed_file
+        )
         return tuple(file for file in files if file is not None)
 
     @property
@@ -131,6 +135,7 @@ class Case:
             "weather": " ".join(file.digest for file in self.weather),
             "forecast_file": self.forecast_file.digest if self.forecast_file is not None else "",
             **({"skill_file": self.skill_file.digest} if self.skill_file is not None else {}),
+            **({"dressed": self.dressed_file.digest} if self.dressed_file is not None else {}),
             "parameters": sorted(self.parameters.items()),
             "controller": [self.controller.reference, self.controller.source],
         }
@@ -141,7 +146,7 @@ class Case:
         """Identity of what every controller is given alike, and of how it is bounded."""
         alike = replace(
             self, controller=find_controller("onoff"), parameters={}, forecast=ForecastChoice(),
-            forecast_file=None, skill_file=None, sensor_pump_errors=None,
+            forecast_file=None, skill_file=None, dressed_file=None, sensor_pump_errors=None,
         ).identity
         return alike if self.bound_block is None else f"{alike}-{shortest(self.bound_block)}"
 
@@ -156,6 +161,10 @@ class Case:
             **({"gaps": self.gaps} if self.gaps != REFUSE else {}),
             "forecast": str(self.forecast),
             **{f"forecast_{name}": self.forecast.options().get(name) for name in OPTIONS},
+            **(
+                {"forecast_dressed": self.dressed_file.name}
+                if self.dressed_file is not None else {}
+            ),
             **(self.sensor_pump_errors.values() if self.sensor_pump_errors is not None else {}),
             "controller": self.controller.name,
             "initial": self.initial,
@@ -325,6 +334,7 @@ class _Grid:
                         )
                 run = checked[key]
             carried, forecast_file, skill_file = self._carried(choice, site)
+            dressed_file = None if choice.dressed is None else self._input(choice.dressed)
             inputs = tuple(map(self._input, weather.files))
             for sensor_pump_errors, (controller, parameters, _) in itertools.product(
                 list(self._sensor_pump_errors()), theirs
@@ -339,6 +349,7 @@ class _Grid:
                     forecast=carried,
                     forecast_file=forecast_file,
                     skill_file=skill_file,
+                    dressed_file=dressed_file,
                     controller=controller,
                     parameters=parameters,
                     initial=initial,
@@ -368,7 +379,11 @@ class _Grid:
                 place = self._place(mapping, "forecast", str(choice.file))
                 choice = replace(choice, file=place / choice.file)
             if options:
-                self._keys(options, ("model", *choice.takes))
+                of_file = () if choice.file is None else ("dressed",)
+                self._keys(options, ("model", *choice.takes, *of_file))
+            if "dressed" in options:
+                name = self._one(options, "dressed", str)
+                choice = replace(choice, dressed=self._place(options, "dressed", name) / name)
             skills = self._skills(options) if "skill" in options else [choice.skill]
             numbers = {
                 name: NUMBERS[name] for name in choice.takes if name in options and name in NUMBERS

@@ -77,7 +77,8 @@ class Names:
 
 def forecast_name(case: Case) -> str:
     """Name the forecasts of a case."""
-    return _named(str(case.forecast), case.forecast.options())
+    dressed = {} if case.dressed_file is None else {"dressed": case.dressed_file.name}
+    return _named(str(case.forecast), {**case.forecast.options(), **dressed})
 
 
 def _named(name: str, values: Mapping[str, float | str]) -> str:

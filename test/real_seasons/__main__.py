@@ -1,0 +1,267 @@
+"""What forecasts as they were issued are worth: ``python test/real_seasons ARCHIVES -o DIR``.
+
+ARCHIVES is a directory with the previous runs of three services and the gauge's record beside them,
+2024-02-20 to 12-31 at Budva. On the paper's roof and on a measured one, both with mains, it runs
+on/off, and ``lookahead`` with a forecast of no rain, of each service, of the three as one ensemble,
+of a placebo, and a perfect one: as issued, with trust that is learned, and dressed. A study in DIR
+does the runs; the same command goes on where it was. Prints a table in Markdown, and draws trust
+over time.
+
+Assumed: evapotranspiration is the site file's monthly mean as a half sine over the day. Hours that
+the gauge lacks count as dry. GFS's fifth day is left out. The placebo is GEM's issues of 35 days
+later, and at the end those of the first weeks: as wet, and without skill. Dressed forecasts are
+made of the same record, without the days around each issue
+(:mod:`greenroof_ros.forecast.dressing`).
+"""
+
+from __future__ import annotations
+
+import argparse
+import csv
+import math
+import subprocess
+import sys
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from datetime import datetime, timedelta, timezone
+from pathlib import Path
+
+import numpy as np
+import yaml
+from numpy.typing import NDArray
+
+HERE = Path(__file__).resolve().parent
+sys.path[:0] = [str(HERE.parent), str(HERE.parent.parent)]
+
+from dressing.__main__ import together  # noqa: E402
+
+from greenroof_ros.common.files import shared_directory  # noqa: E402
+from greenroof_ros.experiment.closed_loop import closed_loop  # noqa: E402
+from greenroof_ros.experiment.run import build_run, count_ticks  # noqa: E402
+from greenroof_ros.forecast.archive import Archive, read_archive  # noqa: E402
+from greenroof_ros.forecast.choice import choose  # noqa: E402
+from greenroof_ros.forecast.dressing import dressing_text, learn  # noqa: E402
+from greenroof_ros.forecast.own_csv import write_forecasts  # noqa: E402
+from greenroof_ros.controllers.registry import find_controller  # noqa: E402
+from greenroof_ros.model.metrics import Metrics  # noqa: E402
+from greenroof_ros.model.site import Site, edited, read_site  # noqa: E402
+from greenroof_ros.weather.reading import read_weather  # noqa: E402
+
+Array = NDArray[np.float64]
+
+SERVICES = {"gem": "gem_global", "knmi": "knmi_seamless", "gfs": "gfs_seamless"}
+START = datetime(2024, 2, 20, 12, tzinfo=timezone.utc)
+HOURS = 7548.0
+# Weeks from the start of which May to October is made: 30 April to 29 October.
+SUMMER = slice(10, 36)
+# The roofs, and how far their controllers look ahead (h).
+ROOFS = {"paper": ("site.yaml", 120.0), "measured": ("site_catchment.yaml", 48.0)}
+MAINS = {"mains_level": 0.85, "mains_flow": 5e-4}
+TICK_S = 60.0
+# A twentieth of the flow lifts in a tick of a minute what on/off lifts in three seconds.
+FRACTION = 0.05
+PLACEBO_DAYS = 35
+# Of the bootstrap: blocks of weeks, since a storm's excess stays for more than one.
+RESAMPLES, BLOCK_WEEKS = 2000, 4
+
+
+def half_sine(hour: int) -> float:
+    """Return the share of a day's mean that evaporates in an hour of UTC; the sun is up from 5."""
+    return math.pi * max(0.0, math.sin(math.pi * (hour + 0.5 - 5) / 12))
+
+
+def write_inputs(archives: Path, directory: Path) -> None:
+    """Write weather, sites, forecasts, what dresses them, and grids into a directory."""
+    site = read_site(shared_directory() / "config" / ROOFS["measured"][0])
+    gauge = archives / "gauge_2024.csv"
+    (directory / "gauge.csv").write_text(_gauge(gauge, site), encoding="utf-8")
+    record = read_weather([gauge], site, rain_only=True)
+    services = {
+        short: read_archive(archives / f"{name}_previous_runs.csv", site)
+        for short, name in SERVICES.items()
+    }
+    services["gfs"] = shortened(services["gfs"], 96)
+    all_of = {
+        **services, "three": together(list(services.values())),
+        "placebo": shifted(services["gem"]),
+    }
+    dry = [replace(issue, rain=0 * issue.rain) for issue in services["gem"].issues]
+    (directory / "no_rain.csv").write_text(write_forecasts(dry), encoding="utf-8")
+    for name, archive in all_of.items():
+        (directory / f"{name}.csv").write_text(write_forecasts(archive.issues), encoding="utf-8")
+    for roof, (name, horizon) in ROOFS.items():
+        text = (shared_directory() / "config" / name).read_text(encoding="utf-8")
+        mains = {} if "mains_flow" in text else MAINS
+        (directory / f"{roof}.yaml").write_text(
+            edited(text, {"tau": TICK_S, "M": 1, **mains}), encoding="utf-8"
+        )
+        for source, archive in all_of.items():
+            (directory / f"dressed_{source}_{roof}.csv").write_text(
+                dressing_text(learn(archive, record, round(horizon))), encoding="utf-8"
+            )
+        (directory / f"grid_{roof}.yaml").write_text(
+            yaml.safe_dump(grid(roof, list(all_of)), sort_keys=False), encoding="utf-8"
+        )
+
+
+def grid(roof: str, sources: Sequence[str]) -> dict[str, object]:
+    """Return the grid of a roof."""
+    horizon = ROOFS[roof][1]
+    raw = [{"model": f"{source}.csv", "delay": 6.0} for source in sources]
+    dressed = [
+        {**one, "dressed": f"dressed_{source}_{roof}.csv"}
+        for source, one in zip(sources, raw, strict=True)
+    ]
+    return {
+        "site": f"{roof}.yaml",
+        "weather": [{
+            "file": "gauge.csv", "start": START.isoformat(), "hours": HOURS, "gaps": "fill",
+            "evapotranspiration": "assumed",
+        }],
+        "initial": "low-low",
+        "bound_block": 0,
+        "controllers": {
+            "onoff": {"fraction": FRACTION, "forecast": "perfect"},
+            "lookahead": [
+                {"horizon": horizon, "trust_memory": 0.0, "forecast": [
+                    "perfect", "no_rain.csv", *raw, *dressed
+                ]},
+                {"horizon": horizon, "forecast": [*raw, *dressed]},
+            ],
+        },
+    }
+
+
+def _gauge(file: Path, site: Site) -> str:
+    """Return the gauge's record with the evapotranspiration that is assumed (mm/day)."""
+    monthly = site.monthly_evapotranspiration
+    assert monthly is not None
+    lines = ["time,precipitation [mm/h],assumed evapotranspiration [mm/day]"]
+    with file.open(encoding="utf-8") as stream:
+        for time, rain in list(csv.reader(stream))[1:]:
+            begins = datetime.fromisoformat(time).replace(tzinfo=timezone.utc)
+            dries = monthly[begins.month - 1] * half_sine(begins.hour)
+            lines.append(f"{begins.isoformat()},{rain},{dries:.4f}")
+    return "\n".join([*lines, ""])
+
+
+def shortened(archive: Archive, hours: int) -> Archive:
+    """Return an archive to so many hours."""
+    return replace(archive, issues=tuple(
+        replace(issue, rain=issue.rain[:, :hours]) for issue in archive.issues
+    ))
+
+
+def shifted(archive: Archive) -> Archive:
+    """Return each issue with what was forecast weeks later."""
+    count = PLACEBO_DAYS * round(timedelta(days=1) / (
+        archive.issues[1].issued - archive.issues[0].issued
+    ))
+    moved = [*archive.issues[count:], *archive.issues[:count]]
+    return replace(archive, issues=tuple(
+        replace(issue, rain=other.rain) for issue, other in zip(archive.issues, moved, strict=True)
+    ))
+
+
+@dataclass(frozen=True)
+class Row:
+    """A run: how it was decided, and the deviation of each of its weeks (m3)."""
+
+    forecast: str
+    trusts: bool
+    dressed: bool
+    weeks: Array
+
+
+def rows(study: Path) -> list[Row]:
+    """Return the runs of a study."""
+    with (study / "results.csv").open(encoding="utf-8") as stream:
+        return [
+            Row(
+                Path(row["forecast"]).stem if row["controller"] != "onoff" else "onoff",
+                row["trust_memory"] not in ("", "0", "0.0"), bool(row.get("forecast_dressed")),
+                np.array([float(value) for value in row["weeks_m3"].split()]),
+            )
+            for row in csv.DictReader(stream)
+        ]
+
+
+def ratio(own: Array, other: Array) -> str:
+    """Return a sum over weeks over another's, with its 95 % interval by blocks of weeks."""
+    random = np.random.default_rng(1)
+    blocks = -(-len(own) // BLOCK_WEEKS)
+    begins = random.integers(len(own), size=(RESAMPLES, blocks))
+    drawn = (begins[..., None] + np.arange(BLOCK_WEEKS)).reshape(RESAMPLES, -1) % len(own)
+    drawn = drawn[:, : len(own)]
+    ratios = own[drawn].sum(axis=1) / other[drawn].sum(axis=1)
+    low, high = np.percentile(ratios, [2.5, 97.5])
+    return f"{own.sum() / other.sum():.3f} ({low:.3f} to {high:.3f})"
+
+
+def table(found: Sequence[Row], weeks: slice) -> Iterator[str]:
+    """Yield the rows of the table of a roof."""
+    onoff, dry, perfect = (
+        next(one.weeks[weeks] for one in found if one.forecast == name)
+        for name in ("onoff", "no_rain", "perfect")
+    )
+    for one in found:
+        own = one.weeks[weeks]
+        gained = (dry.sum() - own.sum()) / (dry.sum() - perfect.sum())
+        cells = [
+            one.forecast, "dressed" if one.dressed else "as issued",
+            "learned" if one.trusts else "full", ratio(own, onoff), ratio(own, dry),
+            f"{100 * gained:.0f} %",
+        ]
+        if one.forecast == "onoff":
+            cells[1:3] = ["", ""]
+            cells[5] = ""
+        yield f"| {' | '.join(cells)} |"
+
+
+def trust_over_time(directory: Path, roof: str, source: str) -> Array:
+    """Return how far a roof's controller trusts the forecasts of a source, at each day's start."""
+    site_file = directory / f"{roof}.yaml"
+    site = read_site(site_file)
+    weather = read_weather([directory / "gauge.csv"], site, "assumed", "fill")
+    controller = find_controller("lookahead")
+    parameters = {**controller.defaults(), "horizon": ROOFS[roof][1]}
+    run = build_run(
+        site_file, site, weather, START.isoformat(), count_ticks(site, HOURS, "hours"),
+        controller, parameters, "low-low", None,
+        replace(choose(str(directory / f"{source}.csv")), delay=6.0),
+    )
+    made, day, trust = run.make_controller(), round(86_400 / site.tau), []
+    for tick in closed_loop(run, made, Metrics()):
+        if tick.k % day == 0:
+            trust.append(made.trust)
+    return np.array(trust)
+
+
+def main() -> None:
+    """Run the studies, and print and draw what they found."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("archives", type=Path)
+    parser.add_argument("-o", "--output", type=Path, required=True)
+    arguments = parser.parse_args()
+    inputs = arguments.output / "inputs"
+    if not inputs.exists():
+        inputs.mkdir(parents=True)
+        write_inputs(arguments.archives, inputs)
+    heads = "| forecast | | trust | over on/off | over no rain | of what perfect forecasts gain |"
+    for roof in ROOFS:
+        study = arguments.output / roof
+        subprocess.run(
+            [
+                sys.executable, "-m", "greenroof_ros.study", str(inputs / f"grid_{roof}.yaml"),
+                "--no-trajectories", "--output", str(study),
+            ],
+            check=True,
+        )
+        for words, weeks in (("20 February to 31 December", slice(None)), ("summer", SUMMER)):
+            print(f"\n{roof}, {words}\n\n{heads}\n|---|---|---|---|---|---|")
+            for line in table(rows(study), weeks):
+                print(line, flush=True)
+
+
+if __name__ == "__main__":
+    main()
