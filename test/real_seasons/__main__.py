@@ -26,7 +26,9 @@ from dataclasses import dataclass, replace
 from datetime import datetime, timedelta, timezone
 from pathlib import Path
 
+import altair as alt
 import numpy as np
+import vl_convert
 import yaml
 from numpy.typing import NDArray
 
@@ -36,15 +38,17 @@ sys.path[:0] = [str(HERE.parent), str(HERE.parent.parent)]
 from dressing.__main__ import together  # noqa: E402
 
 from greenroof_ros.common.files import shared_directory  # noqa: E402
+from greenroof_ros.controllers.registry import find_controller  # noqa: E402
 from greenroof_ros.experiment.closed_loop import closed_loop  # noqa: E402
 from greenroof_ros.experiment.run import build_run, count_ticks  # noqa: E402
 from greenroof_ros.forecast.archive import Archive, read_archive  # noqa: E402
 from greenroof_ros.forecast.choice import choose  # noqa: E402
 from greenroof_ros.forecast.dressing import dressing_text, learn  # noqa: E402
 from greenroof_ros.forecast.own_csv import write_forecasts  # noqa: E402
-from greenroof_ros.controllers.registry import find_controller  # noqa: E402
+from greenroof_ros.model.initial_state import initial_state  # noqa: E402
 from greenroof_ros.model.metrics import Metrics  # noqa: E402
 from greenroof_ros.model.site import Site, edited, read_site  # noqa: E402
+from greenroof_ros.report.drawing import COLOURS, CONFIG  # noqa: E402
 from greenroof_ros.weather.reading import read_weather  # noqa: E402
 
 Array = NDArray[np.float64]
@@ -54,7 +58,7 @@ START = datetime(2024, 2, 20, 12, tzinfo=timezone.utc)
 HOURS = 7548.0
 # Weeks from the start of which May to October is made: 30 April to 29 October.
 SUMMER = slice(10, 36)
-# The roofs, and how far their controllers look ahead (h).
+# The roofs, and so many hours a dressed forecast has on each: as far as its controllers look.
 ROOFS = {"paper": ("site.yaml", 120.0), "measured": ("site_catchment.yaml", 48.0)}
 MAINS = {"mains_level": 0.85, "mains_flow": 5e-4}
 TICK_S = 60.0
@@ -73,8 +77,8 @@ def half_sine(hour: int) -> float:
 def write_inputs(archives: Path, directory: Path) -> None:
     """Write weather, sites, forecasts, what dresses them, and grids into a directory."""
     site = read_site(shared_directory() / "config" / ROOFS["measured"][0])
-    gauge = archives / "gauge_2024.csv"
-    (directory / "gauge.csv").write_text(_gauge(gauge, site), encoding="utf-8")
+    gauge = directory / "gauge.csv"
+    gauge.write_text(_gauge(archives / "gauge_2024.csv", site), encoding="utf-8")
     record = read_weather([gauge], site, rain_only=True)
     services = {
         short: read_archive(archives / f"{name}_previous_runs.csv", site)
@@ -106,8 +110,7 @@ def write_inputs(archives: Path, directory: Path) -> None:
 
 def grid(roof: str, sources: Sequence[str]) -> dict[str, object]:
     """Return the grid of a roof."""
-    horizon = ROOFS[roof][1]
-    raw = [{"model": f"{source}.csv", "delay": 6.0} for source in sources]
+    raw = [{"model": f"{source}.csv", "delay": 0.0} for source in sources]
     dressed = [
         {**one, "dressed": f"dressed_{source}_{roof}.csv"}
         for source, one in zip(sources, raw, strict=True)
@@ -123,10 +126,8 @@ def grid(roof: str, sources: Sequence[str]) -> dict[str, object]:
         "controllers": {
             "onoff": {"fraction": FRACTION, "forecast": "perfect"},
             "lookahead": [
-                {"horizon": horizon, "trust_memory": 0.0, "forecast": [
-                    "perfect", "no_rain.csv", *raw, *dressed
-                ]},
-                {"horizon": horizon, "forecast": [*raw, *dressed]},
+                {"trust_memory": 0.0, "forecast": ["perfect", "no_rain.csv", *raw, *dressed]},
+                {"forecast": [*raw, *dressed]},
             ],
         },
     }
@@ -178,9 +179,10 @@ def rows(study: Path) -> list[Row]:
     with (study / "results.csv").open(encoding="utf-8") as stream:
         return [
             Row(
-                Path(row["forecast"]).stem if row["controller"] != "onoff" else "onoff",
-                row["trust_memory"] not in ("", "0", "0.0"), bool(row.get("forecast_dressed")),
-                np.array([float(value) for value in row["weeks_m3"].split()]),
+                "on/off" if row["controller"] == "onoff" else Path(row["forecast"]).stem,
+                row["parameter:trust_memory"] not in ("", "0", "0.0"),
+                bool(row["forecast_dressed"]),
+                np.array([float(value) for value in row["weekly_deviation_m3"].split()]),
             )
             for row in csv.DictReader(stream)
         ]
@@ -202,7 +204,7 @@ def table(found: Sequence[Row], weeks: slice) -> Iterator[str]:
     """Yield the rows of the table of a roof."""
     onoff, dry, perfect = (
         next(one.weeks[weeks] for one in found if one.forecast == name)
-        for name in ("onoff", "no_rain", "perfect")
+        for name in ("on/off", "no_rain", "perfect")
     )
     for one in found:
         own = one.weeks[weeks]
@@ -210,11 +212,10 @@ def table(found: Sequence[Row], weeks: slice) -> Iterator[str]:
         cells = [
             one.forecast, "dressed" if one.dressed else "as issued",
             "learned" if one.trusts else "full", ratio(own, onoff), ratio(own, dry),
-            f"{100 * gained:.0f} %",
+            f"{100 * gained:+.0f} %",
         ]
-        if one.forecast == "onoff":
+        if one.forecast == "on/off":
             cells[1:3] = ["", ""]
-            cells[5] = ""
         yield f"| {' | '.join(cells)} |"
 
 
@@ -224,10 +225,9 @@ def trust_over_time(directory: Path, roof: str, source: str) -> Array:
     site = read_site(site_file)
     weather = read_weather([directory / "gauge.csv"], site, "assumed", "fill")
     controller = find_controller("lookahead")
-    parameters = {**controller.defaults(), "horizon": ROOFS[roof][1]}
     run = build_run(
         site_file, site, weather, START.isoformat(), count_ticks(site, HOURS, "hours"),
-        controller, parameters, "low-low", None,
+        controller, controller.defaults(site), "low-low", initial_state(site, "low-low"),
         replace(choose(str(directory / f"{source}.csv")), delay=6.0),
     )
     made, day, trust = run.make_controller(), round(86_400 / site.tau), []
@@ -235,6 +235,25 @@ def trust_over_time(directory: Path, roof: str, source: str) -> Array:
         if tick.k % day == 0:
             trust.append(made.trust)
     return np.array(trust)
+
+
+def draw_trust(output: Path) -> None:
+    """Draw how far each roof's controller trusts each source, over the months."""
+    values = [
+        {
+            "day": (START + timedelta(days=day)).isoformat(), "trust (%)": 100 * trust,
+            "forecast": source, "roof": roof,
+        }
+        for roof in ROOFS
+        for source in ("gem", "knmi", "gfs", "three", "placebo")
+        for day, trust in enumerate(trust_over_time(output / "inputs", roof, source).tolist())
+    ]
+    chart = alt.Chart(alt.Data(values=values)).mark_line(interpolate="step-after").encode(
+        x=alt.X("day:T", title=None), y=alt.Y("trust (%):Q"),
+        color=alt.Color("forecast:N", scale=alt.Scale(range=list(COLOURS))), row="roof:N",
+        strokeDash="forecast:N",
+    ).properties(width=600, height=120).configure(**CONFIG)
+    (output / "trust.svg").write_text(vl_convert.vegalite_to_svg(chart.to_dict()), encoding="utf-8")
 
 
 def main() -> None:
@@ -261,6 +280,7 @@ def main() -> None:
             print(f"\n{roof}, {words}\n\n{heads}\n|---|---|---|---|---|---|")
             for line in table(rows(study), weeks):
                 print(line, flush=True)
+    draw_trust(arguments.output)
 
 
 if __name__ == "__main__":
