@@ -42,7 +42,7 @@ from greenroof_ros.controllers.registry import find_controller  # noqa: E402
 from greenroof_ros.experiment.closed_loop import closed_loop  # noqa: E402
 from greenroof_ros.experiment.run import build_run, count_ticks  # noqa: E402
 from greenroof_ros.forecast.archive import Archive, read_archive  # noqa: E402
-from greenroof_ros.forecast.choice import choose  # noqa: E402
+from greenroof_ros.forecast.choice import SERVICE_DELAY_H, choose  # noqa: E402
 from greenroof_ros.forecast.dressing import dressing_text, learn  # noqa: E402
 from greenroof_ros.forecast.own_csv import write_forecasts  # noqa: E402
 from greenroof_ros.model.initial_state import initial_state  # noqa: E402
@@ -110,7 +110,7 @@ def write_inputs(archives: Path, directory: Path) -> None:
 
 def grid(roof: str, sources: Sequence[str]) -> dict[str, object]:
     """Return the grid of a roof."""
-    raw = [{"model": f"{source}.csv", "delay": 0.0} for source in sources]
+    raw = [{"model": f"{source}.csv", "delay": SERVICE_DELAY_H} for source in sources]
     dressed = [
         {**one, "dressed": f"dressed_{source}_{roof}.csv"}
         for source, one in zip(sources, raw, strict=True)
