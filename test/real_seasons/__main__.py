@@ -228,7 +228,7 @@ def trust_over_time(directory: Path, roof: str, source: str) -> Array:
     run = build_run(
         site_file, site, weather, START.isoformat(), count_ticks(site, HOURS, "hours"),
         controller, controller.defaults(site), "low-low", initial_state(site, "low-low"),
-        replace(choose(str(directory / f"{source}.csv")), delay=6.0),
+        replace(choose(str(directory / f"{source}.csv")), delay=SERVICE_DELAY_H),
     )
     made, day, trust = run.make_controller(), round(86_400 / site.tau), []
     for tick in closed_loop(run, made, Metrics()):
