@@ -148,7 +148,8 @@ class LiveSite:
         )
         yield LiveNode(
             self.controller.name, "greenroof_ros.nodes.controller",
-            ("--controller", self.controller.reference), {**common, **self.parameters},
+            ("--controller", self.controller.reference),
+            {**common, **self.parameters, "state_file": str(state / "controller.json")},
             {} if self.sensors is not None and self.weather else {"inputs": inputs},
         )
         if self.drive is not None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import ClassVar
 
 import numpy as np
@@ -98,6 +98,15 @@ class AnticipatingOnOff:
         self._observer = RoofObserver(site, observer_time_constant)
         self._regret_budget = RegretBudget(site, waiting_budget, waiting_share)
         self._waited = math.inf  # since it looked and did not pump (s)
+
+    @property
+    def learned(self) -> dict[str, float]:
+        """What waiting has cost."""
+        return self._regret_budget.learned
+
+    @learned.setter
+    def learned(self, values: Mapping[str, float]) -> None:
+        self._regret_budget.learned = values
 
     def command(
         self,

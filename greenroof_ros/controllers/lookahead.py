@@ -159,6 +159,16 @@ class Lookahead:
         self.solve_seconds = TickTimes()
 
     @property
+    def learned(self) -> dict[str, float]:
+        """What waiting has cost, and how far forecasts are trusted, and why."""
+        return {**self._regret_budget.learned, **self._trust.learned}
+
+    @learned.setter
+    def learned(self, values: Mapping[str, float]) -> None:
+        self._regret_budget.learned = values
+        self._trust.learned = values
+
+    @property
     def trust(self) -> float:
         """Share of the room for forecast rain that is left (1)."""
         return self._trust.share

@@ -16,7 +16,7 @@ class Controller(Protocol):
     to one rule: the same inputs give the same commands, whenever and wherever. ``greenroof
     check-controller package.module:Class`` holds a class to all of this.
 
-    Three more class attributes are optional:
+    Four more attributes of the class are optional:
 
     - ``ensemble = True``: it takes all members of an ensemble of forecasts. ``precipitation`` is
       then an array of shape (members, steps); a single forecast has one member.
@@ -26,6 +26,8 @@ class Controller(Protocol):
     - ``outputs``: topics of ``msg_defs/topics.yaml`` that its node publishes after each command,
       each with the attribute that holds the value: ``{"/controller/cost": "cost"}``. It is a
       number, of ``/controller/plan`` a numpy array of shape (steps, 3).
+    - ``learned``: a property, numbers by name that it knows from what has happened and would need
+      weeks to know again. The node of a live site sets it after a restart, to what it was before.
 
     Attributes:
         parameters: its parameters. One named ``horizon`` (h) says how far the forecasts reach, as
@@ -105,6 +107,21 @@ def outputs_of(kind: ControllerClass) -> Mapping[str, str]:
     """Return the attribute of each topic that a controller's node publishes beside the command."""
     outputs: Mapping[str, str] = getattr(kind, "outputs", {})
     return outputs
+
+
+def learned_by(controller: Controller) -> dict[str, float] | None:
+    """Return what a controller has learned; None of one that learns nothing."""
+    learned: dict[str, float] | None = getattr(controller, "learned", None)
+    return learned
+
+
+def set_learned(controller: Any, learned: Mapping[str, float]) -> None:
+    """Let a controller go on with what one like it had learned.
+
+    Raises:
+        KeyError: something is missing.
+    """
+    controller.learned = learned
 
 
 def solver_statistics(solves: int, fallbacks: int, times: TickTimes) -> dict[str, float]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+from collections.abc import Mapping
 
 from greenroof_ros.common.parameter import Parameter
 from greenroof_ros.model.plant import mains_flow, maximum_pump_flow, outlet_flow, pump_flow
@@ -66,7 +67,8 @@ class RegretBudget:
     Where the mains fill the cistern more slowly than the pumps empty it, and it holds less than
     the roof lacks, filling takes longer than is counted, and L may go beyond the limit.
 
-    The budget is that of a controller's life: a controller that is started again has all of it.
+    The budget is that of a site: a live controller that is started again goes on with the L and D
+    of before.
 
     The difference rests on pumps that do what is commanded. With minimum times on and off, or
     another flow than the site file's, the count is wrong by what they pump beside the command.
@@ -95,6 +97,15 @@ class RegretBudget:
         self.loss = 0.0
         self.onoff_cost = 0.0
         self.exhausted = False
+
+    @property
+    def learned(self) -> dict[str, float]:
+        """L and D: what must not be forgotten where a live controller is started again (m3 s)."""
+        return {"waiting_loss_m3_s": self.loss, "onoff_cost_m3_s": self.onoff_cost}
+
+    @learned.setter
+    def learned(self, values: Mapping[str, float]) -> None:
+        self.loss, self.onoff_cost = (values[name] for name in self.learned)
 
     def judge(self, x1: float, x2: float, fraction: float) -> bool:
         """Count the present tick and return whether forecasts of rain do not count in it.

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 
 import numpy as np
 from numpy.typing import NDArray
@@ -74,6 +74,18 @@ class Trust:
     def share(self) -> float:
         """Share of the room for forecast rain that is left (1)."""
         return float(SHARES[self._followed])
+
+    @property
+    def learned(self) -> dict[str, float]:
+        """L of each shadow, and the share that is left."""
+        names = (f"loss_at_trust_{share:.2f}_days" for share in SHARES)
+        return {**dict(zip(names, self.losses.tolist(), strict=True)), "trust": self.share}
+
+    @learned.setter
+    def learned(self, values: Mapping[str, float]) -> None:
+        *losses, share = (values[name] for name in self.learned)
+        self.losses = np.array(losses)
+        self._followed = int(np.abs(SHARES - share).argmin())
 
     def pass_tick(
         self, x2: float, rain: float, evapotranspiration: float, flow: float,

@@ -12,6 +12,7 @@ import math
 import time
 from collections import deque
 from functools import partial
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -21,10 +22,12 @@ from rclpy.parameter import Parameter as RosParameter
 from greenroof_ros.common.command_line import EXIT_DONE, command
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.interface import optional_topics
+from greenroof_ros.common.kept import Kept
 from greenroof_ros.common.parameter import Parameter
 from greenroof_ros.common.times import from_epoch_ns, to_people
 from greenroof_ros.controllers.decide import NoCommandError, decide
 from greenroof_ros.controllers.onoff import FRACTION, OnOff
+from greenroof_ros.controllers.protocol import learned_by, set_learned
 from greenroof_ros.controllers.registry import ControllerChoice, controller_names, find_controller
 from greenroof_ros.graph.executable import NodeParser, node_help, run_node
 from greenroof_ros.graph.link import LinkedNode
@@ -46,12 +49,18 @@ _GIVEN_UP = 3
 # So many changes of parameters a live node keeps, the newest; all are counted.
 _LIVE_CHANGES = 20
 LIVE_PARAMETERS = live_parameters([*_INPUTS, _FLOW, _GAUGE])
+STATE_FILE = Parameter(
+    "state_file", "", meaning="a file that keeps what the controller has learned of its forecasts "
+    "over restarts, live; empty for none",
+)
+# So often what was learned is kept (s).
+_KEEP_S = 600.0
 
 
 def parameters(choice: ControllerChoice | None) -> list[Parameter]:
     """Return the parameters of a controller's node; without a controller, what all have."""
     own = [] if choice is None else choice.kind.parameters
-    return [LIVE, site_file(), *own, *LIVE_PARAMETERS]
+    return [LIVE, site_file(), STATE_FILE, *own, *LIVE_PARAMETERS]
 
 
 class ControllerNode(LinkedNode):
@@ -59,7 +68,8 @@ class ControllerNode(LinkedNode):
 
     On a live site a forecast that is missing, too old or refused is no reason to stop: on/off, with
     its defaults, commands until there is one again. Where it pumped, the controller then begins
-    anew: what it knew of the roof, of its plan and of what its trust has cost is of before.
+    anew: what it knew of the roof and of its plan is of before. What it has learned of its
+    forecasts stays, over restarts of the node too, in the file ``state_file``.
     """
 
     def __init__(self, choice: ControllerChoice) -> None:
@@ -93,6 +103,8 @@ class ControllerNode(LinkedNode):
             self._without_pumped = False
             self._flow = self.subscribe(_FLOW, optional=True)
             self._gauge = self.subscribe(_GAUGE, optional=True)
+            self._kept = self._learned_before(declare(self, [STATE_FILE])[STATE_FILE.name])
+            self._kept_at = time.monotonic()
         else:
             self.subscribe(CLOCK, self.set_time)
         self._publish_command = self.publish_topic("/pump/command")
@@ -131,7 +143,10 @@ class ControllerNode(LinkedNode):
             Whether the controller did decide.
         """
         if self._without_pumped and allowed and not self._forecast_problem():
+            learned = learned_by(self._controller)
             self._controller = self._choice.make(self._site, self._values)
+            if learned is not None:
+                set_learned(self._controller, learned)
             self._without_pumped = False
         try:
             command, decides = self._decide_or_refuse(allowed)
@@ -142,6 +157,7 @@ class ControllerNode(LinkedNode):
             if decides and "command" in self.reports.diagnoses:
                 self.diagnose("command", OK, "the controller commands again")
         self._say_forecast()
+        self._keep_learned(_KEEP_S)
         cistern, roof = self._cistern.value, self._roof.value
         if allowed and self._without_since:
             command = self._without_forecast.command(cistern, roof, (), ())
@@ -156,6 +172,38 @@ class ControllerNode(LinkedNode):
             "roof_level": roof if self._roof.good else None,
         }
         return decides
+
+    def _learned_before(self, file: str) -> Kept | None:
+        """Let the controller know what it had learned; return where that is kept, None for nowhere.
+
+        What is there but not understood is said, and the controller begins anew.
+        """
+        if not file or learned_by(self._controller) is None:
+            return None
+        kept = Kept(Path(file))
+        try:
+            learned = kept.read()
+            if learned:
+                set_learned(self._controller, learned)
+        except (ConfigurationError, KeyError) as error:
+            self.get_logger().warning(f"{self.get_name()} begins anew: {file}: {error}")
+        return kept
+
+    def _keep_learned(self, every: float) -> None:
+        """Keep what the controller has learned, if it was last kept so long ago (s)."""
+        now, learned = time.monotonic(), learned_by(self._controller)
+        if self._kept is None or learned is None or now - self._kept_at < every:
+            return
+        self._kept_at = now
+        problem = self._kept.write(learned)
+        if problem:
+            self.get_logger().warning(f"what {self.get_name()} learned is not kept: {problem}")
+
+    def on_stop(self) -> None:
+        """Keep what the controller has learned."""
+        if self.live and self._kept is not None:
+            self._keep_learned(0.0)
+            self._kept.close()
 
     def _decide_or_refuse(self, allowed: bool) -> tuple[float, bool]:
         """Return a command, and whether the controller did decide; refuse a forecast of no use.
