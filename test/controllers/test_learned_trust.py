@@ -128,6 +128,21 @@ def test_the_shadows_are_the_roofs_that_would_be(site: str) -> None:
         assert controller._trust.losses[shadow] == pytest.approx((off * kept).sum(), rel=0.1)
 
 
+def test_one_that_is_made_again_goes_on_with_what_was_learned() -> None:
+    """Of trust and of the budget; all of it, or nothing."""
+    controller, _, trust = season("paper", [always], falls=np.zeros_like)
+    site, choice = SITES["paper"], find_controller("lookahead")
+    again = choice.make(site, {**choice.defaults(site), "horizon": HORIZON})
+    assert isinstance(again, Lookahead)
+    assert (again.trust, trust[-1]) == (1.0, 0.0)
+    again.learned = controller.learned
+    assert again.learned == controller.learned
+    assert again.trust == 0.0
+    assert again.learned["waiting_loss_m3_s"] != 0
+    with pytest.raises(KeyError):
+        again.learned = {"trust": 1.0}
+
+
 def test_what_is_left_for_rain() -> None:
     """All, none and half of the room; where the plan leaves a roof alone, that for an empty one."""
     assert leave(SHARES, 1.0, 0.5, 4.0).tolist() == [4.0, 3.0, 2.0, 1.0]

@@ -205,6 +205,12 @@ class Counting(Waiting):
         self.asked += 1
         return self.base + 0.001 * self.asked
 
+class Learner(Counting):
+    @property
+    def learned(self): return {"asked": float(self.asked)}
+    @learned.setter
+    def learned(self, values): self.asked = int(values["asked"])
+
 class Own(Waiting):
     parameters = ()
     needs_forecast = False
@@ -256,6 +262,45 @@ def test_classes_of_a_users_own(domain: int, tmp_path: Path, site: Site) -> None
         site.during(2)
         assert {value for _, value in commands} == {0.0}
         assert site.says("/waiting: forecast", OK)()
+
+
+def test_what_was_learned_outlives_the_node_and_a_time_without_a_forecast(
+    domain: int, tmp_path: Path, site: Site
+) -> None:
+    """Its commands grow by a thousandth each time: here on/off takes over, there it is ended.
+
+    From a file that says nothing of it it begins anew.
+    """
+    commands = site.be_dry()
+    good = dict(site.values)
+    (tmp_path / "mine.py").write_text(MINE)
+    file = tmp_path / "state" / "learner.json"
+    given = {"recovery_time": 0.2, "forecast_limit": 1.0, "state_file": str(file)}
+    last = 0.0
+
+    def its_own() -> list[float]:
+        return [value for _, value in commands if 0 < value < 1]
+
+    with live_node(domain, tmp_path, "controller --controller mine:Learner", **given):
+        site.until(lambda: len(its_own()) > 5, LATE, "its commands")
+        site.values = {name: value for name, value in good.items() if name not in FORECASTS}
+        site.until(lambda: newest(commands) == 1.0, LATE, "on/off")
+        last = max(its_own())
+        commands.clear()
+        site.values = dict(good)
+        site.until(lambda: len(its_own()) > 0, LATE, "its commands again")
+        assert its_own()[0] > last
+    last = max(its_own())
+    commands.clear()
+    with live_node(domain, tmp_path, "controller --controller mine:Learner", **given):
+        site.until(lambda: len(its_own()) > 0, LATE, "its commands in the next life")
+        assert its_own()[0] == pytest.approx(last + 0.001)
+    for content in ("not JSON", '{"asked": NaN}', '{"another": 3.0}'):
+        file.write_text(content)
+        commands.clear()
+        with live_node(domain, tmp_path, "controller --controller mine:Learner", **given):
+            site.until(lambda: len(its_own()) > 0, LATE, "its first command")
+            assert its_own()[0] == pytest.approx(0.101)
 
 
 @pytest.mark.parametrize("when", ["suspended", "suspended_in_a_decision"])

@@ -1,0 +1,59 @@
+"""Numbers that outlive a process: on a disk that works, that hangs, and that is full."""
+
+from __future__ import annotations
+
+import os
+import time
+from pathlib import Path
+
+import pytest
+
+from greenroof_ros.common.errors import ConfigurationError
+from greenroof_ros.common.kept import Kept
+
+
+def test_what_is_written_is_read(tmp_path: Path) -> None:
+    """By the next process; before the first there is nothing."""
+    file = tmp_path / "site" / "numbers.json"
+    kept = Kept(file)
+    assert kept.read() == {}
+    assert kept.write({"a": 1.5, "b": -0.1}) == ""
+    kept.close()
+    assert Kept(file).read() == {"a": 1.5, "b": -0.1}
+
+
+@pytest.mark.parametrize(
+    "content", ["", "[1.0]", '{"a": "1.0"}', '{"a": NaN}', '{"a": true}', "\0\1"]
+)
+def test_what_is_no_mapping_of_numbers_is_refused(tmp_path: Path, content: str) -> None:
+    file = tmp_path / "numbers.json"
+    file.write_text(content)
+    with pytest.raises(ConfigurationError, match=r"numbers\.json"):
+        Kept(file).read()
+
+
+def test_a_disk_that_hangs_holds_nobody_up(tmp_path: Path) -> None:
+    """A pipe that nobody reads: the second writing is left out, the end waits two seconds."""
+    os.mkfifo(tmp_path / "numbers.part")
+    kept = Kept(tmp_path / "numbers.json")
+    began = time.monotonic()
+    assert [kept.write({"a": 1.0}), kept.write({"a": 2.0})] == ["", ""]
+    assert time.monotonic() - began < 1.0
+    kept.close()
+    with (tmp_path / "numbers.part").open() as pipe:  # the disk wakes up
+        assert '"a": 1.0' in pipe.read()
+
+
+def test_what_went_wrong_is_said_with_the_next_writing(tmp_path: Path) -> None:
+    """And the one after it is tried again."""
+    (tmp_path / "state").write_text("a file where a directory is due")
+    kept = Kept(tmp_path / "state" / "numbers.json")
+    kept.write({"a": 1.0})
+    deadline = time.monotonic() + 60
+    while not (said := kept.write({"a": 1.0})) and time.monotonic() < deadline:
+        time.sleep(0.01)
+    assert "File exists" in said or "Not a directory" in said
+    (tmp_path / "state").unlink()
+    assert kept.write({"a": 2.0}) == ""
+    kept.close()
+    assert Kept(tmp_path / "state" / "numbers.json").read() == {"a": 2.0}
