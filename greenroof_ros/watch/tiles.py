@@ -374,7 +374,7 @@ def too_wet(
 
 def controller(
     name: str | None, command: Value | None, plan: Plan | None, now: float | None,
-    utc_offset: float, *, alarm: str, ended: bool,
+    utc_offset: float, *, fill_to: Value | None, trust: Value | None, alarm: str, ended: bool,
 ) -> dict[str, Any]:
     """Return the tile of the controller.
 
@@ -384,6 +384,8 @@ def controller(
         plan: its newest, where it makes any.
         now: s since 1970.
         utc_offset: of the times (h).
+        fill_to: to what level it fills the roof (m), where it says that.
+        trust: share of the room for forecast rain that it leaves (1), likewise.
         alarm: what is wrong with it; empty where nothing is.
         ended: whether the run is over, so that nothing of the plan comes.
     """
@@ -402,10 +404,31 @@ def controller(
         sentence = f"commands {words.command(command.number)} of the pump's greatest flow"
     else:
         sentence = "commands no pumping now"
+    if not alarm and not ended:
+        sentence = "; ".join(filter(None, (_aim(fill_to), sentence, _trusted(trust))))
     return {
         "label": "Controller", "value": name or ("not recorded" if ended else words.UNKNOWN),
         "number": None, "state": state, "sentence": sentence, "stale": stale,
     }
+
+
+def _aim(fill_to: Value | None) -> str:
+    """Return to what a controller fills the roof now; empty where it leaves it alone."""
+    level = None if fill_to is None or fill_to.stale else fill_to.number
+    return "" if level is None else f"fills to {words.value_of('/controller/fill_to', level)} now"
+
+
+def _trusted(trust: Value | None) -> str:
+    """Return how far a controller trusts the forecast; empty where it does in full."""
+    share = None if trust is None or trust.stale else trust.number
+    if share is None or share == 1:
+        return ""
+    if share == 0:
+        return "does not trust the forecast: of late a roof without one would have done better"
+    return (
+        f"leaves {words.value_of('/controller/trust', share)} of the room that the forecast asks "
+        "for: of late that would have done best"
+    )
 
 
 def _planned(plan: Plan, now: float, utc_offset: float, *, ended: bool) -> str:

@@ -714,6 +714,7 @@ class Watched:
             ),
             "controller": tiles.controller(
                 name, values["command"], self._shown_plan(), now, self._utc_offset,
+                fill_to=self._value("/controller/fill_to"), trust=self._value("/controller/trust"),
                 alarm=wrong[0] if wrong else "", ended=self._mode == "ended",
             ),
         }

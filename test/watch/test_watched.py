@@ -307,6 +307,24 @@ def test_an_empty_plan_is_the_one_before() -> None:
     assert "will pump 3.60 m3" in shown(one)["tiles"]["controller"]["sentence"]
 
 
+def test_what_the_controller_fills_to_and_how_far_it_trusts() -> None:
+    """One level; of trust nothing while it is full, and nothing at all while the roof is alone."""
+    for fill_to, trust, rest in (
+        (0.041, 1.0, []), (0.041, 2 / 3, ["leaves 67 % of the room that the forecast asks for"]),
+        (0.041, 0.0, ["does not trust the forecast"]),
+    ):
+        one = watched()
+        one.add_plan(START + 60 * SECOND, np.array([[3600.0, 1e-3, 0.045]]))
+        hear(one, 60, 61, {**QUIET, "/controller/fill_to": fill_to, "/controller/trust": trust})
+        sentence = shown(one)["tiles"]["controller"]["sentence"]
+        parts = sentence.split("; ")
+        assert parts[0] == "fills to 41.0 mm now"
+        assert [part.partition(":")[0] for part in parts[2:]] == rest
+    one = watched()
+    hear(one, 60, 61, {**QUIET, "/controller/fill_to": math.nan, "/controller/trust": 1.0})
+    assert "fill" not in shown(one)["tiles"]["controller"]["sentence"]
+
+
 def test_a_controller_with_an_error() -> None:
     one = watched()
     one.add_statuses(100.0, [
