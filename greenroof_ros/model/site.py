@@ -40,8 +40,8 @@ _LINE = r"^(?P<before>(?P<key>{key}):[ \t]*)(?P<value>[-+.\deE]+)"
 # What may be left out, with its range: the runoff coefficient, what a measured roof has and the
 # paper's soil has not, a mains top-up and a low outlet of the cistern, what a run begins with, how
 # many pumps the curve stands for, which only the duty of one of them needs, the pumps' efficiency,
-# which only the electric energy does, their starts, which only planners, pump and a warning do, and
-# the place, which only a computed evapotranspiration does.
+# which only the electric energy does, their starts, which only lookahead, pump and a warning do,
+# and the place, which only a computed evapotranspiration does.
 _OPTIONAL = {
     "runoff_coefficient": (0.01, 1.0),
     "field_capacity": (0.01, 0.9),
@@ -186,8 +186,8 @@ class Site:
         0.5, "1", "hydraulic over electric power of pumps and motors",
     )
     starts_per_hour: float = _may_be_left_out(
-        20.0, "1/h", "how often the pumps may start: above it there is a warning, and the planners "
-        "do not start them more often",
+        20.0, "1/h", "how often the pumps may start: above it there is a warning, and lookahead "
+        "does not start them more often",
     )
     latitude: float | None = _may_be_left_out(None, "degrees", "latitude, positive to the north")
     longitude: float | None = _may_be_left_out(
