@@ -19,10 +19,9 @@ _DAY_S = 86_400.0
 _STEP_S = 600.0
 # Two roofs hold the same when they are as near as this to each other (share of the target).
 _ALIKE = 1e-3
-# By how much less another must have cost to be followed (days of an empty roof): where the roofs
-# hold the same, and at any time, since the wait for rain is then too long. Less is luck: GEM at
-# Budva gained 0.5 days over ten months of 2024, and was behind by 0.2 within them.
-_LESS, _TOO_LONG = 0.2, 0.5
+# By how much less another must have cost to be followed (days of an empty roof). Less is luck: GEM
+# at Budva gained 0.5 days over ten months of 2024, and was behind by 0.2 within them.
+_LESS = 0.2
 
 TRUST_MEMORY = Parameter(
     "trust_memory", 30.0, "days", 0.0, 3650.0,
@@ -47,8 +46,8 @@ class Trust:
     the shadow with the least L, where that is less by a margin, when both hold the same and are to
     be filled to the same. Then no wait for rain is under way, whose end is not known, and to change
     costs nothing; who judged each hour by itself would give up a wait in the middle, and lose
-    twice. Where rain is promised for ever and never comes, that never is: then it changes when L is
-    more by half a day. What forecasts that are right and wrong in turns could cost is limited by
+    twice. Where rain is promised for ever and never comes, that never is. What that costs, and
+    forecasts that are right and wrong in turns, is limited by
     :class:`~greenroof_ros.controllers.regret_budget.RegretBudget`.
 
     All shadows have the real cistern. Ticks in which nothing is decided do not count.
@@ -121,7 +120,7 @@ class Trust:
         best, followed = int(self.losses.argmin()), self._followed
         more = self.losses[followed] - self.losses[best]
         apart = max(abs(each[best] - each[followed]) for each in (self.roofs, wanted))
-        if more > _TOO_LONG or (more > _LESS and apart < _ALIKE * self._target):
+        if more > _LESS and apart < _ALIKE * self._target:
             self._followed = best
         self._since[:] = 0.0
 

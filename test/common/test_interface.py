@@ -50,13 +50,14 @@ def test_design_of_the_interface() -> None:
         "/controller/planned_deviation": ("std_msgs/msg/Float64", "m3"),
         "/controller/plan": ("std_msgs/msg/Float64MultiArray", ""),
         "/controller/fill_to": ("std_msgs/msg/Float64", "m"),
+        "/controller/trust": ("std_msgs/msg/Float64", "1"),
         "/recorder/written": ("std_msgs/msg/Float64", "1"),
     }
     for name, (kind, unit) in expected.items():
         assert (topics[name].type, topics[name].unit) == (kind, unit)
     assert [name for name, topic in topics.items() if topic.optional] == [
         "/controller/cost", "/controller/planned_deviation", "/controller/solver_status",
-        "/controller/plan", "/controller/fill_to",
+        "/controller/plan", "/controller/fill_to", "/controller/trust",
     ]
     assert all(topic.qos.depth > 32 for topic in topics.values() if topic.per_tick)
 

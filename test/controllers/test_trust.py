@@ -364,7 +364,9 @@ def test_a_low_outlet_limits_the_waiting_by_hand() -> None:
 
 def test_lies_that_come_and_go() -> None:
     """Half an hour of each: what filling costs after a lie counts, though it is dry again."""
-    run = paper_run("--controller", "anticipating_onoff", "--start", "2021-07-07T14:00")
+    run = paper_run(
+        "--controller", "anticipating_onoff", "--horizon", "12", "--start", "2021-07-07T14:00"
+    )
     forecast = Lie(run, DRIZZLE)
     lies = forecast.precipitation
 

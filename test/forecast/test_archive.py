@@ -148,7 +148,10 @@ def test_choices(tmp_path: Path) -> None:
 def test_a_run_by_an_archive(tmp_path: Path) -> None:
     """A directory of runs is carried into the run's own, where the graph reads it again."""
     source = write_runs(tmp_path / "runs")
-    options = ("--controller", "anticipating_onoff", "--hours", "2", "--forecast", str(source))
+    options = (
+        "--controller", "anticipating_onoff", "--horizon", "12", "--hours", "2", "--forecast",
+        str(source),
+    )
     run = paper_run(*options, "--forecast-delay", "0.5")
     directory = make_run_directory(tmp_path / "run", "anticipating_onoff")
     parameters = yaml.safe_load(write_configuration(directory, run, {}).read_text())

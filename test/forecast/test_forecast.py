@@ -291,10 +291,9 @@ def test_member_zero_is_the_single_forecast() -> None:
 
 def test_who_gets_which_members() -> None:
     """Member 0 alone, flat, or all of them as rows."""
-    run = paper_run("--controller", "anticipating_onoff", "--forecast", "ensemble",
-                    "--forecast-members", "4", "--forecast-seed", "9")
-    single = paper_run("--controller", "anticipating_onoff", "--forecast", "errors",
-                       "--forecast-seed", "9")
+    options = ("--controller", "anticipating_onoff", "--horizon", "12", "--forecast-seed", "9")
+    run = paper_run(*options, "--forecast", "ensemble", "--forecast-members", "4")
+    single = paper_run(*options, "--forecast", "errors")
     everything = make_forecast(
         run.weather, run.series, run.site, run.start, 12.0, run.forecast_choice, all_members=True
     )
@@ -404,7 +403,7 @@ def archive(directory: Path, first: str = "2021-07-07T00:00-05:00", hours: int =
 
 def test_a_true_file_is_as_good_as_perfect(tmp_path: Path) -> None:
     """The records as a file of forecasts: the same numbers, bit for bit, and nothing repeated."""
-    options = ("--controller", "anticipating_onoff", "--hours", "24")
+    options = ("--controller", "anticipating_onoff", "--horizon", "12", "--hours", "24")
     perfect = paper_run(*options)
     filed = paper_run(*options, "--forecast", str(archive(tmp_path)))
     for tick in range(0, perfect.steps + 1, 311):

@@ -15,7 +15,7 @@ from greenroof_ros.model import metrics as metrics_module
 from greenroof_ros.model.metrics import METRICS, Metrics
 from greenroof_ros.model.plant import Flows
 from greenroof_ros.model.site import Site, read_site, site_parameters
-from greenroof_ros.model.soil import water_stress
+from greenroof_ros.model.soil import soil_of
 
 KEPT = {"rain_kept_share", "rain_kept_share_hour", "rain_kept_share_day"}
 COUNTS = {"limited_steps", "pump_starts", "busiest_hour_starts", "excess_starts"}
@@ -216,7 +216,7 @@ def test_stress_is_that_of_the_soil() -> None:
         metrics.observe(site, 50.0, x2)
         metrics.step(0.0, 0.0, 0.0, Flows(0.0, 0.0, 0.0, 0.0, False))
     metrics.observe(site, 50.0, 12.0)
-    assert metrics["stress_hours"] == sum(water_stress(site, x2) < 1 for x2 in volumes) == 3
+    assert metrics["stress_hours"] == sum(soil_of(site).water_stress(x2) < 1 for x2 in volumes) == 3
     assert "evapotranspiration_ratio" not in metrics.results()  # nothing was asked for
 
 

@@ -86,6 +86,7 @@ def check_topics(watcher: Observer, node: str, text: str) -> None:
         "plant": {"/weather/frost", "/pump/flow", "/recorder/written"},
         "recorder": {
             "/controller/planned_deviation", "/controller/plan", "/controller/fill_to",
+            "/controller/trust",
         },
     }.get(node, set())
     watcher.until(

@@ -216,7 +216,7 @@ PLANNED = f"""
 site: {CONFIG / "site.yaml"}
 weather: {{file: {WEATHER}, start: 2021-07-07T00:50, hours: 0.25}}
 initial: low-low
-controllers: {{anticipating_onoff: }}
+controllers: {{anticipating_onoff: {{horizon: 12.0}}}}
 """
 
 
@@ -289,7 +289,7 @@ sensor_pump_errors:
 
 def test_sensor_and_pump_errors_by_both_engines(tmp_path: Path) -> None:
     """Lists multiply; the same table by both; what a trajectory has of the roof is the truth."""
-    text = PLANNED.replace("anticipating_onoff:", "onoff: {fraction: 0.3}") + WITH_ERRORS
+    text = PLANNED.replace("anticipating_onoff: {horizon: 12.0}", "onoff: {fraction: 0.3}") + WITH_ERRORS
     for engine in ("inprocess", "ros"):
         result = study(tmp_path, grid(tmp_path, text), "--output", engine, "--engine", engine)
         assert result.returncode == 0, result.stderr
