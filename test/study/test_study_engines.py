@@ -289,7 +289,8 @@ sensor_pump_errors:
 
 def test_sensor_and_pump_errors_by_both_engines(tmp_path: Path) -> None:
     """Lists multiply; the same table by both; what a trajectory has of the roof is the truth."""
-    text = PLANNED.replace("anticipating_onoff: {horizon: 12.0}", "onoff: {fraction: 0.3}") + WITH_ERRORS
+    planned = PLANNED.replace("anticipating_onoff: {horizon: 12.0}", "onoff: {fraction: 0.3}")
+    text = planned + WITH_ERRORS
     for engine in ("inprocess", "ros"):
         result = study(tmp_path, grid(tmp_path, text), "--output", engine, "--engine", engine)
         assert result.returncode == 0, result.stderr
