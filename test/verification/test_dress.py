@@ -93,6 +93,36 @@ def test_a_run_with_dressed_forecasts(site: Path) -> None:
     }
 
 
+def test_a_study_with_dressed_forecasts(site: Path) -> None:
+    """A run of it has the deviation of the run by hand, the table says which; a file must be."""
+    grid = """
+        site: site.yaml
+        weather: {file: gauge.csv, start: 2024-04-10T00:00, hours: 6}
+        initial: low-low
+        controllers: {lookahead: {horizon: 24.0, forecast: [
+          archive.csv, {model: archive.csv, dressed: dressed.csv}]}}
+    """
+    (site / "grid.yaml").write_text(grid)
+    done = command(site, "study", "grid.yaml", "--no-trajectories", "--output", "study")
+    assert done.returncode == 0, done.stderr
+    with (site / "study" / "results.csv").open() as stream:
+        plain, dressed = csv.DictReader(stream)
+    assert (plain["forecast_dressed"], dressed["forecast_dressed"]) == ("", "dressed.csv")
+    by_hand = command(
+        site, "simulate", "--weather", "gauge.csv", "--start", "2024-04-10T00:00", "--hours", "6",
+        "--controller", "lookahead", "--horizon", "24", "--forecast", "archive.csv", "--dressed",
+        "dressed.csv", "--json",
+    )
+    assert by_hand.returncode == 0, by_hand.stderr
+    deviation = json.loads(by_hand.stdout)["total_deviation_m3"]
+    assert float(dressed["total_deviation_m3"]) == deviation != float(plain["total_deviation_m3"])
+    (site / "wrong.yaml").write_text(grid.replace("model: archive.csv", "model: errors"))
+    done = command(site, "study", "wrong.yaml")
+    assert done.returncode == 2
+    assert "dressed: is not known here" in " ".join(done.stderr.split())
+
+
+
 DRESS = ["verify", "--dress", "archive.csv", "--weather", "gauge.csv"]
 SCORE = ["verify", "archive.csv", "--weather", "gauge.csv"]
 WRONG = {
