@@ -26,12 +26,16 @@ _MAY_RUN = (
 )
 # How long the drive simulator, which may have been started just before, may take to answer (s).
 _SIMULATOR_S = 30.0
-# Parameters of the pump node that bringup alone decides, and its options for them.
+# Parameters of a node that bringup alone decides, and its options for them. By the plant's a real
+# drive would run at another speed than the one that was checked.
 _OF_BRINGUP = {
-    "drive": "--drive",
-    "address": "--drive-at",
-    "device_id": "--drive-at, after a comma (such as gateway://HOST:PORT,17),",
-    "state_file": "--state",
+    PUMP: {
+        "drive": "--drive",
+        "address": "--drive-at",
+        "device_id": "--drive-at, after a comma (such as gateway://HOST:PORT,17),",
+        "state_file": "--state",
+    },
+    "plant": {"speed": "--speed", "pump": "--pump"},
 }
 
 
@@ -246,13 +250,13 @@ def own_parameters(
     Raises:
         ConfigurationError: it is not there; or says what would have no effect; or something else of
             the drive than bringup, which would then stop another drive than the pump node runs; or
-            there is no ROS 2.
+            of the speed, which bringup has checked; or there is no ROS 2.
     """
     file: Path | None = arguments.node_parameters
     if file is None:
         return []
     refuse((not file.is_file(), "--node-parameters", str(file), "must be a file that is there"))
-    _refuse_drive(file, read_yaml(file), "")
+    _refuse_bringups(file, read_yaml(file), "")
     try:
         from greenroof_ros.graph.parameters import refuse_unknown_in
     except ImportError as error:
@@ -262,8 +266,8 @@ def own_parameters(
     return [file]
 
 
-def _refuse_drive(file: Path, content: YamlMapping, node: str) -> None:
-    """Refuse what only bringup says of the drive, in a parameter file or a part of it.
+def _refuse_bringups(file: Path, content: YamlMapping, node: str) -> None:
+    """Refuse what only bringup says of drive and speed, in a parameter file or a part of it.
 
     Args:
         file: for the message.
@@ -277,11 +281,14 @@ def _refuse_drive(file: Path, content: YamlMapping, node: str) -> None:
         if not isinstance(part, YamlMapping):
             continue
         if name != "ros__parameters":
-            _refuse_drive(file, part, f"{node}/{name}" if node else name)
-        elif node.rpartition("/")[2] in (PUMP, "*", "**"):
-            for key in _OF_BRINGUP.keys() & part.keys():
+            _refuse_bringups(file, part, f"{node}/{name}" if node else name)
+            continue
+        for of, options in _OF_BRINGUP.items():
+            if node.rpartition("/")[2] not in (of, "*", "**"):
+                continue
+            for key in options.keys() & part.keys():
                 raise ConfigurationError(
-                    f"must not be given to the node {PUMP} here: under bringup "
-                    f"{_OF_BRINGUP[key]} says it",
+                    f"must not be given to the node {of} here: under bringup {options[key]} "
+                    "says it",
                     file=file, line=part.lines[key], key=f"{node}: {key}", value=part[key],
                 )

@@ -117,6 +117,11 @@ def run_simulated(run: Run, arguments: argparse.Namespace, signals: Signals) -> 
             signals.ignore()
             print(f"error: {error}", file=sys.stderr)
             status, reason, code = summary.FAILED, error.reason, error.code
+        except Exception as error:
+            signals.ignore()
+            why = f"{type(error).__name__}: {error}"
+            _end(run, directory, supervisor, log, summary.FAILED, why, as_json=False)
+            raise
         if status != summary.FAILED:
             _say_unclosed_bag(supervisor)
         if supervisor.may_run:

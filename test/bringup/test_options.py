@@ -172,6 +172,14 @@ NO_EFFECT = {
         f"line 3: pump: device_id = 17: {_ONLY_BRINGUP}",
     "/site1/pump:\n  ros__parameters:\n    state_file: mine.json\n":
         f"line 3: /site1/pump: state_file = 'mine.json': {_ONLY_BRINGUP}",
+    # A real drive would run on levels of another time than --speed, which is refused, says.
+    "plant:\n  ros__parameters:\n    speed: 60.0\n":
+        "line 3: plant: speed = 60.0: must not be given to the node plant here: under bringup "
+        "--speed says it",
+    "/**:\n  ros__parameters: {speed: 0.0}\n":
+        "line 2: /**: speed = 0.0: must not be given to the node plant",
+    "/site1/*:\n  ros__parameters:\n    pump: external\n":
+        "line 3: /site1/*: pump = 'external': must not be given to the node plant",
     "/**/pump:\n  ros__parameters:\n    least_off: 1.0\n    greatest_volume_per_dai: 0.5\n":
         "line 4: /**/pump: greatest_volume_per_dai = 0.5: there is no such parameter; the closest "
         "is greatest_volume_per_day;",

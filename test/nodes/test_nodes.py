@@ -187,6 +187,24 @@ def test_whole_numbers_and_the_file_for_all_nodes(
     assert summary_of(tmp_path / "run")["parameters"]["weight"] == 5.0
 
 
+def test_a_run_whose_nodes_cannot_be_started_has_failed(domain: int, tmp_path: Path) -> None:
+    """Whatever ends bringup, the summary says so: here the interpreter is gone meanwhile."""
+    python = tmp_path / "python"
+    python.symlink_to(sys.executable)
+    process = subprocess.Popen(
+        [str(python), "-m", "greenroof_ros.bringup", "--output", "run", "--hours", "0.02"],
+        cwd=tmp_path, stderr=subprocess.PIPE, text=True,
+        env={**environment(domain), "PYTHONPATH": os.pathsep.join([str(CHECKOUT), *sys.path])},
+    )
+    python.unlink()
+    _, said = process.communicate(timeout=300)
+    assert process.returncode not in (0, 2)
+    assert "No such file or directory" in said
+    summary = summary_of(tmp_path / "run")
+    assert summary["status"] == "failed"
+    assert "FileNotFoundError" in summary["reason"]
+
+
 # Node and parameters: what is said. The sites and sensors are made below.
 WRONG_PARAMETERS = {
     "controller --controller mpc": {
