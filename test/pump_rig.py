@@ -102,6 +102,16 @@ class Rig:
         self._dt = self.tau
         return decision
 
+    def suspend(self, seconds: float, runs_on: float = 0.0) -> None:
+        """Let time pass in which nobody steps the pump; the drive's own timeout stops it after."""
+        for second in range(round(seconds / self.tau)):
+            if second * self.tau >= runs_on:
+                self.speed = 0.0
+            self.plant.step(0.0, self.plant.flows(0.0, 0.0, self.plant_flow(self.speed)))
+            self.plant.x1 -= self.leak * self.tau
+        self.now += seconds
+        self.control.pass_unseen(seconds)
+
     def plant_flow(self, speed: float) -> float:
         """Return the flow of the pump at a speed (m3/s), by the affinity laws once more."""
         head = self.plant.x1 / self.site.a1 + speed**2 * self.site.c_hat - self.site.d

@@ -65,6 +65,7 @@ class Snapshot(Known):
     """What is known of a drive at one moment.
 
     Attributes:
+        read_at: when it last said something (s, `boot_time`: of before a suspend is old).
         state: of the exchange; after `close` there is no connection any more.
         status: what it said last; None while there is no connection. After `close`: what it said
             when it was left, which may be that it does not stand; None where it was not heard.
@@ -408,7 +409,7 @@ class DriveExchange(DeviceThread[Snapshot]):
         self._wait_s = FIRST_WAIT_S
         self._update(
             state=State.STOPPED if status.stands else State.STOPPING, status=status,
-            read_at=time.monotonic(), problem="", identity=identity, unguarded=self._unguarded(),
+            read_at=boot_time(), problem="", identity=identity, unguarded=self._unguarded(),
         )
 
     def _take(self) -> None:
@@ -458,7 +459,7 @@ class DriveExchange(DeviceThread[Snapshot]):
         if not problem and time.monotonic() < self._paused_until:
             problem = self._snapshot.problem  # it did not come to run, which this does not end
         self._update(
-            state=State.RUNNING if runs else standing, status=status, read_at=time.monotonic(),
+            state=State.RUNNING if runs else standing, status=status, read_at=boot_time(),
             problem=problem, unguarded=self._unguarded(),
         )
         if not self._closing:
@@ -468,7 +469,7 @@ class DriveExchange(DeviceThread[Snapshot]):
         """Stop the drive, and let go of it when it stands, or does not come to that."""
         left = _stand(self._drive, self._leave_by)
         self._done = True
-        self._update(state=State.CONNECTING, status=left, read_at=time.monotonic())
+        self._update(state=State.CONNECTING, status=left, read_at=boot_time())
         self._let_go()
 
     def _read(self) -> DriveStatus:

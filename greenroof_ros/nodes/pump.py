@@ -196,7 +196,8 @@ class _Drive:
             return "no connection to the drive: it is being let go of; clean up first"
         if self.status(now) is not None:
             return ""
-        return f"no connection to the drive: {self.snapshot.problem}"
+        problem = self.snapshot.problem or f"it said nothing for {_DRIVE_AGE_S:g} s"
+        return f"no connection to the drive: {problem}"
 
     def timeout_problem(self, snapshot: Snapshot) -> str:
         """Return what is wrong with its own communication timeout; empty where nothing is."""
@@ -271,7 +272,7 @@ class PumpNode(Lifecycle, LinkedNode):
         Lifecycle.__init__(self)
         self.create_service(SetBool, "~/stop", self._on_stop_request)
         self.create_service(Trigger, "~/reset", self._on_reset_request)
-        self._step(self._decided)
+        self._step(boot_time())
 
     def _checked_command_limit(self, values: dict[str, Any]) -> float:
         """Return the greatest age of a command (s).
@@ -291,11 +292,10 @@ class PumpNode(Lifecycle, LinkedNode):
     def _begin_times(self) -> None:
         """Set all that is measured from now on; none of it is on the wire."""
         self._simulated = 0.0
-        self._decided = time.monotonic()
-        self._stepped = self._decided if self.live else 0.0
+        self._stepped = boot_time() if self.live else 0.0
+        self._watched = time.monotonic()
         self._resetting_until = 0.0
         self._tried = self._looked_at = -math.inf
-        # Both of the clock that goes on in a suspend, as the permit's.
         self._commanded, self._idle_at = -math.inf, boot_time()
         self._suspended, self._suspend_seen = suspended_time(), -math.inf
 
@@ -338,9 +338,9 @@ class PumpNode(Lifecycle, LinkedNode):
     def on_configure(self) -> None:
         """Connect to the drive, and read what it is."""
         self._drive.connect()
-        until = time.monotonic() + _WAIT_S
-        while absence := self._drive.absence(time.monotonic()):
-            if time.monotonic() > until:
+        until = boot_time() + _WAIT_S
+        while absence := self._drive.absence(boot_time()):
+            if boot_time() > until:
                 # It is tried on: a drive that comes is stopped.
                 raise RefusedError(f"not configured: {absence}; it is tried on, ask again")
             time.sleep(0.02)
@@ -349,7 +349,7 @@ class PumpNode(Lifecycle, LinkedNode):
     @transition
     def on_activate(self) -> None:
         """Let the pump run, unless the drive would run on alone, or a stop could not be kept."""
-        problem = self._drive.absence(time.monotonic())
+        problem = self._drive.absence(boot_time())
         if not problem and not self._without_timeout:
             problem = self._drive.timeout_problem(self._drive.snapshot)
         if not problem:
@@ -368,7 +368,7 @@ class PumpNode(Lifecycle, LinkedNode):
     @transition
     def on_deactivate(self) -> None:
         """Ramp down."""
-        self._step(time.monotonic())
+        self._step(boot_time())
 
     @transition
     def on_cleanup(self) -> None:
@@ -422,7 +422,7 @@ class PumpNode(Lifecycle, LinkedNode):
     ) -> SetBool.Response:
         self._take_state()
         self._control.stop(request.data)
-        self._step(time.monotonic())
+        self._step(boot_time())
         return self._kept(response, self._state)
 
     def _on_reset_request(
@@ -431,7 +431,7 @@ class PumpNode(Lifecycle, LinkedNode):
         self._take_state()
         cleared = self._control.reset()
         self._drive.reset()
-        self._resetting_until = time.monotonic() + RESET_S
+        self._resetting_until = boot_time() + RESET_S
         self._kept(response, f"cleared: {cleared}" if cleared else "there was no fault")
         self.get_logger().info(f"reset: {response.message}")
         return response
@@ -451,7 +451,7 @@ class PumpNode(Lifecycle, LinkedNode):
 
     def on_inputs(self) -> None:
         """Act on a command, in lockstep; in a live graph, act because it is time to."""
-        now = time.monotonic()
+        now = boot_time()
         if not self.live:
             self._commanded = boot_time()
             self._simulated += self._site.tau
@@ -462,7 +462,7 @@ class PumpNode(Lifecycle, LinkedNode):
 
     def on_idle(self) -> float:
         """Stop where something speaks against running, whether or not commands come."""
-        now = time.monotonic()
+        now = boot_time()
         self._look_for_suspend(now)
         status = self._drive.status(now)
         reasons = (
@@ -517,10 +517,10 @@ class PumpNode(Lifecycle, LinkedNode):
                 reasons["drive_timeout"] = self._drive.timeout_problem(self._drive.snapshot)
             reasons["drive_guards_later"] = self._drive.snapshot.unguarded
         reasons["no_permit"] = self._permit.missing(boot_time())
-        reasons["two_controllers"] = self._command.publishers.said(now)
+        reasons["two_controllers"] = self._command.publishers.said(time.monotonic())
         if self.live:
             # Another pump node may have the same drive: neither runs it then.
-            reasons["two_pumps"] = self._rival(now)
+            reasons["two_pumps"] = self._rival(time.monotonic())
         reasons["no_command"] = self._silence()
         return reasons
 
@@ -539,9 +539,9 @@ class PumpNode(Lifecycle, LinkedNode):
         """Decide on what is known, and say it.
 
         Args:
-            now: by the steady clock (s). In lockstep the drive has that one's time, and the site
-                the simulated one.
+            now: by the steady clock (s). In lockstep the site has the simulated time instead.
         """
+        self._look_for_suspend(now)
 
         def value(entry: Input | None) -> float | None:
             good = self.acted and entry is not None and entry.good
@@ -564,7 +564,13 @@ class PumpNode(Lifecycle, LinkedNode):
         )
         time_now = now if self.live else self._simulated
         dt, self._stepped = time_now - self._stepped, time_now
-        drive_dt, self._decided = now - self._decided, now
+        # The drive is watched while the machine is awake only, and by the clock that says so.
+        awake = time.monotonic()
+        drive_dt, self._watched = awake - self._watched, awake
+        if self.live and dt > self._site.tau + _PAUSE_S:
+            # Nobody was there at the ticks since, but for the present one.
+            self._control.pass_unseen(dt - self._site.tau)
+            dt = self._site.tau
         self._decision = decision = self._control.step(dt, seen, drive_dt)
         self._drive.demand(decision.speed)
         state = f"{decision.state}: {decision.why}"
@@ -662,7 +668,7 @@ class PumpNode(Lifecycle, LinkedNode):
 
     def _diagnose_command(self, now: float) -> None:
         command, silence = self._command, self._silence()
-        trouble = self._command.publishers.said(now)
+        trouble = self._command.publishers.said(time.monotonic())
         if not trouble and not command.good:
             trouble = f"{command.name} {command.why}"
         if trouble:

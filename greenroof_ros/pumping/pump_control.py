@@ -146,14 +146,39 @@ class PumpControl:
             self._astray_for = 0.0
         return cleared
 
+    def pass_unseen(self, dt: float) -> None:
+        """Count time in which nobody was there, as in a suspend of the machine; then it is off.
+
+        At worst the pump ran on until the drive's own timeout stopped it. Whether it stands is to
+        be seen anew: this time is none for which a drive that is called did not answer.
+
+        Args:
+            dt: since the last step (s).
+        """
+        self._turned = max(self._turned, self._asked or 0.0)
+        ran = min(dt, self._drive_stops_after - self._unknown_for)
+        if self._must_stand():
+            ran = 0.0
+        volume = ran * self._unseen_flow(Observation())
+        self._limits.account(ran, ran > 0)
+        self._limits.account(dt - ran, ran == dt)
+        self._ledger.count(dt, ran, volume)
+        self._delivery.step(dt, None, None, 0.0, volume)
+        self._blind_for += dt
+        self._pulses.drop()
+        if self._asked is not None:
+            self._limits.switch(False)
+        self._asked = None
+
     def step(self, dt: float, seen: Observation, drive_dt: float | None = None) -> Decision:
         """Decide.
 
         Args:
             dt: time since the last step (s), 0 at the first.
             seen: what is known.
-            drive_dt: the same of the drive's time (s), that of the steady clock, where the site is
-                simulated faster than that; None where both are one.
+            drive_dt: for how long the drive could be watched since then (s): where the site is
+                simulated the time may be another, and in a suspend nobody watches it; None where
+                both are one.
         """
         drive_dt = dt if drive_dt is None else drive_dt
         heard, backwards, said = seen.speed is not None, _backwards(seen), seen.speed

@@ -542,8 +542,61 @@ def test_a_suspend_of_the_machine_is_no_short_pause(
     # How it stopped may be over before it is heard; then it starts again by what is new.
     after = rig.states[rig.states.index("running: as commanded") + 1:]
     assert after[0] in (
-        "stopping: no command has come for 3 s (command_limit)", "starting: as commanded"
+        "stopping: no command has come for 3 s (command_limit)", "starting: as commanded",
+        "unknown: no connection to the drive: it said nothing for 10 s; no command has come for "
+        "3 s (command_limit); whether the pump stands is not known",
     )
+
+
+def test_a_suspend_lasts_as_long_as_it_does(
+    tmp_path: Path, rig: PumpRig, drive: SimulatedDrive, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """In an hour a low outlet takes 0.5 m: no fault; and the drive may have run until its timeout.
+
+    That is 55 s at most: 15 s for a drive that is not read, 10 s its timeout, and 30 s its ramp.
+    """
+    site, state = tmp_path / "site.yaml", tmp_path / "state.json"
+    site.write_text(
+        (CONFIG / "site.yaml").read_text().replace("tau: 1.0 ", "tau: 0.2 ")
+        + "\nlow_outlet_level: 1.0\nlow_outlet_radius: 0.025\n"
+    )
+    (tmp_path / "sitecustomize.py").write_text(SUSPENDED)
+    monkeypatch.setenv("PYTHONPATH", str(tmp_path))
+    rig.start(
+        drive.address, live="true", site_file=site, level_limit=1.0, frost_limit=1.0,
+        command_limit=1.0, recovery_time=0.3, averaging_time=1.0,
+        popen={"env": environment(rig.domain)},
+    )
+    given = {"/cistern/level": 2.5, "/roof/level": 0.01, "/weather/frost": 0.0}
+
+    def play(until: Callable[[], Any], what: str, command: float = 0.5) -> None:
+        def played() -> Any:
+            for name, value in {**given, "/pump/command": command}.items():
+                rig.publish(name, value)
+            rig.observer.until(lambda: True, 1, "")
+            return until()
+
+        wait_for(played, LATE, f"{what} ({rig.states[-3:]})")
+
+    rig.join()
+    play(lambda: drive.speed() > 0.5 and rig.says("delivery", OK), "a pump that is watched")
+    pumped = sum(rig.flows) * 0.2
+    (tmp_path / "suspended").touch()
+    given["/cistern/level"] = 2.0
+    play(
+        lambda: rig.says("suspend", ERROR, "for 3600 s while the pump was on"), "the alarm", 0.0
+    )
+    play(lambda: rig.says("delivery", OK) and rig.says("inputs", OK), "what is new", 0.0)
+    began = time.monotonic()
+    play(lambda: time.monotonic() > began + 5, "five seconds", 0.0)
+    assert rig.state == "off: the command is 0"
+    assert not any(one.startswith("fault") for one in rig.states)
+    assert rig.call(SetBool, "stop", data=True).success  # it is written
+    lines = [json.loads(line[9:]) for line in state.read_bytes().splitlines()]
+    kept = max(lines, key=lambda one: one["sequence"])
+    assert 3600 < kept["elapsed"] < 3720
+    assert 55 < kept["day_run"] < 130
+    assert kept["day_volume"] > pumped + 50 * max(rig.flows)
 
 
 def test_check_pump_finds_it_right(domain: int, tmp_path: Path, rig: PumpRig) -> None:

@@ -321,6 +321,30 @@ def test_a_gap_in_the_levels_hides_no_leak() -> None:
     assert "perhaps a leak, or somebody else takes water" in rig.decisions[-1].why
 
 
+def test_a_cistern_that_its_low_outlet_drains_in_a_suspend_is_no_alarm() -> None:
+    """Eight hours from 2.8 m down to it; a leak that goes on afterwards is found."""
+    for leak, left in ((0.0, 25.0), (0.0005, 15.6)):
+        rig = Rig(x2=1.0, site=LOW_OUTLET, noise=NOISE)
+        rig.run(200, 0.0)
+        rig.leak = leak
+        rig.suspend(8 * 3600)
+        assert rig.plant.x1 == pytest.approx(left, abs=0.1)
+        assert (time_to_fault(rig, 1800, 0.0) < math.inf) == (leak > 0)
+    assert "perhaps a leak" in rig.decisions[-1].why
+
+
+def test_a_suspend_hides_no_leak() -> None:
+    """Of 25 m2 8 mm may be lost in eight hours, and 6 mm more: together 0.35 m3."""
+    for lost, found in ((0.0, False), (0.25, False), (0.6, True)):
+        rig = Rig(x2=1.0, noise=NOISE)
+        rig.run(200, 0.0)
+        rig.leak = lost / 28800
+        rig.suspend(8 * 3600)
+        rig.leak = 0.0
+        assert (time_to_fault(rig, 600, 0.0) < math.inf) == found, lost
+    assert "perhaps a leak" in rig.decisions[-1].why
+
+
 class Ruled:
     """A rig whose sensors keep the rules of a live graph, one reading a second, with noise."""
 

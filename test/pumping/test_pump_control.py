@@ -325,6 +325,34 @@ def test_no_flow_once_the_pump_stands() -> None:
     assert rig.step(1.0).why == "the pump turns backwards, at 0.02 of its speed"
 
 
+@pytest.mark.parametrize(("seconds", "counted"), [(5.0, 5.0), (28800.0, 15.0)])
+def test_what_may_be_pumped_in_a_suspend_counts_at_worst(seconds: float, counted: float) -> None:
+    """As from a full cistern, until the drive must have stopped: 15 s; then it is seen anew."""
+    rig = Rig(x1=70.0, settings=settings_for(PAPER_SITE, greatest_run=3600.0))
+    rig.run(60, 0.5)
+    before, volume = rig.ledger.record, rig.plant.x1
+    rig.plant.x1 = rig.site.a1 * rig.site.z_o
+    most = counted * rig.plant_flow(rig.speed)
+    rig.plant.x1 = volume
+    rig.suspend(seconds, runs_on=10.0)
+    after = rig.ledger.record
+    assert after.elapsed - before.elapsed == seconds
+    assert after.day_run - before.day_run == counted
+    assert after.day_volume - before.day_volume == pytest.approx(most, rel=1e-3)
+    assert not after.on
+    rig.change = LOST
+    assert not rig.step(0.5).stands
+    rig.change = {}
+    rig.run(60, 0.0)
+    assert rig.decisions[-1].why == "the command is 0"
+    # One that stands is none that may have run.
+    before = rig.ledger.record
+    rig.suspend(28800.0)
+    after = rig.ledger.record
+    assert (after.day_run, after.day_volume) == (before.day_run, before.day_volume)
+    assert rig.run(15, 0.5).state in ("starting", "running")
+
+
 def test_what_is_not_heard_counts_at_worst() -> None:
     """Run time and volume, until the drive must have stopped: 15 s, not the minute after.
 

@@ -254,7 +254,7 @@ def drive_at(address: str, **given: Any) -> Any:
 def absence(drive: Any, words: str) -> str:
     """Return why the drive is not heard, once that has the words."""
     until = time.monotonic() + 60
-    while words not in (why := drive.absence(time.monotonic())):
+    while words not in (why := drive.absence(boot_time())):
         assert time.monotonic() < until, why
         time.sleep(0.01)
     return str(why)
