@@ -1,12 +1,13 @@
-"""Disks of the tests: small ones, which fill up, and one that hangs."""
+"""Disks of the tests: small ones, which fill up, and one that hangs; and a pipe that is full."""
 
 from __future__ import annotations
 
+import os
 import resource
 import shutil
 import subprocess
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 import pytest
@@ -76,3 +77,20 @@ def no_file_beyond(size: int) -> Iterator[None]:
         yield
     finally:
         resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
+
+
+@contextmanager
+def full_pipe() -> Iterator[tuple[int, int]]:
+    """Yield both ends of a pipe, to read and to write, that takes nothing more: it has zeros."""
+    reading, writing = os.pipe()
+    try:
+        os.set_blocking(writing, False)
+        for size in (4096, 1):
+            with suppress(BlockingIOError):
+                while True:
+                    os.write(writing, bytes(size))
+        os.set_blocking(writing, True)
+        yield reading, writing
+    finally:
+        os.close(reading)
+        os.close(writing)

@@ -130,9 +130,9 @@ class Process:
 
     def __init__(
         self, domain: int, module: str, *arguments: str, cwd: Path,
-        ignored: Iterable[signal.Signals] = (),
+        ignored: Iterable[signal.Signals] = (), stderr: int | None = None,
     ) -> None:
-        """Start it, with some signals ignored."""
+        """Start it, with some signals ignored, and its standard error in a file unless given."""
 
         def prepare() -> None:
             for number in ignored:
@@ -144,7 +144,8 @@ class Process:
         self._err = (cwd / f"{number}-{module}.err").open("w+")
         self.process = subprocess.Popen(
             [sys.executable, "-m", f"greenroof_ros.{module}", *arguments],
-            cwd=cwd, stdin=subprocess.DEVNULL, stdout=self._out, stderr=self._err,
+            cwd=cwd, stdin=subprocess.DEVNULL, stdout=self._out,
+            stderr=self._err if stderr is None else stderr,
             # A worker of pytest that is killed leaves no graph.
             env={**asked_to_end_with_this(), **environment(domain)}, start_new_session=True,
             preexec_fn=prepare if ignored else None,

@@ -8,9 +8,9 @@ import json
 import math
 import os
 import shutil
-import sys
 import tempfile
 import time
+import traceback
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from datetime import datetime, timezone
@@ -25,6 +25,7 @@ from greenroof_ros.common.command_line import EXIT_DONE, EXIT_FAILED
 from greenroof_ros.common.disk import DISK
 from greenroof_ros.common.errors import ConfigurationError, OccupiedError
 from greenroof_ros.common.signals import InterruptedRun, Signals
+from greenroof_ros.common.standard_error import say
 from greenroof_ros.common.systemd import notify
 from greenroof_ros.common.versions import versions
 from greenroof_ros.controllers.registry import controller_names
@@ -103,7 +104,7 @@ def _keep_up(
             start.look(supervisor.last, supervisor.inhibit)
             if not ready and supervisor.all_ready:
                 ready = True
-                _say("all nodes are here")
+                say("all nodes are here")
                 notify("READY=1")
             now = time.monotonic()
             if now - notified >= _NOTIFY_S:
@@ -114,20 +115,16 @@ def _keep_up(
     finally:
         notify("STOPPING=1")
         if site.drive is not None:
-            _say("waiting for the pump to stand")
+            say("waiting for the pump to stand")
 
 
 def _end(record: _Record, supervisor: LiveSupervisor, error: Exception) -> int:
-    """Keep and say why the site ended, so that somebody looks at it; return the exit code.
-
-    Raises:
-        Exception: the error, where that is a mistake in this program.
-    """
+    """Keep and say why the site ended, so that somebody looks at it; return the exit code."""
     if isinstance(error, InterruptedRun) and not supervisor.may_run:
         record.write(summary.DONE, str(error))
         record.wait()
-        _say(f"{error}: the pump and the nodes are stopped")
-        _say(with_incidents("done", record.log.count))
+        say(f"{error}: the pump and the nodes are stopped")
+        say(with_incidents("done", record.log.count))
         return EXIT_FAILED if record.log.count else EXIT_DONE
     reason, last_lines, code = str(error), "", EXIT_FAILED
     if isinstance(error, NodeFailed):
@@ -138,9 +135,9 @@ def _end(record: _Record, supervisor: LiveSupervisor, error: Exception) -> int:
     record.write(summary.FAILED, reason)
     record.wait()
     notify(f"STATUS={reason}")
-    _say("\n".join(filter(None, (f"error: {reason}", last_lines))))
+    say("\n".join(filter(None, (f"error: {reason}", last_lines))))
     if not isinstance(error, (InterruptedRun, NodeFailed)):
-        raise error
+        say("".join(traceback.format_exception(error)).rstrip())
     return EXIT_FAILED if supervisor.may_run else code
 
 
@@ -189,7 +186,7 @@ class _Start:
         levels = levels_of(reports)
         if not needed and "unknown" not in levels:
             self._over = True
-            _say(f"running: {levels}")
+            say(f"running: {levels}")
             return
         if not lines and inhibit:
             lines, missing = [f"  the pump is kept off: {inhibit}"], [(inhibit,)]
@@ -200,7 +197,7 @@ class _Start:
         stands = self._said is None or now - self._seen[1] > _LISTED_S
         if missing and missing != self._said and stands:
             self._said = missing
-            _say("\n".join([title, *lines]))
+            say("\n".join([title, *lines]))
 
 
 class _Record:
@@ -214,11 +211,11 @@ class _Record:
 
     def __init__(self, site: LiveSite, state: Path) -> None:
         """Read how the site ended the last time, and say it unless it was asked to."""
-        self.log = IncidentLog(_say, state / INCIDENTS)
+        self.log = IncidentLog(say, state / INCIDENTS)
         try:
             self.log.go_on()
         except (OSError, ValueError) as error:
-            _say(f"warning: {error}; the incidents of earlier starts are not shown")
+            say(f"warning: {error}; the incidents of earlier starts are not shown")
         self._state = state
         self._written = 0
         self._warnings: set[str] = set()
@@ -240,7 +237,7 @@ class _Record:
             how = f"bringup ended at {before['ended']}: {before['reason']}"
             if before["status"] == summary.RUNNING:
                 how = "bringup was killed, or the power failed"
-            _say(f"the last time, since {before['began']}, {how}")
+            say(f"the last time, since {before['began']}, {how}")
 
     def add(self, node: str, what: str) -> None:
         """Say and keep that a node failed, and what was done about it."""
@@ -269,7 +266,7 @@ class _Record:
                 "start, and are lost"
             )
         for text in sorted((of_nodes | own) - self._warnings):
-            _say(f"warning: {text}")
+            say(f"warning: {text}")
         self._warnings = of_nodes | own
 
     def write(self, status: str, reason: str | None = None) -> None:
@@ -300,10 +297,6 @@ class _Record:
         if not DISK.wait(_WRITTEN_S):
             self._problem = f"{self._state}: the disk takes nothing; {summary.SUMMARY} is not kept"
         self._warn(self._warnings)
-
-
-def _say(text: str) -> None:
-    print(text, file=sys.stderr)
 
 
 def values_of(reports: Mapping[str, Mapping[str, Any]]) -> str:
@@ -397,7 +390,7 @@ def _configuration(
         part.rename(place)
     except OSError as error:
         shutil.rmtree(part, ignore_errors=True)
-        _say(f"warning: {place}: {error.strerror}; the new configuration is in memory only")
+        say(f"warning: {place}: {error.strerror}; the new configuration is in memory only")
         return _write_configuration(site, own, state, memory, memory)
     return files
 

@@ -2,20 +2,22 @@
 
 from __future__ import annotations
 
+import errno
 import json
 import math
+import os
 from collections.abc import Mapping
-from concurrent.futures import Future, ThreadPoolExecutor, wait
 from pathlib import Path
 from typing import Any
 
+from greenroof_ros.common.disk import DISK
 from greenroof_ros.common.errors import ConfigurationError
 
 _CLOSE_S = 2.0
 
 
 class Kept:
-    """The numbers in a file, by name; a thread of its own writes it, so that a disk may hang.
+    """The numbers in a file, by name; the disk's thread writes it, so that a disk may hang.
 
     The file is replaced as a whole: after a power cut it is the old one or the new one.
     """
@@ -23,8 +25,8 @@ class Kept:
     def __init__(self, file: Path) -> None:
         """Take the file, which need not be there."""
         self._file = file
-        self._thread = ThreadPoolExecutor(1, thread_name_prefix="kept")
-        self._writing: Future[None] | None = None
+        self._newest: dict[str, float] = {}
+        self._problem = ""
 
     def read(self) -> dict[str, float]:
         """Return what was kept; nothing where there is no file.
@@ -45,25 +47,24 @@ class Kept:
         return content
 
     def write(self, values: Mapping[str, float]) -> str:
-        """Write, unless the last writing still goes on; return what went wrong with that."""
-        if self._writing is not None:
-            if not self._writing.done():
-                return ""
-            error = self._writing.exception()
-            if error is not None:
-                self._writing = None
-                return str(error)
-        self._writing = self._thread.submit(self._replace, dict(values))
-        return ""
+        """Have numbers written; return what went wrong with the last that were."""
+        self._newest = dict(values)
+        return self._problem if DISK.do(self._replace) else os.strerror(errno.ENOMEM)
 
     def close(self) -> None:
         """Wait two seconds at most for what is being written."""
-        if self._writing is not None:
-            wait([self._writing], _CLOSE_S)
-        self._thread.shutdown(wait=False)
+        DISK.wait(_CLOSE_S)
 
-    def _replace(self, values: dict[str, float]) -> None:
-        self._file.parent.mkdir(parents=True, exist_ok=True)
+    def _replace(self) -> None:
+        """Write what is newest, on the disk's thread."""
         part = self._file.with_suffix(".part")
-        part.write_text(json.dumps(values, indent=1), encoding="utf-8")
-        part.replace(self._file)
+        try:
+            self._file.parent.mkdir(parents=True, exist_ok=True)
+            with part.open("w", encoding="utf-8") as stream:
+                stream.write(json.dumps(self._newest, indent=1))
+                stream.flush()
+                os.fsync(stream.fileno())
+            part.replace(self._file)
+            self._problem = ""
+        except OSError as error:
+            self._problem = str(error)

@@ -11,6 +11,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from greenroof_ros.common.processes import asked_to_end_with_this
+from greenroof_ros.common.standard_error import say
 
 # How long the watcher may take to end (s); then the kernel ends it.
 _ENDING_S = 3.0
@@ -55,8 +56,8 @@ def _hand_on(process: subprocess.Popen[str], ending: threading.Event) -> None:
     assert process.stdout is not None
     for line in process.stdout:
         if not ending.is_set():
-            print(f"watch: {line.rstrip()}", file=sys.stderr)
+            say(f"watch: {line.rstrip()}")
     code = process.wait()
     if not ending.is_set():
         how = f"exit code {code}" if code >= 0 else signal.Signals(-code).name
-        print(f"watch: the page has ended ({how}); the run goes on", file=sys.stderr)
+        say(f"watch: the page has ended ({how}); the run goes on")

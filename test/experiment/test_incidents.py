@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import json
 import os
+import subprocess
+import sys
 import time
 from dataclasses import asdict
 from datetime import datetime, timedelta, timezone
@@ -11,6 +13,8 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from disks import full_pipe
+from places import CHECKOUT
 
 from greenroof_ros.common.disk import DISK
 from greenroof_ros.experiment import incidents
@@ -194,3 +198,22 @@ def test_a_file_that_takes_nothing_delays_nobody(tmp_path: Path) -> None:
     IncidentLog(print, file).begin("pump", "drive", "silent")
     with file.open() as stream:
         assert json.loads(stream.readline())["cause"] == "silent"
+
+
+def test_a_standard_error_that_takes_nothing_delays_nobody(tmp_path: Path) -> None:
+    """With what live bringup says lines by, in a process whose standard error is a full pipe."""
+    program = (
+        "import sys; from pathlib import Path\n"
+        "from greenroof_ros.bringup import live\n"
+        "from greenroof_ros.experiment.incidents import IncidentLog\n"
+        "log = IncidentLog(live.say, Path(sys.argv[1]))\n"
+        "for number in range(3): log.begin('pump', 'drive', 'silent')\n"
+        "print(log.count, flush=True)\n"
+    )
+    command = [sys.executable, "-c", program, str(tmp_path / INCIDENTS)]
+    with full_pipe() as (_, full):
+        done = subprocess.run(
+            command, cwd=CHECKOUT, stdout=subprocess.PIPE, stderr=full, timeout=30, check=True
+        )
+    assert done.stdout == b"3\n"
+    assert [one.number for one in read_incidents(tmp_path)] == [1, 2, 3]

@@ -18,7 +18,7 @@ from itertools import pairwise
 from pathlib import Path
 
 import pytest
-from disks import disk_that_hangs, small_disk
+from disks import disk_that_hangs, full_pipe, small_disk
 from graphs import Process, alive, bring_up, environment, free_ports, summary_of, wait_for
 from places import CHECKOUT, CONFIG, guarding
 from pump_node_rig import SimulatedDrive, addresses
@@ -64,10 +64,13 @@ class Systemd:
 
 
 @contextmanager
-def live(domain: int, cwd: Path, *arguments: str, code: int = 0) -> Iterator[Process]:
+def live(
+    domain: int, cwd: Path, *arguments: str, code: int = 0, stderr: int | None = None
+) -> Iterator[Process]:
     """Bring a site up; it must end as it should when it is asked to, with all of its nodes."""
     process = Process(
-        domain, "bringup", "--plant", "external", "--state", "run", *arguments, cwd=cwd
+        domain, "bringup", "--plant", "external", "--state", "run", *arguments, cwd=cwd,
+        stderr=stderr,
     )
     yield process
     nodes = process.nodes().values()
@@ -279,6 +282,28 @@ def test_a_disk_that_hangs_stops_no_pump(domain: int, tmp_path: Path) -> None:
     incidents = {(one["node"], one["part"]) for one in summary["incidents"]}
     assert incidents >= {("bringup", "disk"), ("recorder", "recording")}
     assert not any(part == "process" for _, part in incidents)
+
+
+def test_a_standard_error_that_takes_nothing_stops_no_pump(domain: int, tmp_path: Path) -> None:
+    """As of a terminal at Ctrl-S: the pump starts, and turns on while incidents are to be said."""
+    hardware = Hardware(domain, tmp_path)
+    options = hardware.be_a_site()
+    with full_pipe() as (_, full), live(
+        domain, tmp_path, *options, code=1, stderr=full
+    ) as process:
+        wait_for(lambda: hardware.speed() > 0.9, 90, "the pump")
+        os.kill(process.nodes()["live_recorder"], signal.SIGKILL)
+        killed, speeds = time.monotonic(), []
+        while time.monotonic() < killed + 5:  # a permit that lapses ends the pump after 2 s
+            speeds.append(hardware.speed())
+        assert min(speeds) > 0.9
+        asked = time.monotonic()
+    # The nodes' end, and 2 s at most for what nobody reads.
+    assert time.monotonic() - asked < 30
+    summary = summary_of(tmp_path / "run")
+    assert (summary["status"], summary["incident_count"]) == ("done", 1)
+    (incident,) = read_incidents(tmp_path / "run")
+    assert (incident.node, incident.part) == ("recorder", "process")
 
 
 def test_a_full_disk_keeps_no_site_from_starting(domain: int, tmp_path: Path) -> None:

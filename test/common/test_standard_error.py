@@ -1,0 +1,96 @@
+"""Lines for people: they hold up neither who says them nor the end, whatever reads them."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+import time
+
+import pytest
+from disks import full_pipe
+from places import CHECKOUT
+
+from greenroof_ros.common import standard_error
+from greenroof_ros.common.disk import DISK
+from greenroof_ros.common.standard_error import Lines, say
+
+TOO_LONG_S = 60
+
+
+def test_lines_come_in_order(capfd: pytest.CaptureFixture[str]) -> None:
+    for number in range(50):
+        say(f"line {number}\n  more of it, in °C")
+    assert standard_error.LINES.wait(TOO_LONG_S)
+    said = capfd.readouterr().err
+    assert said == "".join(f"line {number}\n  more of it, in °C\n" for number in range(50))
+
+
+def test_what_waits_for_too_long_is_dropped_and_counted() -> None:
+    """The oldest; what is said is whole again when somebody reads."""
+    with full_pipe() as (reading, writing):
+        lines = Lines(writing, most=10)
+        began = time.monotonic()
+        lines.say("first")
+        time.sleep(0.2)  # it is being written
+        for number in range(100):
+            lines.say(f"line {number}")
+        assert not lines.wait(0.0)
+        assert time.monotonic() - began < 2.0
+        said = b""
+        while not said.endswith(b"line 99\n"):
+            said += os.read(reading, 1 << 20)
+    assert said.lstrip(b"\0").decode().splitlines() == [
+        "first", "90 lines were dropped: standard error took nothing",
+        *(f"line {number}" for number in range(90, 100)),
+    ]
+
+
+def test_nobody_is_there_to_read() -> None:
+    """What cannot be written is lost, and no error of who says it."""
+    reading, writing = os.pipe()
+    os.close(reading)
+    lines = Lines(writing)
+    lines.say("into the void")
+    assert lines.wait(TOO_LONG_S)
+    os.close(writing)
+    lines.say("and into nothing")
+    assert lines.wait(TOO_LONG_S)
+
+
+@pytest.mark.parametrize("full", [False, True])
+def test_the_end_of_a_process(full: bool) -> None:
+    """It writes what waits, and gives up after two seconds."""
+    program = (
+        "from greenroof_ros.common.standard_error import say\n"
+        "for number in range(3): say(f'line {number}')"
+    )
+    with full_pipe() as (reading, writing):
+        if not full:
+            _empty(reading)
+        command = [sys.executable, "-c", program]
+        assert subprocess.run(command, cwd=CHECKOUT, stderr=writing, timeout=20).returncode == 0
+        said = _empty(reading).lstrip(b"\0")
+    assert said == (b"" if full else b"line 0\nline 1\nline 2\n")
+
+
+def test_the_disk_goes_on_where_standard_error_takes_nothing() -> None:
+    with full_pipe() as (reading, writing):
+        lines = Lines(writing)
+        DISK.do(lambda: lines.say("warning: the disk is full"))
+        assert DISK.wait(TOO_LONG_S)
+        _empty(reading)
+        assert lines.wait(TOO_LONG_S)
+
+
+def _empty(reading: int) -> bytes:
+    """Return all that is in a pipe, without waiting for more."""
+    os.set_blocking(reading, False)
+    said = b""
+    try:
+        while True:
+            said += os.read(reading, 1 << 20)
+    except BlockingIOError:
+        return said
+    finally:
+        os.set_blocking(reading, True)
