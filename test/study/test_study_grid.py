@@ -223,7 +223,6 @@ def test_grids_that_come_with_it(tmp_path: Path, file: str) -> None:
     # more. On the measured roof these are 3 + 1, 10 + 1 and 1.
     ("study_seasons.yaml", 1, 10, 5 + 2 * 11 + 3),
     ("study_seasons_measured.yaml", 1, 10, 5 + (3 + 1) + (10 + 1) + 1),
-    ("study_horizons.yaml", 1, 10, 5),
     ("study_horizons_real.yaml", 2, 60, 1 + 5 * (3 + 1)),
     ("study_sizing.yaml", 18, 60, 2),
     ("study_sizing_full.yaml", 18, 60, 1),
