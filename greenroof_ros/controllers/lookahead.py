@@ -165,6 +165,7 @@ class Lookahead:
 
     @learned.setter
     def learned(self, values: Mapping[str, float]) -> None:
+        values = {name: values[name] for name in self.learned}  # all of it, or nothing
         self._regret_budget.learned = values
         self._trust.learned = values
 
@@ -217,8 +218,9 @@ class Lookahead:
             self._policy = None
         now = (float(rain[0, 0]), float(evaporated[0])) if evaporated.size else (0.0, 0.0)
         self._fallen += now[0] * site.tau
-        most = self._most_flow(x1) if cistern_level >= site.suction_level else 0.0
-        self._trust.pass_tick(x2, *now, most, functools.partial(self._levels, x1))
+        if self._trust.pass_tick(x2, *now):
+            most = self._most_flow(x1) if cistern_level >= site.suction_level else 0.0
+            self._trust.move(most, functools.partial(self._levels, x1))
         level = float(self._levels(x1, x2, self._trust.share))
         share = 0.0
         if level >= x2 and cistern_level >= site.suction_level:

@@ -64,7 +64,7 @@ class Trust:
         self._program = program
         self._tau = site.tau
         self._memory = memory
-        self._since = np.zeros(3)  # s, rain (m) and evapotranspiration (m3) since the last step
+        self._seconds = self._rain = self._evaporated = 0.0  # since the last step (s, m, m3)
         self._followed = len(SHARES) - 1
         self.roofs: Array = np.full(len(SHARES), math.nan)
         self.losses: Array = np.zeros(len(SHARES))
@@ -86,33 +86,36 @@ class Trust:
         self.losses = np.array(losses)
         self._followed = int(np.abs(SHARES - share).argmin())
 
-    def pass_tick(
-        self, x2: float, rain: float, evapotranspiration: float, flow: float,
-        levels: Callable[[Array, Array], Array],
-    ) -> None:
-        """Count a tick, and move the shadows on when a step is over.
+    def pass_tick(self, x2: float, rain: float, evapotranspiration: float) -> bool:
+        """Count a tick, and return whether :meth:`move` is due.
 
         Args:
             x2: on the real roof (m3).
             rain: in the tick (m/s).
             evapotranspiration: off the whole bed (m3/s).
+        """
+        if not self._memory:
+            return False
+        tau = self._tau
+        self._seconds += tau
+        self._rain += rain * tau
+        self._evaporated += evapotranspiration * tau
+        if math.isnan(self.roofs[0]):
+            self.roofs = np.full(len(SHARES), x2)
+        return self._seconds >= _STEP_S - tau / 2
+
+    def move(self, flow: float, levels: Callable[[Array, Array], Array]) -> None:
+        """Move the shadows on by a step, and follow another if that has done better.
+
+        Args:
             flow: most that can be pumped (m3/s).
             levels: returns what roofs of these volumes (m3) are filled to or held at (m3) where
                 they leave these shares of the room, as :func:`leave`; an array of their shape.
         """
-        if not self._memory:
-            return
-        tau = self._tau
-        self._since += (tau, rain * tau, evapotranspiration * tau)
-        if math.isnan(self.roofs[0]):
-            self.roofs = np.full(len(SHARES), x2)
-        seconds = float(self._since[0])
-        if seconds < _STEP_S - tau / 2:
-            return
-        _, depth, evaporated = self._since.tolist()
+        seconds = self._seconds
         wanted = levels(self.roofs, SHARES)
         self.roofs, _ = self._program.move(
-            wanted, self.roofs, depth / seconds, evaporated / seconds, flow, seconds
+            wanted, self.roofs, self._rain / seconds, self._evaporated / seconds, flow, seconds
         )
         days = seconds / _DAY_S
         self.losses *= math.exp(-days / self._memory)
@@ -122,7 +125,7 @@ class Trust:
         apart = max(abs(each[best] - each[followed]) for each in (self.roofs, wanted))
         if more > _LESS and apart < _ALIKE * self._target:
             self._followed = best
-        self._since[:] = 0.0
+        self._seconds = self._rain = self._evaporated = 0.0
 
 
 def leave(share: Array | float, level: Array | float, lowest: float, target: float) -> Array:

@@ -186,16 +186,17 @@ class ControllerNode(LinkedNode):
             if learned:
                 set_learned(self._controller, learned)
         except (ConfigurationError, KeyError) as error:
-            self.get_logger().warning(f"{self.get_name()} begins anew: {file}: {error}")
+            self.get_logger().warning(f"what was learned is lost: {file}: {error}")
         return kept
 
     def _keep_learned(self, every: float) -> None:
         """Keep what the controller has learned, if it was last kept so long ago (s)."""
-        now, learned = time.monotonic(), learned_by(self._controller)
-        if self._kept is None or learned is None or now - self._kept_at < every:
+        now = time.monotonic()
+        if self._kept is None or now - self._kept_at < every:
             return
         self._kept_at = now
-        problem = self._kept.write(learned)
+        learned = learned_by(self._controller)
+        problem = "" if learned is None else self._kept.write(learned)
         if problem:
             self.get_logger().warning(f"what {self.get_name()} learned is not kept: {problem}")
 

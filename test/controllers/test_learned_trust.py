@@ -146,7 +146,8 @@ def test_one_that_is_made_again_goes_on_with_what_was_learned() -> None:
     assert again.trust == 0.0
     assert again.learned["waiting_loss_m3_s"] != 0
     with pytest.raises(KeyError):
-        again.learned = {"trust": 1.0}
+        again.learned = {"waiting_loss_m3_s": 0.0, "onoff_cost_m3_s": 0.0, "trust": 1.0}
+    assert again.learned == controller.learned
 
 
 def test_what_is_left_for_rain() -> None:

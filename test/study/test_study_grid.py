@@ -200,7 +200,7 @@ def test_window_of_several_files(tmp_path: Path) -> None:
 
 # Those that need years of weather, which the package has not.
 YEARS = (
-    "study_horizons.yaml", "study_horizons_real.yaml", "study_seasons.yaml",
+    "study_horizons_real.yaml", "study_seasons.yaml",
     "study_seasons_measured.yaml", "study_sizing.yaml", "study_sizing_full.yaml",
     "study_skills.yaml", "study_skills_measured.yaml", "study_ticks.yaml",
 )
